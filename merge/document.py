@@ -1,0 +1,210 @@
+"""The merged document, `merged.json`: schema `topobatch.merged/1`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from ..topology.document import (
+    Finite,
+    Index,
+    Model,
+    Multigraph,
+    Observation,
+    Positive,
+    Undirected,
+    edges_to_document,
+    read_json,
+    rounded,
+    validated,
+    write_json,
+)
+from .result import Alignment, MergeResult, PairVerdict, Verdict
+
+MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
+
+
+class Pose(Model):
+    """A rigid transform of the plane: metres and radians."""
+
+    x: Finite
+    y: Finite
+    theta: Finite
+
+
+class ComponentEntry(Model):
+    """Runs in one frame; a run's pose takes its map's coordinates to the component's."""
+
+    id: Index
+    runs: dict[str, Pose]
+
+
+class MergedGraph(Model):
+    """Attributes of the whole merge."""
+
+    components: list[ComponentEntry]
+
+
+class MergedNode(Model):
+    """A fused vertex."""
+
+    id: Index
+    component: Index
+    x: Finite
+    y: Finite
+    branches: list[Finite]
+    members: dict[str, list[Index]]
+    observations: list[Observation]
+
+
+class MergedEdge(Model):
+    """A fused corridor."""
+
+    source: Index
+    target: Index
+    key: Index
+    length: Positive
+    length_sigma: Positive
+    source_branch: Index | None
+    target_branch: Index | None
+    path: list[tuple[Finite, Finite]] = Field(min_length=2)
+    traversals: Index
+    members: dict[str, list[Index]]
+
+
+class RunnerUp(Model):
+    """The next best alignment and its evidence."""
+
+    transform: Pose
+    evidence_bits: Finite
+    matched: list[tuple[Index, Index]]
+
+
+class MergeEntry(Model):
+    """What is said about one pair of runs."""
+
+    a: str
+    b: str
+    verdict: Verdict
+    accepted: bool
+    evidence_bits: Finite
+    reason: str
+    transform: Pose | None = None
+    matched: list[tuple[Index, Index]] | None = None
+    runner_up: RunnerUp | None = None
+
+
+class MergedDocument(Model):
+    """`merged.json`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, serialize_by_alias=True)
+
+    schema_name: Literal["topobatch.merged/1"] = Field(alias="schema")
+    directed: Undirected
+    multigraph: Multigraph
+    graph: MergedGraph
+    nodes: list[MergedNode]
+    edges: list[MergedEdge]
+    merges: list[MergeEntry]
+
+
+def pose_to_document(pose: Any) -> dict[str, float]:
+    """{"x", "y", "theta"} of a (3,) pose."""
+    x, y, theta = rounded(pose)
+    return {"x": x, "y": y, "theta": theta}
+
+
+def _alignment(alignment: Alignment) -> dict[str, Any]:
+    return {
+        "transform": pose_to_document(alignment.transform),
+        "evidence_bits": rounded(alignment.evidence_bits, 2),
+        "matched": alignment.matched.tolist(),
+        "corridors": alignment.corridors,
+        "rmse_m": rounded(alignment.rmse_m, 4),
+        "contradictions": list(alignment.contradictions),
+    }
+
+
+def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "a": pair.a,
+        "b": pair.b,
+        "verdict": str(pair.verdict),
+        "accepted": pair.accepted,
+        "evidence_bits": rounded(pair.evidence_bits, 2),
+        "reason": pair.reason,
+    }
+    if pair.locked is not None:
+        entry["locked"] = pair.locked
+    if pair.verdict is Verdict.UNRELATED:
+        return entry  # in short: most pairs of a fleet are unrelated
+    if pair.best is not None:
+        best = _alignment(pair.best)
+        del best["evidence_bits"]
+        entry |= best
+    if pair.runner_up is not None:
+        entry["runner_up"] = _alignment(pair.runner_up)
+    if pair.margin_bits is not None:
+        entry["margin_bits"] = rounded(pair.margin_bits, 2)
+    if pair.advice is not None:
+        entry["advice"] = pair.advice
+    return entry | dict(pair.extra)
+
+
+def merged_to_document(result: MergeResult) -> dict[str, Any]:
+    """The node-link dict of a merge, ready for `json`."""
+    fused = result.fused
+    xy = rounded(np.asarray(fused.xy).reshape(-1, 2))
+    edges = edges_to_document(fused)
+    for edge, members in zip(edges, fused.edge_members, strict=True):
+        edge["members"] = _by_run(members)
+    graph: dict[str, Any] = {
+        "components": [
+            {"id": c.id, "runs": {run: pose_to_document(c.poses[run]) for run in sorted(c.poses)}}
+            for c in result.components
+        ]
+    }
+    graph |= {k: v for k, v in sorted(result.info.items()) if k not in graph}
+    return {
+        "schema": MERGED_SCHEMA,
+        "directed": False,
+        "multigraph": True,
+        "graph": graph,
+        "nodes": [
+            {
+                "id": i,
+                "component": int(fused.component[i]),
+                "x": xy[i][0],
+                "y": xy[i][1],
+                "kind": fused.kind[i],
+                "branches": rounded(fused.branches[i]),
+                "members": {run: list(ids) for run, ids in sorted(fused.members[i].items())},
+                "observations": [
+                    {"run": run, "time_ns": time_ns} for run, time_ns in fused.observations[i]
+                ],
+            }
+            for i in range(len(fused))
+        ],
+        "edges": edges,
+        "merges": [_merge_entry(pair) for pair in result.verdicts],
+    }
+
+
+def _by_run(members: tuple[tuple[str, int], ...]) -> dict[str, list[int]]:
+    out: dict[str, list[int]] = {}
+    for run, index in sorted(members):
+        out.setdefault(run, []).append(index)
+    return out
+
+
+def read_merged(path: Path) -> MergedDocument:
+    """A checked `merged.json`; DocumentError if it cannot be read or is no such document."""
+    return validated(MergedDocument, read_json(path), str(path))
+
+
+def write_merged(path: Path, result: MergeResult) -> None:
+    """Write `merged.json`."""
+    write_json(path, merged_to_document(result))

@@ -1,0 +1,129 @@
+"""What merging says: a verdict for every pair of runs, and the fused map of every component."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.frozen import frozen_array
+from ..topology.ragged import Ragged
+
+
+class Verdict(StrEnum):
+    """The three answers to "do these two runs share places, and where?"."""
+
+    MERGED = "merged"
+    AMBIGUOUS = "ambiguous"
+    UNRELATED = "unrelated"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """One way to lay map b over map a.
+
+    transform: (3,) T_a_b as x, y [m], theta [rad]; evidence_bits: log2 odds against chance;
+    matched: (k, 2) int64 pairs (vertex of a, vertex of b), sorted; rmse_m: root mean square
+    distance of the matched vertices under the transform; contradictions: sentences, one per
+    disagreement found ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there").
+    """
+
+    transform: NDArray[np.float64]
+    evidence_bits: float
+    matched: NDArray[np.int64]
+    rmse_m: float
+    corridors: int = 0
+    contradictions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        transform = frozen_array(self.transform, np.float64, (3,), "transform")
+        object.__setattr__(self, "transform", transform)
+        matched = frozen_array(np.reshape(self.matched, (-1, 2)), np.int64, (None, 2), "matched")
+        object.__setattr__(self, "matched", matched)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairVerdict:
+    """What is known about one pair of runs, `a < b` by name.
+
+    accepted: the pair joins a component (verdict MERGED and kept by every later check).
+    best: the alignment the verdict speaks of, None for most unrelated pairs; runner_up: the next
+    best one that places b elsewhere; margin_bits: the lead of best over it; advice: what would
+    settle an ambiguous pair; locked: "same" or "never" where a person decided.
+    extra: JSON values that a method adds to its entry.
+    """
+
+    a: str
+    b: str
+    verdict: Verdict
+    accepted: bool
+    evidence_bits: float
+    reason: str
+    best: Alignment | None = None
+    runner_up: Alignment | None = None
+    margin_bits: float | None = None
+    advice: str | None = None
+    locked: str | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.a < self.b:
+            raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
+        if self.accepted and self.best is None:
+            raise ValueError("an accepted pair needs its alignment")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Component:
+    """Runs that were merged; `poses[run]` is T_component_run (3,)."""
+
+    id: int
+    poses: Mapping[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedMap:
+    """The fused vertices and edges of all components (fields as in TopoMap).
+
+    component: (n,) id of the component whose frame the vertex is drawn in; members: for each
+    vertex the vertices of the runs' maps that it fuses; observations: for each vertex
+    (run, time_ns) sorted; edge_members: for each edge the (run, edge index) pairs it fuses.
+    """
+
+    component: NDArray[np.int64]
+    xy: NDArray[np.float64]
+    branches: Ragged
+    kind: tuple[str, ...]
+    members: tuple[Mapping[str, tuple[int, ...]], ...]
+    observations: tuple[tuple[tuple[str, int], ...], ...]
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    source_branch: NDArray[np.int64]
+    target_branch: NDArray[np.int64]
+    length: NDArray[np.float64]
+    length_sigma: NDArray[np.float64]
+    traversals: NDArray[np.int64]
+    paths: tuple[NDArray[np.float64], ...]
+    edge_members: tuple[tuple[tuple[str, int], ...], ...]
+
+    def __len__(self) -> int:
+        """Number of vertices."""
+        return len(self.xy)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergeResult:
+    """Everything `merged.json` holds.
+
+    verdicts: one per pair of runs, sorted by (a, b). info: what else the document's `graph` says
+    (method, settings, warnings, layers). JSON values only.
+    """
+
+    components: tuple[Component, ...]
+    fused: FusedMap
+    verdicts: tuple[PairVerdict, ...]
+    info: Mapping[str, Any] = field(default_factory=dict)

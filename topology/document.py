@@ -1,0 +1,308 @@
+"""The map document, `maps/<run>.json`: schema `topobatch.map/1`.
+
+The pydantic models are the schema: they validate what is read, write what is saved, and publish
+the JSON Schema. Documents are deterministic (same map, same bytes) and load with
+`networkx.node_link_graph(doc, edges="edges")`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from .errors import DocumentError
+from .passes import NO_BRANCH
+from .ragged import Ragged
+from .topomap import Closure, RunNoise, TopoMap
+
+MAP_SCHEMA: Literal["topobatch.map/1"] = "topobatch.map/1"
+
+DECIMALS = 6
+"""Documents keep micrometres and microradians: far below any noise, and the same on any machine."""
+
+PATH_DECIMALS = 3
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Index = Annotated[int, Field(ge=0)]
+
+
+class Model(BaseModel):
+    """A part of a document; unknown keys are kept, known ones checked."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class Observation(Model):
+    """One pass of a robot by a vertex."""
+
+    run: str
+    time_ns: int
+
+
+class MapNode(Model):
+    """A vertex of a map."""
+
+    id: Index
+    x: Finite
+    y: Finite
+    kind: str
+    branches: list[Finite]
+    observations: list[Observation]
+
+
+class MapEdge(Model):
+    """A corridor between two vertices."""
+
+    source: Index
+    target: Index
+    key: Index
+    length: Positive
+    length_sigma: Positive
+    source_branch: Index | None
+    target_branch: Index | None
+    path: list[tuple[Finite, Finite]] = Field(min_length=2)
+    traversals: Index
+
+
+class ClosureRecord(Model):
+    """An identification that was made or refused."""
+
+    time_ns: tuple[int, int]
+    accepted: bool
+    bits: Finite
+    reason: str
+
+
+class MapGraph(Model):
+    """Attributes of a whole map."""
+
+    run: str
+    frame: str
+    noise: dict[str, Finite] = Field(default_factory=dict)
+    closures: list[ClosureRecord] = Field(default_factory=list)
+
+
+def _as_false(value: Any) -> Any:
+    if value is not False:
+        raise ValueError("must be false")
+    return value
+
+
+def _as_true(value: Any) -> Any:
+    if value is not True:
+        raise ValueError("must be true")
+    return value
+
+
+Undirected = Annotated[Literal[False], BeforeValidator(_as_false)]
+Multigraph = Annotated[Literal[True], BeforeValidator(_as_true)]
+
+
+class MapDocument(Model):
+    """`maps/<run>.json`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, serialize_by_alias=True)
+
+    # The alias keeps pydantic's own `schema` method free.
+    schema_name: Literal["topobatch.map/1"] = Field(alias="schema")
+    directed: Undirected
+    multigraph: Multigraph
+    graph: MapGraph
+    nodes: list[MapNode]
+    edges: list[MapEdge]
+
+
+def rounded(values: Any, decimals: int = DECIMALS) -> Any:
+    """Numbers as they stand in documents: rounded, and never the two zeros 0.0 and -0.0."""
+    array = np.round(np.asarray(values, np.float64), decimals) + 0.0
+    return array.tolist()
+
+
+def edge_keys(source: NDArray[np.int64], target: NDArray[np.int64]) -> list[int]:
+    """The `key` of every edge: its number among the edges that join the same two vertices."""
+    seen: dict[tuple[int, int], int] = {}
+    keys = []
+    for u, v in zip(source.tolist(), target.tolist(), strict=True):
+        pair = (min(u, v), max(u, v))
+        keys.append(seen.get(pair, 0))
+        seen[pair] = keys[-1] + 1
+    return keys
+
+
+def map_to_document(topomap: TopoMap) -> dict[str, Any]:
+    """The node-link dict of a map, ready for `json`; inverse of `map_from_document`."""
+    observations: list[list[dict[str, Any]]] = [[] for _ in range(len(topomap))]
+    for vertex, time_ns in zip(
+        topomap.observation_vertex.tolist(), topomap.observation_time_ns.tolist(), strict=True
+    ):
+        observations[vertex].append({"run": topomap.run, "time_ns": time_ns})
+    xy = rounded(topomap.xy)
+    graph: dict[str, Any] = {"run": topomap.run, "frame": topomap.frame}
+    graph |= {k: v for k, v in sorted(topomap.info.items()) if k not in graph}
+    names = RunNoise.__dataclass_fields__
+    graph["noise"] = {name: rounded(getattr(topomap.noise, name), 9) for name in names}
+    graph["closures"] = [
+        {
+            "time_ns": [c.time_a_ns, c.time_b_ns],
+            "accepted": c.accepted,
+            "bits": rounded(c.bits, 3),
+            "reason": c.reason,
+        }
+        for c in topomap.closures
+    ]
+    return {
+        "schema": MAP_SCHEMA,
+        "directed": False,
+        "multigraph": True,
+        "graph": graph,
+        "nodes": [
+            {
+                "id": i,
+                "x": xy[i][0],
+                "y": xy[i][1],
+                "kind": topomap.kind[i],
+                "branches": rounded(topomap.branches[i]),
+                "observations": observations[i],
+            }
+            for i in range(len(topomap))
+        ],
+        "edges": edges_to_document(topomap),
+    }
+
+
+def edges_to_document(graph: Any) -> list[dict[str, Any]]:
+    """The `edges` of a document, from anything that has the edge arrays of a TopoMap."""
+
+    def branch(index: int) -> int | None:
+        return None if index == NO_BRANCH else index
+
+    keys = edge_keys(graph.source, graph.target)
+    length, sigma = rounded(graph.length), rounded(np.maximum(graph.length_sigma, 1e-6))
+    return [
+        {
+            "source": int(graph.source[i]),
+            "target": int(graph.target[i]),
+            "key": keys[i],
+            "length": length[i],
+            "length_sigma": sigma[i],
+            "source_branch": branch(int(graph.source_branch[i])),
+            "target_branch": branch(int(graph.target_branch[i])),
+            "path": rounded(graph.paths[i], PATH_DECIMALS),
+            "traversals": int(graph.traversals[i]),
+        }
+        for i in range(len(keys))
+    ]
+
+
+def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
+    """The map that a parsed document describes; `name` (a path) appears in errors.
+
+    Raises DocumentError with the place of the first fault if the schema is not followed.
+    """
+    d = validated(MapDocument, doc, name)
+    if [node.id for node in d.nodes] != list(range(len(d.nodes))):
+        raise DocumentError(f"{name}: node ids must be 0, 1, 2, … in order")
+    seen = sorted((o.time_ns, node.id) for node in d.nodes for o in node.observations)
+    known = set(MapGraph.model_fields)
+    info = {k: v for k, v in d.graph.model_dump().items() if k not in known}
+    noise = {k: v for k, v in d.graph.noise.items() if k in RunNoise.__dataclass_fields__}
+
+    def branches(name: str) -> list[int]:
+        found = (getattr(edge, name) for edge in d.edges)
+        return [NO_BRANCH if branch is None else branch for branch in found]
+
+    try:
+        return TopoMap(
+            run=d.graph.run,
+            frame=d.graph.frame,
+            xy=np.array([(node.x, node.y) for node in d.nodes]).reshape(-1, 2),
+            branches=Ragged.from_rows(node.branches for node in d.nodes),
+            kind=tuple(node.kind for node in d.nodes),
+            source=np.array([e.source for e in d.edges], np.int64),
+            target=np.array([e.target for e in d.edges], np.int64),
+            source_branch=np.array(branches("source_branch"), np.int64),
+            target_branch=np.array(branches("target_branch"), np.int64),
+            length=np.array([e.length for e in d.edges], np.float64),
+            length_sigma=np.array([e.length_sigma for e in d.edges], np.float64),
+            traversals=np.array([e.traversals for e in d.edges], np.int64),
+            paths=tuple(np.array(e.path) for e in d.edges),
+            observation_vertex=np.array([v for _, v in seen], np.int64),
+            observation_time_ns=np.array([t for t, _ in seen], np.int64),
+            noise=RunNoise(**noise),
+            closures=tuple(
+                Closure(*c.time_ns, accepted=c.accepted, bits=c.bits, reason=c.reason)
+                for c in d.graph.closures
+            ),
+            info=info,
+        )
+    except ValueError as error:
+        raise DocumentError(f"{name}: {error}") from error
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def validated(model: type[M], doc: Any, name: str) -> M:
+    """`doc` as the given model, or a DocumentError that names the place of the first fault."""
+    try:
+        return model.model_validate(doc)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"]) or "document"
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise DocumentError(f"{name}: {place}: {first['msg']}{more}") from error
+
+
+def read_json(path: Path) -> Any:
+    """A parsed JSON file, or a DocumentError that names it."""
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise DocumentError(f"{path}: is not JSON: {error}") from error
+
+
+def read_map(path: Path) -> TopoMap:
+    """The map of a `maps/<run>.json`; DocumentError if it cannot be read or is no such document."""
+    return map_from_document(read_json(path), str(path))
+
+
+def write_json(path: Path, doc: Any) -> None:
+    """Write a document atomically: after a crash the old file or the new one is there, whole."""
+    text = json.dumps(doc, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    write_atomically(path, lambda temporary: temporary.write_text(text + "\n", encoding="utf-8"))
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `path`, then move it there in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        temporary.chmod(0o666 & ~_umask())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def write_map(path: Path, topomap: TopoMap) -> None:
+    """Write `maps/<run>.json`."""
+    write_json(path, map_to_document(topomap))

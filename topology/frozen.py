@@ -1,0 +1,31 @@
+"""Checking of arrays at the birth of a value."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def frozen_array(array: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+    """A read-only, C-contiguous copy-if-needed of `array` with the given dtype and shape.
+
+    `None` in the shape stands for any length. Raises ValueError on another shape, on values
+    that are not finite, and on fractions where integers are wanted.
+    """
+    given = np.asarray(array)
+    out = np.ascontiguousarray(given, dtype=dtype)
+    if out.ndim != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, out.shape, strict=True)
+    ):
+        raise ValueError(f"{name} has shape {out.shape}, expected {shape}")
+    if np.issubdtype(out.dtype, np.floating):
+        if not np.isfinite(out).all():
+            raise ValueError(f"{name} holds values that are not finite")
+    elif np.issubdtype(given.dtype, np.floating) and not np.array_equal(given, out):
+        raise ValueError(f"{name} holds fractions where integers are needed")
+    if out.flags.writeable:
+        out = out.copy() if out is array or out.base is not None else out
+        out.flags.writeable = False
+    return out

@@ -1,0 +1,69 @@
+"""The track of a robot as its odometry saw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frozen import frozen_array
+from .se2 import wrap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """Poses of the robot in a drifting frame, by time.
+
+    time_ns: (n,) int64, strictly ascending; pose: (n, 3) T_odom_base as x, y [m], theta [rad];
+    breaks: (k,) int64, ascending rows i at which the chain is broken between i - 1 and i (the
+    odometry was reset or the robot carried): motion across a break is unknown.
+    Raises ValueError on a wrong shape, a NaN, or times that do not ascend.
+    """
+
+    time_ns: NDArray[np.int64]
+    pose: NDArray[np.float64]
+    breaks: NDArray[np.int64]
+    frame: str = "odom"
+    child_frame: str = "base_link"
+
+    def __post_init__(self) -> None:
+        time_ns = frozen_array(self.time_ns, np.int64, (None,), "time_ns")
+        pose = frozen_array(self.pose, np.float64, (len(time_ns), 3), "pose")
+        breaks = frozen_array(self.breaks, np.int64, (None,), "breaks")
+        if np.any(np.diff(time_ns) <= 0):
+            raise ValueError("odometry times must ascend strictly")
+        if np.any(np.diff(breaks) <= 0) or np.any(breaks < 1) or np.any(breaks >= len(time_ns)):
+            raise ValueError("breaks must ascend and lie within the track")
+        for name, value in (("time_ns", time_ns), ("pose", pose), ("breaks", breaks)):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @property
+    def step_m(self) -> NDArray[np.float64]:
+        """(n,) way from the row before [m]; 0 for the first row and across a break."""
+        step = np.zeros(len(self))
+        step[1:] = np.hypot(*np.diff(self.pose[:, :2], axis=0).T)
+        step[self.breaks] = 0.0
+        return step
+
+    @property
+    def turn_rad(self) -> NDArray[np.float64]:
+        """(n,) turn since the row before [rad, signed]; 0 for the first row and across a break."""
+        turn = np.zeros(len(self))
+        turn[1:] = wrap(np.diff(self.pose[:, 2]))
+        turn[self.breaks] = 0.0
+        return turn
+
+    def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(m, 3) poses at any times, linear between rows, held at the ends. O(m log n)."""
+        query = np.asarray(time_ns, np.int64)
+        origin = self.time_ns[0]
+        t, q = (self.time_ns - origin).astype(np.float64), (query - origin).astype(np.float64)
+        theta = self.pose[0, 2] + np.concatenate([[0.0], np.cumsum(wrap(np.diff(self.pose[:, 2])))])
+        columns = (self.pose[:, 0], self.pose[:, 1], theta)
+        out = np.stack([np.interp(q, t, column) for column in columns], axis=-1)
+        out[..., 2] = wrap(out[..., 2])
+        return out

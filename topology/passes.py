@@ -1,0 +1,60 @@
+"""Junction passes: each time that the robot drove by a junction, once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frozen import frozen_array
+from .ragged import Ragged
+
+NO_BRANCH = -1
+"""Stands where a branch index is unknown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passes:
+    """The junction passes of one run, by time; everything in the odometry frame.
+
+    time_ns: (p,) when the robot was nearest to the centre; start_ns, end_ns: (p,) first and last
+    detection; centre: (p, 2) [m]; branches: p rows of headings [rad], ascending in [-pi, pi);
+    support: the same rows, share of the pass's messages (0..1] that reported the branch;
+    entry, exit: (p,) row-local index of the branch the robot came by and left by, NO_BRANCH where
+    unknown; messages: (p,) detections fused; confidence: (p,) in (0, 1], 1 for passes from a topic.
+    Raises ValueError on shapes that do not fit or times that descend.
+    """
+
+    time_ns: NDArray[np.int64]
+    start_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+    centre: NDArray[np.float64]
+    branches: Ragged
+    support: Ragged
+    entry: NDArray[np.int64]
+    exit: NDArray[np.int64]
+    messages: NDArray[np.int64]
+    confidence: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        p = len(self.time_ns)
+        for name in ("time_ns", "start_ns", "end_ns", "entry", "exit", "messages"):
+            value = frozen_array(getattr(self, name), np.int64, (p,), name)
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "centre", frozen_array(self.centre, np.float64, (p, 2), "centre"))
+        confidence = frozen_array(self.confidence, np.float64, (p,), "confidence")
+        object.__setattr__(self, "confidence", confidence)
+        if len(self.branches) != p or not np.array_equal(
+            self.branches.offsets, self.support.offsets
+        ):
+            raise ValueError("branches and support must have one row per pass, of equal lengths")
+        if np.any(np.diff(self.time_ns) < 0):
+            raise ValueError("passes must be in the order of time")
+        for name in ("entry", "exit"):
+            index = getattr(self, name)
+            if np.any(index < NO_BRANCH) or np.any(index >= self.branches.counts):
+                raise ValueError(f"{name} names a branch that the pass does not have")
+
+    def __len__(self) -> int:
+        return len(self.time_ns)

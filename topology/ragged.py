@@ -1,0 +1,69 @@
+"""Lists of different lengths in two flat arrays, so that they can be vectorised over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frozen import frozen_array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ragged:
+    """`n` rows of numbers; row i is `values[offsets[i]:offsets[i + 1]]`.
+
+    offsets: (n + 1,) int64, ascending from 0; values: (offsets[-1],) float64.
+    Raises ValueError if the two do not fit or a value is not finite.
+    """
+
+    offsets: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        offsets = frozen_array(self.offsets, np.int64, (None,), "offsets")
+        values = frozen_array(self.values, np.float64, (None,), "values")
+        if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != len(values):
+            raise ValueError(f"offsets do not span the {len(values)} values")
+        if np.any(np.diff(offsets) < 0):
+            raise ValueError("offsets must not descend")
+        object.__setattr__(self, "offsets", offsets)
+        object.__setattr__(self, "values", values)
+
+    @classmethod
+    def from_rows(cls, rows: Iterable[Sequence[float] | NDArray[Any]]) -> Ragged:
+        """Join rows into one Ragged."""
+        arrays = [np.asarray(row, np.float64).reshape(-1) for row in rows]
+        counts = [len(a) for a in arrays]
+        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        values = np.concatenate(arrays) if arrays else np.zeros(0)
+        return cls(offsets, values)
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def __getitem__(self, row: int) -> NDArray[np.float64]:
+        if not 0 <= row < len(self):
+            raise IndexError(f"row {row} of {len(self)}")
+        return self.values[self.offsets[row] : self.offsets[row + 1]]
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(n,) number of values in each row."""
+        return np.diff(self.offsets)
+
+    @property
+    def owner(self) -> NDArray[np.int64]:
+        """(len(values),) row that each value belongs to."""
+        return np.repeat(np.arange(len(self), dtype=np.int64), self.counts)
+
+    def take(self, rows: NDArray[np.int64] | Sequence[int]) -> Ragged:
+        """The given rows, in the given order. O(values taken)."""
+        index = np.asarray(rows, np.int64)
+        counts = self.counts[index]
+        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        flat = np.arange(offsets[-1]) + np.repeat(self.offsets[index] - offsets[:-1], counts)
+        return Ragged(offsets, self.values[flat])

@@ -1,0 +1,129 @@
+"""The topological map of one run: junctions joined by corridors, laid out in the plane."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frozen import frozen_array
+from .passes import NO_BRANCH
+from .ragged import Ragged
+
+
+@dataclass(frozen=True, slots=True)
+class RunNoise:
+    """How well a run was measured: 1 sigma values and rates, estimated from the run itself."""
+
+    along_m_per_sqrt_m: float = 0.01
+    """Odometry: random walk of the position along the way."""
+    heading_rad_per_sqrt_m: float = 0.009
+    """Odometry: random walk of the heading with the way driven."""
+    heading_rad_per_sqrt_rad: float = 0.014
+    """Odometry: random walk of the heading with the angle turned."""
+    scale: float = 0.005
+    """Odometry: relative error of lengths, constant over the run."""
+    centre_m: float = 0.05
+    """Junction centre of one pass, per axis."""
+    branch_rad: float = 0.05
+    """Branch heading of one pass."""
+    miss_rate: float = 0.02
+    """Share of passes in which a junction went unseen."""
+    phantom_rate: float = 0.005
+    """Invented junctions per corridor driven."""
+    branch_fault_rate: float = 0.03
+    """Share of passes that saw a branch too many or too few."""
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """One question "are these two visits the same place?" and its answer."""
+
+    time_a_ns: int
+    time_b_ns: int
+    accepted: bool
+    bits: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopoMap:
+    """A topological map with `n` vertices and `m` edges (a multigraph, loops allowed).
+
+    run: name, unique in a workspace; frame: name of the map frame (the run's own, arbitrary).
+    xy: (n, 2) vertex positions [m]. branches: n rows of headings [rad] in the map frame, ascending
+    in [-pi, pi). kind: n names ("junction", "dead_end", "bend").
+    source, target: (m,) vertex indices. source_branch, target_branch: (m,) row-local branch by
+    which the edge leaves its source / target, NO_BRANCH where unknown. length: (m,) way along the
+    corridor [m]; length_sigma: (m,) 1 sigma [m]; traversals: (m,) times driven.
+    paths: m polylines (k, 2) [m] in the map frame from source to target, k >= 2.
+    observation_vertex, observation_time_ns: (k,) one row per pass, by time.
+    Raises ValueError where shapes, indices or values do not fit.
+    """
+
+    run: str
+    frame: str
+    xy: NDArray[np.float64]
+    branches: Ragged
+    kind: tuple[str, ...]
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    source_branch: NDArray[np.int64]
+    target_branch: NDArray[np.int64]
+    length: NDArray[np.float64]
+    length_sigma: NDArray[np.float64]
+    traversals: NDArray[np.int64]
+    paths: tuple[NDArray[np.float64], ...]
+    observation_vertex: NDArray[np.int64]
+    observation_time_ns: NDArray[np.int64]
+    noise: RunNoise = field(default_factory=RunNoise)
+    closures: tuple[Closure, ...] = ()
+    info: Mapping[str, Any] = field(default_factory=dict)
+    """What else the document's `graph` holds: source, settings, warnings. JSON values only."""
+
+    def __post_init__(self) -> None:
+        n, m, k = len(self.xy), len(self.source), len(self.observation_vertex)
+        shapes: dict[str, tuple[Any, tuple[int | None, ...]]] = {
+            "xy": (np.float64, (n, 2)),
+            "source": (np.int64, (m,)),
+            "target": (np.int64, (m,)),
+            "source_branch": (np.int64, (m,)),
+            "target_branch": (np.int64, (m,)),
+            "length": (np.float64, (m,)),
+            "length_sigma": (np.float64, (m,)),
+            "traversals": (np.int64, (m,)),
+            "observation_vertex": (np.int64, (k,)),
+            "observation_time_ns": (np.int64, (k,)),
+        }
+        for name, (dtype, shape) in shapes.items():
+            value = frozen_array(getattr(self, name), dtype, shape, name)
+            object.__setattr__(self, name, value)
+        paths = tuple(frozen_array(p, np.float64, (None, 2), "path") for p in self.paths)
+        object.__setattr__(self, "paths", paths)
+        if len(self.branches) != n or len(self.kind) != n or len(paths) != m:
+            raise ValueError("one branch row and kind per vertex, one path per edge are needed")
+        if any(len(p) < 2 for p in paths):
+            raise ValueError("a path needs two points or more")
+        for name, end in (("source", self.source), ("target", self.target)):
+            if np.any(end < 0) or np.any(end >= n):
+                raise ValueError(f"{name} names a vertex that does not exist")
+            branch = getattr(self, f"{name}_branch")
+            if np.any(branch < NO_BRANCH) or np.any(branch >= self.branches.counts[end]):
+                raise ValueError(f"{name}_branch names a branch that its vertex does not have")
+        seen = self.observation_vertex
+        if np.any(seen < 0) or np.any(seen >= n):
+            raise ValueError("an observation names a vertex that does not exist")
+        if np.any(self.length <= 0) or np.any(self.length_sigma <= 0):
+            raise ValueError("lengths and their sigmas must be positive")
+
+    def __len__(self) -> int:
+        """Number of vertices."""
+        return len(self.xy)
+
+    @property
+    def degree(self) -> NDArray[np.int64]:
+        """(n,) number of branches seen at each vertex, explored or not."""
+        return self.branches.counts

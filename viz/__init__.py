@@ -1,0 +1,1 @@
+"""Results to rerun recordings. Imports `topology` and the result types of `merge`."""
