@@ -1,0 +1,192 @@
+"""`topobatch ingest`: logs in, one map per run out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ..topology.errors import LogError, UsageError
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .output import Screen, count
+from .workspace import Workspace, checked_run_name
+
+if TYPE_CHECKING:
+    from ..ingest.mapping import MappingSettings
+    from ..ingest.reading import ReadSettings
+    from .ingest_worker import IngestJob, IngestOutcome
+
+OdometryTopic = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TOPIC", help="Odometry topic; default: the only one of a known type, else /odom."
+    ),
+]
+JunctionTopic = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TOPIC",
+        help="Junction detections; default: /junctions, else the only PoseArray topic.",
+    ),
+]
+JunctionFields = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MAPPING",
+        help="How to read junctions from messages of another type, for instance "
+        '"center=pose.position,branches=frontiers[].angle".',
+    ),
+]
+TimeSource = Annotated[
+    Literal["header", "log"],
+    typer.Option(help="Take times from message headers or from when the log received them."),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse damaged logs instead of salvaging what they hold.")
+]
+
+
+def ingest(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...", help="Logs, or folders to search for logs."),
+    ],
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    odometry_topic: OdometryTopic = None,
+    junction_topic: JunctionTopic = None,
+    junction_fields: JunctionFields = None,
+    time: TimeSource = "header",
+    closure: Annotated[
+        Literal["none", "gated", "full"],
+        typer.Option(
+            help="How to close loops: not at all; at the nearest place within the odometry's "
+            "error; or by everything that is known."
+        ),
+    ] = "full",
+    name: Annotated[
+        str | None,
+        typer.Option(help="Name of the run (one log only); default: the log's name."),
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=0, help="Logs read at once; 0: one per core.")
+    ] = 0,
+    force: Annotated[
+        bool, typer.Option("--force", help="Redo finished runs; replace maps made from other logs.")
+    ] = False,
+    strict: Strict = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn logs into topological maps: maps/RUN.json and maps/RUN.rrd in the workspace.
+
+    Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
+    Finished runs are skipped unless their log or the settings changed. One bad log does not stop
+    the others; the exit code is 1 if any failed.
+    """
+    from ..ingest.mapping import MappingSettings
+    from ..ingest.reading import ReadSettings
+
+    read = ReadSettings(
+        odometry_topic=odometry_topic,
+        junction_topic=junction_topic,
+        junction_fields=junction_fields,
+        time=time,
+        strict=strict,
+    )
+    place, screen = Workspace(workspace), Screen(quiet)
+    planned = _plan(logs, name, place, read, MappingSettings(closure=closure), force)
+    with place.held(screen.warn):
+        outcomes = _run_all(planned, _workers(jobs, len(planned)), screen)
+    _summarise(outcomes, place, screen)
+    if any(outcome.status == "failed" for outcome in outcomes):
+        raise typer.Exit(1)
+
+
+def _plan(
+    given: list[Path],
+    name: str | None,
+    place: Workspace,
+    read: ReadSettings,
+    mapping: MappingSettings,
+    force: bool,
+) -> list[IngestJob | IngestOutcome]:
+    """One job per log found; what cannot even be found is an outcome already."""
+    from ..ingest.reading import find_logs, run_name
+    from .ingest_worker import IngestJob, IngestOutcome
+
+    planned: list[IngestJob | IngestOutcome] = []
+    logs: dict[Path, None] = {}
+    for path in given:
+        try:
+            logs |= dict.fromkeys(find_logs([path]))
+        except LogError as error:
+            planned.append(IngestOutcome(path, path.name, "failed", str(error)))
+    if name is not None and len(logs) + len(planned) != 1:
+        raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
+    names: dict[str, Path] = {}
+    for log in logs:
+        run = checked_run_name(name if name is not None else run_name(log))
+        if run in names:
+            raise UsageError(
+                f"{names[run]} and {log} would both become run {run!r}; "
+                "rename one, or ingest it alone with --name"
+            )
+        names[run] = log
+        planned.append(
+            IngestJob(
+                log=log,
+                run=run,
+                map_json=place.map_json(run),
+                map_rrd=place.map_rrd(run),
+                record=place.ingest_record(run),
+                read=read,
+                mapping=mapping,
+                force=force,
+            )
+        )
+    return planned
+
+
+def _workers(jobs: int, logs: int) -> int:
+    return max(1, min(jobs or os.cpu_count() or 1, logs))
+
+
+def _run_all(
+    planned: list[IngestJob | IngestOutcome], workers: int, screen: Screen
+) -> list[IngestOutcome]:
+    """Do every job, in this process or in several; a line per finished log."""
+    from .ingest_worker import IngestJob, IngestOutcome, job_size, outcomes_of
+
+    jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
+    outcomes = [entry for entry in planned if isinstance(entry, IngestOutcome)]
+    for outcome in outcomes:
+        _show(outcome, screen)
+    total = sum(job_size(job) for job in jobs)
+    with screen.progress("reading", total, "bytes") as advance:
+        for outcome in outcomes_of(jobs, workers, advance):
+            outcomes.append(outcome)
+            _show(outcome, screen)
+    return outcomes
+
+
+def _show(outcome: IngestOutcome, screen: Screen) -> None:
+    if outcome.status == "failed":
+        screen.complain(outcome.text)
+        return
+    screen.line(f"{outcome.run}: {outcome.text}")
+    for warning in outcome.warnings:
+        screen.warn(f"{outcome.run}: {warning}")
+
+
+def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) -> None:
+    failed = sorted(outcome.run for outcome in outcomes if outcome.status == "failed")
+    unchanged = sum(outcome.status == "unchanged" for outcome in outcomes)
+    good = len(outcomes) - len(failed)
+    if good:
+        same = f" ({unchanged} unchanged)" if unchanged else ""
+        screen.line(f"{count(good, 'map')} in {place.maps}{same}; next: topobatch merge --all")
+    if failed and len(outcomes) > 1:
+        screen.complain(
+            f"{len(failed)} of {count(len(outcomes), 'log')} failed: {', '.join(failed)}"
+        )

@@ -1,0 +1,226 @@
+"""What `topobatch ingest` does to one log, and to many side by side."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from .. import __version__
+from ..ingest.mapping import MappingSettings, build_map
+from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_run
+from ..topology.document import map_to_document, write_json
+from ..topology.errors import DocumentError, TopobatchError
+from ..topology.topomap import TopoMap
+from ..viz.recording import write_map_recording
+from .output import count
+
+POLL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class IngestJob:
+    """One log to turn into one map, and where its files go."""
+
+    log: Path
+    run: str
+    map_json: Path
+    map_rrd: Path
+    record: Path
+    read: ReadSettings
+    mapping: MappingSettings
+    force: bool
+
+
+@dataclass(frozen=True, slots=True)
+class IngestOutcome:
+    """What became of one log; `text` is a summary or, where it failed, the error."""
+
+    log: Path
+    run: str
+    status: Literal["done", "unchanged", "failed"]
+    text: str
+    warnings: tuple[str, ...] = ()
+
+
+def job_size(job: IngestJob) -> int:
+    """Bytes to read; 0 for a log that is not there any more."""
+    try:
+        return log_size(job.log)
+    except (TopobatchError, OSError):
+        return 0  # reading it will say why
+
+
+def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
+    """Read a log, build its map, write both files; whatever goes wrong becomes the outcome.
+
+    `on_bytes` is told how far into this log the reader has come.
+    """
+    try:
+        return _ingest_one(job, on_bytes)
+    except TopobatchError as error:
+        return IngestOutcome(job.log, job.run, "failed", str(error))
+    except OSError as error:
+        place = error.filename or job.log
+        return IngestOutcome(job.log, job.run, "failed", f"{place}: {error.strerror or error}")
+    except Exception as error:
+        if os.environ.get("TOPOBATCH_DEBUG"):
+            raise
+        # One log that trips over a defect of ours must not cost the others.
+        text = f"{job.log}: internal error, please report it: {type(error).__name__}: {error}"
+        return IngestOutcome(job.log, job.run, "failed", text)
+
+
+def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
+    started = time.monotonic()
+    key = _content_key(job)
+    before = _record(job)
+    if (
+        not job.force
+        and before.get("key") == key
+        and job.map_json.exists()
+        and job.map_rrd.exists()
+    ):
+        return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept")
+    run = read_run(job.log, job.read, on_bytes=on_bytes)
+    topomap = build_map(run if run.name == job.run else _renamed(run, job.run), job.mapping)
+    doc = map_to_document(topomap)
+    _refuse_other_log(job, before, doc)
+    write_json(job.map_json, doc)
+    write_map_recording(job.map_rrd, topomap, odometry=run.odometry)
+    # Written last: a run counts as finished only when all of its files are there.
+    write_json(job.record, {"key": key, "log": str(job.log.resolve())})
+    text = f"{_summary(topomap, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
+    return IngestOutcome(job.log, job.run, "done", text, run.warnings)
+
+
+def _renamed(run: Any, name: str) -> Any:
+    from dataclasses import replace
+
+    return replace(run, name=name)
+
+
+def _summary(topomap: TopoMap, way_m: float) -> str:
+    visits = len(topomap.observation_vertex)
+    return (
+        f"{way_m:,.0f} m, {count(visits, 'junction pass', 'junction passes')} → "
+        f"{count(len(topomap), 'junction')}, {count(len(topomap.source), 'corridor')}"
+    )
+
+
+def _content_key(job: IngestJob) -> str:
+    """Changes when the log's content, the settings or the program change."""
+    parts = [__version__, log_fingerprint(job.log), asdict(job.read), asdict(job.mapping)]
+    text = json.dumps(parts, sort_keys=True, default=str)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _record(job: IngestJob) -> dict[str, Any]:
+    """What the map was made from; empty where that is not known."""
+    try:
+        found = json.loads(job.record.read_bytes())
+    except (OSError, ValueError):
+        return {}  # a cache: without it the run is just done again
+    return found if isinstance(found, dict) else {}
+
+
+def _refuse_other_log(job: IngestJob, before: dict[str, Any], doc: dict[str, Any]) -> None:
+    """A map made from another log of the same name is not overwritten unasked."""
+    other = before.get("log")
+    if job.force or not other or other == str(job.log.resolve()) or not job.map_json.exists():
+        return
+    try:
+        same = json.loads(job.map_json.read_bytes()) == doc
+    except ValueError:
+        return
+    if not same:
+        raise DocumentError(
+            f"{job.log}: the workspace has a run {job.run!r} already, made from {other}; "
+            "give this one another --name, or replace the map with --force"
+        )
+
+
+# --- several logs side by side ----------------------------------------------------------------
+
+_bytes_done: Any = None  # in a worker process: the counter shared with the parent
+
+
+def _start_worker(counter: Any) -> None:
+    global _bytes_done  # noqa: PLW0603 - set once per worker process
+    _bytes_done = counter
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+
+
+def _counted(job: IngestJob) -> IngestOutcome:
+    """`ingest_one` in a worker process, adding what it reads to the shared counter."""
+    reached = 0
+
+    def on_bytes(position: int) -> None:
+        nonlocal reached
+        if position > reached:
+            with _bytes_done.get_lock():
+                _bytes_done.value += position - reached
+            reached = position
+
+    outcome = ingest_one(job, on_bytes)
+    on_bytes(job_size(job))
+    return outcome
+
+
+def outcomes_of(
+    jobs: list[IngestJob], workers: int, advance: Callable[[int], None]
+) -> Iterator[IngestOutcome]:
+    """Outcomes as they come; `advance` is told the bytes read so far, over all logs."""
+    if workers == 1:
+        done = 0
+        for job in jobs:
+            start = done
+            yield ingest_one(job, lambda position, start=start: advance(start + position))  # type: ignore[misc]
+            done += job_size(job)
+            advance(done)
+        return
+    context = _context()
+    counter = context.Value("q", 0)
+    with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
+        futures: dict[Future[IngestOutcome], IngestJob] = {
+            pool.submit(_counted, job): job for job in jobs
+        }
+        waiting = set(futures)
+        try:
+            while waiting:
+                finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
+                advance(counter.value)
+                for future in finished:
+                    yield _result(future, futures[future])
+        except BaseException:  # Ctrl-C: nobody waits for half-read logs
+            for process in multiprocessing.active_children():
+                process.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _result(future: Future[IngestOutcome], job: IngestJob) -> IngestOutcome:
+    from concurrent.futures.process import BrokenProcessPool
+
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        text = f"{job.log}: the process that read it was killed (out of memory?); try --jobs 1"
+        return IngestOutcome(job.log, job.run, "failed", text)
+
+
+def _context() -> Any:
+    """Workers start from a server that has imported everything once, where there is one."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["topobatch.cli.ingest_worker", "rerun"])
+    return context

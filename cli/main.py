@@ -1,0 +1,80 @@
+"""The `topobatch` command.
+
+Exit codes: 0 all went well; 1 the data is at fault (some or all of it); 2 the call is at fault;
+70 topobatch itself is at fault; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from .. import __version__
+from ..topology.errors import TopobatchError, UsageError
+from .explain import explain
+from .info import info
+from .ingest import ingest
+from .lock import lock
+from .merge import merge
+from .output import complain
+from .schema import schema
+from .simulate import simulate
+from .view import view
+
+EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
+
+# Plain help: rich's boxes would double the time that `--help` takes.
+app = typer.Typer(
+    name="topobatch",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
+)
+for command in (ingest, merge, view, info, explain, lock, simulate, schema):
+    app.command()(command)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"topobatch {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def topobatch(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Turn recorded robot runs into topological maps, and merge the maps of many runs.
+
+    Reads MCAP files, ROS 1 bags and ROS 2 bag folders with odometry and junction detections. Runs
+    need no common frame; for every pair of runs topobatch says how sure it is that they overlap.
+    Results land in a workspace folder: maps/RUN.json, maps/RUN.rrd, merged.json, merged.rrd.
+    """
+
+
+def main() -> None:
+    """Run the command line; the one place that turns errors into messages and exit codes."""
+    try:
+        app(prog_name="topobatch")
+    except TopobatchError as error:
+        complain(str(error))
+        sys.exit(EXIT_USAGE if isinstance(error, UsageError) else EXIT_DATA)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        complain(f"{where}{error.strerror or error}")
+        sys.exit(EXIT_DATA)
+    except Exception as error:
+        if os.environ.get("TOPOBATCH_DEBUG"):
+            raise
+        complain(
+            f"internal error, please report it: {type(error).__name__}: {error} "
+            "(set TOPOBATCH_DEBUG=1 to see where)"
+        )
+        sys.exit(EXIT_SOFTWARE)

@@ -1,0 +1,158 @@
+"""`topobatch merge`: maps of many runs to one document that says what belongs together."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from ..topology.errors import DataError, DocumentError
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .output import Screen, count
+from .workspace import Workspace, shortened
+
+if TYPE_CHECKING:
+    from ..merge.result import MergeResult, PairVerdict
+    from ..topology.topomap import TopoMap
+
+MOST_LINES = 20
+
+
+def merge(
+    runs: Annotated[
+        list[str] | None, typer.Argument(metavar="[RUN]...", help="Runs to merge, by name.")
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Merge every run of the workspace.")
+    ] = False,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    method: Annotated[
+        Literal["robust", "paper"],
+        typer.Option(
+            help="robust: tolerant matching, evidence in bits, three verdicts; "
+            "paper: Huang & Beevers as published, for comparison."
+        ),
+    ] = "robust",
+    false_merge_rate: Annotated[
+        float,
+        typer.Option(
+            min=1e-9, max=0.5, help="Robust method: share of batches allowed any false merge."
+        ),
+    ] = 1e-3,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=0, help="Processes to match with; 0: one per core.")
+    ] = 1,
+    quiet: QuietOption = False,
+) -> None:
+    """Merge maps: merged.json and merged.rrd in the workspace.
+
+    Every pair of runs gets a verdict: merged (the same place, and the evidence says so),
+    ambiguous (an alignment fits, but another fits nearly as well) or unrelated. Only merged pairs
+    join. The order of the runs does not matter.
+    """
+    place, screen = Workspace(workspace), Screen(quiet)
+    with place.held(screen.warn):
+        maps, broken = _read_maps(place, place.chosen_runs(runs or [], everything), screen)
+        result = _merged(maps, place, screen, method, false_merge_rate, jobs)
+        _write(place, result, maps)
+    _summarise(result, place, screen)
+    if broken:
+        raise typer.Exit(1)
+
+
+def _read_maps(
+    place: Workspace, names: list[str], screen: Screen
+) -> tuple[list[TopoMap], list[str]]:
+    """The maps that can be read, and the names of those that cannot."""
+    from ..topology.document import read_map
+
+    maps, broken = [], []
+    for name in names:
+        path = place.map_json(name)
+        try:
+            topomap = read_map(path)
+            if topomap.run != name:
+                raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {name!r}")
+            maps.append(topomap)
+        except DocumentError as error:
+            screen.complain(f"{error}; left out (ingest its log again with --force)")
+            broken.append(name)
+    if not maps:
+        raise DataError(f"{place.maps}: none of the {count(len(names), 'map')} can be read")
+    return maps, broken
+
+
+def _merged(
+    maps: list[TopoMap],
+    place: Workspace,
+    screen: Screen,
+    method: Literal["robust", "paper"],
+    false_merge_rate: float,
+    jobs: int,
+) -> MergeResult:
+    from ..merge.locks import read_locks
+    from ..merge.merging import MergeSettings, merge_maps
+    from ..merge.robust import RobustSettings
+
+    settings = MergeSettings(
+        method=method, robust=RobustSettings(false_merge_rate=false_merge_rate)
+    )
+    pairs = len(maps) * (len(maps) - 1) // 2
+    with (
+        _executor(jobs, pairs) as executor,
+        screen.progress("matching", pairs, "pairs") as advance,
+    ):
+        return merge_maps(
+            maps,
+            settings,
+            locks=read_locks(place.locks_json),
+            on_pair=lambda done, _: advance(done),
+            executor=executor,
+        )
+
+
+def _executor(jobs: int, pairs: int) -> Any:
+    """Processes to match in, where there is enough to do for them."""
+    import os
+    from concurrent.futures import ProcessPoolExecutor
+
+    workers = min(jobs or os.cpu_count() or 1, pairs)
+    return ProcessPoolExecutor(workers) if workers > 1 else nullcontext(None)
+
+
+def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
+    from ..merge.document import write_merged
+    from ..viz.recording import write_merged_recording
+
+    write_merged(place.merged_json, result)
+    write_merged_recording(place.merged_rrd, result, maps)
+
+
+def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
+    from ..merge.result import Verdict
+
+    def of(verdict: Verdict) -> list[PairVerdict]:
+        return [pair for pair in result.verdicts if pair.verdict is verdict]
+
+    for component in result.components:
+        names = sorted(component.poses)
+        alone = "" if len(names) > 1 else " (alone)"
+        screen.line(f"component {component.id}: {shortened(names)}{alone}")
+    merged, ambiguous = of(Verdict.MERGED), of(Verdict.AMBIGUOUS)
+    for pair in merged[:MOST_LINES]:
+        screen.line(f"  {pair.a} + {pair.b}: {pair.reason}")
+    if len(merged) > MOST_LINES:
+        screen.line(f"  … and {len(merged) - MOST_LINES} more merged pairs, in {place.merged_json}")
+    for pair in ambiguous[:MOST_LINES]:
+        advice = f"; {pair.advice}" if pair.advice else ""
+        screen.line(f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}{advice}")
+    if len(ambiguous) > MOST_LINES:
+        screen.line(f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs")
+    unrelated = len(result.verdicts) - len(merged) - len(ambiguous)
+    screen.line(
+        f"{count(len(result.verdicts), 'pair')}: {len(merged)} merged, {len(ambiguous)} ambiguous, "
+        f"{unrelated} unrelated; {count(len(result.components), 'component')}"
+    )
+    screen.line(f"{place.merged_json}")
+    screen.line(f"{place.merged_rrd}  (look at it: topobatch view)")

@@ -1,0 +1,28 @@
+"""`topobatch schema`: the JSON Schema of the documents."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+
+class Document(StrEnum):
+    """Documents that topobatch writes."""
+
+    MAP = "map"
+    MERGED = "merged"
+
+
+def schema(
+    document: Annotated[Document, typer.Argument(help="Which document: map or merged.")],
+) -> None:
+    """Print the JSON Schema of maps/RUN.json (map) or merged.json (merged)."""
+    import json
+
+    from ..merge.document import MergedDocument
+    from ..topology.document import MapDocument
+
+    model = MapDocument if document is Document.MAP else MergedDocument
+    typer.echo(json.dumps(model.model_json_schema(by_alias=True), indent=2))

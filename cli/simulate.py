@@ -1,0 +1,1 @@
+"""`topobatch simulate`: logs of made-up robots, with the truth beside them."""

@@ -1,0 +1,45 @@
+"""`topobatch view`: open a recording in the rerun viewer."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from ..topology.errors import DataError
+from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .workspace import Workspace, shortened
+
+
+def view(
+    run: Annotated[
+        str | None, typer.Argument(help="Run whose map to open; the merged map without it.")
+    ] = None,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+) -> None:
+    """Open the merged map, or the map of one run, in the rerun viewer."""
+    place = Workspace(workspace)
+    recording = place.merged_rrd if run is None else place.map_rrd(run)
+    if not recording.exists():
+        if run is None:
+            raise DataError(f"{recording}: is not there yet; make it with `topobatch merge --all`")
+        known = shortened(place.runs()) or "none"
+        raise DataError(f"{recording}: is not there; runs with a map: {known}")
+    if not _has_display():
+        typer.echo(f"{recording}: there is no display here. To look at it:")
+        typer.echo(
+            f"  on a machine with a screen:  rerun {recording.name}   (pip install rerun-sdk)"
+        )
+        typer.echo(f"  in a browser, served by this machine:  rerun --web-viewer {recording}")
+        return
+    import subprocess
+
+    raise typer.Exit(subprocess.call([sys.executable, "-m", "rerun", str(recording)]))
+
+
+def _has_display() -> bool:
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,113 @@
+"""The workspace folder: which file lies where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..topology.errors import DataError, UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`, `cache/`."""
+
+    root: Path
+
+    @property
+    def maps(self) -> Path:
+        """Folder of the runs' maps."""
+        return self.root / "maps"
+
+    @property
+    def merged_json(self) -> Path:
+        """The merged document."""
+        return self.root / "merged.json"
+
+    @property
+    def merged_rrd(self) -> Path:
+        """The merged recording."""
+        return self.root / "merged.rrd"
+
+    @property
+    def locks_json(self) -> Path:
+        """What a person decided about pairs of runs."""
+        return self.root / "locks.json"
+
+    def map_json(self, run: str) -> Path:
+        """The map document of a run."""
+        return self.maps / f"{run}.json"
+
+    def map_rrd(self, run: str) -> Path:
+        """The recording of a run."""
+        return self.maps / f"{run}.rrd"
+
+    def ingest_record(self, run: str) -> Path:
+        """What a run's map was made from; may be deleted at any time."""
+        return self.root / "cache" / "ingest" / f"{run}.json"
+
+    def runs(self) -> list[str]:
+        """Names of the runs that have a map, sorted."""
+        return sorted(p.stem for p in self.maps.glob("*.json") if not p.name.startswith("."))
+
+    def chosen_runs(self, names: Sequence[str], everything: bool) -> list[str]:
+        """The runs that a command is about; UsageError or DataError where there are none."""
+        known = self.runs()
+        if not known:
+            raise DataError(
+                f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`"
+            )
+        if everything and names:
+            raise UsageError("give run names or --all, not both")
+        if everything:
+            return known
+        if not names:
+            raise UsageError("name the runs, or use --all for every run in the workspace")
+        unknown = sorted(set(names) - set(known))
+        if unknown:
+            raise UsageError(
+                f"no map of {', '.join(unknown)} in {self.root}; there are: {shortened(known)}"
+            )
+        return sorted(set(names))
+
+    @contextmanager
+    def held(self, say: Callable[[str], None]) -> Iterator[None]:
+        """Keep other topobatch processes out of the workspace, waiting for them if need be.
+
+        What a killed process left half-written is cleared away.
+        """
+        from filelock import FileLock, Timeout
+
+        self.root.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(self.root / ".lock")
+        try:
+            lock.acquire(timeout=0.2)
+        except Timeout:
+            say(f"{self.root}: another topobatch is at work there; waiting for it")
+            lock.acquire()
+        try:
+            self._clear_left_overs()
+            yield
+        finally:
+            self._clear_left_overs()  # of worker processes that were stopped
+            lock.release()
+
+    def _clear_left_overs(self) -> None:
+        for folder in (self.root, self.maps, self.ingest_record("x").parent):
+            for left_over in folder.glob(".*.tmp"):
+                left_over.unlink(missing_ok=True)
+
+
+def shortened(names: Sequence[str], most: int = 12) -> str:
+    """Names in one line, the first `most` of them."""
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def checked_run_name(name: str) -> str:
+    """A run name that is a plain file name, or a UsageError."""
+    if not name or name.startswith(".") or name != Path(name).name or "\0" in name:
+        raise UsageError(f"{name!r} cannot name a run: it must work as a file name")
+    return name

@@ -1,0 +1,132 @@
+"""The rules of the house: what may import what, what reaches site-packages, who may print."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("topology", "ingest", "merge", "viz", "cli")
+MAY_IMPORT = {
+    "topology": set(),
+    "ingest": {"topology"},
+    "merge": {"topology"},
+    "viz": {"topology", "merge"},
+    "cli": {"topology", "ingest", "merge", "viz"},
+}
+VIZ_MAY_USE_OF_MERGE = {"result", "explain"}
+HEAVY = ("rerun", "numpy", "scipy", "rosbags", "mcap", "networkx", "pydantic", "rich.progress")
+
+
+def modules(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+def imported(path: Path) -> list[tuple[str, ...]]:
+    """Every module of this project that a file imports, as parts below the root package."""
+    here = path.relative_to(ROOT).with_suffix("").parts
+    found = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+            assert not any(n.split(".")[0] == "topobatch" for n in names), f"{path}: {names}"
+        if not isinstance(node, ast.ImportFrom):
+            continue
+        if node.level == 0:
+            assert (node.module or "").split(".")[0] != "topobatch", f"{path}: absolute import"
+            continue
+        base = here[: len(here) - node.level]
+        module = tuple((node.module or "").split(".")) if node.module else ()
+        found += [(*base, *module, *(() if module else (alias.name,))) for alias in node.names]
+    return found
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_go_one_way(package: str) -> None:
+    assert modules(package)
+    for path in modules(package):
+        for target in imported(path):
+            head = target[0] if target else ""
+            if head in PACKAGES and head != package:
+                assert head in MAY_IMPORT[package], f"{path} imports {'.'.join(target)}"
+            if package == "viz" and head == "merge":
+                assert target[1] in VIZ_MAY_USE_OF_MERGE, f"{path} imports {'.'.join(target)}"
+
+
+def test_nothing_else_at_the_root_is_python() -> None:
+    assert [p.name for p in ROOT.glob("*.py")] == ["__init__.py"]
+    folders = {p.parent.name for p in ROOT.glob("*/*.py") if not p.parent.name.startswith(".")}
+    assert folders <= {*PACKAGES, "tests", "benchmarks"}
+
+
+@pytest.mark.parametrize("package", [p for p in PACKAGES if p != "cli"])
+def test_only_the_command_line_prints_or_exits(package: str) -> None:
+    for path in modules(package):
+        if path.name == "samples.py":  # a script of the Makefile
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            name = node.func if isinstance(node, ast.Call) else None
+            assert not (isinstance(name, ast.Name) and name.id in ("print", "exit")), path
+            attribute = ast.unparse(name) if isinstance(name, ast.Attribute) else ""
+            assert attribute not in ("sys.exit", "os._exit"), path
+
+
+def test_every_module_is_below_a_declared_package() -> None:
+    import tomllib
+
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    declared = set(settings["tool"]["setuptools"]["packages"])
+    for package in PACKAGES:
+        for path in modules(package):
+            dotted = ".".join(("topobatch", *path.relative_to(ROOT).parent.parts))
+            assert dotted in declared, f"{path} would not be installed"
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; sys.argv = ['topobatch', '--help']\n"
+        "from topobatch.cli.main import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+    assert "ingest" in done.stdout
+
+
+def test_importing_the_library_does_not_load_the_viewer() -> None:
+    code = (
+        "import sys, topobatch, topobatch.topology.document, topobatch.merge.merging\n"
+        "import topobatch.ingest.reading, topobatch.ingest.mapping, topobatch.viz\n"
+        "print([m for m in ('rerun', 'rosbags', 'scipy.optimize') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_wheel_holds_topobatch_alone(tmp_path: Path) -> None:
+    source = tmp_path / "source"  # building leaves files behind; not in the checkout
+    skipped = shutil.ignore_patterns(".*", "build", "*.egg-info", "*workspace*", "__pycache__")
+    shutil.copytree(ROOT, source, ignore=skipped)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--no-deps"]
+    done = subprocess.run(
+        [*pip, "--no-build-isolation", "--quiet", "-w", tmp_path, source],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"topobatch"}
+    assert "topobatch/cli/main.py" in names
+    assert "topobatch/py.typed" in names
+    assert not any(name.startswith(("topobatch/tests", "topobatch/sample_logs")) for name in names)
