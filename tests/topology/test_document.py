@@ -1,0 +1,140 @@
+"""The map document: round trip, schema, errors that name the place."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+
+import jsonschema
+import networkx as nx
+import numpy as np
+import pytest
+
+from topobatch.topology.document import (
+    MapDocument,
+    map_from_document,
+    map_to_document,
+    read_map,
+    write_atomically,
+    write_map,
+)
+from topobatch.topology.errors import DocumentError
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.topomap import Closure, TopoMap
+
+
+def small_map(run: str = "run1") -> TopoMap:
+    """Two junctions joined twice, a loop at the second, an unexplored branch at the first."""
+    return TopoMap(
+        run=run,
+        frame="odom",
+        xy=np.array([[0.0, 0.0], [4.0, 1.0]]),
+        branches=Ragged.from_rows([[-3.0, 0.2, 1.5], [-2.5, -0.5, 0.5, 3.0]]),
+        kind=("junction", "junction"),
+        source=[0, 0, 1],
+        target=[1, 1, 1],
+        source_branch=[1, 2, 1],
+        target_branch=[3, 0, 2],
+        length=[4.2, 6.5, 7.0],
+        length_sigma=[0.1, 0.2, 0.3],
+        traversals=[2, 1, 1],
+        paths=(
+            np.array([[0.0, 0.0], [4.0, 1.0]]),
+            np.array([[0.0, 0.0], [1.0, 3.0], [4.0, 1.0]]),
+            np.array([[4.0, 1.0], [6.0, 0.0], [6.0, 2.0], [4.0, 1.0]]),
+        ),
+        observation_vertex=[0, 1, 0, 1],
+        observation_time_ns=[
+            1_700_000_000_000_000_001,
+            1_700_000_000_000_000_005,
+            2**62,
+            2**62 + 1,
+        ],
+        closures=(Closure(1, 2, True, 12.5, "same branches"),),
+        info={"source": {"odometry": "/odom"}},
+    )
+
+
+def test_round_trip_is_exact():
+    doc = map_to_document(small_map())
+    text = json.dumps(doc)
+    again = map_from_document(json.loads(text))
+    assert json.dumps(map_to_document(again)) == text
+
+
+def test_networkx_loads_it_with_parallel_edges_and_loops():
+    graph = nx.node_link_graph(map_to_document(small_map()), edges="edges")
+    assert isinstance(graph, nx.MultiGraph)
+    assert graph.number_of_edges(0, 1) == 2
+    assert graph.has_edge(1, 1)
+    assert graph.nodes[1]["observations"][0]["time_ns"] == 1_700_000_000_000_000_005
+
+
+def test_the_published_schema_accepts_it():
+    jsonschema.validate(map_to_document(small_map()), MapDocument.model_json_schema(by_alias=True))
+
+
+def test_negative_zero_is_written_as_zero():
+    doc = map_to_document(small_map())
+    doc["nodes"][0]["x"] = -0.0
+    text = json.dumps(map_to_document(map_from_document(doc)))
+    assert "-0.0" not in text
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "place"),
+    [
+        (["schema"], "other/1", "schema"),
+        (["directed"], True, "directed"),
+        (["nodes", 1, "x"], float("nan"), "nodes.1.x"),
+        (["nodes", 0, "branches"], None, "nodes.0.branches"),
+        (["edges", 2, "length"], -1, "edges.2.length"),
+        (["edges", 0, "path"], [[0, 0]], "edges.0.path"),
+        (["edges", 0, "target"], 7, "does not exist"),
+        (["edges", 0, "source_branch"], 3, "source_branch"),
+        (["nodes", 0, "id"], 5, "node ids"),
+    ],
+)
+def test_errors_name_the_place(path, value, place):
+    doc = copy.deepcopy(map_to_document(small_map()))
+    spot = doc
+    for key in path[:-1]:
+        spot = spot[key]
+    spot[path[-1]] = value
+    with pytest.raises(DocumentError, match=place) as caught:
+        map_from_document(doc, "maps/x.json")
+    assert str(caught.value).startswith("maps/x.json: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 100_000, b"3", b"null"])
+def test_what_is_no_document_is_said_to_be_none(tmp_path, content):
+    path = tmp_path / "x.json"
+    path.write_bytes(content)
+    with pytest.raises(DocumentError, match=r"x\.json"):
+        read_map(path)
+
+
+def test_written_files_are_whole_and_the_same_each_time(tmp_path):
+    path = tmp_path / "maps" / "run1.json"
+    write_map(path, small_map())
+    first = path.read_bytes()
+    write_map(path, small_map())
+    assert path.read_bytes() == first
+    assert os.listdir(path.parent) == ["run1.json"]
+    assert read_map(path).run == "run1"
+
+
+def test_a_write_that_fails_leaves_the_old_file(tmp_path):
+    path = tmp_path / "x.json"
+    path.write_text("old")
+
+    def fail(temporary):
+        temporary.write_text("half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(path, fail)
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["x.json"]

@@ -1,0 +1,96 @@
+"""SE(2): group laws and registration, on asymmetric data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from topobatch.topology import se2
+
+coordinate = st.floats(-1e3, 1e3)
+pose = st.tuples(coordinate, coordinate, st.floats(-10, 10)).map(np.array)
+
+
+def close(a, b):
+    np.testing.assert_allclose(a[..., :2], b[..., :2], atol=1e-8)
+    np.testing.assert_allclose(se2.wrap(a[..., 2] - b[..., 2]), 0, atol=1e-9)
+
+
+@given(pose, pose, pose)
+def test_composition_is_associative(a, b, c):
+    close(se2.compose(se2.compose(a, b), c), se2.compose(a, se2.compose(b, c)))
+
+
+@given(pose, pose)
+def test_between_undoes_compose(a, b):
+    close(se2.between(a, se2.compose(a, b)), b)
+
+
+@given(pose)
+def test_inverse_is_on_both_sides(a):
+    close(se2.compose(a, se2.inverse(a)), np.zeros(3))
+    close(se2.compose(se2.inverse(a), a), np.zeros(3))
+
+
+def test_compose_by_hand():
+    # A quarter turn left at (1, 2): one metre ahead is one metre up.
+    T = np.array([1.0, 2.0, np.pi / 2])
+    np.testing.assert_allclose(se2.compose(T, [1.0, 0.0, 0.25]), [1, 3, np.pi / 2 + 0.25])
+    np.testing.assert_allclose(se2.apply(T, [[1.0, 0.0], [0.0, 1.0]]), [[1, 3], [0, 2]], atol=1e-12)
+
+
+def test_broadcasting_over_many_poses():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
+    together = se2.compose(a, b)
+    for k in range(7):
+        close(together[k], se2.compose(a[k], b[k]))
+
+
+@given(pose)
+def test_fit_rigid_recovers_a_motion(T):
+    xy_b = np.array([[0.0, 0.0], [4.0, 1.0], [-2.0, 5.0], [3.0, 3.0]])
+    close(se2.fit_rigid(se2.apply(T, xy_b), xy_b), T)
+
+
+def test_fit_rigid_never_mirrors():
+    xy_b = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 1.0]])
+    fit = se2.fit_rigid(xy_b * [1.0, -1.0], xy_b)
+    moved = se2.apply(fit, xy_b)
+    first, second = moved[1] - moved[0], moved[2] - moved[0]
+    assert first[0] * second[1] - first[1] * second[0] > 0
+
+
+def test_fit_rigid_weights_choose_the_pairs():
+    T = np.array([3.0, -1.0, 0.7])
+    xy_b = np.array([[0.0, 0.0], [4.0, 1.0], [-2.0, 5.0], [9.0, 9.0]])
+    xy_a = se2.apply(T, xy_b)
+    xy_a[3] += 50.0
+    close(se2.fit_rigid(xy_a, xy_b, [1, 1, 1, 0]), T)
+
+
+@pytest.mark.parametrize("shapes", [((0, 2), (0, 2)), ((3, 2), (4, 2)), ((3, 3), (3, 3))])
+def test_fit_rigid_refuses_other_shapes(shapes):
+    with pytest.raises(ValueError, match="fit_rigid"):
+        se2.fit_rigid(np.ones(shapes[0]), np.ones(shapes[1]))
+
+
+@given(st.floats(-1e4, 1e4))
+def test_wrap_keeps_the_direction(angle):
+    wrapped = se2.wrap(angle)
+    assert -np.pi <= wrapped < np.pi
+    np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-8)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_yaw_of_a_tilted_quaternion(yaw, pitch, roll):
+    # Product of the three half-angle rotations, z·y·x.
+    cy, sy = np.cos(yaw / 2), np.sin(yaw / 2)
+    cp, sp = np.cos(pitch / 2), np.sin(pitch / 2)
+    cr, sr = np.cos(roll / 2), np.sin(roll / 2)
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    assert se2.wrap(se2.yaw_from_quaternion(x, y, z, w) - yaw) == pytest.approx(0, abs=1e-9)
+    assert se2.wrap(se2.yaw_from_quaternion(-x, -y, -z, -w) - yaw) == pytest.approx(0, abs=1e-9)
