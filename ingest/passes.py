@@ -1,0 +1,200 @@
+"""Junction sightings fused to passes: each drive by a junction becomes one row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.circular import cluster_angles
+from ..topology.odometry import Odometry
+from ..topology.passes import NO_BRANCH, Passes
+from ..topology.ragged import Ragged
+from ..topology.se2 import apply, wrap
+from ..topology.track import chain_of, track_directions, way_at
+from .run import Detections
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class PassSettings:
+    """How sightings are grouped."""
+
+    gap_s: float = 1.2
+    """A longer silence ends a pass, if the robot moved meanwhile."""
+    gap_way_m: float = 1.0
+    """Way driven in a silence that makes it the end of a pass."""
+    jump_m: float = 0.8
+    """A sighting whose centre is farther than this from the one before begins a new pass."""
+    cluster_gap_rad: float = 0.3
+    """Branch readings farther apart than this belong to different branches."""
+    least_support: float = 0.5
+    """Share of a pass's messages that must report a branch."""
+    least_messages_share: float = 0.12
+    """Passes with a smaller share of the usual number of messages are flicker."""
+    reach_m: float = 0.95
+    """Where, from the centre, the track tells the branch driven."""
+    match_rad: float = 0.7
+    """A branch farther than this from the track's direction was not the one driven."""
+
+
+def fuse_passes(
+    odometry: Odometry, detections: Detections, settings: PassSettings = PassSettings()
+) -> Passes:
+    """The passes of a run, in the odometry frame.
+
+    Sightings outside the time of the odometry, and without any branch, are left out; the result
+    may be empty. O(n + k log k) for n odometry rows and k branch readings.
+    """
+    if len(odometry) == 0 or len(detections) == 0:
+        return no_passes()
+    usable = (
+        (detections.time_ns >= odometry.time_ns[0])
+        & (detections.time_ns <= odometry.time_ns[-1])
+        & (detections.branches.counts > 0)
+        & ~_within_break(odometry, detections.time_ns)
+    )
+    rows = np.flatnonzero(usable)
+    if len(rows) == 0:
+        return no_passes()
+    time_ns = detections.time_ns[rows]
+    pose = odometry.at(time_ns)
+    centre = apply(pose, detections.centre[rows])
+    group = _group(odometry, time_ns, centre, settings)
+    keep, group = _without_flicker(group, settings)
+    rows, time_ns, pose, centre = rows[keep], time_ns[keep], pose[keep], centre[keep]
+    return _fuse(
+        odometry,
+        detections.branches.take(rows),
+        time_ns=time_ns,
+        pose=pose,
+        centre=centre,
+        group=group,
+        settings=settings,
+    )
+
+
+def no_passes() -> Passes:
+    """Passes of a run that saw no junction."""
+    none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
+    return Passes(none, none, none, np.zeros((0, 2)), empty, empty, none, none, none, np.zeros(0))
+
+
+def _within_break(odometry: Odometry, time_ns: IntArray) -> NDArray[np.bool_]:
+    """Sightings while the odometry was broken: where the robot was then is unknown."""
+    row = np.searchsorted(odometry.time_ns, time_ns, side="left")
+    broken = np.zeros(len(odometry) + 1, bool)
+    broken[odometry.breaks] = True
+    exact = odometry.time_ns[np.minimum(row, len(odometry) - 1)] == time_ns
+    result: NDArray[np.bool_] = broken[row] & ~exact
+    return result
+
+
+def _group(
+    odometry: Odometry, time_ns: IntArray, centre: FloatArray, settings: PassSettings
+) -> IntArray:
+    """(k,) number of the pass of each sighting."""
+    way = way_at(odometry, time_ns)
+    silence = np.diff(time_ns) > settings.gap_s * 1e9
+    moved = np.diff(way) > settings.gap_way_m
+    jump = np.hypot(*np.diff(centre, axis=0).T) > settings.jump_m
+    cut = np.diff(chain_of(odometry, time_ns)) != 0
+    new = (silence & moved) | jump | cut
+    return np.concatenate([[0], np.cumsum(new)])
+
+
+def _without_flicker(group: IntArray, settings: PassSettings) -> tuple[NDArray[np.bool_], IntArray]:
+    """Drop groups far smaller than usual; (rows kept, their groups renumbered)."""
+    counts = np.bincount(group)
+    keep = (counts >= settings.least_messages_share * np.median(counts))[group]
+    return keep, np.unique(group[keep], return_inverse=True)[1].astype(np.int64)
+
+
+def _median_by(values: FloatArray, group: IntArray, offsets: IntArray) -> FloatArray:
+    """Median of each group. One sort by (group, value), then the middle rows of each group."""
+    ordered = values[np.lexsort((values, group))]
+    counts = np.diff(offsets)
+    middle: FloatArray = 0.5 * (
+        ordered[offsets[:-1] + (counts - 1) // 2] + ordered[offsets[:-1] + counts // 2]
+    )
+    return middle
+
+
+def _fuse(
+    odometry: Odometry,
+    seen: Ragged,
+    *,
+    time_ns: IntArray,
+    pose: FloatArray,
+    centre: FloatArray,
+    group: IntArray,
+    settings: PassSettings,
+) -> Passes:
+    counts = np.bincount(group)
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    fused = np.column_stack([_median_by(centre[:, k], group, offsets) for k in (0, 1)])
+    # When nearest: the first row of each group in the order of distance.
+    distance = np.hypot(*(pose[:, :2] - fused[group]).T)
+    nearest = time_ns[np.lexsort((distance, group))[offsets[:-1]]]
+    owner = seen.owner
+    branches, support = _cluster_branches(
+        seen.values + pose[owner, 2], owner, group[owner], counts, settings
+    )
+    track = track_directions(odometry, nearest, fused, reach_m=settings.reach_m)
+    return Passes(
+        time_ns=nearest,
+        start_ns=time_ns[offsets[:-1]],
+        end_ns=time_ns[offsets[1:] - 1],
+        centre=fused,
+        branches=branches,
+        support=support,
+        entry=nearest_branch(branches, track.arriving, settings.match_rad),
+        exit=nearest_branch(branches, track.leaving, settings.match_rad),
+        messages=counts,
+        confidence=np.ones(len(counts)),
+    )
+
+
+def _cluster_branches(
+    heading: FloatArray,
+    message: IntArray,
+    group: IntArray,
+    messages: IntArray,
+    settings: PassSettings,
+) -> tuple[Ragged, Ragged]:
+    """Branches of each pass, ascending, and the share of its messages that reported each.
+
+    A branch counts if enough of the messages saw it; the best seen one always does.
+    """
+    clusters = cluster_angles(heading, group, settings.cluster_gap_rad)
+    home = clusters.owner
+    # Distinct messages per cluster: a message that reports one branch twice counts once.
+    pairs = np.unique(np.stack([clusters.of, message]), axis=1)[0]
+    share = np.bincount(pairs, minlength=len(clusters)) / messages[home]
+    best = np.lexsort((-share, home))[np.searchsorted(home, np.arange(len(messages)))]
+    keep = share >= settings.least_support
+    keep[best] = True
+    counts = np.bincount(home[keep], minlength=len(messages))
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return Ragged(offsets, clusters.mean[keep]), Ragged(offsets, share[keep])
+
+
+def nearest_branch(branches: Ragged, direction: FloatArray, match_rad: float) -> IntArray:
+    """(p,) row-local index of the branch nearest to each direction; NO_BRANCH beyond `match_rad`.
+
+    direction: (p,) [rad]; NaN gives NO_BRANCH.
+    """
+    out = np.full(len(branches), NO_BRANCH, np.int64)
+    if len(branches.values) == 0:
+        return out
+    off = np.abs(wrap(branches.values - direction[branches.owner]))
+    off = np.where(np.isfinite(off), off, np.inf)
+    order = np.lexsort((off, branches.owner))
+    some = np.flatnonzero(branches.counts > 0)
+    first = order[branches.offsets[some]]
+    near = off[first] <= match_rad
+    out[some[near]] = first[near] - branches.offsets[some[near]]
+    return out

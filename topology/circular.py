@@ -1,0 +1,69 @@
+"""Angles that belong together: clusters on many circles at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .se2 import wrap
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AngleClusters:
+    """Clusters of angles, sorted by (owner, mean angle).
+
+    of: (k,) cluster of each given angle; owner: (c,) circle of each cluster; mean: (c,) [rad] in
+    [-pi, pi); size: (c,) angles in it.
+    """
+
+    of: IntArray
+    owner: IntArray
+    mean: FloatArray
+    size: IntArray
+
+    def __len__(self) -> int:
+        return len(self.owner)
+
+
+def cluster_angles(angle_rad: FloatArray, owner: IntArray, gap_rad: float) -> AngleClusters:
+    """Cut the angles of each circle (`owner`) wherever two neighbours are `gap_rad` apart.
+
+    All circles at once: sort by (owner, angle), open every circle at its widest gap, so that no
+    cluster straddles the seam, and cut the sorted row. O(k log k).
+    """
+    if len(angle_rad) == 0:
+        none = np.zeros(0, np.int64)
+        return AngleClusters(none, none, np.zeros(0), none)
+    circle = np.unique(owner, return_inverse=True)[1]
+    angle = np.asarray(wrap(angle_rad))
+    order = np.lexsort((angle, circle))
+    a, c = angle[order], circle[order]
+    start = np.concatenate([[0], np.cumsum(np.bincount(c))])
+    following = np.arange(1, len(a) + 1)
+    following[start[1:] - 1] = start[:-1]
+    gap = (a[following] - a) % (2 * np.pi)
+    gap[np.diff(start)[c] == 1] = 2 * np.pi
+    widest = np.lexsort((-gap, c))[start[:-1]]
+    seam = a[following[widest]]
+    opened = (angle - seam[circle]) % (2 * np.pi)
+    # The seam's own reading may come out as a full turn by rounding.
+    opened = np.where(opened > 2 * np.pi - 1e-9, 0.0, opened)
+    order = np.lexsort((opened, circle))
+    row, c = opened[order], circle[order]
+    new = np.diff(row, prepend=0.0) > gap_rad
+    new[start[:-1]] = True
+    cluster = np.cumsum(new) - 1
+    size = np.bincount(cluster)
+    home = c[np.flatnonzero(new)]
+    mean = np.asarray(wrap(np.bincount(cluster, row) / size + seam[home]))
+    final = np.lexsort((mean, home))
+    rank = np.empty_like(final)
+    rank[final] = np.arange(len(final))
+    of = np.empty(len(angle), np.int64)
+    of[order] = rank[cluster]
+    return AngleClusters(of, owner[order[new]][final], mean[final], size[final])

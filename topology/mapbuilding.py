@@ -1,0 +1,336 @@
+"""From identified passes to the topological map: vertices, corridors, what was driven."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .circular import AngleClusters, cluster_angles
+from .odometry import Odometry
+from .passes import NO_BRANCH, Passes
+from .polyline import simplify
+from .ragged import Ragged
+from .se2 import wrap
+from .topomap import Closure, RunNoise, TopoMap
+from .track import chain_of, track_directions, way_along, way_at
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class MapBuildingSettings:
+    """How the final map is drawn."""
+
+    slot_gap_rad: float = 0.35
+    """Branch readings of several passes farther apart than this belong to different branches."""
+    least_share: float = 0.5
+    """Share of a vertex's passes that must have seen a branch which was never driven."""
+    match_rad: float = 0.7
+    """A branch farther than this from the track's direction was not the one driven."""
+    straight_rad: float = 0.35
+    """Two branches opposite to within this are no bend."""
+    path_step_m: float = 0.25
+    path_tolerance_m: float = 0.08
+    """Paths are thinned to polylines no farther than this from the track."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visits:
+    """When the robot was at which vertex, by time: passes, and drives by that went undetected.
+
+    time_ns, vertex: (v,); seen: (v,) whether a pass tells it; pose: (v, 3) corrected: position in
+    the map and turn from the odometry's frame to the map's; centre: (v, 2) the vertex in the
+    odometry frame at that time.
+    """
+
+    time_ns: IntArray
+    vertex: IntArray
+    seen: NDArray[np.bool_]
+    pose: FloatArray
+    centre: FloatArray
+
+
+def build_topomap(
+    run: str,
+    odometry: Odometry,
+    passes: Passes,
+    *,
+    xy: FloatArray,
+    visits: Visits,
+    pass_vertex: IntArray,
+    pass_turn: FloatArray,
+    noise: RunNoise,
+    closures: tuple[Closure, ...] = (),
+    settings: MapBuildingSettings = MapBuildingSettings(),
+) -> TopoMap:
+    """The map of a run whose passes have been identified.
+
+    xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_turn: (p,)
+    turn from the odometry's frame to the map's at each pass.
+    """
+    track = track_directions(odometry, visits.time_ns, visits.centre)
+    arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
+    slots, keep = _slots(
+        passes,
+        settings,
+        pass_vertex=pass_vertex,
+        pass_turn=pass_turn,
+        visit_vertex=visits.vertex,
+        arriving=arriving,
+        leaving=leaving,
+    )
+    branches = Ragged(
+        np.concatenate([[0], np.cumsum(np.bincount(slots.owner[keep], minlength=len(xy)))]),
+        slots.mean[keep],
+    )
+    exit_ = _driven(branches, visits.vertex, leaving, settings)
+    entry = _driven(branches, visits.vertex, arriving, settings)
+    legs = _legs(odometry, visits, exit_, entry, noise)
+    edges = _edges(legs)
+    paths = _paths(odometry, visits, xy, legs, edges, settings=settings)
+    seen = np.flatnonzero(pass_vertex >= 0)
+    return TopoMap(
+        run=run,
+        frame=odometry.frame,
+        xy=xy,
+        branches=branches,
+        kind=tuple(_kind(branches[i], settings) for i in range(len(xy))),
+        source=edges.source,
+        target=edges.target,
+        source_branch=edges.source_branch,
+        target_branch=edges.target_branch,
+        length=edges.length,
+        length_sigma=edges.sigma,
+        traversals=edges.traversals,
+        paths=paths,
+        observation_vertex=pass_vertex[seen],
+        observation_time_ns=passes.time_ns[seen],
+        noise=noise,
+        closures=closures,
+    )
+
+
+def _slots(
+    passes: Passes,
+    settings: MapBuildingSettings,
+    *,
+    pass_vertex: IntArray,
+    pass_turn: FloatArray,
+    visit_vertex: IntArray,
+    arriving: FloatArray,
+    leaving: FloatArray,
+) -> tuple[AngleClusters, NDArray[np.bool_]]:
+    """Branches of every vertex, and which of them stay: driven, or seen by enough passes."""
+    owner = passes.branches.owner
+    known = pass_vertex[owner] >= 0
+    angle = (passes.branches.values + pass_turn[owner])[known]
+    home = pass_vertex[owner][known]
+    slots = cluster_angles(angle, home, settings.slot_gap_rad)
+    by = np.unique(np.stack([slots.of, owner[known]]), axis=1)[0]
+    votes = np.bincount(by, minlength=len(slots))
+    visits = np.bincount(pass_vertex[pass_vertex >= 0])
+    share = votes / visits[slots.owner]
+    rows = Ragged(
+        np.searchsorted(slots.owner, np.arange(len(visits) + 1)).astype(np.int64), slots.mean
+    )
+    driven = np.zeros(len(slots), bool)
+    for direction in (arriving, leaving):
+        local = _driven(rows, visit_vertex, direction, settings)
+        hit = local != NO_BRANCH
+        driven[rows.offsets[visit_vertex[hit]] + local[hit]] = True
+    best = np.lexsort((-share, slots.owner))[rows.offsets[:-1]]
+    keep = driven | (share >= settings.least_share)
+    keep[best] = True
+    return slots, keep
+
+
+def _driven(
+    rows: Ragged, vertex: IntArray, direction: FloatArray, settings: MapBuildingSettings
+) -> IntArray:
+    """(v,) row-local branch of each vertex nearest to each direction, or NO_BRANCH."""
+    taken = rows.take(vertex)
+    out = np.full(len(vertex), NO_BRANCH, np.int64)
+    off = np.abs(wrap(taken.values - direction[taken.owner]))
+    off = np.where(np.isfinite(off), off, np.inf)
+    order = np.lexsort((off, taken.owner))
+    some = np.flatnonzero(taken.counts > 0)
+    first = order[taken.offsets[some]]
+    near = off[first] <= settings.match_rad
+    out[some[near]] = first[near] - taken.offsets[some[near]]
+    return out
+
+
+def _kind(branches: FloatArray, settings: MapBuildingSettings) -> str:
+    if len(branches) == 1:
+        return "dead_end"
+    if len(branches) == 2:
+        opposite = abs(abs(float(wrap(branches[0] - branches[1]))) - np.pi)
+        return "junction" if opposite < settings.straight_rad else "bend"
+    return "junction"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Legs:
+    """Drives from a visit to the next: first visit, ends with their branches, length."""
+
+    visit: IntArray
+    source: IntArray
+    target: IntArray
+    source_branch: IntArray
+    target_branch: IntArray
+    length: FloatArray
+    variance: FloatArray
+    turned: NDArray[np.bool_]
+    """Driven from target to source."""
+
+
+def _legs(
+    odometry: Odometry, visits: Visits, exit_: IntArray, entry: IntArray, noise: RunNoise
+) -> _Legs:
+    """Legs within an unbroken track; turning back in a corridor makes no edge."""
+    way = way_at(odometry, visits.time_ns)
+    chain = chain_of(odometry, visits.time_ns)
+    first = np.arange(len(visits.time_ns) - 1)
+    u, v = visits.vertex[:-1], visits.vertex[1:]
+    a, b = exit_[:-1], entry[1:]
+    length = np.diff(way)
+    loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
+    fine = (np.diff(chain) == 0) & ~loop & (length > 0.05)
+    first, u, v, a, b, length = (x[fine] for x in (first, u, v, a, b, length))
+    variance = (
+        2 * noise.centre_m**2
+        + noise.along_m_per_sqrt_m**2 * length
+        + (noise.scale * length) ** 2
+        + 0.03**2
+    )
+    # Each corridor in one direction: from the smaller (vertex, branch).
+    swap = (u > v) | ((u == v) & (a > b))
+    s, t = np.where(swap, v, u), np.where(swap, u, v)
+    sb, tb = np.where(swap, b, a), np.where(swap, a, b)
+    return _Legs(first, s, t, sb, tb, length, variance, swap)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    source: IntArray
+    target: IntArray
+    source_branch: IntArray
+    target_branch: IntArray
+    length: FloatArray
+    sigma: FloatArray
+    traversals: IntArray
+    leg: IntArray
+    """The leg whose track is drawn: the one of median length."""
+
+
+def _edges(legs: _Legs) -> _Edges:
+    """Legs between the same branches of the same vertices are one corridor.
+
+    A leg with an unknown branch joins the corridor between its vertices that fits its length.
+    """
+    groups: dict[tuple[int, int, int, int], list[int]] = {}
+    between: dict[tuple[int, int], list[tuple[int, int, int, int]]] = {}
+    rows = list(
+        zip(
+            legs.source.tolist(),
+            legs.target.tolist(),
+            legs.source_branch.tolist(),
+            legs.target_branch.tolist(),
+            strict=True,
+        )
+    )
+    vague = []
+    for k, (s, t, sb, tb) in enumerate(rows):
+        if NO_BRANCH in (sb, tb):
+            vague.append(k)
+            continue
+        key = (s, t, sb, tb)
+        if key not in groups:
+            between.setdefault((s, t), []).append(key)
+        groups.setdefault(key, []).append(k)
+    for k in vague:
+        key = _fitting(legs, groups, between.get(rows[k][:2], []), rows[k], k)
+        if key not in groups:
+            between.setdefault(rows[k][:2], []).append(key)
+        groups.setdefault(key, []).append(k)
+    keys = sorted(groups)
+    table = np.array(keys, np.int64).reshape(-1, 4)
+    length, sigma, leg = np.zeros(len(keys)), np.zeros(len(keys)), np.zeros(len(keys), np.int64)
+    for e, key in enumerate(keys):
+        member = np.array(groups[key])
+        ordered = member[np.argsort(legs.length[member], kind="stable")]
+        leg[e] = ordered[len(ordered) // 2]
+        middle = legs.length[leg[e]]
+        sound = member[np.abs(legs.length[member] - middle) < 1.0]
+        weight = 1.0 / legs.variance[sound]
+        length[e] = weight @ legs.length[sound] / weight.sum()
+        sigma[e] = weight.sum() ** -0.5
+    traversals = np.array([len(groups[key]) for key in keys], np.int64)
+    s, t, sb, tb = table.T
+    return _Edges(s, t, sb, tb, length, sigma, traversals, leg)
+
+
+def _fitting(
+    legs: _Legs,
+    groups: dict[tuple[int, int, int, int], list[int]],
+    keys: list[tuple[int, int, int, int]],
+    row: tuple[int, int, int, int],
+    k: int,
+) -> tuple[int, int, int, int]:
+    """The corridor that a leg with an unknown branch belongs to; its own key if none fits."""
+    best, best_off = row, 1.5
+    for key in keys:
+        if any(mine not in (NO_BRANCH, its) for mine, its in zip(row[2:], key[2:], strict=True)):
+            continue
+        off = abs(float(np.median(legs.length[groups[key]])) - legs.length[k])
+        if off < best_off:
+            best, best_off = key, off
+    return best
+
+
+def _paths(
+    odometry: Odometry,
+    visits: Visits,
+    xy: FloatArray,
+    legs: _Legs,
+    edges: _Edges,
+    *,
+    settings: MapBuildingSettings,
+) -> tuple[FloatArray, ...]:
+    """The drawn track of every edge, in the map frame, thinned."""
+    way = way_along(odometry)
+    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
+    at = way_at(odometry, visits.time_ns)
+    first = legs.visit[edges.leg]
+    # Sample the tracks of all edges in one flat row, then bend each to meet its two vertices.
+    points = np.maximum(np.ceil((at[first + 1] - at[first]) / settings.path_step_m), 2).astype(int)
+    owner = np.repeat(np.arange(len(first)), points + 1)
+    offsets = np.concatenate([[0], np.cumsum(points + 1)])
+    share = (np.arange(len(owner)) - offsets[owner]) / points[owner]
+    s = at[first][owner] + share * (at[first + 1] - at[first])[owner]
+    p = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
+
+    def seen_from(visit: IntArray) -> FloatArray:
+        pose, centre = visits.pose[visit][owner], visits.centre[visit][owner]
+        c, sn = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        d = p - centre
+        turned = np.column_stack([c * d[:, 0] - sn * d[:, 1], sn * d[:, 0] + c * d[:, 1]])
+        return np.asarray(xy[visits.vertex[visit]][owner] + turned)
+
+    w = share[:, None]
+    drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)
+    start, end = xy[visits.vertex[first]], xy[visits.vertex[first + 1]]
+    begin_off = (start - drawn[offsets[:-1]])[owner]
+    end_off = (end - drawn[offsets[1:] - 1])[owner]
+    drawn = drawn + (1 - w) * begin_off + w * end_off
+    turned = legs.turned[edges.leg]
+    paths = []
+    for e in range(len(first)):
+        path = drawn[offsets[e] : offsets[e + 1]]
+        if turned[e]:
+            path = path[::-1]
+        paths.append(simplify(path, settings.path_tolerance_m))
+    return tuple(paths)

@@ -1,0 +1,82 @@
+"""The robot's track around given places: by which way it came and by which way it left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .odometry import Odometry
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackDirections:
+    """Headings [rad, odometry frame] from a place to where the robot came from and went to.
+
+    arriving, leaving: (p,); NaN where the log begins, ends or is broken too near to the place.
+    """
+
+    arriving: FloatArray
+    leaving: FloatArray
+
+
+def way_along(odometry: Odometry) -> FloatArray:
+    """(n,) way driven up to each row [m]; does not grow across a break."""
+    return np.cumsum(odometry.step_m)
+
+
+def chain_of(odometry: Odometry, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(m,) number of the unbroken piece of odometry that each time falls in."""
+    starts = odometry.time_ns[odometry.breaks]
+    return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")
+
+
+def way_at(odometry: Odometry, time_ns: NDArray[np.int64]) -> FloatArray:
+    """(m,) way driven up to each time [m]."""
+    origin = odometry.time_ns[0]
+    times = (odometry.time_ns - origin).astype(np.float64)
+    query = (np.asarray(time_ns, np.int64) - origin).astype(np.float64)
+    result: FloatArray = np.interp(query, times, way_along(odometry))
+    return result
+
+
+def track_directions(
+    odometry: Odometry,
+    time_ns: NDArray[np.int64],
+    centre: FloatArray,
+    *,
+    reach_m: float = 0.95,
+    search_m: float = 3.0,
+    step_m: float = 0.05,
+) -> TrackDirections:
+    """Directions in which the track leaves a circle of `reach_m` around each place.
+
+    time_ns: (p,) when the robot was at the place; centre: (p, 2) its position in the odometry
+    frame. The track is looked at `search_m` either way. O(p · search / step + n).
+    """
+    way = way_along(odometry)
+    here = way_at(odometry, time_ns)
+    chain = chain_of(odometry, time_ns)
+    edges = np.concatenate([[0], odometry.breaks, [len(odometry)]])
+    first, last = way[edges[chain]], way[edges[chain + 1] - 1]
+    # Strictly ascending ways, so that standing still does not make the interpolation ambiguous.
+    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
+    # All places at once: a table (places, steps) of track points before and after.
+    steps = np.arange(0.0, search_m + step_m, step_m)
+
+    def towards(sign: float) -> FloatArray:
+        at = here[:, None] + sign * steps
+        x = np.interp(at, way[keep], odometry.pose[keep, 0])
+        y = np.interp(at, way[keep], odometry.pose[keep, 1])
+        dx, dy = x - centre[:, :1], y - centre[:, 1:]
+        inside = (at >= first[:, None] - 1e-9) & (at <= last[:, None] + 1e-9)
+        out = inside & (dx * dx + dy * dy >= reach_m * reach_m)
+        hit = out.argmax(axis=1)
+        rows = np.arange(len(here))
+        heading = np.arctan2(dy[rows, hit], dx[rows, hit])
+        return np.where(out.any(axis=1), heading, np.nan)
+
+    return TrackDirections(arriving=towards(-1.0), leaving=towards(1.0))
