@@ -1,0 +1,195 @@
+"""Where Gauss–Newton begins: the chordal start, and the order in which poses are eliminated.
+
+Headings enter the problem nonlinearly, as unit complex numbers z = exp(iθ). Dropping |z| = 1 makes
+"z_j = z_i exp(iθ_ij) for every edge" one linear least-squares problem (Carlone, Tron, Daniilidis,
+Dellaert: Initialization Techniques for 3D SLAM, ICRA 2015, §III-B; in the plane it is n complex
+unknowns); its solution, scaled back to |z| = 1, is near the optimum where plain Gauss–Newton from
+odometry ends in a local minimum. With headings known, positions are linear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import SuperLU, splu
+
+from .posegraph_model import PoseGraph, corrected_measurement
+from .se2 import FloatArray, compose, inverse, wrap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skeleton:
+    """What of a pose graph does not change while it is solved.
+
+    component: (n,) connected component of every pose (edges alone); order: (n,) poses in an order
+    of elimination that keeps the factors sparse (minimum degree); fixed: (n, 3) components of poses
+    that do not move: those held, and one pose per component where the frame would be free.
+    """
+
+    component: NDArray[np.int64]
+    order: NDArray[np.int64]
+    fixed: NDArray[np.bool_]
+
+
+def skeleton(graph: PoseGraph) -> Skeleton:
+    """Components, elimination order and gauge of a graph. O(edges) and one n × n factorisation."""
+    n = len(graph)
+    component = _groups(graph, np.ones(len(graph.source), bool))
+    order = np.arange(n, dtype=np.int64)
+    if n > 1:
+        # The fill of the 3n × 3n system follows that of the n × n graph: order the small one.
+        perm_c = _factor(_laplacian(graph, np.ones(len(graph.source)), np.ones(n))).perm_c
+        order = np.argsort(perm_c).astype(np.int64)
+    return Skeleton(component, order, _gauge(graph, component))
+
+
+def summed(where: NDArray[np.int64], values: NDArray[Any], size: int) -> FloatArray:
+    """(size,) sums of `values` by their index `where`."""
+    return np.bincount(where, values, size).astype(np.float64, copy=False)
+
+
+def _groups(graph: PoseGraph, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) connected component of every pose by the edges that are `joined` (m,)."""
+    n, ends = len(graph), (graph.source[joined], graph.target[joined])
+    links = sparse.csr_array((np.ones(len(ends[0])), ends), shape=(n, n))
+    return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def _factor(matrix: sparse.csc_array) -> SuperLU:
+    """Factors of a Hermitian positive definite matrix, pivots taken from its diagonal."""
+    return splu(
+        matrix,
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+
+
+def _laplacian(
+    graph: PoseGraph, weight: NDArray[np.float64], anchor: FloatArray
+) -> sparse.csc_array:
+    """Weighted graph Laplacian with `anchor` (n,) added to its diagonal."""
+    return _connection(graph, weight.astype(np.float64), anchor)
+
+
+def _connection(
+    graph: PoseGraph, coupling: NDArray[np.inexact], anchor: FloatArray
+) -> sparse.csc_array:
+    """Connection Laplacian: −coupling at (source, target), its conjugate opposite, Σ|coupling|."""
+    n, i, j = len(graph), graph.source, graph.target
+    size = np.abs(coupling)
+    diagonal = anchor + summed(i, size, n) + summed(j, size, n)
+    nodes = np.arange(n)
+    data = np.concatenate([-coupling, -np.conj(coupling), diagonal.astype(coupling.dtype)])
+    rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
+    return sparse.csc_array((data, (rows, columns)), shape=(n, n))
+
+
+def _gauge(graph: PoseGraph, component: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(n, 3) held components, and those of the first pose of each component that nothing fixes.
+
+    A position is fixed by a held position or a prior of one; a heading likewise, or by positions
+    at two poses.
+    """
+    n, count = len(graph), int(component.max(initial=-1)) + 1
+    known = graph.held.copy()
+    information = np.einsum("kii->ki", graph.priors.information)
+    # A prior on a pose counts like a held component: either leaves no freedom there.
+    np.logical_or.at(known, graph.priors.node, information > 0)
+    per_component = [summed(component, known[:, axis], count) for axis in range(3)]
+    both = summed(component, known[:, 0] & known[:, 1], count)
+    first = np.full(count, n)
+    np.minimum.at(first, component, np.arange(n))
+    fixed = graph.held.copy()
+    fixed[first, 0] |= per_component[0] == 0
+    fixed[first, 1] |= per_component[1] == 0
+    fixed[first, 2] |= (per_component[2] == 0) & (both < 2)
+    return fixed
+
+
+def chordal_start(graph: PoseGraph, frame: Skeleton, shared: FloatArray) -> FloatArray:
+    """(n, 3) poses from two linear problems, in the frame that `frame.fixed` and priors set.
+
+    Poses without any heading information keep the heading of the first guess. Two sparse
+    factorisations of size n.
+    """
+    measured = corrected_measurement(graph, shared)
+    theta = _chordal_headings(graph, frame, measured)
+    xy = _positions(graph, frame, measured, theta)
+    return np.column_stack([xy, theta])
+
+
+def _chordal_headings(graph: PoseGraph, frame: Skeleton, measured: FloatArray) -> FloatArray:
+    n = len(graph)
+    weight = graph.information[:, 2, 2]
+    group = _groups(graph, weight > 0)
+    prior = graph.priors
+    known = summed(prior.node, prior.information[:, 2, 2], n)
+    pull = np.exp(1j * prior.value[:, 2]) * prior.information[:, 2, 2]
+    target = summed(prior.node, pull.real, n) + 1j * summed(prior.node, pull.imag, n)
+    # Held headings, and one pose of every group that nothing else fixes, pull to their first guess.
+    scale = float(np.mean(weight)) if len(weight) else 1.0
+    pinned = frame.fixed[:, 2].copy()
+    fixed_groups = np.bincount(group, pinned | (known > 0)) > 0
+    first = np.full(len(fixed_groups), n)
+    np.minimum.at(first, group, np.arange(n))
+    pinned[first[~fixed_groups]] = True
+    anchor = known + np.where(pinned, scale or 1.0, 0.0)
+    target += np.where(pinned, (scale or 1.0) * np.exp(1j * graph.pose[:, 2]), 0.0)
+    coupling = weight * np.exp(-1j * measured[:, 2])
+    z = _factor(_connection(graph, coupling, anchor)).solve(target)
+    return np.asarray(np.where(frame.fixed[:, 2], graph.pose[:, 2], np.angle(z)))
+
+
+def _positions(
+    graph: PoseGraph, frame: Skeleton, measured: FloatArray, theta: FloatArray
+) -> FloatArray:
+    """(n, 2) positions for known headings; every edge weighs the mean of its two directions."""
+    n, i, j = len(graph), graph.source, graph.target
+    weight = 0.5 * (graph.information[:, 0, 0] + graph.information[:, 1, 1])
+    step = weight * np.exp(1j * theta[i]) * (measured[:, 0] + 1j * measured[:, 1])
+    pull = summed(j, step.real, n) - summed(i, step.real, n)
+    pull = pull + 1j * (summed(j, step.imag, n) - summed(i, step.imag, n))
+    prior = graph.priors
+    known = 0.5 * (prior.information[:, 0, 0] + prior.information[:, 1, 1])
+    at = known * (prior.value[:, 0] + 1j * prior.value[:, 1])
+    pull += summed(prior.node, at.real, n) + 1j * summed(prior.node, at.imag, n)
+    held = frame.fixed[:, 0] & frame.fixed[:, 1]
+    anchor = summed(prior.node, known, n) + np.where(held, 1e6 * weight.max(initial=1.0), 0.0)
+    pull += np.where(held, anchor * (graph.pose[:, 0] + 1j * graph.pose[:, 1]), 0.0)
+    z = _factor(_laplacian(graph, weight, anchor)).solve(np.column_stack([pull.real, pull.imag]))
+    return np.where(held[:, None], graph.pose[:, :2], z)
+
+
+def chained_start(graph: PoseGraph) -> FloatArray:
+    """(n, 3) poses by composing edges along a tree, earliest edges first; roots keep their guess.
+
+    For graphs that come without poses. O(edges) in Python steps.
+    """
+    n = len(graph)
+    out = np.array(graph.pose)
+    neighbours: list[list[tuple[int, int, bool]]] = [[] for _ in range(n)]
+    for e, (i, j) in enumerate(zip(graph.source.tolist(), graph.target.tolist(), strict=True)):
+        neighbours[i].append((e, j, False))
+        neighbours[j].append((e, i, True))
+    backward = inverse(graph.measurement)
+    done = np.zeros(n, bool)
+    for root in range(n):
+        if done[root]:
+            continue
+        done[root] = True
+        queue = [root]
+        for here in queue:
+            for e, there, flipped in neighbours[here]:
+                if not done[there]:
+                    done[there] = True
+                    step = backward[e] if flipped else graph.measurement[e]
+                    out[there] = compose(out[here], step)
+                    queue.append(there)
+    out[:, 2] = wrap(out[:, 2])
+    return out
