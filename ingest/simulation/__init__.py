@@ -1,0 +1,59 @@
+"""Simulated runs: worlds, robots that explore them, the logs they record, and the truth.
+
+`simulate_scenario` makes runs in memory, `write_scenario` their logs in any container. The same
+settings give the same runs, and the same files byte for byte, on any machine.
+"""
+
+from .drift import DRIFTS, Drift
+from .faults import FAULTS, Faults
+from .motion import MotionSettings
+from .scenario import (
+    RunSettings,
+    Scenario,
+    ScenarioSettings,
+    SimulatedRun,
+    joined,
+    simulate_run,
+    simulate_scenario,
+)
+from .truth import (
+    MIXED,
+    RunTruth,
+    Truth,
+    best_transform,
+    read_truth,
+    true_vertex_of_nodes,
+    true_vertex_of_passes,
+    truth_transform,
+    write_truth,
+)
+from .walk import WalkSettings
+from .world import World
+from .worlds import make_world
+
+__all__ = [
+    "DRIFTS",
+    "FAULTS",
+    "MIXED",
+    "Drift",
+    "Faults",
+    "MotionSettings",
+    "RunSettings",
+    "RunTruth",
+    "Scenario",
+    "ScenarioSettings",
+    "SimulatedRun",
+    "Truth",
+    "WalkSettings",
+    "World",
+    "best_transform",
+    "joined",
+    "make_world",
+    "read_truth",
+    "simulate_run",
+    "simulate_scenario",
+    "true_vertex_of_nodes",
+    "true_vertex_of_passes",
+    "truth_transform",
+    "write_truth",
+]

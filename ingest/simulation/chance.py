@@ -1,0 +1,76 @@
+"""Random numbers that are the same on every machine and under every version of numpy.
+
+numpy guarantees the raw bits of its bit generators, not what its distributions make of them, and
+the last digit of a logarithm depends on the processor. So the distributions here are built on raw
+bits, and what passes through a transcendental function is rounded far above its last digit.
+"""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def quantised(values: FloatArray | float, bits: int) -> FloatArray:
+    """Values rounded to multiples of 2^-bits: sums of them are exact, whatever the order."""
+    grid = float(2**bits)
+    return np.round(np.asarray(values, np.float64) * grid) / grid + 0.0
+
+
+class Chance:
+    """A stream of random numbers named by a key of integers and words.
+
+    Streams of different keys are independent, so one more draw in one place changes nothing
+    elsewhere.
+    """
+
+    def __init__(self, *key: int | str) -> None:
+        words = [zlib.crc32(k.encode()) if isinstance(k, str) else k for k in key]
+        self._bits = np.random.PCG64(np.random.SeedSequence(words))
+
+    def uniform(self, low: float, high: float, size: int) -> FloatArray:
+        """(size,) evenly spread in [low, high)."""
+        raw = self._bits.random_raw(size)
+        unit = (raw >> np.uint64(11)).astype(np.float64) * 2.0**-53
+        return low + (high - low) * unit
+
+    def normal(self, sigma: float, size: int) -> FloatArray:
+        """(size,) normal with mean 0, by the inverse of the distribution function."""
+        from scipy.special import ndtri
+
+        u = self.uniform(2.0**-54, 1.0, size)
+        return sigma * quantised(ndtri(u), 32)
+
+    def happens(self, probability: float, size: int) -> NDArray[np.bool_]:
+        """(size,) True with the given probability each."""
+        return self.uniform(0.0, 1.0, size) < probability
+
+    def one_uniform(self, low: float = 0.0, high: float = 1.0) -> float:
+        """One number in [low, high)."""
+        return float(self.uniform(low, high, 1)[0])
+
+    def one_normal(self, sigma: float) -> float:
+        """One normal number with mean 0."""
+        return float(self.normal(sigma, 1)[0])
+
+    def one_happens(self, probability: float) -> bool:
+        """True with the given probability."""
+        return self.one_uniform() < probability
+
+    def index(self, count: int) -> int:
+        """One of 0 … count - 1."""
+        return min(int(self.one_uniform() * count), count - 1)
+
+    def weighted_index(self, weights: FloatArray) -> int:
+        """An index drawn in proportion to its weight; the weights are not negative."""
+        total = np.cumsum(weights)
+        at = self.one_uniform() * total[-1]
+        return min(int(np.searchsorted(total, at, side="right")), len(total) - 1)
+
+    def order(self, count: int) -> NDArray[np.int64]:
+        """(count,) the numbers 0 … count - 1 in random order."""
+        return np.argsort(self.uniform(0.0, 1.0, count), kind="stable")

@@ -1,0 +1,162 @@
+"""Odometry: the true motion, measured badly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+
+import numpy as np
+
+from ...topology.errors import UsageError
+from ...topology.se2 import between, wrap
+from .chance import Chance, quantised
+from .motion import Drive
+from .world import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """What is wrong with the odometry. Names that end in `_sigma` are drawn once per run."""
+
+    along_m_per_sqrt_m: float = 0.0
+    """Random walk of the position along the way; across it half as much."""
+    heading_deg_per_sqrt_m: float = 0.0
+    """Random walk of the heading with the way."""
+    heading_deg_per_sqrt_rad: float = 0.0
+    """Random walk of the heading with the angle turned."""
+    scale_sigma: float = 0.0
+    """Relative error of all lengths."""
+    turn_scale_sigma: float = 0.0
+    """Relative error of all turns."""
+    gyro_bias_deg_per_s_sigma: float = 0.0
+    """Steady turning with time."""
+    heading_bias_deg_per_m: float = 0.0
+    """Steady turning with the way, for every run: 3 means 3° too little per metre."""
+    sideways_slip_m_per_rad: float = 0.0
+    """Unseen sliding outwards in turns while driving."""
+    heading_jumps_per_100_m: float = 0.0
+    """Knocks that turn the heading at once, and go unseen."""
+    heading_jump_deg: float = 20.0
+    """1 sigma of such a knock."""
+    resets_per_100_m: float = 0.0
+    """The odometry starts again from zero: the track is broken there."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            signed = field.name in ("heading_bias_deg_per_m", "sideways_slip_m_per_rad")
+            if not np.isfinite(value) or (value < 0 and not signed):
+                raise UsageError(f"drift: {field.name} cannot be {value}")
+
+
+DRIFTS: Mapping[str, Drift] = MappingProxyType(
+    {
+        "none": Drift(),
+        "low": Drift(0.005, 0.2, 0.3, 0.002, 0.001),
+        "mid": Drift(0.01, 0.5, 0.8, 0.005, 0.004, 0.003),
+        "high": Drift(0.02, 1.0, 1.5, 0.01, 0.008, 0.015),
+        "real": Drift(
+            0.02,
+            1.0,
+            1.5,
+            0.01,
+            0.01,
+            heading_bias_deg_per_m=1.5,
+            sideways_slip_m_per_rad=0.02,
+            heading_jumps_per_100_m=0.3,
+            heading_jump_deg=8.0,
+        ),
+    }
+)
+"""Levels by name; "real" stands for the odometry of the robots in public data sets."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredTrack:
+    """Odometry rows: time_s: (n,); pose: (n, 3) T_odom_base; breaks: (k,) rows where a reset is.
+
+    jumps: (j,) rows into which an unseen knock of the heading falls; true_pose: (n, 3) in the
+    world; twist: (n, 2) forward speed [m/s] and turning speed [rad/s].
+    """
+
+    time_s: FloatArray
+    pose: FloatArray
+    breaks: IntArray
+    jumps: IntArray
+    true_pose: FloatArray
+    twist: FloatArray
+
+
+def measured(drive: Drive, drift: Drift, rate_hz: float, chance: Chance) -> MeasuredTrack:
+    """What the robot's odometry says of a drive, in a frame of its own. O(n), vectorised."""
+    end = float(drive.time_s[-1])
+    count = int(end * rate_hz) + 1
+    time = np.arange(count) / rate_hz
+    time[1:-1] += np.clip(chance.normal(0.05, count - 2), -0.3, 0.3) / rate_hz
+    time = quantised(time, 20)
+    true = drive.at(time)
+    step = between(true[:-1], true[1:])
+    way, turn = np.hypot(step[:, 0], step[:, 1]), np.diff(true[:, 2])
+    n = len(way)
+
+    noise = drift.along_m_per_sqrt_m * np.sqrt(way)
+    scale = 1 + chance.one_normal(drift.scale_sigma)
+    forward = step[:, 0] * scale + noise * chance.normal(1.0, n)
+    aside = step[:, 1] * scale + 0.5 * noise * chance.normal(1.0, n)
+    aside = aside + drift.sideways_slip_m_per_rad * turn * (way > 0.2 * np.abs(turn))
+    heading = turn * (1 + chance.one_normal(drift.turn_scale_sigma))
+    heading = heading + np.radians(
+        drift.heading_deg_per_sqrt_m * np.sqrt(way) * chance.normal(1.0, n)
+        + drift.heading_deg_per_sqrt_rad * np.sqrt(np.abs(turn)) * chance.normal(1.0, n)
+        + chance.one_normal(drift.gyro_bias_deg_per_s_sigma) * np.diff(time)
+        - drift.heading_bias_deg_per_m * way
+    )
+    jumps = _struck(way, drift.heading_jumps_per_100_m, chance)
+    heading[jumps] += np.radians(chance.normal(drift.heading_jump_deg, len(jumps)))
+    breaks = _struck(way, drift.resets_per_100_m, chance) + 1
+    pose = _integrated(forward, aside, heading, _origin(chance), breaks)
+    period = np.diff(time)
+    twist = np.column_stack([forward / period, heading / period])
+    return MeasuredTrack(time, pose, breaks, jumps + 1, true, np.concatenate([twist, twist[-1:]]))
+
+
+def _struck(way: FloatArray, per_100_m: float, chance: Chance) -> IntArray:
+    """Steps in which something befalls the robot, at an even rate along the way; not the ends."""
+    hit = chance.uniform(0.0, 1.0, len(way)) < per_100_m * way / 100
+    hit[:2] = hit[-2:] = False
+    return np.flatnonzero(hit)
+
+
+def _origin(chance: Chance) -> FloatArray:
+    """The first pose: zero for half of the robots, anything for the others."""
+    if chance.one_happens(0.5):
+        return np.zeros(3)
+    xy = chance.uniform(-30.0, 30.0, 2)
+    return quantised(np.append(xy, chance.one_uniform(-np.pi, np.pi)), 20)
+
+
+def _integrated(
+    forward: FloatArray,
+    aside: FloatArray,
+    heading: FloatArray,
+    origin: FloatArray,
+    breaks: IntArray,
+) -> FloatArray:
+    """(n + 1, 3) poses; at a break the track starts again from zero.
+
+    Increments are rounded to a micrometre before they are summed: then the sums are exact, and
+    the same on every machine.
+    """
+    n = len(forward)
+    segment = np.searchsorted(breaks, np.arange(n + 1), side="right")
+    first = np.concatenate([[0], breaks])
+    turned = np.concatenate([[0.0], np.cumsum(quantised(heading, 26))])
+    theta = turned - turned[first][segment] + np.where(segment == 0, origin[2], 0.0)
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    out = np.zeros((n + 1, 3))
+    for axis, move in enumerate((c * forward - s * aside, s * forward + c * aside)):
+        moved = np.concatenate([[0.0], np.cumsum(quantised(move, 20))])
+        out[:, axis] = moved - moved[first][segment] + np.where(segment == 0, origin[axis], 0.0)
+    out[:, 2] = wrap(theta)
+    return quantised(out, 16)

@@ -1,0 +1,131 @@
+"""Which part of a world each run explores, so that runs overlap as planned."""
+
+from __future__ import annotations
+
+import heapq
+from itertools import pairwise
+
+import numpy as np
+
+from .chance import Chance
+from .world import FloatArray, World
+
+
+def grown(world: World, start: int, size: int, cost: FloatArray, banned: set[int]) -> set[int]:
+    """A connected set of up to `size` vertices: from `start`, always the neighbour of least cost.
+
+    cost: (n,); vertices in `banned` are not taken. O(corridors log corridors).
+    """
+    inside: set[int] = set()
+    heap = [(0.0, start)]
+    while heap and len(inside) < size:
+        _, vertex = heapq.heappop(heap)
+        if vertex in inside:
+            continue
+        inside.add(vertex)
+        for _, other, _ in world.ends(vertex):
+            if other not in inside and other not in banned:
+                heapq.heappush(heap, (float(cost[other]), other))
+    return inside
+
+
+def chain_of_regions(
+    world: World, runs: int, size: int, overlap: float, chance: Chance
+) -> list[set[int]]:
+    """Connected regions in a row: each shares about `overlap` of its vertices with the one before.
+
+    The world is swept along several directions; the sweep whose overlaps come nearest wins.
+    With `overlap` 0 the regions share nothing and leave a gap of one vertex.
+    """
+    best: tuple[float, list[set[int]]] | None = None
+    directions = [0.0, np.pi, *chance.uniform(-0.25, 0.25, 4).tolist()]
+    for direction in directions:
+        sweep = world.xy[:, 0] * np.cos(direction) + world.xy[:, 1] * np.sin(direction)
+        regions = _sweep(world, runs, size, overlap, sweep)
+        shares = [len(a & b) / size for a, b in pairwise(regions)]
+        short = sum(abs(len(r) - size) / size for r in regions)
+        miss = sum(abs(share - overlap) for share in shares) + short
+        if best is None or miss < best[0] - 1e-9:
+            best = (miss, regions)
+    assert best is not None
+    return best[1]
+
+
+def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray) -> list[set[int]]:
+    """Regions one after another along a coordinate of the vertices; fewer where room runs out."""
+    regions = [grown(world, int(np.argmin(sweep)), size, sweep, set())]
+    used = set(regions[0])
+    common = round(overlap * size)
+    while len(regions) < runs:
+        last = regions[-1]
+        if common == 0:
+            region = _apart(world, size, sweep, used | _beside(world, used))
+        else:
+            fresh = _beside(world, last) - used
+            if not fresh:
+                break
+            start = min(sorted(fresh), key=lambda v: float(sweep[v]))
+            # The shared part first, backwards into the last region, then onwards from all of it.
+            allowed = last - set.union(set(), *regions[:-1])
+            allowed = allowed if len(allowed) >= common else last
+            outside = set(range(len(world))) - allowed - {start}
+            shared = grown(world, start, common + 1, -sweep, outside)
+            region = _onwards(world, shared, size, sweep, used - shared)
+        if not region:
+            break
+        regions.append(region)
+        used |= region
+    return regions
+
+
+def _apart(world: World, size: int, sweep: FloatArray, banned: set[int]) -> set[int]:
+    """The first region along the sweep, clear of what is banned, that has room for `size`."""
+    best: set[int] = set()
+    tried: set[int] = set()
+    for start in np.argsort(sweep, kind="stable").tolist():
+        if start not in banned and start not in tried:
+            region = grown(world, start, size, sweep, banned)
+            tried |= region
+            if len(region) > len(best):
+                best = region
+            if len(best) == size:
+                break
+    return best
+
+
+def _onwards(
+    world: World, inside: set[int], size: int, cost: FloatArray, banned: set[int]
+) -> set[int]:
+    """A connected set made larger, up to `size`, by neighbours of least cost outside `banned`."""
+    region = set(inside)
+    heap = [(float(cost[v]), v) for v in _beside(world, region) - banned]
+    heapq.heapify(heap)
+    while heap and len(region) < size:
+        _, vertex = heapq.heappop(heap)
+        if vertex in region:
+            continue
+        region.add(vertex)
+        for _, other, _ in world.ends(vertex):
+            if other not in region and other not in banned:
+                heapq.heappush(heap, (float(cost[other]), other))
+    return region
+
+
+def _beside(world: World, region: set[int]) -> set[int]:
+    """The vertices one corridor away from a set."""
+    return {other for v in region for _, other, _ in world.ends(v)} - region
+
+
+def scattered_regions(world: World, runs: int, size: int, chance: Chance) -> list[set[int]]:
+    """Discs of vertices around places that few runs have seen; overlap as it comes."""
+    load = np.zeros(len(world))
+    regions = []
+    for _ in range(runs):
+        options = chance.order(len(world))[:12]
+        centre = int(options[np.argmin(load[options])])
+        away = np.hypot(*(world.xy - world.xy[centre]).T)
+        wanted = round(size * chance.one_uniform(0.8, 1.2))
+        region = grown(world, centre, wanted, away, set())
+        load[sorted(region)] += 1
+        regions.append(region)
+    return regions

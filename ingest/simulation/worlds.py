@@ -1,0 +1,307 @@
+"""Three kinds of world: rectilinear mazes, repetitive offices, organic streets.
+
+Corners count as junctions in mazes and offices; in streets a bend is no junction. `aspect` is
+length over width, so that a row of overlapping runs finds room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.errors import UsageError
+from ...topology.se2 import wrap
+from .chance import Chance
+from .world import (
+    FloatArray,
+    Link,
+    World,
+    polyline_heading,
+    straight,
+    without_bends,
+    world_of_links,
+)
+
+STRAIGHT_RAD = 0.05
+"""Two corridors that go on this straight make no junction."""
+
+
+def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """A rectilinear maze: a random spanning tree of an uneven grid, with loops broken in.
+
+    Rows and columns lie 2.5 to 8 m apart. About `junctions` vertices of one to four branches.
+    """
+    chance = Chance("maze", seed)
+    cells = junctions / 0.86
+    columns = max(2, round(np.sqrt(cells * aspect)))
+    rows = max(2, round(cells / columns))
+    x = np.concatenate([[0.0], np.cumsum(chance.uniform(2.5, 8.0, columns - 1))])
+    y = np.concatenate([[0.0], np.cumsum(chance.uniform(2.5, 8.0, rows - 1))])
+    xy = np.column_stack([np.tile(x, rows), np.repeat(y, columns)])
+    cell = np.arange(rows * columns).reshape(rows, columns)
+    walls = np.concatenate(
+        [
+            np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()]),
+            np.column_stack([cell[:-1].ravel(), cell[1:].ravel()]),
+        ]
+    )
+    opened = _growing_tree(walls, rows * columns, chance) | chance.happens(0.25, len(walls))
+    links = [straight(xy, u, v) for u, v in walls[opened].tolist()]
+    links = without_bends(links, ~_goes_straight(len(xy), links))
+    return world_of_links(f"maze-{junctions}-{seed}", "maze", xy, links)
+
+
+def _growing_tree(walls: NDArray[np.int64], cells: int, chance: Chance) -> NDArray[np.bool_]:
+    """Which walls to open so that all cells hang together: mostly on from the newest cell."""
+    beside: list[list[tuple[int, int]]] = [[] for _ in range(cells)]
+    for wall, (u, v) in enumerate(walls.tolist()):
+        beside[u].append((wall, v))
+        beside[v].append((wall, u))
+    opened = np.zeros(len(walls), np.bool_)
+    active = [chance.index(cells)]
+    reached = set(active)
+    while active:
+        at = len(active) - 1 if chance.one_happens(0.7) else chance.index(len(active))
+        new = [(wall, cell) for wall, cell in beside[active[at]] if cell not in reached]
+        if not new:
+            active.pop(at)
+            continue
+        wall, cell = new[chance.index(len(new))]
+        opened[wall] = True
+        reached.add(cell)
+        active.append(cell)
+    return opened
+
+
+def _goes_straight(count: int, links: list[Link]) -> NDArray[np.bool_]:
+    """(count,) vertices of just two corridors that leave in opposite directions."""
+    leaving: list[list[float]] = [[] for _ in range(count)]
+    for u, v, path in links:
+        leaving[u].append(polyline_heading(path))
+        leaving[v].append(polyline_heading(path[::-1]))
+    return np.array(
+        [len(h) == 2 and abs(wrap(h[0] - h[1] + np.pi)) < STRAIGHT_RAD for h in leaving]
+    )
+
+
+def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """A building of wings that repeat one plan, along one main corridor.
+
+    Every wing has two corridors with rooms at even spacing, joined halfway and at the far end;
+    wings lie on both sides of the main corridor. The copies differ by 2 % in lengths (1 sigma) and
+    by one door in sixteen. `aspect` has no effect: a building grows along its main corridor.
+    """
+    chance = Chance("office", seed)
+    rooms = 7
+    plan = chance.happens(0.85, 4 * rooms).reshape(2, 2, rooms)
+    plan[..., rooms // 2] = False  # where the two corridors are joined
+    wings = max(2, round(junctions / (2 + 2 * rooms + plan.sum())))
+    xy: list[tuple[float, float]] = []
+    links: list[tuple[int, int]] = []
+
+    def vertex(x: float, y: float, joined_to: int | None) -> int:
+        xy.append((x, y))
+        if joined_to is not None:
+            links.append((joined_to, len(xy) - 1))
+        return len(xy) - 1
+
+    last: int | None = None
+    for pair in range((wings + 1) // 2):
+        x_main = pair * 21.0 + np.cumsum([0.0, 9.0]) * (1 + chance.one_normal(0.02))
+        feet = []
+        for x in x_main.tolist():
+            last = vertex(x, 0.0, last)
+            feet.append(last)
+        for side in (1.0, -1.0)[: min(2, wings - 2 * pair)]:
+            doors = plan ^ chance.happens(1 / 16, plan.size).reshape(plan.shape)
+            doors[..., rooms // 2] = False
+            _add_wing(
+                vertex,
+                links,
+                feet=feet,
+                x_main=x_main,
+                side=side,
+                doors=doors,
+                chance=chance,
+            )
+    points = np.array(xy)
+    made = [straight(points, u, v) for u, v in links]
+    made = without_bends(made, ~_goes_straight(len(points), made))
+    return world_of_links(f"office-{junctions}-{seed}", "office", points, made)
+
+
+def _add_wing(
+    vertex: Callable[[float, float, int | None], int],
+    links: list[tuple[int, int]],
+    *,
+    feet: list[int],
+    x_main: FloatArray,
+    side: float,
+    doors: NDArray[np.bool_],
+    chance: Chance,
+) -> None:
+    """One wing: a corridor from each foot with rooms to the left and right, joined twice.
+
+    The wing opposite is this one turned by half a circle, so its corridors change places.
+    """
+    spacing, room = 4.2, 3.0
+    joins: list[list[int]] = []
+    for corridor in (0, 1):
+        foot = corridor if side > 0 else 1 - corridor
+        x, y, here = float(x_main[foot]), 0.0, feet[foot]
+        joins.append([])
+        for number in range(doors.shape[2]):
+            y += side * spacing * (1 + chance.one_normal(0.02))
+            here = vertex(x, y, here)
+            if number == doors.shape[2] // 2:
+                joins[-1].append(here)
+            for wall, direction in enumerate((-side, side)):
+                if doors[corridor, wall, number]:
+                    vertex(x + direction * room * (1 + chance.one_normal(0.02)), y, here)
+        joins[-1].append(vertex(x, y + side * spacing * (1 + chance.one_normal(0.02)), here))
+    links.extend(zip(*joins, strict=True))
+
+
+def organic_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """Streets: junctions at uneven distances, arbitrary angles, curved corridors.
+
+    A Gabriel graph of scattered points (two points are neighbours if the disc between them is
+    empty), thinned at random and where streets would leave too close together.
+    """
+    from scipy.spatial import Delaunay
+
+    chance = Chance("organic", seed)
+    xy = _scattered(round(junctions * 1.22) + 4, aspect, chance)
+    triangles = Delaunay(xy).simplices
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=1)
+    pairs = _gabriel(xy, np.unique(sides, axis=0).astype(np.int64))
+    pairs = _thinned(xy, pairs, chance)
+    paths = _curved(xy, pairs, chance)
+    links = [(u, v, path) for (u, v), path in zip(pairs.tolist(), paths, strict=True)]
+    degree = np.bincount(pairs.ravel(), minlength=len(xy))
+    links = without_bends(links, degree != 2)
+    return world_of_links(f"organic-{junctions}-{seed}", "organic", xy, links)
+
+
+def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:
+    """(count, 2) points in a rectangle, no two nearer than 4.8 m, about 7.5 m apart."""
+    area = count * 7.5**2 * 0.9
+    size = np.array([np.sqrt(area * aspect), np.sqrt(area / aspect)])
+    chosen = np.zeros((0, 2))
+    # Dart throwing in batches: the batch against what stands, then the batch against itself.
+    while len(chosen) < count:
+        darts = chance.uniform(0.0, 1.0, 8 * count).reshape(-1, 2) * size
+        for dart in darts:
+            if len(chosen) == count:
+                break
+            if not len(chosen) or np.min(np.hypot(*(chosen - dart).T)) > 4.8:
+                chosen = np.concatenate([chosen, dart[None]])
+        else:
+            size = size * 1.02
+    return chosen
+
+
+def _gabriel(xy: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The pairs whose disc of diameter u–v holds no other point."""
+    from scipy.spatial import cKDTree
+
+    middle = 0.5 * (xy[pairs[:, 0]] + xy[pairs[:, 1]])
+    nearest, _ = cKDTree(xy).query(middle)
+    radius = 0.5 * np.hypot(*(xy[pairs[:, 0]] - xy[pairs[:, 1]]).T)
+    kept: NDArray[np.int64] = pairs[(nearest >= radius - 1e-9) & (radius < 8.0)]
+    return kept
+
+
+def _thinned(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> NDArray[np.int64]:
+    """A random spanning forest of the pairs, and of the others those that crowd nobody.
+
+    A street that closes a loop is built with probability 0.7, if it leaves both its junctions
+    at 50° or more from every street there and neither has five streets.
+    """
+    root = list(range(len(xy)))
+
+    def find(u: int) -> int:
+        while root[u] != u:
+            root[u] = root[root[u]]
+            u = root[u]
+        return u
+
+    step = xy[pairs[:, 1]] - xy[pairs[:, 0]]
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    headings: list[list[float]] = [[] for _ in xy]
+    wanted = chance.happens(0.7, len(pairs))
+    order = np.argsort(np.hypot(*step.T) * chance.uniform(0.6, 1.4, len(pairs)), kind="stable")
+    tree, loops = [], []
+    for i in order.tolist():
+        u, v = pairs[i].tolist()
+        if find(u) != find(v):
+            root[find(u)] = find(v)
+            tree.append(i)
+            headings[u].append(float(heading[i]))
+            headings[v].append(float(wrap(heading[i] + np.pi)))
+        else:
+            loops.append(i)
+    for i in loops:
+        u, v = pairs[i].tolist()
+        out, back = float(heading[i]), float(wrap(heading[i] + np.pi))
+        roomy = len(headings[u]) < 5 and len(headings[v]) < 5
+        if wanted[i] and roomy and _clear(out, headings[u], 50) and _clear(back, headings[v], 50):
+            tree.append(i)
+            headings[u].append(out)
+            headings[v].append(back)
+    built: NDArray[np.int64] = pairs[np.sort(tree)]
+    return built
+
+
+def _clear(heading: float, others: list[float], least_deg: float) -> bool:
+    return all(abs(wrap(heading - other)) >= np.radians(least_deg) for other in others)
+
+
+def _curved(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> list[FloatArray]:
+    """A path for every pair: bowed sideways by up to 14 % of its length where there is room."""
+    from scipy.spatial import cKDTree
+
+    t = np.linspace(0.0, 1.0, 13)
+    bows = chance.uniform(-0.14, 0.14, len(pairs))
+    paths = [np.array([xy[u], xy[v]]) for u, v in pairs.tolist()]
+    leaving: list[dict[int, float]] = [{} for _ in xy]
+    for i, (u, v) in enumerate(pairs.tolist()):
+        leaving[u][i] = polyline_heading(paths[i])
+        leaving[v][i] = polyline_heading(paths[i][::-1])
+    fine = xy[pairs[:, :1]] + np.linspace(0, 1, 25)[None, :, None] * (
+        xy[pairs[:, 1:]] - xy[pairs[:, :1]]
+    )
+    tree, owner = cKDTree(fine.reshape(-1, 2)), np.repeat(np.arange(len(pairs)), 25)
+    for i, (u, v) in enumerate(pairs.tolist()):
+        across = (xy[v] - xy[u]) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+        bent = xy[u] + t[:, None] * (xy[v] - xy[u])
+        bent = bent + (4 * t * (1 - t) * bows[i])[:, None] * across
+        bent[[0, -1]] = xy[u], xy[v]
+        out, back = polyline_heading(bent), polyline_heading(bent[::-1])
+        if not (
+            _clear(out, [h for k, h in leaving[u].items() if k != i], 40)
+            and _clear(back, [h for k, h in leaving[v].items() if k != i], 40)
+        ):
+            continue
+        near = tree.query_ball_point(bent[3:-3], 1.2 + 0.14 * 8)
+        if {int(owner[k]) for row in near for k in row} <= {i, *leaving[u], *leaving[v]}:
+            paths[i] = bent
+            leaving[u][i], leaving[v][i] = out, back
+    return paths
+
+
+WORLDS: Mapping[str, Callable[[int, int, float], World]] = {
+    "maze": maze_world,
+    "office": office_world,
+    "organic": organic_world,
+}
+"""Generators by kind: (junctions, seed, aspect) to a world."""
+
+
+def make_world(kind: str, junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """A world of a kind; UsageError if there is no such kind."""
+    if kind not in WORLDS:
+        raise UsageError(f"no world {kind!r}: choose one of {', '.join(WORLDS)}")
+    return WORLDS[kind](junctions, seed, aspect)
