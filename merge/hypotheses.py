@@ -1,0 +1,168 @@
+"""The paper's hypotheses: every valid grown match, the single-vertex ones included, with its
+transform (§2, §3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.association import (
+    DEFAULT_GROWTH,
+    Growth,
+    GrowthSettings,
+    Nodes,
+    grow,
+    is_rectilinear,
+    node_rotations,
+    single_matches,
+)
+from ..topology.se2 import apply
+from ..topology.structure import Structure
+from .registration import register_groups, translate_groups
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypotheses:
+    """H valid hypotheses, the largest first, then by their first pair.
+
+    of: (N,) hypothesis of each vertex pair, ascending; nodes: the N pairs with the correspondence
+    of their branches, rotation (N,) its angle. size: (H,) vertex pairs; corridors: (H,) corridor
+    pairs; transform: (H, 3) T_a_b; error: (H,) mean squared distance of the matched vertices [m²].
+    candidates: compatible (vertex, vertex, correspondence) in all; corridor_chance: share of all
+    corridor pairs that agree.
+    """
+
+    of: IntArray
+    nodes: Nodes
+    rotation: FloatArray
+    size: IntArray
+    corridors: IntArray
+    transform: FloatArray
+    error: FloatArray
+    rectilinear: bool
+    candidates: int
+    corridor_chance: float
+
+    def __len__(self) -> int:
+        return len(self.size)
+
+    @property
+    def vertex_a(self) -> IntArray:
+        """(N,) vertices of a."""
+        return self.nodes.vertex_a
+
+    @property
+    def vertex_b(self) -> IntArray:
+        """(N,) vertices of b."""
+        return self.nodes.vertex_b
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Matches:
+    """Hypotheses before their transforms: pairs with the match of each, corridors per match."""
+
+    of: IntArray
+    nodes: Nodes
+    corridors: IntArray
+
+
+def hypothesise(
+    a: Structure,
+    b: Structure,
+    xy: tuple[FloatArray, FloatArray],
+    settings: GrowthSettings = DEFAULT_GROWTH,
+    *,
+    single_vertex: bool = True,
+    growth: Growth | None = None,
+) -> Hypotheses:
+    """All valid hypotheses of two maps and their transforms.
+
+    xy: embedded vertices of a and of b (§3.1). single_vertex: with the pairs of vertices that no
+    corridor tests (§2.3: "cannot be grown further"). growth: the grown matches, if at hand.
+    """
+    grown = grow(a, b, settings) if growth is None else growth
+    matches, candidates = _surviving(grown), len(grown.nodes)
+    if single_vertex:
+        singles = single_matches(a, b, grown, settings)
+        matches, candidates = _with_singles(matches, singles.nodes), singles.candidates
+    matches = _ordered(matches)
+    of, nodes = matches.of, matches.nodes
+    rectilinear = is_rectilinear(a, b, settings)
+    rotation = node_rotations(a, b, nodes, rectilinear)
+    p, q = xy[0][nodes.vertex_a], xy[1][nodes.vertex_b]
+    size = np.bincount(of, minlength=len(matches.corridors))
+    transform = _transforms(p, q, of, rotation, rectilinear)
+    squared = np.bincount(of, ((p - apply(transform[of], q)) ** 2).sum(axis=1), len(size))
+    return Hypotheses(
+        of=of,
+        nodes=nodes,
+        rotation=rotation,
+        size=size,
+        corridors=matches.corridors,
+        transform=transform,
+        error=squared / np.maximum(size, 1),
+        rectilinear=rectilinear,
+        candidates=candidates,
+        corridor_chance=_corridor_chance(a, b, grown),
+    )
+
+
+def _surviving(growth: Growth) -> _Matches:
+    """The matches that were not rejected."""
+    number = np.cumsum(~growth.rejected) - 1
+    keep = ~growth.rejected[growth.component]
+    links = ~growth.rejected[growth.link_component]
+    of_link = number[growth.link_component[links]]
+    count = int(np.count_nonzero(~growth.rejected))
+    corridors = np.bincount(of_link, minlength=count).astype(np.int64)
+    return _Matches(number[growth.component[keep]], growth.nodes.take(keep), corridors)
+
+
+def _with_singles(matches: _Matches, singles: Nodes) -> _Matches:
+    lone = np.arange(len(singles)) + len(matches.corridors)
+    names = ("vertex_a", "vertex_b", "correspondence")
+    joined = (np.concatenate([getattr(matches.nodes, n), getattr(singles, n)]) for n in names)
+    return _Matches(
+        of=np.concatenate([matches.of, lone]),
+        nodes=Nodes(*joined),
+        corridors=np.concatenate([matches.corridors, np.zeros(len(lone), np.int64)]),
+    )
+
+
+def _ordered(matches: _Matches) -> _Matches:
+    """Hypotheses renumbered: the largest first, then by their first pair; pairs in order."""
+    of, nodes, count = matches.of, matches.nodes, len(matches.corridors)
+    if count == 0:
+        return matches
+    keys = (nodes.correspondence, nodes.vertex_b, nodes.vertex_a)
+    size = np.bincount(of, minlength=count)
+    first = np.lexsort((*keys, of))[np.concatenate([[0], np.cumsum(size)[:-1]])]
+    order = np.lexsort((*(k[first] for k in keys), -size))
+    rank = np.empty(count, np.int64)
+    rank[order] = np.arange(count)
+    rows = np.lexsort((*keys, rank[of]))
+    return _Matches(rank[of][rows], nodes.take(rows), matches.corridors[order])
+
+
+def _transforms(
+    p: FloatArray, q: FloatArray, of: IntArray, rotation: FloatArray, rectilinear: bool
+) -> FloatArray:
+    """T_a_b of every hypothesis; the branches give the rotation where points cannot."""
+    count = int(of.max(initial=-1)) + 1
+    cos, sin = (np.bincount(of, f(rotation), count) for f in (np.cos, np.sin))
+    by_branches = translate_groups(p, q, of, np.arctan2(sin, cos))
+    if rectilinear or count == 0:
+        return by_branches
+    several = np.bincount(of, minlength=count) > 1
+    return np.where(several[:, None], register_groups(p, q, of, count), by_branches)
+
+
+def _corridor_chance(a: Structure, b: Structure, growth: Growth) -> float:
+    """Share of all pairs of corridors that agree: how easily one agrees by chance."""
+    tested = len(a.start) // 2 * len(b.start)
+    return (len(growth.links.dart_a) + 1) / (tested + 2)

@@ -1,0 +1,241 @@
+"""One pose graph over all runs of a component: where every vertex lies when all maps count.
+
+Every vertex of every run is a pose: its position, and how far the run's map is turned there
+against the component. Corridors are relative measurements within a run, with sigmas from the
+run's noise; vertices that are one place are tied by relative measurements across runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..topology.posegraph import PoseGraph, SolverSettings, solve
+from ..topology.se2 import apply, compose, fit_rigid, inverse, wrap
+from ..topology.structure import padded_branches
+from ..topology.topomap import TopoMap
+from .identity import Pool
+from .result import PairVerdict
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class JointSettings:
+    """Sigmas that maps do not state, and how much a false match may pull."""
+
+    min_position_m: float = 0.03
+    """No two visits agree better than this on where a junction's centre is, 1 sigma."""
+    min_heading_rad: float = 0.01
+    """Nor on the direction of its branches."""
+    branch_gate_rad: float = 0.6
+    """Branches further apart than this do not measure the turn between two maps."""
+    bridge_m: float = 1.0
+    """Parts of one map that no corridor joins keep their places to this, 1 sigma …"""
+    bridge_rad: float = 0.1
+    """… and their directions to this."""
+    kernel_sigmas: float = 3.0
+    """Identities count by a Cauchy kernel of this width: a false one gives way."""
+
+
+DEFAULT_JOINT = JointSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Factors:
+    """Relative measurements between rows: T_source_target (k, 3) and its information (k, 3, 3)."""
+
+    source: IntArray
+    target: IntArray
+    measurement: FloatArray
+    information: FloatArray
+
+
+def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str, FloatArray]:
+    """A first T_component_run of every run along the strongest accepted verdicts.
+
+    The frame is that of the first run by name; runs that no verdict reaches are left out.
+    """
+    start = min(runs)
+    poses = {start: np.zeros(3)}
+    links = sorted((v for v in verdicts if v.accepted), key=lambda v: (-v.evidence_bits, v.a, v.b))
+    while True:  # Prim: the strongest verdict that reaches a new run
+        step = next((v for v in links if (v.a in poses) != (v.b in poses)), None)
+        if step is None or step.best is None:
+            return poses
+        if step.a in poses:
+            poses[step.b] = compose(poses[step.a], step.best.transform)
+        else:
+            poses[step.a] = compose(poses[step.b], inverse(step.best.transform))
+
+
+def optimise(
+    pool: Pool,
+    label: IntArray,
+    start: Mapping[str, FloatArray],
+    settings: JointSettings = DEFAULT_JOINT,
+) -> FloatArray:
+    """(n, 3) poses of all rows of a pool: position, and turn of the run's map there.
+
+    label: (n,) the place of each row; start: T_component_run of every run. The frame is chosen so
+    that the first run, laid rigidly over its optimised vertices, does not move.
+    """
+    guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
+    ties = _identity_factors(pool, label, guess, settings)
+    if len(ties.source) == 0:
+        return guess
+    within = _concatenated([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
+    factors = _concatenated([within, ties])
+    kernel = np.full(len(factors.source), np.inf)
+    kernel[len(within.source) :] = settings.kernel_sigmas
+    graph = PoseGraph(
+        pose=guess,
+        source=factors.source,
+        target=factors.target,
+        measurement=factors.measurement,
+        information=factors.information,
+        kernel=kernel,
+    )
+    pose = solve(graph, SolverSettings(start="given")).pose
+    first = pool.maps[0]
+    home = fit_rigid(pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
+    return compose(inverse(home), pose)
+
+
+def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
+    """T_component_run of every run: its map laid rigidly over its optimised vertices."""
+    out = {}
+    for m in pool.maps:
+        rows = slice(pool.first[m.run], pool.first[m.run] + len(m))
+        out[m.run] = _fit(pose[rows], m.xy)
+    out[pool.maps[0].run] = np.zeros(3)
+    return out
+
+
+def _fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
+    """Rigid transform from map positions to poses; the poses' own turns decide for one vertex."""
+    if len(xy) == 0:
+        return np.zeros(3)
+    if len(xy) > 1 and np.ptp(xy, axis=0).max() > 0:
+        return fit_rigid(pose[:, :2], xy)
+    T = np.array([0.0, 0.0, pose[0, 2]])
+    T[:2] = pose[0, :2] - apply(T, xy[0])
+    return T
+
+
+def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
+    local = np.column_stack([topomap.xy, np.zeros(len(topomap))])
+    return compose(T_component_run, local)
+
+
+def _concatenated(parts: Sequence[_Factors]) -> _Factors:
+    return _Factors(
+        source=np.concatenate([p.source for p in parts]),
+        target=np.concatenate([p.target for p in parts]),
+        measurement=np.concatenate([p.measurement for p in parts]),
+        information=np.concatenate([p.information for p in parts]),
+    )
+
+
+def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
+    """The corridors of one map as relative measurements, from row `first` of the pool on."""
+    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
+    u, v = topomap.source[keep], topomap.target[keep]
+    step = topomap.xy[v] - topomap.xy[u]
+    noise, length = topomap.noise, topomap.length[keep]
+    times = np.sqrt(np.maximum(topomap.traversals[keep], 1))
+    turn = np.maximum(noise.heading_rad_per_sqrt_m * np.sqrt(length) / times, 1e-3)
+    # A heading that walks at random along the corridor bends its chord by 1/sqrt(3) of its sum.
+    across = np.hypot(turn * length / np.sqrt(3.0), settings.min_position_m)
+    along = np.hypot(topomap.length_sigma[keep], settings.min_position_m)
+    bearing = np.arctan2(step[:, 1], step[:, 0])
+    information = np.zeros((len(keep), 3, 3))
+    c, s = np.cos(bearing), np.sin(bearing)
+    wa, wc = along**-2.0, across**-2.0
+    information[:, 0, 0] = c * c * wa + s * s * wc
+    information[:, 1, 1] = s * s * wa + c * c * wc
+    information[:, 0, 1] = information[:, 1, 0] = c * s * (wa - wc)
+    information[:, 2, 2] = turn**-2.0
+    measured = np.column_stack([step, np.zeros(len(keep))])
+    roads = _Factors(u + first, v + first, measured, information)
+    return _concatenated([roads, _bridges(topomap, first, settings)])
+
+
+def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
+    """Loose measurements between the parts of a map that no corridor joins."""
+    n = len(topomap)
+    graph = coo_array((np.ones(len(topomap.source)), (topomap.source, topomap.target)), (n, n))
+    parts, label = connected_components(graph, directed=False)
+    anchor = np.array([np.flatnonzero(label == p)[0] for p in range(parts)], np.int64)
+    u, v = anchor[:-1], anchor[1:]
+    measured = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
+    weight = np.array([settings.bridge_m, settings.bridge_m, settings.bridge_rad]) ** -2.0
+    information = np.tile(np.diag(weight), (len(u), 1, 1))
+    return _Factors(u + first, v + first, measured.reshape(-1, 3), information)
+
+
+def _identity_factors(
+    pool: Pool, label: IntArray, guess: FloatArray, settings: JointSettings
+) -> _Factors:
+    """Every further row of a place tied to its first: same position, turn as the branches say."""
+    order = np.argsort(label, kind="stable")
+    first = order[np.searchsorted(label[order], label[order])]
+    source, target = first[first != order], order[first != order]
+    heading, visits = branch_headings(pool), pass_counts(pool)
+    noise = [m.noise for m in pool.maps]
+    centre = np.array([x.centre_m for x in noise])[pool.run] / np.sqrt(visits)
+    spread = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
+    turn, count = measured_turn(
+        heading[source], heading[target], wrap(guess[target, 2] - guess[source, 2]),
+        settings.branch_gate_rad,
+    )  # fmt: skip
+    position = np.maximum(np.hypot(centre[source], centre[target]), settings.min_position_m)
+    both = np.hypot(spread[source], spread[target]) / np.sqrt(np.maximum(count, 1))
+    sigma = np.maximum(both, settings.min_heading_rad)
+    information = np.zeros((len(source), 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = position**-2.0
+    information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
+    measured = np.column_stack([np.zeros((len(source), 2)), turn])
+    return _Factors(source, target, measured.reshape(-1, 3), information)
+
+
+def measured_turn(
+    heading_a: FloatArray, heading_b: FloatArray, expected_rad: FloatArray, gate_rad: float
+) -> tuple[FloatArray, IntArray]:
+    """Turn of frame b in frame a from branches of one place seen in both, and how many told it.
+
+    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,) the turn
+    to within the gate. Mutually nearest branches within the gate measure it: mean of a minus b.
+    """
+    off = wrap(heading_a[:, :, None] - heading_b[:, None, :] - expected_rad[:, None, None])
+    size = np.where(np.isnan(off), np.inf, np.abs(off))
+    if size.size == 0:
+        return expected_rad.copy(), np.zeros(len(expected_rad), np.int64)
+    nearest, back = size.argmin(axis=2), size.argmin(axis=1)
+    mutual = np.take_along_axis(back, nearest, axis=1) == np.arange(heading_a.shape[1])
+    gap = np.take_along_axis(off, nearest[:, :, None], axis=2)[:, :, 0]
+    used = mutual & (np.take_along_axis(size, nearest[:, :, None], axis=2)[:, :, 0] <= gate_rad)
+    count = used.sum(axis=1)
+    mean = np.where(used, gap, 0.0).sum(axis=1) / np.maximum(count, 1)
+    return np.asarray(wrap(expected_rad + mean)), count
+
+
+def branch_headings(pool: Pool) -> FloatArray:
+    """(n, D) branch headings of all rows in their own maps, NaN where there are no more."""
+    rows = [padded_branches(m) for m in pool.maps]
+    width = max((r.shape[1] for r in rows), default=0)
+    return np.concatenate(
+        [np.pad(r, ((0, 0), (0, width - r.shape[1])), constant_values=np.nan) for r in rows]
+    )
+
+
+def pass_counts(pool: Pool) -> IntArray:
+    """(n,) passes by every row, at least 1."""
+    counts = [np.bincount(m.observation_vertex, minlength=len(m)) for m in pool.maps]
+    return np.maximum(np.concatenate(counts), 1)

@@ -1,0 +1,61 @@
+"""The driver: maps to verdicts, verdicts to components and one fused map."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..topology.errors import DataError
+from ..topology.topomap import TopoMap
+from . import paper
+from .fusion import DEFAULT_FUSION, FusionSettings, fuse
+from .paper import DEFAULT_PAPER, PaperSettings
+from .result import MergeResult
+
+if TYPE_CHECKING:
+    Lock = Any
+
+
+@dataclass(frozen=True, slots=True)
+class MergeSettings:
+    """Which method decides, and how it and the fusion are tuned."""
+
+    method: Literal["robust", "paper"] = "paper"
+    """robust: tolerant matching with evidence in bits; paper: Huang & Beevers as published."""
+    paper: PaperSettings = DEFAULT_PAPER
+    fusion: FusionSettings = DEFAULT_FUSION
+
+
+def merge_maps(
+    maps: Sequence[TopoMap],
+    settings: MergeSettings = MergeSettings(),
+    *,
+    locks: Sequence[Lock] = (),
+    on_pair: Callable[[int, int], None] | None = None,
+    executor: Executor | None = None,
+) -> MergeResult:
+    """Merge the maps of many runs: a verdict for every pair, components, one fused map.
+
+    locks: what a person decided about pairs; on_pair(done, total) after each pair; executor: where
+    pairs are matched, here if None. The result does not depend on the order of the maps.
+    Raises DataError if two maps are of the same run.
+    """
+    ordered = _by_run(maps)
+    verdicts = paper.decide(ordered, settings.paper, on_pair=on_pair, executor=executor)
+    components, fused = fuse(ordered, verdicts, settings.fusion)
+    return MergeResult(components, fused, verdicts, info={"method": settings.method})
+
+
+def _by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:
+    """The maps sorted by run; DataError on two of the same run."""
+    count = Counter(m.run for m in maps)
+    twice = sorted(run for run, times in count.items() if times > 1)
+    if twice:
+        raise DataError(
+            f"run {twice[0]!r} is given {count[twice[0]]} times; every map needs a run name of "
+            "its own: rename one of the logs and ingest it again"
+        )
+    return sorted(maps, key=lambda m: m.run)

@@ -1,0 +1,232 @@
+"""`method="paper"`: Huang & Beevers, *Topological Map Merging*, as published.
+
+For every pair of maps: grow hypotheses (§2), estimate their transforms (§3.1), cluster them
+(§3.2), take the best cluster. The paper leaves the last word to its reader ("even the best cluster
+choice may later turn out to be incorrect"); here a cluster needs some vertices and a lead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from itertools import combinations, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.association import DEFAULT_GROWTH, GrowthSettings
+from ..topology.se2 import apply, between
+from ..topology.structure import Structure, prepare
+from ..topology.topomap import TopoMap
+from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
+from .hypotheses import Hypotheses, hypothesise
+from .result import Alignment, PairVerdict, Verdict
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class PaperSettings:
+    """The paper's method, and what makes its best cluster an answer."""
+
+    growth: GrowthSettings = DEFAULT_GROWTH
+    clusters: ClusterSettings = DEFAULT_CLUSTERS
+    single_vertex: bool = True
+    """Hypotheses of one vertex that no corridor tests (§2.3) take part."""
+    min_vertices: int = 4
+    """Clusters of one or two pairs of vertices are "generally not significant" (§3.2)."""
+    min_lead: int = 1
+    """Vertices by which the best cluster must lead the next that places b elsewhere."""
+    rival_m: float = 3.0
+    """Clusters elsewhere: they displace the best cluster's vertices by more than this …"""
+    rival_rad: float = 0.35
+    """… or turn them by more than this."""
+
+
+DEFAULT_PAPER = PaperSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedMap:
+    """What matching needs of one map; a pure function of the map."""
+
+    run: str
+    structure: Structure
+    xy: FloatArray
+    shortest_edge_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matching:
+    """Everything the paper's method found between two maps."""
+
+    hypotheses: Hypotheses
+    clusters: Clusters
+
+
+def prepare_map(topomap: TopoMap) -> PreparedMap:
+    """Prepare a map for any number of comparisons. Linear in its size."""
+    shortest = float(topomap.length.min()) if len(topomap.length) else np.inf
+    return PreparedMap(topomap.run, prepare(topomap), topomap.xy, shortest)
+
+
+def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
+    """Hypotheses and their clusters, §2 and §3."""
+    hypotheses = hypothesise(
+        a.structure,
+        b.structure,
+        (a.xy, b.xy),
+        settings.growth,
+        single_vertex=settings.single_vertex,
+    )
+    shortest = min(a.shortest_edge_m, b.shortest_edge_m)
+    return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), shortest, settings.clusters))
+
+
+def decide(
+    maps: Sequence[TopoMap],
+    settings: PaperSettings = DEFAULT_PAPER,
+    *,
+    on_pair: Callable[[int, int], None] | None = None,
+    executor: Executor | None = None,
+) -> tuple[PairVerdict, ...]:
+    """A verdict for every pair of maps, sorted by name. on_pair(done, total) after each pair."""
+    prepared = [prepare_map(m) for m in sorted(maps, key=lambda m: m.run)]
+    pairs = list(combinations(prepared, 2))
+    out = []
+    for verdict in _judged(pairs, settings, executor):
+        out.append(verdict)
+        if on_pair is not None:
+            on_pair(len(out), len(pairs))
+    return tuple(out)
+
+
+def _judged(
+    pairs: Sequence[tuple[PreparedMap, PreparedMap]],
+    settings: PaperSettings,
+    executor: Executor | None,
+) -> Iterator[PairVerdict]:
+    """Verdicts in the order of the pairs; on an executor in batches, to keep messages few."""
+    if executor is None:
+        yield from (judge(a, b, settings) for a, b in pairs)
+        return
+    size = max(1, min(32, len(pairs) // 64))
+    batches = [executor.submit(_judge_all, part, settings) for part in _batched(pairs, size)]
+    for batch in batches:
+        yield from batch.result()
+
+
+def _judge_all(
+    pairs: Sequence[tuple[PreparedMap, PreparedMap]], settings: PaperSettings
+) -> list[PairVerdict]:
+    return [judge(a, b, settings) for a, b in pairs]
+
+
+def _batched(
+    pairs: Iterable[tuple[PreparedMap, PreparedMap]], size: int
+) -> Iterator[list[tuple[PreparedMap, PreparedMap]]]:
+    rest = iter(pairs)
+    while part := list(islice(rest, size)):
+        yield part
+
+
+def judge(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> PairVerdict:
+    """The best cluster of a pair, and whether it is enough to merge."""
+    found = match(a, b, settings)
+    if len(found.clusters) == 0:
+        reason = "no pair of junctions is compatible"
+        return PairVerdict(a.run, b.run, Verdict.UNRELATED, False, 0.0, reason)
+    best = alignment(a, b, found, 0)
+    rival = _rival(found, a, b, settings)
+    second = None if rival is None else alignment(a, b, found, rival)
+    count, rest = len(best.matched), 0 if second is None else len(second.matched)
+    verdict = _verdict(count, rest, settings)
+    return PairVerdict(
+        a=a.run,
+        b=b.run,
+        verdict=verdict,
+        accepted=verdict is Verdict.MERGED,
+        evidence_bits=best.evidence_bits,
+        reason=_reason(verdict, best, second, found),
+        best=None if verdict is Verdict.UNRELATED else best,
+        runner_up=None if verdict is Verdict.UNRELATED else second,
+        margin_bits=best.evidence_bits - (0.0 if second is None else second.evidence_bits),
+        extra={"hypotheses": len(found.hypotheses), "clusters": len(found.clusters)},
+    )
+
+
+def _verdict(count: int, rest: int, settings: PaperSettings) -> Verdict:
+    if count < settings.min_vertices:
+        return Verdict.UNRELATED
+    return Verdict.MERGED if count >= rest + settings.min_lead else Verdict.AMBIGUOUS
+
+
+def _reason(verdict: Verdict, best: Alignment, second: Alignment | None, found: Matching) -> str:
+    size, corridors = len(best.matched), best.corridors
+    what = (
+        f"the best of {len(found.clusters)} clusters matches {size} "
+        f"junction{'s' * (size != 1)} and {corridors} corridor{'s' * (corridors != 1)}"
+    )
+    if verdict is Verdict.UNRELATED:
+        return f"{what}: too few"
+    rest = "nothing" if second is None else f"{len(second.matched)} junctions"
+    return f"{what}, the next best elsewhere {rest}"
+
+
+def _rival(found: Matching, a: PreparedMap, b: PreparedMap, settings: PaperSettings) -> int | None:
+    """The best cluster that places b elsewhere than the first does."""
+    h, c = found.hypotheses, found.clusters
+    points = b.xy[np.unique(h.vertex_b[c.of[h.of] == 0])]
+    home = apply(c.transform[0], points)
+    for k in range(1, len(c)):
+        moved = np.sqrt(((apply(c.transform[k], points) - home) ** 2).sum(axis=1).mean())
+        turned = abs(between(c.transform[0], c.transform[k])[2])
+        if moved > settings.rival_m or turned > settings.rival_rad:
+            return k
+    return None
+
+
+def alignment(a: PreparedMap, b: PreparedMap, found: Matching, number: int) -> Alignment:
+    """A cluster as an alignment: its transform and its pairs, one to one."""
+    h, c = found.hypotheses, found.clusters
+    rows = np.flatnonzero(c.of[h.of] == number)
+    T = c.transform[number]
+    error = np.hypot(*(a.xy[h.vertex_a[rows]] - apply(T, b.xy[h.vertex_b[rows]])).T)
+    rows = rows[one_to_one(h.vertex_a[rows], h.vertex_b[rows], h.size[h.of[rows]], error)]
+    matched = np.column_stack([h.vertex_a[rows], h.vertex_b[rows]])
+    residual = a.xy[matched[:, 0]] - apply(T, b.xy[matched[:, 1]])
+    corridors = int(h.corridors[c.of == number].sum())
+    return Alignment(
+        transform=T,
+        evidence_bits=evidence_bits(h, corridors),
+        matched=matched[np.lexsort((matched[:, 1], matched[:, 0]))],
+        rmse_m=float(np.sqrt((residual**2).sum(axis=1).mean())),
+        corridors=corridors,
+    )
+
+
+def one_to_one(
+    vertex_a: IntArray, vertex_b: IntArray, size: IntArray, error: FloatArray
+) -> IntArray:
+    """Rows that pair no vertex twice: larger hypotheses first, then the nearer pair."""
+    taken_a: set[int] = set()
+    taken_b: set[int] = set()
+    keep = []
+    for row in np.lexsort((vertex_b, vertex_a, error, -size)).tolist():
+        u, v = int(vertex_a[row]), int(vertex_b[row])
+        if u not in taken_a and v not in taken_b:
+            taken_a.add(u)
+            taken_b.add(v)
+            keep.append(row)
+    return np.array(sorted(keep), np.int64)
+
+
+def evidence_bits(h: Hypotheses, corridors: int) -> float:
+    """Log2 odds, crude: every corridor agrees by chance as often as any two corridors do.
+
+    The number of pairs to begin with is what chance may choose from. The paper has no measure of
+    its own; this one ignores that neighbouring corridors of a building are alike.
+    """
+    return float(-corridors * np.log2(h.corridor_chance) - np.log2(max(h.candidates, 1)))
