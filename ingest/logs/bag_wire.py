@@ -1,0 +1,239 @@
+"""The records of a ROS 1 bag (format 2.0): header fields, connections, index, chunk heads."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from .messages import (
+    SCHEMA_BYTES,
+    Bytes,
+    Channel,
+    DamageError,
+    FileWindow,
+    Ints,
+    Survey,
+    normal_topic,
+    normal_type,
+    text,
+)
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+
+HEADER_BYTES = 1 << 16
+"""Longest record header that is believed."""
+
+INDEX_BYTES = 1 << 27
+"""Largest index section that is read."""
+
+U32 = struct.Struct("<I").unpack_from
+_U64 = struct.Struct("<Q").unpack_from
+_TIME = struct.Struct("<II").unpack_from
+
+Fields = Mapping[bytes, bytes]
+
+
+def fields_of(header: bytes) -> dict[bytes, bytes]:
+    """The `name=value` fields of a header; raises DamageError."""
+    fields: dict[bytes, bytes] = {}
+    position = 0
+    while position < len(header):
+        if position + 4 > len(header):
+            raise DamageError("a record header is cut")
+        size = U32(header, position)[0]
+        field = header[position + 4 : position + 4 + size]
+        name, equals, value = field.partition(b"=")
+        if len(field) != size or not equals:
+            raise DamageError("a record header is not made of fields")
+        fields[name] = value
+        position += 4 + size
+    return fields
+
+
+def number(fields: Fields, name: bytes, size: int = 4) -> int:
+    """An unsigned field of `size` bytes; raises DamageError."""
+    value = fields.get(name, b"")
+    if len(value) != size:
+        raise DamageError(f"a record lacks its field {name.decode()}")
+    return int.from_bytes(value, "little")
+
+
+def op_of(fields: Fields) -> int:
+    """The kind of a record."""
+    return number(fields, b"op", 1)
+
+
+def time_ns(raw: bytes) -> int:
+    """ROS time as nanoseconds."""
+    if len(raw) != 8:
+        raise DamageError("a record lacks its time")
+    seconds, nanoseconds = _TIME(raw)
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
+class Record(NamedTuple):
+    """A record at the top of a file: its fields and the place of its data."""
+
+    fields: dict[bytes, bytes]
+    op: int
+    data_at: int
+    data_size: int
+
+    @property
+    def end(self) -> int:
+        """Where the next record begins."""
+        return self.data_at + self.data_size
+
+
+def record_at(window: FileWindow, position: int) -> Record:
+    """The record at `position`; its data may reach beyond the file. Raises DamageError."""
+    head = window.view(position, 4)
+    if len(head) < 4:
+        raise DamageError("a record is cut")
+    size = U32(head.data)[0]
+    if not 0 < size <= HEADER_BYTES:
+        raise DamageError("a record header has an impossible length")
+    data = window.view(position + 4, size + 4)
+    if len(data) < size + 4:
+        raise DamageError("a record is cut")
+    fields = fields_of(data[:size].tobytes())
+    return Record(fields, op_of(fields), position + 8 + size, U32(data.data, size)[0])
+
+
+def connection_of(fields: Fields, data: bytes) -> tuple[int, Channel]:
+    """Number and description of a connection record; raises DamageError."""
+    described = fields_of(data)
+    definition = described.get(b"message_definition", b"")
+    topic = fields.get(b"topic") or described.get(b"topic", b"")
+    return number(fields, b"conn"), Channel(
+        normal_topic(text(topic)),
+        normal_type(text(described.get(b"type", b""))),
+        "ros1",
+        definition if len(definition) <= SCHEMA_BYTES else b"",
+        "ros1msg",
+    )
+
+
+class BagIndex(NamedTuple):
+    """The index at the end of a closed bag.
+
+    start: its place; chunk_starts: (c,) ascending; counts: messages per connection.
+    """
+
+    start: int
+    channels: dict[int, Channel]
+    chunk_starts: Ints
+    counts: dict[int, int]
+    span_ns: tuple[int, int]
+
+    def survey(self) -> Survey:
+        """Counts per channel."""
+        counts: dict[Channel, int] = {}
+        for key, channel in self.channels.items():
+            counts[channel] = counts.get(channel, 0) + self.counts.get(key, 0)
+        return Survey(counts, *self.span_ns)
+
+
+def read_index(window: FileWindow) -> BagIndex | None:
+    """The index of a bag, None where it is missing or does not agree with the bag's header."""
+    try:
+        header = record_at(window, len(MAGIC))
+        start = number(header.fields, b"index_pos", 8)
+        connections = number(header.fields, b"conn_count")
+        chunks = number(header.fields, b"chunk_count")
+        if header.op != BAG_HEADER or not header.end <= start <= window.size:
+            return None
+        if window.size - start > INDEX_BYTES:
+            return None
+        return _parse_index(window, start, connections, chunks)
+    except DamageError:
+        return None
+
+
+def _parse_index(window: FileWindow, start: int, connections: int, chunks: int) -> BagIndex | None:
+    channels: dict[int, Channel] = {}
+    counts: dict[int, int] = {}
+    starts: list[int] = []
+    span = [1 << 63, 0]
+    position = start
+    while position < window.size:
+        record = record_at(window, position)
+        data = window.view(record.data_at, record.data_size).tobytes()
+        if len(data) < record.data_size:
+            return None
+        if record.op == CONNECTION:
+            key, channel = connection_of(record.fields, data)
+            channels[key] = channel
+        elif record.op == CHUNK_INFO:
+            starts.append(number(record.fields, b"chunk_pos", 8))
+            _add_counts(counts, data)
+            if data:
+                span[0] = min(span[0], time_ns(record.fields.get(b"start_time", b"")))
+                span[1] = max(span[1], time_ns(record.fields.get(b"end_time", b"")))
+        else:
+            return None
+        position = record.end
+    if len(channels) != connections or len(starts) != chunks or max(starts, default=0) >= start:
+        return None
+    if not counts.keys() <= channels.keys():
+        return None
+    first, last = span if span[1] else (0, 0)
+    return BagIndex(start, channels, np.array(sorted(starts), np.int64), counts, (first, last))
+
+
+def _add_counts(counts: dict[int, int], data: bytes) -> None:
+    if len(data) % 8:
+        raise DamageError("a chunk info record is cut")
+    for key, count in np.frombuffer(data, "<u4").reshape(-1, 2).tolist():
+        counts[key] = counts.get(key, 0) + count
+
+
+class HeadTemplate(NamedTuple):
+    """Where the fields of a message record's header lie; most bags use one order throughout.
+
+    size: bytes of the header, without its length; fixed: (size + 4,) mask of the bytes, length
+    included, that every such header shares; conn_at, time_at: places from the record's start.
+    """
+
+    size: int
+    head: Bytes
+    fixed: Ints
+    conn_at: int
+    time_at: int
+
+    @classmethod
+    def of(cls, head: bytes) -> HeadTemplate:
+        """The template of one message record's header (length included); raises DamageError."""
+        fields = fields_of(head[4:])
+        if op_of(fields) != MESSAGE:
+            raise DamageError("not a message")
+        number(fields, b"conn")
+        time_ns(fields.get(b"time", b""))
+        # The values are found behind their names; both have a fixed length just checked.
+        conn_at = _field_at(head, b"conn=")
+        time_at = _field_at(head, b"time=")
+        fixed = np.ones(len(head), bool)
+        fixed[conn_at : conn_at + 4] = False
+        fixed[time_at : time_at + 8] = False
+        return cls(
+            len(head) - 4,
+            np.frombuffer(head, np.uint8),
+            np.flatnonzero(fixed),
+            conn_at,
+            time_at,
+        )
+
+
+def _field_at(head: bytes, name: bytes) -> int:
+    """Place of a field's value in a header whose length stands in front."""
+    position = 4
+    while position < len(head):
+        size = U32(head, position)[0]
+        if head.startswith(name, position + 4):
+            return int(position + 4 + len(name))
+        position += 4 + size
+    raise DamageError(f"a record lacks its field {name.decode()}")

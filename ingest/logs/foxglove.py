@@ -1,0 +1,243 @@
+"""Poses in Foxglove's protobuf and JSON encodings, and in JSON copies of ROS messages."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from .messages import Bytes, DamageError, Ints, text
+from .poses import Frames, Poses, join, no_poses
+
+Row = tuple[int, int, list[tuple[float, ...]]]
+"""Stamp [ns], number of the frames, poses."""
+
+MESSAGE_BYTES = 1 << 24
+"""Longest message that is decoded one by one."""
+
+POSES = 1 << 16
+"""Most poses of one message that are decoded one by one."""
+
+
+class RowDecoder:
+    """Decodes message by message; for encodings without fixed places."""
+
+    def __init__(self, parse: Callable[[bytes, Frames], list[Row]]) -> None:
+        self._parse = parse
+        self.frames = Frames()
+        self.failed = 0
+
+    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+        """The poses of a batch of messages."""
+        parts = []
+        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+            try:
+                if length > MESSAGE_BYTES:
+                    raise DamageError("a message is implausibly long")
+                rows = self._parse(data[at : at + length].tobytes(), self.frames)
+            except DamageError:
+                self.failed += 1
+                continue
+            parts += [_poses(number, row) for row in rows if row[2]]
+        return join(parts) if parts else no_poses()
+
+
+def _poses(number: int, row: Row) -> Poses:
+    stamp, frame, values = row
+    count = len(values)
+    return Poses(
+        np.full(count, number),
+        np.full(count, stamp),
+        np.full(count, frame),
+        np.array(values, np.float64).reshape(count, 7),
+    )
+
+
+# Protobuf: foxglove.PoseInFrame {1: timestamp, 2: frame_id, 3: pose}, foxglove.PosesInFrame
+# {1: timestamp, 2: frame_id, 3: repeated pose}, Pose {1: position, 2: orientation}; vectors and
+# quaternions are doubles numbered from 1 on.
+
+
+def protobuf_rows(raw: bytes, frames: Frames) -> list[Row]:
+    """The poses of a foxglove.PoseInFrame or PosesInFrame; raises DamageError."""
+    seconds = nanoseconds = 0
+    frame = ""
+    poses: list[tuple[float, ...]] = []
+    for field, value in _fields(raw):
+        if field == 1 and isinstance(value, bytes):
+            stamp = {n: v for n, v in _fields(value) if isinstance(v, int)}
+            seconds, nanoseconds = stamp.get(1, 0), stamp.get(2, 0)
+        elif field == 2 and isinstance(value, bytes):
+            frame = text(value)
+        elif field == 3 and isinstance(value, bytes):
+            poses.append(_pose(value))
+    if len(poses) > POSES:
+        raise DamageError("implausibly many poses")
+    return [(_bounded(seconds * 10**9 + nanoseconds), frames.number(frame), poses)]
+
+
+def _pose(raw: bytes) -> tuple[float, ...]:
+    parts = {n: v for n, v in _fields(raw) if isinstance(v, bytes)}
+    return _doubles(parts.get(1, b""), 3) + _doubles(parts.get(2, b""), 4)
+
+
+def _doubles(raw: bytes, count: int) -> tuple[float, ...]:
+    found = {n: v for n, v in _fields(raw) if isinstance(v, float)}
+    return tuple(found.get(n + 1, 0.0) for n in range(count))
+
+
+def _fields(raw: bytes) -> Iterator[tuple[int, int | float | bytes]]:
+    """Numbers and values of a protobuf message's fields."""
+    position = 0
+    while position < len(raw):
+        tag, position = _varint(raw, position)
+        field, wire = tag >> 3, tag & 7
+        if wire == 0:
+            value, position = _varint(raw, position)
+            yield field, value
+            continue
+        if wire == 2:
+            length, position = _varint(raw, position)
+        elif wire in (1, 5):
+            length = 8 if wire == 1 else 4
+        else:
+            raise DamageError("not a protobuf message")
+        if length > len(raw) - position:
+            raise DamageError("a message ends too early")
+        piece = raw[position : position + length]
+        position += length
+        if wire == 2:
+            yield field, piece
+        else:
+            yield field, struct.unpack("<d" if wire == 1 else "<f", piece)[0]
+
+
+def _varint(raw: bytes, position: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if position >= len(raw):
+            raise DamageError("a message ends too early")
+        byte = raw[position]
+        position += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, position
+    raise DamageError("not a protobuf message")
+
+
+def _bounded(ns: int) -> int:
+    """A time that fits 64 bits; raises DamageError."""
+    if not -(1 << 63) <= ns < 1 << 63:
+        raise DamageError("a time is out of range")
+    return ns
+
+
+# JSON
+
+
+def load_json(raw: bytes | str) -> Any:
+    """A JSON document; raises DamageError, also for nesting that no message has."""
+    try:
+        return json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise DamageError("not a JSON message") from error
+
+
+def json_rows(raw: bytes, frames: Frames) -> list[Row]:
+    """Poses of a JSON message with Foxglove's or ROS's field names; raises DamageError."""
+    return object_rows(load_json(raw), frames)
+
+
+def object_rows(message: Any, frames: Frames) -> list[Row]:
+    """Poses of a decoded message, by the names of its fields; raises DamageError.
+
+    Knows headers (`header.stamp`, `timestamp`), `pose`, `pose.pose`, `poses` and `transforms`.
+    """
+    transforms = get(message, "transforms")
+    if transforms is not None:
+        return [_transform_row(item, frames) for item in sequence(transforms)]
+    header = get(message, "header")
+    source = message if header is None else header
+    child = as_text(get(message, "child_frame_id"))
+    frame = frames.number(as_text(get(source, "frame_id")), child)
+    poses = get(message, "poses")
+    if poses is None:
+        pose = get(message, "pose")
+        inner = get(pose, "pose")
+        return [(stamp_of(source), frame, [pose_of(pose if inner is None else inner)])]
+    return [(stamp_of(source), frame, [pose_of(pose) for pose in sequence(poses)])]
+
+
+def _transform_row(item: Any, frames: Frames) -> Row:
+    header = get(item, "header")
+    pair = frames.number(as_text(get(header, "frame_id")), as_text(get(item, "child_frame_id")))
+    transform = get(item, "transform")
+    value = vector(get(transform, "translation"), "xyz") + vector(
+        get(transform, "rotation"), "xyzw"
+    )
+    return stamp_of(header), pair, [value]
+
+
+def get(message: Any, name: str) -> Any:
+    """A member of a decoded message, None if it has none of that name."""
+    if isinstance(message, dict):
+        return message.get(name)
+    return None if name.startswith("_") else getattr(message, name, None)
+
+
+def sequence(value: Any) -> list[Any]:
+    """A list of bounded length; raises DamageError."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple) or len(value) > POSES:
+        raise DamageError("not a list of plausible length")
+    return list(value)
+
+
+def as_text(value: Any) -> str:
+    """A name, empty if it is not text."""
+    return text(value.encode("utf-8", "replace")) if isinstance(value, str) else ""
+
+
+def stamp_of(header: Any) -> int:
+    """Time of a header [ns]: `stamp` or `timestamp` of seconds and nanoseconds; 0 if missing."""
+    stamp = get(header, "stamp")
+    if stamp is None:
+        stamp = get(header, "timestamp")
+    if stamp is None:
+        return 0
+    for seconds, nanoseconds in (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs")):
+        whole, part = get(stamp, seconds), get(stamp, nanoseconds)
+        if whole is not None and part is not None:
+            return _bounded(integer(whole) * 10**9 + integer(part))
+    raise DamageError("a time is not made of seconds and nanoseconds")
+
+
+def integer(value: Any) -> int:
+    """A whole number; raises DamageError."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise DamageError("a whole number is missing")
+    return int(value)
+
+
+def real(value: Any) -> float:
+    """A number as float64; raises DamageError."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise DamageError("a number is missing")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise DamageError("a number is out of range") from error
+
+
+def vector(value: Any, names: str) -> tuple[float, ...]:
+    """The members x, y, … of a value; raises DamageError."""
+    return tuple(real(get(value, name)) for name in names)
+
+
+def pose_of(pose: Any) -> tuple[float, ...]:
+    """The seven numbers of a pose; raises DamageError."""
+    return vector(get(pose, "position"), "xyz") + vector(get(pose, "orientation"), "xyzw")

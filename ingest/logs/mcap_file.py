@@ -1,0 +1,421 @@
+"""MCAP files: a walk over their records that needs no index, survives damage and checks CRCs."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .inflate import inflate, inflate_part
+from .mcap_summary import McapSummary, read_summary
+from .mcap_wire import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FOOTER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    RECORD_HEAD,
+    SCHEMA,
+    Cursor,
+    Schema,
+    channel_of,
+    schema_of,
+)
+from .messages import (
+    Block,
+    Bytes,
+    Channel,
+    DamageError,
+    FileWindow,
+    Findings,
+    Ints,
+    Progress,
+    Survey,
+    Walking,
+    Want,
+)
+
+_LENGTH = struct.Struct("<Q").unpack_from
+_HEAD = struct.Struct("<BQ").unpack_from
+
+_UNKNOWN = -2
+"""Sink number of a channel id that has not been described yet."""
+
+_MESSAGE = np.dtype(
+    {
+        "names": ["op", "length", "channel", "log_time"],
+        "formats": ["u1", "<u8", "<u2", "<u8"],
+        "offsets": [0, 1, 9, 15],
+        "itemsize": RECORD_HEAD + MESSAGE_HEAD,
+    }
+)
+
+SLAB_BYTES = 1 << 20
+"""How much of an unchunked file is walked at a time."""
+
+LARGEST_RECORD = 1 << 32
+"""A record outside a chunk that claims more is taken for damage, not for a record."""
+
+
+class _ChunkHead(NamedTuple):
+    """The fixed part of a chunk record; `data_at` and `data_size` are the place of its records."""
+
+    start_ns: int
+    end_ns: int
+    size: int
+    crc: int
+    compression: str
+    data_at: int
+    data_size: int
+
+
+class McapFile:
+    """One MCAP file, chunked or not, with or without summary, of any profile."""
+
+    format = "mcap"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._summary: McapSummary | None = None
+        self._summary_read = False
+
+    def summary(self) -> McapSummary | None:
+        """The summary section if it is there, whole and its checksum is right."""
+        if not self._summary_read:
+            with FileWindow(self.path) as window:
+                self._summary = read_summary(window)
+            self._summary_read = True
+        return self._summary
+
+    def survey(self) -> Survey | None:
+        """Counts from the statistics record of a sound summary."""
+        summary = self.summary()
+        return summary.survey() if summary is not None else None
+
+    def blocks(
+        self, want: Want, findings: Findings, progress: Progress | None = None
+    ) -> Iterator[Block]:
+        """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
+        with FileWindow(self.path, progress) as window:
+            yield from _Walk(window, want, findings, self.summary()).run()
+            window.passed(window.size)
+
+
+class _Walk:
+    """One pass over a file."""
+
+    def __init__(
+        self, window: FileWindow, want: Want, findings: Findings, summary: McapSummary | None
+    ) -> None:
+        self._window = window
+        self._want = want
+        self._findings = findings
+        self._summary = summary
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._sink = np.full(1 << 16, _UNKNOWN, np.int64)
+        self._met = np.zeros(1 << 16, np.int64)
+        self._lost = np.zeros(1 << 16, np.int64)
+        self._after_damage = False
+        if summary is not None:
+            for number, channel in summary.channels.items():
+                self._describe(number, channel)
+
+    def run(self) -> Iterator[Block]:
+        """All blocks from the first record to the footer, the end, or the last readable place."""
+        position = len(MAGIC)
+        if bytes(self._window.view(0, len(MAGIC))) != MAGIC:
+            self._findings.note("the file does not begin with the MCAP magic")
+            position = 0
+        complete = False
+        while position < self._window.size:
+            head = self._window.view(position, RECORD_HEAD)
+            if len(head) < RECORD_HEAD:
+                break
+            op, length = _HEAD(head.data)
+            end = position + RECORD_HEAD + length
+            if op == FOOTER and length == 20 and end <= self._window.size:
+                complete = True
+                break
+            if not _plausible(op, length) or end > self._window.size:
+                position = yield from self._around_damage(position, op, end)
+                continue
+            if op in (MESSAGE, SCHEMA, CHANNEL):
+                position = yield from self._slab(position)
+                continue
+            if op == CHUNK:
+                yield from self._chunk(position, length)
+            elif op == MESSAGE_INDEX and self._after_damage:
+                self._count_lost(position, length)
+            position = end
+            self._window.passed(position)
+        self._finish(complete)
+
+    # Records outside chunks
+
+    def _slab(self, position: int) -> Walking:
+        """Messages outside chunks, up to the next record of another kind; returns its place."""
+        _, length = _HEAD(self._window.view(position, RECORD_HEAD).data)
+        data = self._window.view(position, max(SLAB_BYTES, RECORD_HEAD + length))
+        stop = _run_of_messages(data)
+        yield from self._messages(data[:stop])
+        self._window.passed(position + stop)
+        return position + stop
+
+    def _around_damage(self, position: int, op: int, end: int) -> Walking:
+        """Save what a cut chunk holds, or find the next readable record; returns its place."""
+        window = self._window
+        if op == CHUNK and end > window.size:
+            head = self._chunk_head(position, end - position - RECORD_HEAD)
+            if head is not None:
+                self._findings.truncated = True
+                data = window.view(head.data_at, head.data_size)
+                part = (
+                    data[: head.size]
+                    if head.compression == ""
+                    else np.frombuffer(inflate_part(head.compression, data, head.size), np.uint8)
+                )
+                whole = _whole_records(part)
+                yield from self._messages(part[:whole])
+                return window.size
+        found = self._next_record(position + 1)
+        if found is None:
+            if _plausible(op, end - position - RECORD_HEAD):
+                self._findings.truncated = True
+            else:
+                self._findings.unreadable_bytes += window.size - position
+            return window.size
+        self._findings.unreadable_bytes += found - position
+        return found
+
+    def _next_record(self, position: int) -> int | None:
+        """Place of the next believable record at or after `position`, None if there is none."""
+        if self._summary is not None:
+            starts = self._summary.chunk_starts
+            at = int(np.searchsorted(starts, position))
+            if at < len(starts):
+                return int(starts[at])
+            if len(starts):
+                return self._summary.start
+        window = self._window
+        while position < window.size:
+            data = window.view(position, SLAB_BYTES + 64)
+            for candidate in _candidates(data):
+                if self._believable(position + int(candidate)):
+                    return position + int(candidate)
+                data = window.view(position, SLAB_BYTES + 64)
+            position += SLAB_BYTES
+            window.passed(position)
+        return None
+
+    def _believable(self, position: int) -> bool:
+        """Whether a record at `position` is followed by a record, and fits what is known."""
+        window = self._window
+        op, length = _HEAD(window.view(position, RECORD_HEAD).data)
+        end = position + RECORD_HEAD + length
+        if op == CHUNK:
+            return self._chunk_head(position, length) is not None
+        if op == MESSAGE:
+            number = int.from_bytes(window.view(position + RECORD_HEAD, 2).tobytes(), "little")
+            if self._sink[number] == _UNKNOWN or end > window.size:
+                return False
+        follower = window.view(end, RECORD_HEAD)
+        if len(follower) < RECORD_HEAD:
+            return bool(end == window.size)
+        op, length = _HEAD(follower.data)
+        return _plausible(op, length) and bool(end + length <= window.size)
+
+    # Chunks
+
+    def _chunk_head(self, position: int, length: int) -> _ChunkHead | None:
+        """The head of the chunk record at `position`, None if it contradicts itself."""
+        at = position + RECORD_HEAD
+        cursor = Cursor(self._window.view(at, min(length, 256)))
+        try:
+            start, end, size, crc = cursor.u64(), cursor.u64(), cursor.u64(), cursor.u32()
+            compression = cursor.string()
+            data_size = cursor.u64()
+        except DamageError:
+            return None
+        if cursor.position + data_size != length or start > end:
+            return None
+        return _ChunkHead(start, end, size, crc, compression, at + cursor.position, data_size)
+
+    def _chunk(self, position: int, length: int) -> Iterator[Block]:
+        """The messages of a whole chunk; a damaged one is skipped and counted."""
+        self._after_damage = False
+        try:
+            head = self._chunk_head(position, length)
+            if head is None:
+                raise DamageError("a chunk header contradicts itself")
+            data = self._window.view(head.data_at, head.data_size)
+            if head.compression == "":
+                if head.size != head.data_size:
+                    raise DamageError("a chunk does not have its declared size")
+            else:
+                data = np.frombuffer(inflate(head.compression, data, head.size), np.uint8)
+            if head.crc and zlib.crc32(data.data) != head.crc:
+                raise DamageError("checksum (CRC) is wrong")
+        except DamageError as damage:
+            self._findings.damaged_chunks[str(damage)] += 1
+            self._after_damage = True
+            return
+        yield from self._messages(data)
+
+    def _count_lost(self, position: int, length: int) -> None:
+        """Count the messages of a damaged chunk by the index record that follows it."""
+        cursor = Cursor(self._window.view(position + RECORD_HEAD, min(length, 16)))
+        try:
+            number, size = cursor.u16(), cursor.u32()
+        except DamageError:
+            return
+        if size + 6 == length:
+            self._lost[number] += size // 16
+
+    # Messages
+
+    def _messages(self, data: Bytes) -> Iterator[Block]:
+        """The wanted messages in a run of records."""
+        positions = self._positions(data)
+        if len(positions) == 0:
+            return
+        # All record heads in one gather through an unaligned view with stride 1.
+        heads = np.ndarray((len(data) - _MESSAGE.itemsize + 1,), _MESSAGE, data.data, strides=(1,))[
+            positions
+        ]
+        number = heads["channel"].astype(np.int64)
+        counts = np.bincount(number, minlength=1)
+        self._met[: len(counts)] += counts
+        log_time = heads["log_time"].astype(np.int64)
+        self._findings.span(int(log_time.min()), int(log_time.max()))
+        sink = self._sink[number]
+        keep = sink >= 0
+        if keep.any():
+            size = heads["length"].astype(np.int64) - MESSAGE_HEAD
+            start = positions + (RECORD_HEAD + MESSAGE_HEAD)
+            yield Block(data, sink[keep], log_time[keep], start[keep], size[keep])
+
+    def _positions(self, data: Bytes) -> Ints:
+        """Places of the message records in `data`; schemas and channels met are taken in."""
+        raw = data.data
+        end = len(data) - RECORD_HEAD
+        position = 0
+        places: list[int] = []
+        append = places.append
+        while position <= end:
+            append(position)
+            position += RECORD_HEAD + _LENGTH(raw, position + 1)[0]
+        if position != len(data):
+            if places and position > len(data):
+                position = places.pop()
+            self._findings.unreadable_bytes += len(data) - position
+        where = np.array(places, np.int64)
+        op = data[where] if len(where) else np.zeros(0, np.uint8)
+        is_message = op == MESSAGE
+        if not is_message.all():
+            for place in where[~is_message].tolist():
+                self._definition(data, place)
+            where = where[is_message]
+        if len(where):
+            lengths = np.ndarray((len(data) - 8,), "<u8", data.data, offset=1, strides=(1,))[where]
+            where = where[lengths >= MESSAGE_HEAD]
+        return where
+
+    def _definition(self, data: Bytes, place: int) -> None:
+        """Take in a schema or channel record."""
+        op, length = _HEAD(data.data, place)
+        body = data[place + RECORD_HEAD : place + RECORD_HEAD + length]
+        try:
+            if op == SCHEMA:
+                number, schema = schema_of(Cursor(body))
+                self._schemas[number] = schema
+            elif op == CHANNEL:
+                number, channel = channel_of(Cursor(body), self._schemas)
+                self._describe(number, channel)
+            elif op == 0 or op < 0x80:
+                raise DamageError("unexpected record")
+        except DamageError:
+            self._findings.unreadable_bytes += RECORD_HEAD + length
+
+    def _describe(self, number: int, channel: Channel) -> None:
+        if self._channels.get(number) != channel:
+            self._channels[number] = channel
+            self._sink[number] = self._want(channel)
+
+    def _finish(self, complete: bool) -> None:
+        """Turn counts per id into findings, and compare them with the statistics."""
+        findings = self._findings
+        for number in np.flatnonzero(self._met).tolist():
+            channel = self._channels.get(number)
+            if channel is None:
+                findings.unknown += int(self._met[number])
+            else:
+                findings.seen(channel, int(self._met[number]))
+        if self._summary is not None and self._summary.counts:
+            lost = {
+                number: count - int(self._met[number])
+                for number, count in self._summary.counts.items()
+            }
+        else:
+            lost = {int(n): int(self._lost[n]) for n in np.flatnonzero(self._lost)}
+        for number, count in lost.items():
+            if count > 0:
+                channel = self._channels.get(number)
+                findings.lost[channel.topic if channel else "an unknown channel"] += count
+        if not complete:
+            findings.truncated = True
+
+
+def _plausible(op: int, length: int) -> bool:
+    """Whether a record head can be one: an opcode of the format or a private one, a sane length."""
+    if op == MESSAGE:
+        return MESSAGE_HEAD <= length < LARGEST_RECORD
+    return (0 < op <= DATA_END or op >= 0x80) and length < (
+        1 << 48 if op == ATTACHMENT else 1 << 40
+    )
+
+
+def _run_of_messages(data: Bytes) -> int:
+    """Length of the whole message, schema and channel records at the front of `data`."""
+    raw = data.data
+    position, end = 0, len(data) - RECORD_HEAD
+    while position <= end and raw[position] in (MESSAGE, SCHEMA, CHANNEL):
+        following = position + RECORD_HEAD + _LENGTH(raw, position + 1)[0]
+        if following > len(data):
+            break
+        position = following
+    return position
+
+
+def _whole_records(data: Bytes) -> int:
+    """Length of the records of `data` that are there to their last byte."""
+    raw = data.data
+    position, end = 0, len(data) - RECORD_HEAD
+    while position <= end:
+        following = position + RECORD_HEAD + _LENGTH(raw, position + 1)[0]
+        if following > len(data):
+            break
+        position = following
+    return position
+
+
+def _candidates(data: Bytes) -> Ints:
+    """Places in `data` at which a record could begin, by opcode and a length below 2^32."""
+    if len(data) < RECORD_HEAD:
+        return np.zeros(0, np.int64)
+    n = len(data) - RECORD_HEAD + 1
+    op = data[:n]
+    starts = (op == CHUNK) | (op == MESSAGE) | (op == SCHEMA) | (op == CHANNEL) | (op == DATA_END)
+    for offset in (5, 6, 7, 8):
+        starts &= data[offset : offset + n] == 0
+    found: Any = np.flatnonzero(starts)
+    lengths = np.ndarray((n,), "<u8", data.data, offset=1, strides=(1,))[found]
+    return np.asarray(found[lengths >= 2], np.int64)

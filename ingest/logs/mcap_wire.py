@@ -1,0 +1,86 @@
+"""The records of an MCAP file that are parsed field by field: schemas, channels, small heads."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from .messages import SCHEMA_BYTES, Bytes, Channel, DamageError, normal_topic, normal_type, text
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
+MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT, STATISTICS, DATA_END = 0x07, 0x08, 0x09, 0x0B, 0x0F
+
+RECORD_HEAD = 9
+"""Bytes of opcode and length in front of every record."""
+
+MESSAGE_HEAD = 22
+"""Bytes of a message record in front of its payload."""
+
+_U16, _U32, _U64 = (struct.Struct(f).unpack_from for f in ("<H", "<I", "<Q"))
+
+
+class Cursor:
+    """Reads fields one after the other and raises DamageError at the end of the bytes."""
+
+    def __init__(self, data: Bytes) -> None:
+        self._data = data.tobytes()
+        self.position = 0
+
+    def take(self, length: int) -> bytes:
+        """The next `length` bytes."""
+        if length > len(self._data) - self.position:
+            raise DamageError("a record ends too early")
+        self.position += length
+        return self._data[self.position - length : self.position]
+
+    @property
+    def left(self) -> int:
+        """Bytes not taken yet."""
+        return len(self._data) - self.position
+
+    def u16(self) -> int:
+        """The next two bytes as a number."""
+        return int(_U16(self.take(2))[0])
+
+    def u32(self) -> int:
+        """The next four bytes as a number."""
+        return int(_U32(self.take(4))[0])
+
+    def u64(self) -> int:
+        """The next eight bytes as a number."""
+        return int(_U64(self.take(8))[0])
+
+    def string(self) -> str:
+        """A string with its length in front."""
+        return text(self.take(self.u32()))
+
+    def blob(self) -> bytes:
+        """Bytes with their length in front."""
+        return self.take(self.u32())
+
+
+class Schema(NamedTuple):
+    """A message definition embedded in the file."""
+
+    name: str
+    encoding: str
+    data: bytes
+
+
+def schema_of(cursor: Cursor) -> tuple[int, Schema]:
+    """Number and content of a schema record."""
+    number = cursor.u16()
+    name, encoding, data = cursor.string(), cursor.string(), cursor.blob()
+    return number, Schema(name, encoding, data if len(data) <= SCHEMA_BYTES else b"")
+
+
+def channel_of(cursor: Cursor, schemas: Mapping[int, Schema]) -> tuple[int, Channel]:
+    """Number and content of a channel record; its schema must have come before it."""
+    number, schema_number = cursor.u16(), cursor.u16()
+    topic, encoding = cursor.string(), cursor.string()
+    schema = schemas.get(schema_number, Schema("", "", b""))
+    return number, Channel(
+        normal_topic(topic), normal_type(schema.name), encoding, schema.data, schema.encoding
+    )

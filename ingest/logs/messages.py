@@ -1,0 +1,237 @@
+"""What passes between containers and decoders: channels, blocks of messages, findings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.errors import LogError
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+UNWANTED = -1
+"""Sink number of a channel whose messages nobody asked for."""
+
+NAME_BYTES = 4096
+"""Longest topic or type name that is believed."""
+
+SCHEMA_BYTES = 1 << 20
+"""Longest message definition that is believed."""
+
+
+class Channel(NamedTuple):
+    """One stream of messages as its container describes it.
+
+    encoding: of the messages ("cdr", "ros1", "protobuf", "json"); schema and schema_encoding: the
+    embedded definition ("ros2msg", "ros2idl", "ros1msg", "protobuf", "jsonschema"), both empty
+    where the container holds none.
+    """
+
+    topic: str
+    type_name: str
+    encoding: str
+    schema: bytes = b""
+    schema_encoding: str = ""
+
+
+def normal_type(name: str) -> str:
+    """The ROS 2 spelling of a type name: `nav_msgs/Odometry` → `nav_msgs/msg/Odometry`."""
+    parts = name.split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 and all(parts) else name
+
+
+def normal_topic(name: str) -> str:
+    """A topic name with a single leading slash, so that all containers agree."""
+    return "/" + "/".join(part for part in name.split("/") if part)
+
+
+def text(raw: bytes) -> str:
+    """Bytes of a name as text; what is no UTF-8 is replaced, never an error."""
+    return raw[:NAME_BYTES].decode("utf-8", "replace")
+
+
+class Block(NamedTuple):
+    """Messages of wanted channels in one buffer, which is valid until the next block is asked for.
+
+    data: (b,) uint8; sink: (m,) numbers given out by the `Want` callback; log_time_ns: (m,);
+    start, size: (m,) place of each payload in `data`, always inside it.
+    """
+
+    data: Bytes
+    sink: Ints
+    log_time_ns: Ints
+    start: Ints
+    size: Ints
+
+
+Want = Callable[[Channel], int]
+"""Gives a channel its sink number, or UNWANTED."""
+
+Progress = Callable[[int], None]
+"""Is told how many further bytes of the log have been dealt with."""
+
+
+Walking = Generator[Block, None, int]
+"""Yields blocks, and returns the place at which reading goes on."""
+
+
+class Survey(NamedTuple):
+    """What a container's own index says: messages per channel, first and last log time."""
+
+    counts: dict[Channel, int]
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(slots=True)
+class Findings:
+    """What was met on the way through a log: counts, and everything that is wrong with it.
+
+    counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
+    damaged places; unknown: messages whose channel is described nowhere.
+    """
+
+    counts: Counter[Channel] = field(default_factory=Counter)
+    lost: Counter[str] = field(default_factory=Counter)
+    unknown: int = 0
+    truncated: bool = False
+    unindexed: bool = False
+    unreadable_bytes: int = 0
+    damaged_chunks: Counter[str] = field(default_factory=Counter)
+    first_ns: int | None = None
+    last_ns: int | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def seen(self, channel: Channel, count: int) -> None:
+        """Count messages of a channel."""
+        if count:
+            self.counts[channel] += count
+
+    def span(self, first_ns: int, last_ns: int) -> None:
+        """Widen the span of log times met."""
+        self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
+        self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
+
+    def note(self, sentence: str) -> None:
+        """Keep a sentence, once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    @property
+    def messages(self) -> int:
+        """All messages met."""
+        return self.counts.total() + self.unknown
+
+    @property
+    def damage(self) -> list[str]:
+        """Sentences about what is broken, empty for a whole log."""
+        out = list(self.notes)
+        for reason, count in sorted(self.damaged_chunks.items()):
+            out.append(f"{count} damaged chunk{'s' * (count > 1)} skipped: {reason}")
+        if self.unreadable_bytes:
+            out.append(f"{self.unreadable_bytes} bytes could not be read as messages")
+        if self.truncated:
+            out.append("the log is cut short")
+        if self.unknown:
+            out.append(f"{self.unknown} messages belong to channels that the log does not describe")
+        for topic, count in sorted(self.lost.items()):
+            out.append(f"{count} messages of {topic} are lost in damaged places")
+        if out and self.first_ns is not None and self.last_ns is not None:
+            seconds = (self.last_ns - self.first_ns) / 1e9
+            out.append(
+                f"{self.messages} messages could be read, {seconds:.3f} s "
+                f"from {self.first_ns} to {self.last_ns} ns log time"
+            )
+        return out
+
+
+class Container(Protocol):
+    """One log file, whatever its format."""
+
+    path: Path
+    format: str
+
+    def survey(self) -> Survey | None:
+        """What the index says, or None where there is none that can be believed."""
+
+    def blocks(
+        self, want: Want, findings: Findings, progress: Progress | None = None
+    ) -> Iterator[Block]:
+        """Walk the file once; a channel is offered to `want` when it is met."""
+
+
+class DamageError(Exception):
+    """A part of a log cannot be read; its text says why. Never leaves `ingest.logs`."""
+
+
+class FileWindow:
+    """Bounded look at a file: bytes of any place, from one buffer that is used again and again.
+
+    Reusing the buffer matters: fresh memory costs a page fault per 4 KiB, more than the copy.
+    """
+
+    STEP = 1 << 20
+
+    def __init__(self, path: Path, progress: Progress | None = None) -> None:
+        try:
+            self._file = path.open("rb", buffering=0)
+        except OSError as error:
+            raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
+        self.size = path.stat().st_size
+        self._path = path
+        self._buffer = np.empty(2 * self.STEP, np.uint8)
+        self._base = 0
+        self._fill = 0
+        self._progress = progress
+        self._told = 0
+
+    def __enter__(self) -> FileWindow:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def view(self, offset: int, length: int) -> Bytes:
+        """The bytes [offset, offset + length), fewer at the file's end; until the next call."""
+        length = max(0, min(length, self.size - offset))
+        at = offset - self._base
+        if at < 0 or at + length > self._fill:
+            self._load(offset, length)
+            at = 0
+        return self._buffer[at : at + length]
+
+    def passed(self, offset: int) -> None:
+        """Tell the progress that everything before `offset` is dealt with."""
+        if self._progress is not None and offset > self._told:
+            self._progress(offset - self._told)
+            self._told = offset
+
+    def _load(self, offset: int, length: int) -> None:
+        """Fill the buffer from `offset` on, keeping what it already holds of it."""
+        at = offset - self._base
+        kept = self._fill - at if 0 <= at <= self._fill else 0
+        want = max(length, self.STEP)
+        if want > len(self._buffer):
+            larger = np.empty(want + self.STEP, np.uint8)
+            larger[:kept] = self._buffer[at : at + kept]
+            self._buffer = larger
+        elif kept:
+            self._buffer[:kept] = self._buffer[at : at + kept]
+        self._base, self._fill = offset, kept
+        goal = min(want, self.size - offset)
+        try:
+            self._file.seek(offset + kept)
+            while self._fill < goal:
+                got = self._file.readinto(self._buffer.data[self._fill : goal])
+                if not got:
+                    raise LogError(f"{self._path}: became shorter while it was read; read it again")
+                self._fill += got
+        except OSError as error:
+            raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error

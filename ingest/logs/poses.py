@@ -1,0 +1,84 @@
+"""Poses as they come out of messages, whatever the message's type and encoding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .messages import Bytes, DamageError, Ints
+
+FRAMES = 1024
+"""Most pairs of frames in one topic that are kept apart."""
+
+
+class Poses(NamedTuple):
+    """Poses out of a batch of messages, in the order of the messages.
+
+    message: (k,) number of the message within the batch; stamp_ns: (k,) header time; frame: (k,)
+    number in the decoder's frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded.
+    """
+
+    message: Ints
+    stamp_ns: Ints
+    frame: Ints
+    value: NDArray[np.float64]
+
+    def rows(self, which: NDArray[Any]) -> Poses:
+        """The chosen poses, by number or by mask."""
+        return Poses(
+            self.message[which], self.stamp_ns[which], self.frame[which], self.value[which]
+        )
+
+
+@dataclass(slots=True)
+class Frames:
+    """Pairs (frame_id, child_frame_id) met in a topic, numbered; a leading slash is dropped."""
+
+    pairs: list[tuple[str, str]] = field(default_factory=list)
+    _number: dict[tuple[str, str], int] = field(default_factory=dict)
+
+    def number(self, frame: str, child: str = "") -> int:
+        """The number of a pair; raises DamageError when there are implausibly many."""
+        pair = (frame.lstrip("/"), child.lstrip("/"))
+        known = self._number.get(pair)
+        if known is None:
+            if len(self.pairs) >= FRAMES:
+                raise DamageError("implausibly many frame names")
+            known = self._number[pair] = len(self.pairs)
+            self.pairs.append(pair)
+        return known
+
+
+class PoseDecoder(Protocol):
+    """Turns payloads into poses; what cannot be decoded is left out and counted in `failed`."""
+
+    frames: Frames
+    failed: int
+
+    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+        """The poses of the messages at `start` with `size` in `data`."""
+
+
+def no_poses() -> Poses:
+    """A batch without poses."""
+    none = np.zeros(0, np.int64)
+    return Poses(none, none, none, np.zeros((0, 7)))
+
+
+def join(parts: Sequence[Poses]) -> Poses:
+    """Batches over the same messages as one, in the order of the messages."""
+    if not parts:
+        return no_poses()
+    if len(parts) == 1:
+        return parts[0]
+    joined = Poses(
+        np.concatenate([part.message for part in parts]),
+        np.concatenate([part.stamp_ns for part in parts]),
+        np.concatenate([part.frame for part in parts]),
+        np.concatenate([part.value for part in parts]),
+    )
+    return joined.rows(np.argsort(joined.message, kind="stable"))

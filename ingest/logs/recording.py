@@ -1,0 +1,299 @@
+"""From a path to the files of one recording: formats by content, folders, names, fingerprints."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...topology.errors import LogError
+from .bag_file import BagFile
+from .bag_wire import MAGIC as BAG_MAGIC
+from .inflate import WINDOW_BYTES, ZSTD_MAGIC
+from .mcap_file import McapFile
+from .mcap_wire import MAGIC as MCAP_MAGIC
+from .messages import Container
+from .sqlite_file import MAGIC as SQLITE_MAGIC
+from .sqlite_file import SqliteFile
+
+METADATA = "metadata.yaml"
+METADATA_BYTES = 1 << 22
+_SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst))+$", re.IGNORECASE)
+_PART = re.compile(r"^(?P<stem>.*)_(?P<number>\d+)$")
+
+WHOLE_BYTES = 1 << 26
+SAMPLE_BYTES = 1 << 16
+SAMPLES = 256
+
+UNPACKED_BYTES = 1 << 40
+"""Most that a file compressed as a whole may inflate to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The files of one run in their order, and what is wrong with their number."""
+
+    path: Path
+    files: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def bytes(self) -> int:
+        """Size of all files together."""
+        return sum(file.stat().st_size for file in self.files)
+
+
+def sniff(path: Path) -> str | None:
+    """The format of a file by its first bytes: "mcap", "bag", "sqlite3", "zstd", or None."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError:
+        return None
+    for format_name, magic in (
+        ("mcap", MCAP_MAGIC),
+        ("bag", BAG_MAGIC),
+        ("sqlite3", SQLITE_MAGIC),
+        ("zstd", ZSTD_MAGIC),
+    ):
+        if head.startswith(magic):
+            return format_name
+    return None
+
+
+def run_name(path: Path) -> str:
+    """Name of the run that a log holds: folder name, or file name without its log suffixes."""
+    path = Path(path)
+    name = (
+        (path.name or path.resolve().name) if path.name not in ("", "..") else path.resolve().name
+    )
+    return name if path.is_dir() else _SUFFIX.sub("", name) or name
+
+
+def recording_at(path: Path) -> Recording:
+    """The recording at a path; raises LogError where there is none."""
+    path = Path(path)
+    if path.is_dir():
+        return _folder(path)
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder")
+    if not path.is_file():
+        raise LogError(f"{path}: is neither a file nor a folder")
+    if path.stat().st_size == 0:
+        raise LogError(f"{path}: the file is empty; was the recorder stopped before it wrote?")
+    if sniff(path) is None:
+        raise LogError(
+            f"{path}: is no log; an MCAP file, a ROS 1 bag (format 2.0) or a ROS 2 bag is needed"
+        )
+    return Recording(path, (path,))
+
+
+def log_size(path: Path) -> int:
+    """Bytes of all files of a log."""
+    return recording_at(path).bytes
+
+
+def log_fingerprint(path: Path) -> str:
+    """A hash that changes when the log does, in a fraction of the time that reading takes.
+
+    Names and sizes of all files, the whole content of files up to 64 MiB, and of larger ones 256
+    blocks of 64 KiB spread evenly, the first and the last included. A larger file that is edited
+    in place, keeps its size and differs between the sampled blocks alone has the same fingerprint;
+    recording, truncating, appending or compressing anew changes it.
+    """
+    recording = recording_at(path)
+    digest = hashlib.blake2b(digest_size=16)
+    for file in recording.files:
+        for part in (file, file.with_name(file.name + "-wal")):
+            if part.is_file():
+                relative = part.name if part is not recording.path else ""
+                digest.update(f"{relative}\0{part.stat().st_size}\0".encode())
+                _sample(part, digest)
+    return digest.hexdigest()
+
+
+def _sample(path: Path, digest: Any) -> None:
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        if size <= WHOLE_BYTES:
+            while piece := file.read(1 << 20):
+                digest.update(piece)
+            return
+        for number in range(SAMPLES):
+            file.seek((size - SAMPLE_BYTES) * number // (SAMPLES - 1))
+            digest.update(file.read(SAMPLE_BYTES))
+
+
+def find_logs(paths: Sequence[Path]) -> list[Path]:
+    """Every log at or below the given paths, sorted, each once.
+
+    A ROS 2 bag folder is one log, and so is a folder that holds nothing but the parts of one
+    split recording (`NAME_0`, `NAME_1`, …, each beginning where the one before ended). Files are
+    taken by content, so a file named `.mcap` that is none, or is empty, is left out below a
+    folder; a path given directly is returned as it is. Raises LogError for a path that does not
+    exist and for a folder without any log.
+    """
+    found: dict[Path, None] = {}
+    for path in map(Path, paths):
+        if not path.is_dir():
+            recording_at(path)
+            found[path] = None
+            continue
+        below = list(_below(path))
+        if not below:
+            raise LogError(f"{path}: no log in this folder (MCAP, ROS 1 bag or ROS 2 bag)")
+        found |= dict.fromkeys(below)
+    return sorted(found)
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    if (folder / METADATA).is_file():
+        yield folder
+        return
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise LogError(f"{folder}: cannot be listed ({error.strerror})") from error
+    files = [entry for entry in entries if entry.is_file() and _is_log(entry)]
+    if len(files) > 1 and _is_split(files):
+        yield folder
+    else:
+        yield from files
+    for entry in entries:
+        if entry.is_dir() and not entry.is_symlink():
+            yield from _below(entry)
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a file is a log by content; one that is named so but is broken counts as well.
+
+    The second half matters: a log whose recorder died early is reported by name, not passed over.
+    """
+    kind = sniff(path)
+    named = re.search(r"\.(mcap|bag|db3|bag\.active)(\.zstd)?$", path.name, re.IGNORECASE)
+    if kind in ("sqlite3", "zstd"):
+        return named is not None
+    return kind is not None or named is not None
+
+
+def _is_split(files: Sequence[Path]) -> bool:
+    """Whether files are the parts of one recording, by their names and by their times."""
+    parts = {}
+    stems = set()
+    for file in files:
+        match = _PART.match(_SUFFIX.sub("", file.name))
+        if match is None:
+            return False
+        stems.add(match["stem"])
+        parts[int(match["number"])] = file
+    if len(stems) != 1 or sorted(parts) != list(range(len(files))):
+        return False
+    spans = []
+    for number in sorted(parts):
+        survey = container(parts[number]).survey() if sniff(parts[number]) != "zstd" else None
+        if survey is None:
+            return False
+        spans.append((survey.start_ns, survey.end_ns))
+    gaps = [after[0] - before[1] for before, after in itertools.pairwise(spans)]
+    return all(-SPLIT_GAP_NS <= gap <= SPLIT_GAP_NS for gap in gaps)
+
+
+SPLIT_GAP_NS = 5 * 10**9
+"""Longest silence, or overlap, between two parts of one recording."""
+
+
+def container(path: Path) -> Container:
+    """The reader for one file; raises LogError if it is no log."""
+    kind = sniff(path)
+    if kind == "mcap":
+        return McapFile(path)
+    if kind == "bag":
+        return BagFile(path)
+    if kind == "sqlite3":
+        return SqliteFile(path)
+    raise LogError(f"{path}: is no log; an MCAP file, a ROS 1 bag or a ROS 2 bag is needed")
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Container]:
+    """The reader for one file; a file compressed as a whole is unpacked beside the system's
+    temporary files for as long as it is read.
+    """
+    if sniff(path) != "zstd":
+        yield container(path)
+        return
+    with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
+        yield container(_unpack(path, Path(folder) / _SUFFIX.sub("", path.name)))
+
+
+def _unpack(path: Path, target: Path) -> Path:
+    import zstandard
+
+    written = 0
+    with path.open("rb") as source, target.open("wb") as sink:
+        reader = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(source)
+        try:
+            while piece := reader.read(1 << 20):
+                written += len(piece)
+                if written > UNPACKED_BYTES:
+                    raise LogError(f"{path}: inflates to more than {UNPACKED_BYTES >> 40} TiB")
+                sink.write(piece)
+        except zstandard.ZstdError:
+            # What came before the broken place is read; the walk reports that it is cut short.
+            sink.flush()
+    return target
+
+
+def _folder(path: Path) -> Recording:
+    """The files of a bag folder: those that metadata.yaml names, and any others that are logs."""
+    notes: list[str] = []
+    entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
+    files = [entry for entry in entries if sniff(entry) is not None]
+    if (path / METADATA).is_file():
+        for name in _named_files(path / METADATA, notes):
+            if name not in {file.name for file in files} and name + ".zstd" not in {
+                file.name for file in files
+            }:
+                notes.append(f"{METADATA} names {name}, which is missing or no log")
+    # A file that was left beside its compressed copy holds the same messages.
+    names = {file.name for file in files}
+    files = [
+        f
+        for f in files
+        if _SUFFIX_ZSTD.sub("", f.name) == f.name or _SUFFIX_ZSTD.sub("", f.name) not in names
+    ]
+    if not files:
+        raise LogError(f"{path}: the folder holds no log files; a bag folder or a file is needed")
+    return Recording(path, tuple(files), tuple(notes))
+
+
+_SUFFIX_ZSTD = re.compile(r"\.(zstd|zst)$")
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Order in which part 10 comes after part 9."""
+    pieces = re.split(r"(\d+)", path.name)
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in pieces], path.name
+
+
+def _named_files(path: Path, notes: list[str]) -> list[str]:
+    """The files that metadata.yaml lists; an unreadable one is noted and the folder believed."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        if path.stat().st_size > METADATA_BYTES:
+            raise ValueError("it is implausibly long")
+        document = YAML(typ="safe", pure=True).load(path.read_text("utf-8", "replace"))
+        names = document["rosbag2_bagfile_information"]["relative_file_paths"]
+        return [os.path.basename(str(name)) for name in names]
+    except (YAMLError, KeyError, TypeError, ValueError, RecursionError, OSError) as error:
+        notes.append(f"{METADATA} cannot be read ({type(error).__name__}); all files are used")
+        return []

@@ -1,0 +1,161 @@
+"""Message definitions embedded in logs: layouts checked, and messages of any type decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from .messages import Channel, DamageError
+
+DEPTH = 32
+"""Deepest nesting of types that is followed."""
+
+_TIME = ["int32", "uint32"]
+_HEADER = [*_TIME, "string"]
+_POSE = ["float64"] * 7
+
+_SHORT = {"Header": "std_msgs/Header", "time": "time", "duration": "duration"}
+_PRIMITIVE = frozenset(
+    f"{name}{bits}"
+    for name, sizes in (("int", (8, 16, 32, 64)), ("uint", (8, 16, 32, 64)), ("float", (32, 64)))
+    for bits in sizes
+) | {"bool", "byte", "char", "string", "wstring"}
+
+EXPECTED = {
+    "odometry": [*_HEADER, "string", *_POSE],
+    "pose": [*_HEADER, *_POSE],
+    "pose_array": [*_HEADER, "[", *_POSE, "]"],
+    "transforms": ["[", *_HEADER, "string", *_POSE, "]"],
+    "foxglove_pose": [*_HEADER, *_POSE],
+    "foxglove_poses": [*_HEADER, "[", *_POSE, "]"],
+}
+"""Leading primitive fields of each kind of message that is decoded by columns."""
+
+
+def as_expected(channel: Channel, kind: str) -> bool:
+    """Whether the embedded definition begins with the fields that the kind is known for.
+
+    A log without definitions is taken at its word. Definitions other than `.msg` text are not
+    followed here and count as unexpected, so that the general decoder takes over.
+    """
+    if not channel.schema:
+        return True
+    if channel.schema_encoding not in ("ros2msg", "ros1msg"):
+        return False
+    expected = list(EXPECTED[kind])
+    ros1 = channel.encoding == "ros1"
+    if ros1 and not kind.startswith("foxglove"):
+        expected.insert(expected.index("int32"), "uint32")
+    sections = _sections(channel.schema.decode("utf-8", "replace"))
+    found = _primitives(sections, "", 0)
+    try:
+        return all(next(found, None) == want for want in expected)
+    except DamageError:
+        return False
+
+
+def _sections(definition: str) -> dict[str, list[tuple[str, str]]]:
+    """Fields (type, name) of the main type, under "", and of every type that it uses."""
+    sections: dict[str, list[tuple[str, str]]] = {"": []}
+    current = sections[""]
+    for line in definition.splitlines():
+        words = line.split("#", 1)[0].split()
+        if line.startswith("=====") or not words:
+            continue
+        if words[0] == "MSG:" and len(words) > 1:
+            current = sections.setdefault(_short(words[1]), [])
+        elif len(words) > 1 and "=" not in words[1] and (len(words) < 3 or words[2][:1] != "="):
+            current.append((words[0], words[1]))
+    return sections
+
+
+def _short(name: str) -> str:
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[-1]}"
+
+
+def _primitives(sections: dict[str, list[tuple[str, str]]], name: str, depth: int) -> Iterator[str]:
+    """The primitive fields of a type in order, sequences in brackets; raises DamageError."""
+    if depth > DEPTH or name not in sections:
+        raise DamageError("a definition is missing or nested too deeply")
+    for type_name, _ in sections[name]:
+        bare, bracket, _ = type_name.partition("[")
+        if bracket:
+            yield "["
+        yield from _primitives_of(sections, bare, name, depth)
+        if bracket:
+            yield "]"
+
+
+def _primitives_of(
+    sections: dict[str, list[tuple[str, str]]], bare: str, outer: str, depth: int
+) -> Iterator[str]:
+    if bare.split("<", maxsplit=1)[0] in _PRIMITIVE:
+        yield bare.split("<", maxsplit=1)[0]
+    elif bare in ("time", "duration") or _short(bare) in (
+        "builtin_interfaces/Time",
+        "builtin_interfaces/Duration",
+    ):
+        yield from _TIME
+    else:
+        yield from _primitives(sections, _resolve(sections, bare, outer), depth + 1)
+
+
+def _resolve(sections: dict[str, list[tuple[str, str]]], bare: str, outer: str) -> str:
+    """Full name of a type used in `outer`, where the package may be left out."""
+    if "/" in bare:
+        return _short(bare)
+    if bare in _SHORT:
+        return _SHORT[bare]
+    package = outer.split("/", maxsplit=1)[0]
+    if f"{package}/{bare}" in sections:
+        return f"{package}/{bare}"
+    named = [name for name in sections if name.endswith(f"/{bare}")]
+    return named[0] if len(named) == 1 else bare
+
+
+def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
+    """A function from payload to message object, built from the embedded definition.
+
+    Falls back on the definitions bundled with rosbags. Raises DamageError where neither serves; the
+    function raises DamageError on a payload that does not decode.
+    """
+    from rosbags.typesys import Stores, get_typestore
+
+    ros1 = channel.encoding == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    if channel.schema:
+        store = get_typestore(Stores.EMPTY)
+        store.register(_types(channel))
+    if channel.type_name not in store.types:
+        raise DamageError(f"no definition of {channel.type_name} is known")
+    read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+
+    def decode(raw: bytes) -> Any:
+        try:
+            return read(raw, channel.type_name)
+        # The generated code meets hostile bytes with whatever numpy and struct raise.
+        except Exception as error:
+            raise DamageError(f"a message does not decode ({type(error).__name__})") from error
+
+    return decode
+
+
+def _types(channel: Channel) -> Any:
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    definition = channel.schema.decode("utf-8", "replace")
+    _check_depth(definition)
+    try:
+        if channel.schema_encoding == "ros2idl":
+            return get_types_from_idl(definition)
+        return get_types_from_msg(definition, channel.type_name)
+    # The grammar meets hostile text with its own errors and with Python's.
+    except (Exception, RecursionError) as error:
+        raise DamageError(f"the definition of {channel.type_name} cannot be read") from error
+
+
+def _check_depth(definition: str) -> None:
+    """Refuse definitions that are far larger than any real one before they are parsed."""
+    if definition.count("\n") > 20_000:
+        raise DamageError("a message definition is implausibly long")

@@ -1,0 +1,147 @@
+"""Which topic is the odometry and which the junction detections, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from ...topology.errors import LogError, UsageError
+from .messages import Channel
+from .wire import Kind
+
+Role = Literal["odometry", "junctions"]
+
+ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
+    "nav_msgs/msg/Odometry": (0, "odometry"),
+    "tf2_msgs/msg/TFMessage": (1, "transforms"),
+    "tf/msg/tfMessage": (1, "transforms"),
+    "geometry_msgs/msg/PoseStamped": (2, "pose"),
+    "foxglove.PoseInFrame": (3, "foxglove_pose"),
+    "foxglove_msgs/msg/PoseInFrame": (3, "foxglove_pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (9, "pose"),
+}
+"""Types that can be odometry, and in which order they are preferred; 9: only when named."""
+
+ONLY_WHEN_NAMED = 9
+
+JUNCTION_KINDS: Mapping[str, Kind] = {
+    "geometry_msgs/msg/PoseArray": "pose_array",
+    "foxglove.PosesInFrame": "foxglove_poses",
+    "foxglove_msgs/msg/PosesInFrame": "foxglove_poses",
+}
+
+ODOMETRY_TYPES = "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped or foxglove.PoseInFrame"
+JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A topic and the reason why it is used."""
+
+    topic: str
+    type_name: str
+    why: str
+
+
+def listing(counts: Mapping[Channel, int]) -> str:
+    """The topics of a log in one line, for messages."""
+    names = sorted({f"{c.topic} ({c.type_name or c.encoding})" for c, n in counts.items() if n})
+    if not names:
+        return "the log holds no messages"
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return "topics: " + ", ".join(names[:12]) + more
+
+
+def choose_odometry(counts: Mapping[Channel, int], named: str | None, log: str) -> list[Choice]:
+    """The odometry topic, most preferred type first.
+
+    More than one choice is returned where only the content tells whether the first one serves
+    (tf). Raises LogError if nothing can be odometry, UsageError if two topics of one type could.
+    """
+    if named is not None:
+        return [
+            _named(
+                counts,
+                named,
+                kinds=ODOMETRY_KINDS,
+                flag="--odometry-topic",
+                types=ODOMETRY_TYPES,
+                log=log,
+            )
+        ]
+    choices: list[Choice] = []
+    for rank in sorted({rank for rank, _ in ODOMETRY_KINDS.values()} - {ONLY_WHEN_NAMED}):
+        types = {name for name, (r, _) in ODOMETRY_KINDS.items() if r == rank}
+        topics = _of_types(counts, types, without=("/tf_static",))
+        if topics and not (choices and len(topics) > 1):
+            choices.append(_single(topics, "/odom", "--odometry-topic", "the odometry", log))
+        if rank == 0 and choices:
+            break
+    if not choices:
+        raise LogError(f"{log}: no odometry found ({ODOMETRY_TYPES}); {listing(counts)}")
+    return choices
+
+
+def choose_junctions(
+    counts: Mapping[Channel, int], named: str | None, any_type: bool, log: str
+) -> Choice:
+    """The topic of junction detections.
+
+    any_type: the caller says which fields to use, so the type does not matter. Raises LogError if
+    there is none, UsageError if there are several to choose from.
+    """
+    if named is not None:
+        kinds = None if any_type else JUNCTION_KINDS
+        return _named(
+            counts, named, kinds=kinds, flag="--junction-topic", types=JUNCTION_TYPES, log=log
+        )
+    if any_type:
+        every = _of_types(counts, {channel.type_name for channel in counts})
+        if "/junctions" in every:
+            return Choice("/junctions", every["/junctions"], "default name")
+        raise UsageError(f"{log}: --junction-fields needs --junction-topic; {listing(counts)}")
+    topics = _of_types(counts, set(JUNCTION_KINDS))
+    if not topics:
+        raise LogError(f"{log}: no junction detections found ({JUNCTION_TYPES}); {listing(counts)}")
+    return _single(topics, "/junctions", "--junction-topic", "the junction detections", log)
+
+
+def _of_types(
+    counts: Mapping[Channel, int], types: Iterable[str], without: tuple[str, ...] = ()
+) -> dict[str, str]:
+    wanted = set(types)
+    return {
+        channel.topic: channel.type_name
+        for channel, count in sorted(counts.items())
+        if count and channel.type_name in wanted and channel.topic not in without
+    }
+
+
+def _single(topics: dict[str, str], default: str, flag: str, what: str, log: str) -> Choice:
+    if len(topics) == 1:
+        ((topic, type_name),) = topics.items()
+        why = "the only topic of its type"
+        return Choice(topic, type_name, "default name" if topic == default else why)
+    if default in topics:
+        return Choice(default, topics[default], "default name, out of several topics of its type")
+    names = ", ".join(sorted(topics))
+    raise UsageError(f"{log}: {len(topics)} topics could be {what}: {names}; choose with {flag}")
+
+
+def _named(
+    counts: Mapping[Channel, int],
+    named: str,
+    *,
+    kinds: Iterable[str] | None,
+    flag: str,
+    types: str,
+    log: str,
+) -> Choice:
+    named = "/" + named.strip("/")
+    for channel, count in sorted(counts.items()):
+        if channel.topic == named and count:
+            if kinds is not None and channel.type_name not in set(kinds):
+                raise UsageError(f"{log}: {named} is {channel.type_name}, but {flag} needs {types}")
+            return Choice(named, channel.type_name, f"named by {flag}")
+    raise LogError(f"{log}: no messages of {named} ({flag}); {listing(counts)}")

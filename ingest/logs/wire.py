@@ -1,0 +1,225 @@
+"""Columnar decoding of ROS messages that hold poses, in CDR (ROS 2) and in ROS 1's encoding.
+
+The places of all fields in such a message depend on its strings and counts alone. So one message
+is parsed, its strings and counts become a template, and all messages of the same size that carry
+the same bytes there are decoded at once; the others yield further templates.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from .messages import Bytes, DamageError, Ints, text
+from .poses import Frames, Poses, join
+
+Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", "foxglove_poses"]
+
+POSE_BYTES = 56
+TEMPLATES = 64
+"""Most templates that are kept per size, and tried as columns in one batch."""
+
+
+class _Run(NamedTuple):
+    """`length` poses one behind the other with one stamp and one pair of frames."""
+
+    stamp_at: int
+    frame: int
+    pose_at: int
+    length: int
+
+
+class Template(NamedTuple):
+    """Where everything is in messages of one shape.
+
+    fixed: spans (from, to) whose bytes make the shape; head: the bytes of the message it was
+    made from, up to the end of what is needed; order: "<" or ">".
+    """
+
+    head: Bytes
+    fixed: tuple[tuple[int, int], ...]
+    runs: tuple[_Run, ...]
+    order: str
+    ros1: bool
+
+    def like(self, rows: Bytes) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """(n,) whether each row of bytes has this shape."""
+        same = np.ones(len(rows), bool)
+        for first, last in self.fixed:
+            same &= (rows[:, first:last] == self.head[first:last]).all(axis=1)
+        return same
+
+    def poses(self, rows: Bytes, message: Ints) -> Poses:
+        """The poses of rows of this shape."""
+        parts = [self._run(rows, message, run) for run in self.runs]
+        return join(parts)
+
+    def _run(self, rows: Bytes, message: Ints, run: _Run) -> Poses:
+        seconds_type = f"{self.order}{'u4' if self.ros1 else 'i4'}"
+        stamp = np.ascontiguousarray(rows[:, run.stamp_at : run.stamp_at + 8])
+        seconds = stamp.view(seconds_type)[:, 0].astype(np.int64)
+        stamp_ns = seconds * 10**9 + stamp.view(f"{self.order}u4")[:, 1]
+        span = rows[:, run.pose_at : run.pose_at + POSE_BYTES * run.length]
+        value = np.ascontiguousarray(span).view(f"{self.order}f8").astype(np.float64, copy=False)
+        if run.length != 1:
+            message, stamp_ns = np.repeat(message, run.length), np.repeat(stamp_ns, run.length)
+        frame = np.full(len(message), run.frame, np.int64)
+        return Poses(message, stamp_ns, frame, value.reshape(-1, 7))
+
+
+class _Parser:
+    """Goes through one message and notes what a template needs."""
+
+    def __init__(self, raw: bytes, ros1: bool) -> None:
+        self._raw = raw
+        self.ros1 = ros1
+        self.fixed: list[tuple[int, int]] = []
+        self.order = "<"
+        self._base, self._widest, self.position = 0, 8, 0
+        if not ros1:
+            self._encapsulation()
+
+    def _encapsulation(self) -> None:
+        if len(self._raw) < 4 or self._raw[0] != 0 or self._raw[1] not in (0, 1, 6, 7):
+            raise DamageError("not a CDR message")
+        self.order = "<" if self._raw[1] & 1 else ">"
+        self._widest = 4 if self._raw[1] >= 6 else 8
+        self._base = self.position = 4
+        self.fixed.append((0, 2))
+
+    def _align(self, width: int) -> None:
+        if not self.ros1:
+            width = min(width, self._widest)
+            self.position += -(self.position - self._base) % width
+
+    def _advance(self, length: int) -> int:
+        at = self.position
+        if at + length > len(self._raw):
+            raise DamageError("a message ends too early")
+        self.position += length
+        return at
+
+    def count(self) -> int:
+        """A length that belongs to the shape."""
+        self._align(4)
+        at = self._advance(4)
+        self.fixed.append((at, at + 4))
+        return int(struct.unpack_from(f"{self.order}I", self._raw, at)[0])
+
+    def string(self) -> str:
+        """A string that belongs to the shape."""
+        length = self.count()
+        at = self._advance(length)
+        if length:
+            self.fixed.append((at, at + length))
+        return text(self._raw[at : at + length].rstrip(b"\0"))
+
+    def stamp(self) -> int:
+        """Place of a time."""
+        self._align(4)
+        return self._advance(8)
+
+    def header(self) -> tuple[int, str]:
+        """Place of the stamp and the frame of a std_msgs/Header."""
+        if self.ros1:
+            self._advance(4)
+        return self.stamp(), self.string()
+
+    def poses(self, count: int) -> int:
+        """Place of `count` poses one behind the other."""
+        if count:
+            self._align(8)
+        return self._advance(POSE_BYTES * count)
+
+
+def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
+    """The template of one message; raises DamageError if it cannot be a message of this kind."""
+    parser = _Parser(raw, ros1)
+    runs: list[_Run] = []
+    if kind == "transforms":
+        for _ in range(min(parser.count(), len(raw) // POSE_BYTES + 1)):
+            stamp, frame = parser.header()
+            pair = frames.number(frame, parser.string())
+            runs.append(_Run(stamp, pair, parser.poses(1), 1))
+    else:
+        stamp, frame = (
+            (parser.stamp(), parser.string()) if kind.startswith("foxglove") else parser.header()
+        )
+        child = parser.string() if kind == "odometry" else ""
+        many = kind in ("pose_array", "foxglove_poses")
+        count = parser.count() if many else 1
+        runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count))
+    head = np.frombuffer(raw, np.uint8, parser.position)
+    return Template(head, tuple(parser.fixed), tuple(runs), parser.order, ros1)
+
+
+class WireDecoder:
+    """Decodes messages of one kind in CDR or in ROS 1's encoding."""
+
+    def __init__(self, kind: Kind, ros1: bool) -> None:
+        self._kind: Kind = kind
+        self._ros1 = ros1
+        self.frames = Frames()
+        self.failed = 0
+        self._templates: dict[int, list[Template]] = {}
+
+    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+        """The poses of a batch of messages. O(bytes looked at) when shapes are few."""
+        message = np.arange(len(start))
+        if len(start) and (size == size[0]).all():
+            parts = self._same_size(data, start, int(size[0]), message)
+        else:
+            # One group per size: sorted once, then cut where the size changes.
+            order = np.argsort(size, kind="stable")
+            cuts = np.flatnonzero(np.diff(size[order])) + 1
+            parts = []
+            for group in np.split(order, cuts) if len(order) else []:
+                parts += self._same_size(data, start[group], int(size[group[0]]), message[group])
+        return join(parts)
+
+    def _same_size(self, data: Bytes, start: Ints, size: int, message: Ints) -> list[Poses]:
+        parts = []
+        known = self._templates.setdefault(size, [])
+        for template in known:
+            start, message, part = self._fitting(data, start, message, template)
+            parts.append(part)
+            if len(start) == 0:
+                return parts
+        while len(start):
+            raw = data[start[0] : start[0] + size].tobytes()
+            try:
+                template = parse(self._kind, raw, self._ros1, self.frames)
+            except DamageError:
+                self.failed += 1
+                start, message = start[1:], message[1:]
+                continue
+            if len(known) < TEMPLATES:
+                known.append(template)
+                start, message, part = self._fitting(data, start, message, template)
+            else:
+                _, _, part = self._fitting(data, start[:1], message[:1], template)
+                start, message = start[1:], message[1:]
+            parts.append(part)
+        if len(self._templates) > TEMPLATES * TEMPLATES:
+            self._templates.clear()
+        return parts
+
+    def _fitting(
+        self, data: Bytes, start: Ints, message: Ints, template: Template
+    ) -> tuple[Ints, Ints, Poses]:
+        """The messages that have not the template's shape, and the poses of those that have."""
+        rows = gather(data, start, len(template.head))
+        like = template.like(rows)
+        if like.all():
+            return start[:0], message[:0], template.poses(rows, message)
+        return start[~like], message[~like], template.poses(rows[like], message[like])
+
+
+def gather(data: Bytes, start: Ints, width: int) -> Bytes:
+    """(n, width) bytes of `data` from each start on, through an unaligned view with stride 1."""
+    if len(start) == 0 or width == 0:
+        return np.zeros((len(start), width), np.uint8)
+    items = np.ndarray((len(data) - width + 1,), f"V{width}", data.data, strides=(1,))[start]
+    return items.view(np.uint8).reshape(len(start), width)

@@ -1,0 +1,371 @@
+"""Reads one recorded run out of whatever log holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..topology.errors import LogError, UsageError
+from .logs.intake import Intake
+from .logs.messages import Channel, Findings, Survey
+from .logs.recording import (
+    Recording,
+    container,
+    find_logs,
+    log_fingerprint,
+    log_size,
+    opened,
+    recording_at,
+    run_name,
+    sniff,
+)
+from .logs.topics import (
+    JUNCTION_KINDS,
+    ODOMETRY_KINDS,
+    Choice,
+    choose_junctions,
+    choose_odometry,
+    listing,
+)
+from .run import Run
+from .sightings import Sightings, SightingSettings, robot_frame_sightings, side_of
+from .sources import (
+    Clock,
+    Source,
+    choose_clock,
+    clock_without_jumps,
+    pair_of_poses,
+    pair_of_transforms,
+)
+from .track import Track, TrackSettings, sane_track
+
+__all__ = [
+    "LogInfo",
+    "ReadSettings",
+    "TopicInfo",
+    "find_logs",
+    "inspect_log",
+    "log_fingerprint",
+    "log_size",
+    "read_run",
+    "run_name",
+]
+
+OnBytes = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadSettings:
+    """What to read out of a log, and how.
+
+    odometry_topic, junction_topic, scan_topic: None finds them; junction_fields: which fields of
+    any other message are the junction ("center=pose.position,branches=frontiers[].angle"); time:
+    the clock to go by; strict: refuse a damaged log instead of using what it still holds.
+    """
+
+    odometry_topic: str | None = None
+    junction_topic: str | None = None
+    scan_topic: str | None = None
+    junction_fields: str | None = None
+    time: Clock = "header"
+    strict: bool = False
+    track: TrackSettings = field(default_factory=TrackSettings)
+    sightings: SightingSettings = field(default_factory=SightingSettings)
+
+    def __post_init__(self) -> None:
+        if self.time not in ("header", "log"):
+            raise UsageError(f"--time is {self.time!r}, expected header or log")
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a log: `use` is "odometry", "junctions" or "", `why` the reason."""
+
+    topic: str
+    type_name: str
+    messages: int
+    use: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LogInfo:
+    """What a log holds. `problems`: one sentence each, empty for a whole, usable log."""
+
+    path: Path
+    name: str
+    format: str
+    bytes: int
+    start_ns: int
+    duration_s: float
+    topics: tuple[TopicInfo, ...]
+    problems: tuple[str, ...]
+
+
+def read_run(
+    path: Path, settings: ReadSettings = ReadSettings(), *, on_bytes: OnBytes | None = None
+) -> Run:
+    """Read the odometry and the junction sightings of one log.
+
+    path: an MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a folder with the parts of one
+    recording. on_bytes is told how many more bytes of `log_size(path)` are done. What a damaged
+    log still holds is used and reported in the run's warnings. Raises LogError if there is nothing
+    to use, UsageError if a topic must be named. O(bytes read); memory follows the poses kept.
+    """
+    log = str(path)
+    recording = recording_at(Path(path))
+    recording, counts = _surveyed(recording)
+    intake = Intake(_acceptance(counts, settings, log))
+    findings = _walk(recording, intake, on_bytes)
+    warnings = _damage(recording, findings, settings)
+    odometry_choice, odometry, frames = _odometry(intake, findings.counts, settings, log)
+    junction_choice, junctions = _junctions(intake, findings.counts, settings, log)
+    clock = choose_clock(odometry, junctions, settings.time, warnings)
+    clock = clock_without_jumps(odometry, clock, settings.track.backward_min_s, warnings)
+    described = _described(odometry_choice, odometry), _described(junction_choice, junctions)
+    track = _track(odometry_choice, odometry, frames=frames, clock=clock, settings=settings)
+    sightings = _sightings(
+        junction_choice, junctions, clock=clock, track=track, settings=settings, log=log
+    )
+    source = {"odometry": described[0], "junctions": described[1], "time": clock}
+    warnings += [*track.warnings, *sightings.warnings]
+    return Run(
+        run_name(recording.path), track.odometry, sightings.detections, source, tuple(warnings)
+    )
+
+
+def inspect_log(path: Path, settings: ReadSettings = ReadSettings()) -> LogInfo:
+    """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
+    recording, counts = _surveyed(recording_at(Path(path)))
+    formats, span, problems = _formats(recording), None, list(recording.notes)
+    if counts is None:
+        findings = _walk(recording, Intake(lambda _: False), None)
+        counts, problems = findings.counts, [*problems, *findings.damage]
+        if findings.first_ns is not None and findings.last_ns is not None:
+            span = findings.first_ns, findings.last_ns
+    else:
+        span = _span(recording)
+    uses = _uses(counts, settings, str(path), problems)
+    topics: dict[tuple[str, str], int] = {}
+    for channel, count in counts.items():
+        key = channel.topic, channel.type_name
+        topics[key] = topics.get(key, 0) + count
+    first, last = span or (0, 0)
+    return LogInfo(
+        recording.path,
+        run_name(recording.path),
+        "+".join(formats),
+        recording.bytes,
+        first,
+        (last - first) / 1e9,
+        tuple(
+            TopicInfo(topic, type_name, count, *uses.get(topic, ("", "")))
+            for (topic, type_name), count in sorted(topics.items())
+        ),
+        tuple(problems),
+    )
+
+
+# Surveying
+
+
+def _surveyed(recording: Recording) -> tuple[Recording, dict[Channel, int] | None]:
+    """The files by their start, and the counts per channel; None if some file has no index."""
+    surveys = _surveys(recording)
+    if any(survey is None for survey in surveys):
+        return recording, None
+    sound = [survey for survey in surveys if survey is not None]
+    order = sorted(range(len(sound)), key=lambda k: (sound[k].start_ns, k))
+    counts: dict[Channel, int] = {}
+    for survey in sound:
+        for channel, count in survey.counts.items():
+            counts[channel] = counts.get(channel, 0) + count
+    return replace(recording, files=tuple(recording.files[k] for k in order)), counts
+
+
+def _surveys(recording: Recording) -> list[Survey | None]:
+    return [container(file).survey() if sniff(file) != "zstd" else None for file in recording.files]
+
+
+def _formats(recording: Recording) -> list[str]:
+    return sorted({sniff(file) or "" for file in recording.files})
+
+
+def _span(recording: Recording) -> tuple[int, int] | None:
+    """First and last log time of the files that hold messages."""
+    surveys = [s for s in _surveys(recording) if s is not None and any(s.counts.values())]
+    if not surveys:
+        return None
+    return min(s.start_ns for s in surveys), max(s.end_ns for s in surveys)
+
+
+def _uses(
+    counts: Mapping[Channel, int], settings: ReadSettings, log: str, problems: list[str]
+) -> dict[str, tuple[str, str]]:
+    """Per topic what it would be used for and why; what is missing becomes a problem."""
+    uses: dict[str, tuple[str, str]] = {}
+    try:
+        for rank, choice in enumerate(choose_odometry(counts, settings.odometry_topic, log)):
+            why = choice.why if rank == 0 else f"{choice.why}, if no better one serves"
+            uses[choice.topic] = ("odometry", why)
+    except (LogError, UsageError) as error:
+        problems.append(str(error))
+    try:
+        choice = _junction_choice(counts, settings, log)
+        uses[choice.topic] = ("junctions", choice.why)
+    except (LogError, UsageError) as error:
+        problems.append(str(error))
+    return uses
+
+
+def _acceptance(
+    counts: Mapping[Channel, int] | None, settings: ReadSettings, log: str
+) -> Callable[[Channel], bool]:
+    """Which channels to keep: the chosen ones if the index tells, else all that may be chosen."""
+    named = {
+        f"/{name.strip('/')}"
+        for name in (settings.odometry_topic, settings.junction_topic)
+        if name is not None
+    }
+    if settings.junction_fields is not None:
+        named.add("/junctions")
+    types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
+    if counts is None:
+        return lambda channel: channel.topic in named or channel.type_name in types
+    listed = {channel.topic for channel in counts}
+    chosen = {c.topic for c in choose_odometry(counts, settings.odometry_topic, log)}
+    chosen.add(_junction_choice(counts, settings, log).topic)
+    # A topic that the index forgot is kept as well: the choice is made again at the end.
+    return lambda channel: (
+        channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
+    )
+
+
+def _junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
+    any_type = settings.junction_fields is not None
+    return choose_junctions(counts, settings.junction_topic, any_type, log)
+
+
+# Reading
+
+
+def _walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Findings:
+    """Read all files; on_bytes is told exactly the size of the recording in the end."""
+    findings = Findings()
+    for file in recording.files:
+        told = 0
+
+        def progress(count: int) -> None:
+            nonlocal told
+            told += count
+            if on_bytes is not None:
+                on_bytes(count)
+
+        packed = sniff(file) == "zstd"
+        with opened(file) as log:
+            for block in log.blocks(intake.want, findings, None if packed else progress):
+                intake.take(block)
+        if file.stat().st_size > told:
+            progress(file.stat().st_size - told)
+    return findings
+
+
+def _damage(recording: Recording, findings: Findings, settings: ReadSettings) -> list[str]:
+    """What is wrong with the log; raises LogError if nothing is left, or if it is to be strict."""
+    damage = [*recording.notes, *findings.damage]
+    if findings.messages == 0:
+        reason = "; ".join(damage) or "it holds no messages"
+        raise LogError(f"{recording.path}: nothing can be read: {reason}")
+    if damage and settings.strict:
+        raise LogError(
+            f"{recording.path}: damaged, and --strict was asked for: {'; '.join(damage)}"
+        )
+    return damage
+
+
+def _odometry(
+    intake: Intake, counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> tuple[Choice, Source, tuple[str, str]]:
+    """The first choice whose content serves: its poses between one pair of frames."""
+    reasons = []
+    for choice in choose_odometry(counts, settings.odometry_topic, log):
+        intake.check(choice.topic, log)
+        source = Source.of(intake.of_topic(choice.topic))
+        transforms = ODOMETRY_KINDS[choice.type_name][1] == "transforms"
+        pair = pair_of_transforms(source) if transforms else pair_of_poses(source)
+        if pair is not None:
+            source.keep(source.columns.frame == pair)
+            return choice, source, source.frames[pair]
+        lack = "no transform from an odom frame" if transforms else "no usable pose"
+        reasons.append(f"{choice.topic} holds {lack}" + _because(source, choice.topic))
+    raise LogError(f"{log}: no odometry: {', '.join(reasons)}; {listing(counts)}")
+
+
+def _because(source: Source, topic: str) -> str:
+    reasons = source.warnings(topic)
+    return f" ({'; '.join(reasons)})" if reasons else ""
+
+
+def _junctions(
+    intake: Intake, counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> tuple[Choice, Source]:
+    choice = _junction_choice(counts, settings, log)
+    intake.check(choice.topic, log)
+    source = Source.of(intake.of_topic(choice.topic))
+    if len(source) == 0:
+        raise LogError(
+            f"{log}: {choice.topic} holds no usable pose{_because(source, choice.topic)}"
+        )
+    return choice, source
+
+
+def _described(choice: Choice, source: Source) -> dict[str, Any]:
+    """What the map document says about a topic: nothing that depends on the container."""
+    return {"topic": choice.topic, "type": choice.type_name, "messages": source.messages}
+
+
+def _track(
+    choice: Choice,
+    source: Source,
+    *,
+    frames: tuple[str, str],
+    clock: Clock,
+    settings: ReadSettings,
+) -> Track:
+    warnings = source.warnings(choice.topic)
+    time_ns = source.time_ns(clock)
+    if clock == "header" and not time_ns.all():
+        zero = int((time_ns == 0).sum())
+        warnings.append(f"{choice.topic}: {zero} messages carry no header time; left out")
+        source.keep(time_ns != 0)
+        time_ns = source.time_ns(clock)
+    pose = np.column_stack([source.columns.xy, source.columns.yaw])
+    track = sane_track(time_ns, pose, frames[0] or "odom", frames[1] or "base_link", settings.track)
+    return replace(track, warnings=(*warnings, *track.warnings))
+
+
+def _sightings(
+    choice: Choice, source: Source, *, clock: Clock, track: Track, settings: ReadSettings, log: str
+) -> Sightings:
+    """The detections in the robot's frame; raises LogError if none is left."""
+    odometry = track.odometry
+    sides = [side_of(frame, odometry.frame, odometry.child_frame) for frame, _ in source.frames]
+    sightings = robot_frame_sightings(
+        source.columns, source.time_ns(clock), sides, odometry, settings.sightings
+    )
+    foreign = sorted(
+        f for (f, _), side in zip(source.frames, sides, strict=True) if side == "foreign"
+    )
+    warnings = [*source.warnings(choice.topic), *sightings.warnings]
+    if foreign:
+        warnings.append(
+            f"{choice.topic} has messages in frame {', '.join(map(repr, foreign[:5]))}, expected "
+            f"{odometry.child_frame!r} or {odometry.frame!r}; left out"
+        )
+    if len(sightings.detections) == 0:
+        raise LogError(f"{log}: no usable junction detection: {'; '.join(warnings)}")
+    return Sightings(sightings.detections, tuple(warnings))

@@ -1,0 +1,148 @@
+"""The columns of one topic, the frames in it, and the clock that a run goes by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .logs.intake import PoseColumns, Sink
+from .track import backward_jumps
+
+Ints = NDArray[np.int64]
+Clock = Literal["header", "log"]
+
+
+@dataclass(slots=True)
+class Source:
+    """Everything that one topic gave.
+
+    frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: how
+    many there were; failed, not_finite, zero_quaternion: what could not be used.
+    """
+
+    columns: PoseColumns
+    frames: tuple[tuple[str, str], ...]
+    type_name: str
+    messages: int
+    failed: int
+    not_finite: int
+    zero_quaternion: int
+
+    @classmethod
+    def of(cls, sinks: Sequence[Sink]) -> Source:
+        """Join the sinks of one topic; there are several if its definition changed on the way."""
+        frames: list[tuple[str, str]] = []
+        parts: list[PoseColumns] = []
+        before = 0
+        for sink in sinks:
+            columns = sink.columns()
+            columns.message = columns.message + before
+            columns.frame = columns.frame + len(frames)
+            parts.append(columns)
+            frames += sink.decoder.frames.pairs
+            before += sink.messages
+        return cls(
+            parts[0] if len(parts) == 1 else _joined(parts),
+            tuple(frames),
+            sinks[0].channel.type_name if sinks else "",
+            before,
+            sum(sink.failed for sink in sinks),
+            sum(sink.not_finite for sink in sinks),
+            sum(sink.zero_quaternion for sink in sinks),
+        )
+
+    def __len__(self) -> int:
+        return len(self.columns.yaw)
+
+    def keep(self, rows: NDArray[np.bool_]) -> None:
+        """Leave out the poses that are not marked."""
+        if not rows.all():
+            self.columns = PoseColumns(
+                *(getattr(self.columns, name)[rows] for name in PoseColumns.__dataclass_fields__)
+            )
+
+    def time_ns(self, clock: Clock) -> Ints:
+        """Time of every pose by one of the two clocks."""
+        return self.columns.log_ns if clock == "log" else self.columns.stamp_ns
+
+    def warnings(self, topic: str) -> list[str]:
+        """Sentences about the messages that could not be used."""
+        out = []
+        for count, what in (
+            (self.failed, "messages could not be decoded"),
+            (self.not_finite, "poses hold numbers that are not finite"),
+            (self.zero_quaternion, "poses have a quaternion of zero length"),
+        ):
+            if count:
+                out.append(f"{topic}: {count} {what}; left out")
+        return out
+
+
+def _joined(parts: Sequence[PoseColumns]) -> PoseColumns:
+    """Columns of several channels in the order of log time."""
+    names = tuple(PoseColumns.__dataclass_fields__)
+    joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+    order = np.argsort(joined[1], kind="stable")
+    return PoseColumns(*(column[order] for column in joined))
+
+
+def pair_of_transforms(source: Source) -> int | None:
+    """The frames (odom → base) in a topic of transforms, None if it holds none.
+
+    The parent is called `odom`, whatever stands before the last slash; of several children a
+    `base…` one is preferred, then the one with the most messages.
+    """
+    counts = np.bincount(source.columns.frame, minlength=len(source.frames))
+    fit = [
+        (not child.split("/")[-1].startswith("base"), -int(counts[number]), child, number)
+        for number, (parent, child) in enumerate(source.frames)
+        if parent.split("/")[-1].startswith("odom") and counts[number]
+    ]
+    return min(fit)[-1] if fit else None
+
+
+def pair_of_poses(source: Source) -> int | None:
+    """The frames that most poses have, None if there are no poses."""
+    if len(source) == 0:
+        return None
+    return int(np.bincount(source.columns.frame).argmax())
+
+
+def choose_clock(odometry: Source, junctions: Source, wanted: Clock, warnings: list[str]) -> Clock:
+    """The clock to go by: the wanted one, or log time where header stamps cannot serve."""
+    if wanted == "log":
+        return "log"
+    for source, what in ((odometry, "odometry"), (junctions, "junction")):
+        zero = source.columns.stamp_ns == 0
+        if 2 * int(zero.sum()) > len(zero):
+            warnings.append(f"{what} messages carry no header time; log time is used")
+            return "log"
+    if _apart(odometry, junctions, "header") and not _apart(odometry, junctions, "log"):
+        warnings.append(
+            "header times of odometry and junctions are of different clocks; log time is used"
+        )
+        return "log"
+    return "header"
+
+
+def clock_without_jumps(odometry: Source, clock: Clock, min_s: float, warnings: list[str]) -> Clock:
+    """Log time instead of header time where the header's clock was set back."""
+    jumps = backward_jumps(odometry.time_ns(clock), min_s)
+    if not jumps:
+        return clock
+    if clock == "header" and not backward_jumps(odometry.time_ns("log"), min_s):
+        warnings.append(f"the header clock goes back {jumps} times; log time is used")
+        return "log"
+    return clock
+
+
+def _apart(a: Source, b: Source, clock: Clock) -> bool:
+    """Whether the times of two topics do not overlap at all."""
+    if len(a) == 0 or len(b) == 0:
+        return False
+    first, second = a.time_ns(clock), b.time_ns(clock)
+    return bool(first.max() < second.min() or second.max() < first.min())

@@ -1,0 +1,210 @@
+"""From raw poses to an odometry track that can be relied on: time and pose made sane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.odometry import Odometry
+from ..topology.se2 import wrap
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+SECOND_NS = 10**9
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """When odometry is taken for broken.
+
+    A step is a teleport if it is long in itself and asks for a speed far above what this robot
+    does elsewhere; likewise for turns. A gap is a silence far above the usual period.
+    """
+
+    teleport_min_m: float = 0.5
+    teleport_min_rad: float = 0.7
+    teleport_speed_factor: float = 5.0
+    teleport_min_speed_m_per_s: float = 3.0
+    teleport_min_turn_rad_per_s: float = 6.0
+    reset_min_m: float = 0.1
+    reset_min_rad: float = 0.1
+    gap_periods: float = 20.0
+    gap_min_s: float = 1.0
+    backward_min_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive")
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A sane track and one sentence per kind of thing that had to be repaired."""
+
+    odometry: Odometry
+    warnings: tuple[str, ...]
+
+
+def backward_jumps(time_ns: Ints, min_s: float) -> int:
+    """How often the clock itself went back: a step back that is not made up for at once.
+
+    Messages that only changed places are late one by one and are no jump. O(n).
+    """
+    starts, ends = _behind(time_ns)
+    return int((time_ns[ends - 1] - time_ns[starts] >= min_s * SECOND_NS).sum())
+
+
+def _behind(time_ns: Ints) -> tuple[Ints, Ints]:
+    """Runs [start, end) of rows that lie before a time already seen."""
+    if len(time_ns) < 2 or (np.diff(time_ns) >= 0).all():
+        none = np.zeros(0, np.int64)
+        return none, none
+    behind = time_ns < np.maximum.accumulate(time_ns)
+    edges = np.flatnonzero(np.diff(behind.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def sane_track(
+    time_ns: Ints,
+    pose: Floats,
+    frame: str,
+    child_frame: str,
+    settings: TrackSettings = TrackSettings(),
+) -> Track:
+    """Sort, drop what is double, single out glitches and split where the chain is broken.
+
+    time_ns: (n,) in the order of the log, n ≥ 1; pose: (n, 3) x, y [m], theta [rad], finite.
+    O(n log n) at worst, O(n) for times in order.
+    """
+    warnings: list[str] = []
+    time_ns, pose = _forward(time_ns, pose, settings, warnings)
+    time_ns, pose = _in_order(time_ns, pose, warnings)
+    time_ns, pose, breaks = _unbroken(time_ns, pose, settings, warnings)
+    _report_gaps(time_ns, settings, warnings)
+    for array in (time_ns, pose):
+        array.flags.writeable = False
+    return Track(Odometry(time_ns, pose, breaks, frame, child_frame), tuple(warnings))
+
+
+def _forward(
+    time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
+) -> tuple[Ints, Floats]:
+    """Drop what was recorded after the clock was set back, until it has caught up.
+
+    Sorting would weave two stretches of the drive into each other.
+    """
+    starts, ends = _behind(time_ns)
+    jumps = time_ns[ends - 1] - time_ns[starts] >= settings.backward_min_s * SECOND_NS
+    if not jumps.any():
+        return time_ns, pose
+    keep = np.ones(len(time_ns), bool)
+    for start, end in zip(starts[jumps].tolist(), ends[jumps].tolist(), strict=True):
+        keep[start:end] = False
+    warnings.append(
+        f"the clock goes back {int(jumps.sum())} times; {int((~keep).sum())} odometry messages "
+        "until it catches up were dropped"
+    )
+    return time_ns[keep], pose[keep]
+
+
+def _in_order(time_ns: Ints, pose: Floats, warnings: list[str]) -> tuple[Ints, Floats]:
+    step = np.diff(time_ns)
+    if (step > 0).all():
+        return time_ns, pose
+    late = int((step < 0).sum())
+    if late:
+        order = np.argsort(time_ns, kind="stable")
+        time_ns, pose = time_ns[order], pose[order]
+        warnings.append(f"{late} odometry messages are out of order; they were sorted by time")
+    fresh = np.concatenate([[True], np.diff(time_ns) > 0])
+    if not fresh.all():
+        twice = int((~fresh).sum())
+        time_ns, pose = time_ns[fresh], pose[fresh]
+        warnings.append(f"{twice} odometry messages repeat the time of another and were dropped")
+    return time_ns, pose
+
+
+def _unbroken(
+    time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
+) -> tuple[Ints, Floats, Ints]:
+    """Teleports: single poses off the track are dropped, others break the chain."""
+    teleport = _teleports(time_ns, pose, settings)
+    if not teleport.any():
+        return time_ns, pose, np.zeros(0, np.int64)
+    glitch = _glitches(time_ns, pose, teleport, settings)
+    if glitch.any():
+        count = int(glitch.sum())
+        warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
+        time_ns, pose = time_ns[~glitch], pose[~glitch]
+        teleport = _teleports(time_ns, pose, settings)
+    breaks = np.flatnonzero(teleport) + 1
+    if len(breaks):
+        length = float(np.hypot(*(pose[breaks, :2] - pose[breaks - 1, :2]).T).max())
+        warnings.append(
+            f"odometry jumps {len(breaks)} times (up to {length:.2f} m): "
+            "reset or carried; the chain is split there"
+        )
+    return time_ns, pose, breaks
+
+
+def _motion(time_ns: Ints, pose: Floats) -> tuple[Floats, Floats, Floats]:
+    """(n - 1,) way [m], turn [rad] and duration [s] of every step."""
+    way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
+    turn = np.abs(wrap(np.diff(pose[:, 2])))
+    return way, turn, np.diff(time_ns) / SECOND_NS
+
+
+def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[np.bool_]:
+    """(n - 1,) whether a step cannot have been driven, or falls back to the origin exactly."""
+    if len(time_ns) < 2:
+        return np.zeros(0, bool)
+    way, turn, duration = _motion(time_ns, pose)
+    speed_limit = _limit(way, duration, settings, settings.teleport_min_speed_m_per_s)
+    turn_limit = _limit(turn, duration, settings, settings.teleport_min_turn_rad_per_s)
+    far = (way > settings.teleport_min_m) & (way > speed_limit * duration)
+    far |= (turn > settings.teleport_min_rad) & (turn > turn_limit * duration)
+    away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)
+    zero = ~pose[1:].any(axis=1)
+    # Driving through the exact origin takes a step like any other; a reset takes a far longer one.
+    sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
+    return far | (zero & away & sudden)
+
+
+def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float) -> float:
+    """Speed above which a step is not believed: far above what the robot does otherwise."""
+    moving = size > 0
+    if not moving.any():
+        return least
+    usual = float(np.quantile(size[moving] / duration[moving], 0.95))
+    return max(least, settings.teleport_speed_factor * usual)
+
+
+def _glitches(
+    time_ns: Ints, pose: Floats, teleport: NDArray[np.bool_], settings: TrackSettings
+) -> NDArray[np.bool_]:
+    """(n,) single poses between two teleports whose neighbours fit each other."""
+    glitch = np.zeros(len(time_ns), bool)
+    lone = np.flatnonzero(teleport[:-1] & teleport[1:]) + 1
+    if len(lone) == 0:
+        return glitch
+    way = np.hypot(*(pose[lone + 1, :2] - pose[lone - 1, :2]).T)
+    turn = np.abs(wrap(pose[lone + 1, 2] - pose[lone - 1, 2]))
+    fits = (way <= settings.teleport_min_m) & (turn <= settings.teleport_min_rad)
+    glitch[lone[fits]] = True
+    return glitch
+
+
+def _report_gaps(time_ns: Ints, settings: TrackSettings, warnings: list[str]) -> None:
+    if len(time_ns) < 3:
+        return
+    step = np.diff(time_ns)
+    usual = float(np.median(step))
+    gaps = step[step > max(settings.gap_min_s * SECOND_NS, settings.gap_periods * usual)]
+    if len(gaps):
+        warnings.append(
+            f"odometry is silent {len(gaps)} times (longest {gaps.max() / SECOND_NS:.2f} s)"
+        )
