@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..topology.closure.gated import GatedSettings, Identification, gated_closure
 from ..topology.closure.layout import lay_out
+from ..topology.closure.rounds import RoundSettings, full_closure
 from ..topology.closure.walk import make_walk
 from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, Visits, build_topomap
@@ -28,6 +29,7 @@ class MappingSettings:
 
     closure: Literal["none", "gated", "full"] = "full"
     passes: PassSettings = field(default_factory=PassSettings)
+    rounds: RoundSettings = field(default_factory=RoundSettings)
     gated: GatedSettings = field(default_factory=GatedSettings)
     drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)
     most_refusals: int = 200
@@ -56,9 +58,13 @@ def build_map(
     if settings.closure == "none":
         place = np.arange(len(passes), dtype=np.int64)
         asked: list[Identification] = []
-    else:
+    elif settings.closure == "gated":
         place, asked = gated_closure(walk, settings.gated)
-    layout = lay_out(walk, place)
+    if settings.closure == "full":
+        closed = full_closure(walk, settings.rounds)
+        place, layout, asked = closed.place, closed.layout, closed.asked
+    else:
+        layout = lay_out(walk, place)
     step("map")
     visits = Visits(passes.time_ns, place, np.ones(len(passes), bool), layout.pose, passes.centre)
     topomap = build_topomap(

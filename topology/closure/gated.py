@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..se2 import wrap
-from .walk import Walk, relative_covariance
+from .walk import Walk, dead_reckoning_covariance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -91,7 +91,7 @@ def _evidence_bits(
     if len(candidates) == 0:
         return np.zeros(0)
     here = np.full(len(candidates), i, np.int64)
-    cov = relative_covariance(walk, candidates, here)
+    cov = dead_reckoning_covariance(walk, candidates, here)
     s = cov[:, :2, :2] + 2 * walk.noise.centre_m**2 * np.eye(2)
     d = walk.passes.centre[i] - walk.passes.centre[candidates]
     det = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] ** 2

@@ -7,46 +7,72 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circular import AngleClusters, cluster_angles
-from ..posegraph import PoseGraph, SolverSettings, solve
+from ..circular import cluster_angles
+from ..posegraph import (
+    Marginals,
+    PoseGraph,
+    Priors,
+    SharedErrors,
+    Solution,
+    SolverSettings,
+    solve,
+)
 from ..se2 import wrap
-from .walk import Walk, relative_covariance
+from .rectilinear import GridHeadings
+from .walk import Walk, relative_covariance, systematic_modes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SLOT_GAP_RAD = 0.35
-"""Branch readings of several passes farther apart than this belong to different branches."""
+
+@dataclass(frozen=True, slots=True)
+class LayoutSettings:
+    """How identifications and grid headings pull at the layout."""
+
+    slot_gap_rad: float = 0.35
+    """Branch readings of several passes farther apart than this belong to different branches."""
+    sighting_kernel: float = 3.0
+    """Cauchy width [sigmas] of "this pass was by that place"."""
+    grid_kernel: float = 2.0
+    """Cauchy width [sigmas] of headings taken from the grid of a rectilinear building."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """pose: (p, 3) of every pass in the map frame: its centre, and the turn from odometry to map.
+    """The solved pose graph of a walk.
 
-    xy: (n, 2) position of every place.
+    pose: (p, 3) of every pass in the map frame: its centre, and the turn from odometry to map.
+    xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: a vertex of its own
+    if it has several passes, else its pass. sighting: (k,) pass of each sighting edge;
+    sighting_chi2: (k,) its squared error in sigmas.
     """
 
     pose: FloatArray
     xy: FloatArray
+    node: IntArray
+    sighting: IntArray
+    sighting_chi2: FloatArray
+    graph: PoseGraph
+    solution: Solution
+
+    def marginals(self) -> Marginals:
+        """Covariances at this layout."""
+        return Marginals.of(self.graph, self.solution)
 
 
-def slots_of(walk: Walk, place: IntArray, turn: FloatArray) -> AngleClusters:
-    """Branches of the places: readings of all passes, turned into the map frame, clustered.
-
-    place: (p,), passes with place < 0 are left out (their readings form circles of their own);
-    turn: (p,) from the odometry's frame to the map's at each pass [rad].
-    """
-    owner = walk.passes.branches.owner
-    home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(walk)), place)
-    return cluster_angles(walk.passes.branches.values + turn[owner], home[owner], SLOT_GAP_RAD)
-
-
-def lay_out(walk: Walk, place: IntArray, start: FloatArray | None = None) -> Layout:
+def lay_out(
+    walk: Walk,
+    place: IntArray,
+    start: FloatArray | None = None,
+    grid: GridHeadings | None = None,
+    settings: LayoutSettings = LayoutSettings(),
+) -> Layout:
     """Most likely poses of passes and places, from odometry and identifications.
 
     place: (p,) place of each pass, numbered from 0; negative: none. start: (p, 3) poses to begin
     with. Nodes of the pose graph are the passes (at their centre, turned like the odometry's
-    frame) and the places of several passes; legs join passes, sightings join passes to places.
+    frame) and the places of several passes; legs join passes, sightings join passes to places,
+    the systematic errors of the odometry are variables shared by all legs.
     """
     count = len(walk)
     if start is None:
@@ -55,25 +81,46 @@ def lay_out(walk: Walk, place: IntArray, start: FloatArray | None = None) -> Lay
     visits = np.bincount(place[place >= 0], minlength=places)
     several = np.flatnonzero(visits > 1)
     node = np.full(places, -1, np.int64)
+    alone = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] == 1))
+    node[place[alone]] = alone
     node[several] = count + np.arange(len(several))
-    legs, shared = _legs(walk), _sightings(walk, place, visits, start)
+    legs, shared = _legs(walk), _sightings(walk, place, visits, start, settings)
     guess = np.zeros((len(several), 3))
     for k in (0, 1):
         total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
         guess[:, k] = total[several] / visits[several]
+    sensitivity = np.zeros((len(legs.row) + len(shared.row), 3, 3))
+    sensitivity[: len(legs.row)] = systematic_modes(walk, legs.row, legs.row + 1)
+    s = walk.systematic
+    width = np.full(len(sensitivity), np.inf)
+    width[len(legs.row) :] = settings.sighting_kernel
     graph = PoseGraph(
         pose=np.vstack([start, guess]),
         source=np.concatenate([legs.row, shared.row]),
         target=np.concatenate([legs.row + 1, node[place[shared.row]]]),
         measurement=np.vstack([legs.measurement, shared.measurement]),
         information=np.concatenate([legs.information, shared.information]),
+        kernel=width,
+        priors=_priors(grid, settings),
+        shared=SharedErrors(sensitivity, np.array([s.scale, s.turn_rad_per_m, s.turn_rad_per_rad])),
     )
-    pose = solve(graph, SolverSettings(start="given")).pose
-    xy = np.zeros((places, 2))
-    alone = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] == 1))
-    xy[place[alone]] = pose[alone, :2]
-    xy[several] = pose[count:, :2]
-    return Layout(pose[:count], xy)
+    solution = solve(graph, SolverSettings(start="given"))
+    return Layout(
+        pose=solution.pose[:count],
+        xy=solution.pose[node, :2],
+        node=node,
+        sighting=shared.row,
+        sighting_chi2=solution.edge_chi2[len(legs.row) :],
+        graph=graph,
+        solution=solution,
+    )
+
+
+def _priors(grid: GridHeadings | None, settings: LayoutSettings) -> Priors:
+    if grid is None:
+        return Priors.empty()
+    kernel = np.full(len(grid.row), settings.grid_kernel)
+    return Priors.headings(grid.row, grid.turn, grid.sigma, kernel)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,11 +140,16 @@ def _legs(walk: Walk) -> _Factors:
     return _Factors(row, np.column_stack([shift, np.zeros(len(row))]), information)
 
 
-def _sightings(walk: Walk, place: IntArray, visits: IntArray, pose: FloatArray) -> _Factors:
+def _sightings(
+    walk: Walk, place: IntArray, visits: IntArray, pose: FloatArray, settings: LayoutSettings
+) -> _Factors:
     """Passes of places with several: the centre coincides, the branches fix the direction."""
     row = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] > 1))
     branches = walk.passes.branches
-    slots = slots_of(walk, place, pose[:, 2])
+    home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(walk)), place)
+    slots = cluster_angles(
+        branches.values + pose[branches.owner, 2], home[branches.owner], settings.slot_gap_rad
+    )
     # How each pass would have to be turned for its branches to meet the places' mean branches.
     off = wrap(slots.mean[slots.of] - branches.values - pose[branches.owner, 2])
     counts = np.maximum(branches.counts, 1)

@@ -10,10 +10,22 @@ from numpy.typing import NDArray
 from ..odometry import Odometry
 from ..passes import Passes
 from ..topomap import RunNoise
-from ..track import chain_of, way_at
+from ..track import chain_of, track_directions, way_at
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class SystematicErrors:
+    """1 sigma of what the odometry gets wrong in the same way all the time."""
+
+    scale: float = 0.01
+    """Relative error of lengths."""
+    turn_rad_per_m: float = 0.0005
+    """Heading gained per metre driven."""
+    turn_rad_per_rad: float = 0.01
+    """Relative error of turns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,16 +33,20 @@ class Walk:
     """The passes of a run and what the odometry says about the way between them.
 
     chain: (p,) unbroken piece of odometry of each pass. way: (p,) way driven so far [m].
-    leg: (p - 1,) way from each pass to the next [m], NaN across a break. sums: (p, 13) prefix sums
-    of the odometry's random walk up to each pass (`relative_covariance`), about `origin`.
+    leg: (p - 1,) way from each pass to the next [m], NaN across a break. arriving, leaving: (p,)
+    headings [rad] from the place to where the robot came from and went to, NaN where unknown.
+    sums: (p, 13) prefix sums over the odometry up to each pass (`relative_covariance`), about
+    `origin`.
     """
 
     passes: Passes
     noise: RunNoise
-    bias_sigma: tuple[float, float]
+    systematic: SystematicErrors
     chain: IntArray
     way: FloatArray
     leg: FloatArray
+    arriving: FloatArray
+    leaving: FloatArray
     origin: FloatArray
     sums: FloatArray
 
@@ -42,18 +58,26 @@ def make_walk(
     odometry: Odometry,
     passes: Passes,
     noise: RunNoise,
-    bias_sigma: tuple[float, float] = (0.0, 0.0),
+    systematic: SystematicErrors = SystematicErrors(),
 ) -> Walk:
-    """The walk of a run. bias_sigma: 1 sigma of a constant turning error per metre and per radian.
-
-    O(n + p log n).
-    """
+    """The walk of a run. O(n + p log n) for n odometry rows and p passes."""
     way = way_at(odometry, passes.time_ns)
     chain = chain_of(odometry, passes.time_ns)
     leg = np.where(np.diff(chain) == 0, np.diff(way), np.nan)
+    track = track_directions(odometry, passes.time_ns, passes.centre)
     origin = odometry.pose[:, :2].mean(axis=0)
-    sums = _prefix_sums(odometry, passes, noise, origin)
-    return Walk(passes, noise, bias_sigma, chain, way, leg, origin, sums)
+    return Walk(
+        passes=passes,
+        noise=noise,
+        systematic=systematic,
+        chain=chain,
+        way=way,
+        leg=leg,
+        arriving=track.arriving,
+        leaving=track.leaving,
+        origin=origin,
+        sums=_prefix_sums(odometry, passes, noise, origin),
+    )
 
 
 def _prefix_sums(
@@ -64,30 +88,14 @@ def _prefix_sums(
     Columns: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y² with q the heading variance of a step; Στ² ds;
     Σds, Σds x, Σds y; Σdθ, Σdθ x, Σdθ y.
     """
-    step, turn = odometry.step_m, np.abs(odometry.turn_rad)
+    step, turn = odometry.step_m, odometry.turn_rad
     x, y = (odometry.pose[:, :2] - origin).T
-    q = noise.heading_rad_per_sqrt_m**2 * step + noise.heading_rad_per_sqrt_rad**2 * turn
+    q = noise.heading_rad_per_sqrt_m**2 * step
+    q = q + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
     along = noise.along_m_per_sqrt_m**2 * step
-    signed = odometry.turn_rad
-    rows = np.stack(
-        [
-            q,
-            q * x,
-            q * y,
-            q * x * x,
-            q * x * y,
-            q * y * y,
-            along,
-            step,
-            step * x,
-            step * y,
-            signed,
-            signed * x,
-            signed * y,
-        ],
-        axis=1,
-    )
-    total = np.cumsum(rows, axis=0)
+    spread = [q, q * x, q * y, q * x * x, q * x * y, q * y * y, along]
+    constant = [step, step * x, step * y, turn, turn * x, turn * y]
+    total = np.cumsum(np.stack(spread + constant, axis=1), axis=0)
     origin_ns = odometry.time_ns[0]
     times = (odometry.time_ns - origin_ns).astype(np.float64)
     query = (passes.time_ns - origin_ns).astype(np.float64)
@@ -97,13 +105,12 @@ def _prefix_sums(
 def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
     """(k, 3, 3) covariance of pass `second`'s x, y, theta as dead reckoned from pass `first`.
 
-    Axes are those of the odometry frame; theta is the error of the frame's direction. Closed form
-    from prefix sums, O(1) per pair: with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between
-    and c the second pass, C_θθ = S0, C_xyθ = J (S0 c - S1), and
-    C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
+    The random walk alone; `systematic_modes` holds the rest. Axes are those of the odometry frame;
+    theta is the error of the frame's direction. Closed form from prefix sums, O(1) per pair: with
+    S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second pass, C_θθ = S0,
+    C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    low, high = np.minimum(first, second), np.maximum(first, second)
-    d = walk.sums[high] - walk.sums[low]
+    d = _between(walk, first, second)
     c = walk.passes.centre[second] - walk.origin
     s0, s1x, s1y, s2xx, s2xy, s2yy, along = d[:, :7].T
     x, y = c.T
@@ -118,13 +125,37 @@ def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatA
     out[:, 0, 2] = out[:, 2, 0] = -(s0 * y - s1y)
     out[:, 1, 2] = out[:, 2, 1] = s0 * x - s1x
     out[:, 2, 2] = s0
-    # Constant errors of a run: scale, turning per metre, turning per radian.
-    shift = c - (walk.passes.centre[first] - walk.origin)
-    modes = [np.column_stack([shift * walk.noise.scale, np.zeros(len(d))])]
-    for sigma, at in zip(walk.bias_sigma, (7, 10), strict=True):
-        if sigma > 0:
-            l0, l1x, l1y = d[:, at], d[:, at + 1], d[:, at + 2]
-            modes.append(sigma * np.column_stack([-(l0 * y - l1y), l0 * x - l1x, l0]))
-    for mode in modes:
-        out += mode[:, :, None] * mode[:, None, :]
     return out
+
+
+def systematic_modes(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
+    """(k, 3, 3) derivatives of pass `second`'s x, y, theta, seen from `first`, by constant errors.
+
+    Last axis: scale, turn per metre, turn per radian (`SystematicErrors`). Exact sums over the
+    odometry rows, for first <= second.
+    """
+    d = _between(walk, first, second)
+    c = walk.passes.centre[second] - walk.origin
+    out = np.zeros((len(d), 3, 3))
+    out[:, :2, 0] = walk.passes.centre[second] - walk.passes.centre[first]
+    for mode, at in ((1, 7), (2, 10)):
+        l0, l1x, l1y = d[:, at], d[:, at + 1], d[:, at + 2]
+        out[:, 0, mode] = -(l0 * c[:, 1] - l1y)
+        out[:, 1, mode] = l0 * c[:, 0] - l1x
+        out[:, 2, mode] = l0
+    return out
+
+
+def dead_reckoning_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
+    """(k, 3, 3) `relative_covariance` with the systematic errors in it."""
+    modes = systematic_modes(walk, first, second)
+    s = walk.systematic
+    modes = modes * np.array([s.scale, s.turn_rad_per_m, s.turn_rad_per_rad])
+    out: FloatArray = relative_covariance(walk, first, second) + modes @ modes.transpose(0, 2, 1)
+    return out
+
+
+def _between(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    difference: FloatArray = walk.sums[high] - walk.sums[low]
+    return difference

@@ -1,0 +1,243 @@
+"""Evidence that two places are one, in natural log odds: position, branches, corridors.
+
+Every term compares "the same place" with "another place of this run", so that what is common in a
+run is worth little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chndtr
+
+from ..se2 import wrap
+from ..topomap import RunNoise
+from .places import Places
+from .walk import Walk
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MATCH_RAD = 0.61
+"""Branches farther apart than this are never the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceSettings:
+    """Rates and widths that the noise of a run does not tell."""
+
+    core_share: float = 0.8
+    """Two junctions are seldom nearer to each other than this share of the shortest corridors."""
+    core_quantile: float = 0.03
+    core_exception: float = 0.02
+    """… "seldom": how often they are all the same."""
+    least_fault_rate: float = 0.02
+    """Branch faults are never taken to be rarer than this."""
+    least_miss_rate: float = 0.02
+    inflation: float = 1.2
+    """Widths of the noise are taken this much larger than estimated."""
+    bandwidth_rad: float = 0.12
+    """Width of the kernels that say how common a set of branches is in this run."""
+    references: int = 150
+    """Places that stand for the run when asking how common a set of branches is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """What is common in a run.
+
+    density: places per m². core_m: radius within which no other junction is expected.
+    length_edges, length_density: histogram of leg lengths [1/m].
+    """
+
+    density: float
+    core_m: float
+    length_edges: FloatArray
+    length_density: FloatArray
+    branch_sigma: float
+    centre_sigma: float
+    fault_rate: float
+    miss_rate: float
+
+
+def background(walk: Walk, settings: EvidenceSettings = EvidenceSettings()) -> Background:
+    """Statistics of a run that evidence is measured against."""
+    legs = walk.leg[np.isfinite(walk.leg)]
+    # Chords: a leg that turns back or winds says nothing about how close junctions lie.
+    chord = np.hypot(*np.diff(walk.passes.centre, axis=0).T)
+    chord = chord[np.isfinite(walk.leg)]
+    moved = chord[chord > 0.8]
+    shortest = float(np.quantile(moved, settings.core_quantile)) if len(moved) else 1.0
+    typical = float(np.median(legs)) if len(legs) else 5.0
+    edges = np.arange(0.0, max(4 * typical, 20.0) + 0.25, 0.25)
+    counts = np.histogram(legs, edges)[0].astype(np.float64)
+    smooth = np.convolve(counts, [0.1, 0.2, 0.4, 0.2, 0.1], mode="same") + 0.02
+    density = smooth / (smooth.sum() * 0.25)
+    noise: RunNoise = walk.noise
+    return Background(
+        # Each place is the middle of a cell about as wide as a typical leg.
+        density=1.0 / typical**2,
+        core_m=settings.core_share * shortest,
+        length_edges=edges,
+        length_density=density,
+        branch_sigma=settings.inflation * noise.branch_rad,
+        centre_sigma=settings.inflation * noise.centre_m,
+        fault_rate=max(noise.branch_fault_rate, settings.least_fault_rate),
+        miss_rate=max(noise.miss_rate, settings.least_miss_rate),
+    )
+
+
+def position_odds(
+    common: Background, shift: FloatArray, cov: FloatArray, settings: EvidenceSettings
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) log odds of being apart by `shift` (k, 2) with covariance `cov` (k, 2, 2), and d².
+
+    Against another junction, which would stand anywhere but within the core around this one.
+    """
+    det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
+    x, y = shift.T
+    d2 = (cov[:, 1, 1] * x * x - 2 * cov[:, 0, 1] * x * y + cov[:, 0, 0] * y * y) / det
+    s2 = np.sqrt(det)
+    inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, 1e6))
+    rival = common.density * np.maximum(1.0 - inside, settings.core_exception)
+    odds = -0.5 * d2 - np.log(2 * np.pi * s2) - np.log(rival)
+    return odds, d2
+
+
+def length_odds(common: Background, a: FloatArray, b: FloatArray, var: FloatArray) -> FloatArray:
+    """(k,) log odds that two legs of lengths a and b are one corridor."""
+    at = np.searchsorted(common.length_edges, 0.5 * (a + b)) - 1
+    density = common.length_density[np.clip(at, 0, len(common.length_density) - 1)]
+    odds: FloatArray = -0.5 * (a - b) ** 2 / var - 0.5 * np.log(2 * np.pi * var) - np.log(density)
+    return odds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """How the branches of two places fit: log likelihood of b's given a's, and the turn used.
+
+    partner: (k, s) slot of b that each slot of a matches, -1 for none. turn: (k,) [rad] to be
+    added to b's headings to meet a's. extra: (k,) branches of either left over.
+    """
+
+    score: FloatArray
+    turn: FloatArray
+    partner: IntArray
+    extra: FloatArray
+
+
+def align(
+    places: Places,
+    common: Background,
+    a: IntArray,
+    b: IntArray,
+    *,
+    turn_sigma: FloatArray,
+    turn_mean: FloatArray | None = None,
+) -> Alignment:
+    """Compare the branches of places a and b (k,), which may be turned by N(mean, sigma).
+
+    All pairs at once: every difference of a branch of a and one of b is tried as the turn; the one
+    that explains most wins.
+    """
+    ha, hb = places.heading[a], places.heading[b]
+    k, s = ha.shape
+    mean = np.zeros(k) if turn_mean is None else turn_mean
+    off = wrap(ha[:, :, None] - hb[:, None, :] - mean[:, None, None])  # (k, s, s)
+    best = Alignment(np.full(k, -np.inf), np.zeros(k), np.full((k, s), -1, np.int64), np.zeros(k))
+    found = (best.score.copy(), best.turn.copy(), best.partner.copy(), best.extra.copy())
+    trials = off.reshape(k, s * s)
+    order = np.argsort(np.where(np.isfinite(trials), np.abs(trials), np.inf), axis=1)
+    sigma = np.maximum(turn_sigma, 1e-3)
+    for rank in range(min(trials.shape[1], 7)):
+        t = np.take_along_axis(trials, order[:, rank : rank + 1], axis=1)[:, 0]
+        usable = np.isfinite(t) & (np.abs(t) < 3.5 * np.hypot(sigma, 1.5 * common.branch_sigma))
+        rows = np.flatnonzero(usable)
+        if len(rows) == 0:
+            break
+        score, turn, partner, extra = _match(
+            places, common, a[rows], b[rows], off=off[rows], trial=t[rows], sigma=sigma[rows]
+        )
+        better = score > found[0][rows]
+        hit = rows[better]
+        found[0][hit], found[1][hit] = score[better], turn[better] + mean[hit]
+        found[2][hit], found[3][hit] = partner[better], extra[better]
+    return Alignment(*found)
+
+
+def _match(
+    places: Places,
+    common: Background,
+    a: IntArray,
+    b: IntArray,
+    *,
+    off: FloatArray,
+    trial: FloatArray,
+    sigma: FloatArray,
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
+    """Mutual nearest branches after a trial turn, then the turn and score that they say."""
+    rest = np.abs(wrap(off - trial[:, None, None]))
+    rest = np.where(np.isfinite(rest), rest, np.inf)
+    near = (rest == rest.min(axis=2, keepdims=True)) & (rest == rest.min(axis=1, keepdims=True))
+    tolerance = min(max(3.5 * 1.5 * common.branch_sigma, 0.2), MATCH_RAD)
+    near &= rest < tolerance
+    partner = np.where(near.any(axis=2), near.argmax(axis=2), -1)
+    residual = np.where(near, wrap(off - trial[:, None, None]), 0.0)
+    pairs = near.sum(axis=(1, 2))
+    # Turn: mean of what the pairs say, held towards 0 by its own sigma.
+    var_pair = 2 * common.branch_sigma**2
+    mean = residual.sum(axis=(1, 2)) / np.maximum(pairs, 1) + trial
+    weight = pairs / var_pair
+    turn = mean * weight / (weight + sigma**-2)
+    off_turn = np.where(near, wrap(off - turn[:, None, None]), 0.0)
+    spread = (off_turn**2).sum(axis=(1, 2))
+    score = -0.5 * spread / var_pair - 0.5 * turn**2 / sigma**2
+    score -= 0.5 * pairs * np.log(var_pair / (2 * np.pi))  # against uniform headings
+    # A branch that one place has and the other not: a fault, unless it is itself uncertain.
+    lone_a = np.where(near.any(axis=2), 0.0, _sureness(places, a))
+    lone_b = np.where(near.any(axis=1), 0.0, _sureness(places, b))
+    extra = lone_a.sum(axis=1) + lone_b.sum(axis=1)
+    score += extra * np.log(common.fault_rate)
+    return score, turn, partner, extra
+
+
+def _sureness(places: Places, rows: IntArray) -> FloatArray:
+    """(k, s) how much it means that another look lacks the branch: 0 for what few passes saw."""
+    share, visits = places.share[rows], places.visits[rows]
+    sure: FloatArray = np.where(visits[:, None] > 1, np.clip(2 * share - 0.6, 0, 1), share > 0)
+    return np.where(np.isfinite(places.heading[rows]), sure, 0.0)
+
+
+def rarity(places: Places, common: Background, settings: EvidenceSettings) -> FloatArray:
+    """(n,) log likelihood of each place's branches at some other place of this run.
+
+    Mean over a fixed sample of places of what `align` says without any turn, plus a floor for sets
+    of branches seen nowhere else. O(n · references).
+    """
+    n = len(places)
+    step = max(1, n // settings.references)
+    sample = np.arange(0, n, step)
+    out = np.empty(n)
+    wide = settings.bandwidth_rad**2 + 2 * common.branch_sigma**2
+    for begin in range(0, n, 512):
+        rows = np.arange(begin, min(begin + 512, n))
+        off = np.abs(
+            wrap(places.heading[rows][:, None, :, None] - places.heading[sample][None, :, None, :])
+        )
+        off = np.where(np.isfinite(off), off, np.inf)
+        near = off.min(axis=3)
+        paired = near < MATCH_RAD
+        count = paired.sum(axis=2)
+        lone = _sureness(places, rows)[:, None, :] * ~paired
+        back = off.min(axis=2) >= MATCH_RAD
+        lone_back = _sureness(places, sample)[None] * back
+        score = -0.5 * np.square(np.where(paired, near, 0.0)).sum(axis=2) / wide
+        score -= 0.5 * count * np.log(wide / (2 * np.pi))
+        score += (lone.sum(axis=2) + lone_back.sum(axis=2)) * np.log(common.fault_rate)
+        score[rows[:, None] == sample[None, :]] = -np.inf
+        top = np.maximum(score.max(axis=1), 0.0)
+        mean = np.exp(score - top[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
+        out[rows] = np.log(0.9 * mean + 0.1 * np.exp(-top)) + top
+    return out

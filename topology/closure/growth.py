@@ -1,0 +1,248 @@
+"""Growth (§2.2) of the map against itself: what the corridors around two places say.
+
+If two places are one, the corridors that leave them by the same branches are the same corridors,
+and lead to places that are the same again. Hypotheses grow side by side, hop by hop, in arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .evidence import Alignment, Background, align, length_odds
+from .places import NOWHERE, Places
+from .walk import Walk
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class GrowthSettings:
+    """How far hypotheses grow and what a step is worth."""
+
+    hops: int = 4
+    discount: float = 0.85
+    """Each hop counts this much of the one before: legs are not independent of each other."""
+    leg_cap: float = 3.0
+    """Most that one pair of legs may add …"""
+    branch_cap: float = 3.0
+    """… and the branches at their far ends."""
+    wobble_m: float = 0.08
+    """How much the way driven through one corridor varies."""
+    gate: float = 3.5
+    """Legs that differ by more sigmas disagree."""
+    turn_sigma_rad: float = 0.1
+    """How well the turn of a hypothesis is known to hold at its neighbours."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """The map as it stands: places with their positions (n, 2), what is common in the run, and how
+    common the branches of each place are (n,) (`evidence.rarity`)."""
+
+    walk: Walk
+    places: Places
+    xy: FloatArray
+    common: Background
+    rare: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support:
+    """What the surroundings say of each hypothesis, in natural log odds.
+
+    gain: (k,) from corridors that agree; loss: (k,) positive, from those that disagree; legs: (k,)
+    pairs of legs that agree.
+    """
+
+    gain: FloatArray
+    loss: FloatArray
+    legs: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Front:
+    """Pairs of places that hypotheses have come to: places a and b, turned by `turn`."""
+
+    hypothesis: IntArray
+    a: IntArray
+    b: IntArray
+    turn: FloatArray
+    partner: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reached:
+    """Pairs of legs: the pair of places they leave (`row` of the front) and the pair they reach."""
+
+    row: IntArray
+    qa: IntArray
+    qb: IntArray
+    ea: IntArray
+    eb: IntArray
+    la: FloatArray
+    lb: FloatArray
+    missed: IntArray
+    """Junctions that one of the two must have missed on the way."""
+
+
+def grow(
+    scene: Scene,
+    a: IntArray,
+    b: IntArray,
+    aligned: Alignment,
+    settings: GrowthSettings = GrowthSettings(),
+) -> Support:
+    """Support of the hypotheses "place a[k] is place b[k]", grown `settings.hops` corridors far."""
+    places, common, rare = scene.places, scene.common, scene.rare
+    k = len(a)
+    gain, loss, legs = np.zeros(k), np.zeros(k), np.zeros(k, np.int64)
+    front = _Front(np.arange(k), a, b, aligned.turn, aligned.partner)
+    seen = _keys(front.hypothesis, a, b, len(places))
+    weight, miss = 1.0, float(np.log(common.miss_rate))
+    for _ in range(settings.hops):
+        pairs = _leave(places, front)
+        if len(pairs.row) == 0:
+            break
+        reached, torn = _compare(scene, front, pairs, settings)
+        loss += weight * -miss * np.bincount(front.hypothesis[torn], minlength=k)
+        h = front.hypothesis[reached.row]
+        var = _leg_variance(scene, reached.la, reached.lb, settings)
+        odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, settings.leg_cap)
+        odds = odds + miss * reached.missed
+        same = reached.qa == reached.qb
+        # Both corridors end at one place: by one branch it is one corridor, by two it is none.
+        odds = np.where(same, np.where(reached.ea == reached.eb, odds - miss, miss), odds)
+        further = np.flatnonzero(~same)
+        ends = align(
+            places,
+            common,
+            reached.qa[further],
+            reached.qb[further],
+            turn_sigma=np.full(len(further), settings.turn_sigma_rad),
+            turn_mean=front.turn[reached.row[further]],
+        )
+        fit = ends.score - np.maximum(rare[reached.qa[further]], rare[reached.qb[further]])
+        odds[further] += np.clip(fit, 2 * miss, settings.branch_cap)
+        gain += weight * np.bincount(h, np.maximum(odds, 0.0), minlength=k)
+        loss += weight * np.bincount(h, np.maximum(-odds, 0.0), minlength=k)
+        legs += np.bincount(h, minlength=k)
+        good = (fit > 0.5 * miss) & (reached.missed[further] < 2)
+        next_ = further[good]
+        keys = _keys(h[next_], reached.qa[next_], reached.qb[next_], len(places))
+        fresh, at = np.unique(keys, return_index=True)
+        at = at[~np.isin(fresh, seen)]
+        seen = np.concatenate([seen, keys[at]])
+        pick = next_[at]
+        front = _Front(
+            h[pick],
+            reached.qa[pick],
+            reached.qb[pick],
+            front.turn[reached.row[pick]],
+            ends.partner[np.flatnonzero(good)[at]],
+        )
+        weight *= settings.discount
+    return Support(gain, loss, legs)
+
+
+def _keys(hypothesis: IntArray, a: IntArray, b: IntArray, n: int) -> IntArray:
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    return (hypothesis * n + low) * n + high
+
+
+def _leave(places: Places, front: _Front) -> _Reached:
+    """All pairs of matching branches of the front that were both driven."""
+    row, slot_a = np.nonzero(front.partner >= 0)
+    slot_b = front.partner[row, slot_a]
+    pa, pb = front.a[row], front.b[row]
+    qa, qb = places.next_place[pa, slot_a], places.next_place[pb, slot_b]
+    ea, eb = places.next_slot[pa, slot_a], places.next_slot[pb, slot_b]
+    # The same leg looked at from both its ends, or from one place twice, tells nothing.
+    own = (qa == pb) & (qb == pa) & (ea == slot_b) & (eb == slot_a)
+    use = (qa != NOWHERE) & (qb != NOWHERE) & ~own & (pa != pb)
+    la, lb = places.length[pa, slot_a], places.length[pb, slot_b]
+    none = np.zeros(int(use.sum()), np.int64)
+    return _Reached(row[use], qa[use], qb[use], ea[use], eb[use], la[use], lb[use], none)
+
+
+def _compare(
+    scene: Scene, front: _Front, pairs: _Reached, settings: GrowthSettings
+) -> tuple[_Reached, IntArray]:
+    """Pairs of legs that agree, also past one missed junction; rows of the front for the others."""
+    agree = _agree(scene, front, pairs, settings)
+    rest = np.flatnonzero(~agree)
+    through = _past_missed(scene, front, _take(pairs, rest), settings)
+    found = np.zeros(len(rest), bool)
+    found[through[1]] = True
+    torn = pairs.row[rest[~found]]
+    return _join(_take(pairs, np.flatnonzero(agree)), through[0]), torn
+
+
+def _agree(
+    scene: Scene, front: _Front, pairs: _Reached, settings: GrowthSettings
+) -> NDArray[np.bool_]:
+    """Equal lengths, and ends that coincide once the two places do."""
+    var = _leg_variance(scene, pairs.la, pairs.lb, settings)
+    near = np.abs(pairs.la - pairs.lb) < settings.gate * np.sqrt(var)
+    da = scene.xy[pairs.qa] - scene.xy[front.a[pairs.row]]
+    db = scene.xy[pairs.qb] - scene.xy[front.b[pairs.row]]
+    c, s = np.cos(front.turn[pairs.row]), np.sin(front.turn[pairs.row])
+    x = da[:, 0] - (c * db[:, 0] - s * db[:, 1])
+    y = da[:, 1] - (s * db[:, 0] + c * db[:, 1])
+    room = settings.gate * np.sqrt(var + (settings.turn_sigma_rad * pairs.la) ** 2)
+    result: NDArray[np.bool_] = near & (np.hypot(x, y) < room)
+    return result
+
+
+def _past_missed(
+    scene: Scene, front: _Front, pairs: _Reached, settings: GrowthSettings
+) -> tuple[_Reached, IntArray]:
+    """Where the shorter leg, driven on past its end, meets the end of the longer.
+
+    Returns the pairs so reached, and for each the index into `pairs` that it came from.
+    """
+    short_a = pairs.la < pairs.lb
+    middle, entry = np.where(short_a, pairs.qa, pairs.qb), np.where(short_a, pairs.ea, pairs.eb)
+    index, slot = np.nonzero(scene.places.next_place[middle] != NOWHERE)
+    keep = slot != entry[index]
+    index, slot = index[keep], slot[keep]
+    m, first = middle[index], short_a[index]
+    on, onto = scene.places.next_place[m, slot], scene.places.next_slot[m, slot]
+    more = scene.places.length[m, slot]
+    tried = _Reached(
+        row=pairs.row[index],
+        qa=np.where(first, on, pairs.qa[index]),
+        qb=np.where(first, pairs.qb[index], on),
+        ea=np.where(first, onto, pairs.ea[index]),
+        eb=np.where(first, pairs.eb[index], onto),
+        la=pairs.la[index] + np.where(first, more, 0.0),
+        lb=pairs.lb[index] + np.where(first, 0.0, more),
+        missed=np.ones(len(index), np.int64),
+    )
+    fine = np.flatnonzero(_agree(scene, front, tried, settings))
+    # One continuation per pair: the one nearest in length.
+    off = np.abs(tried.la[fine] - tried.lb[fine])
+    order = fine[np.lexsort((off, index[fine]))]
+    once = order[np.concatenate([[True], np.diff(index[order]) != 0])] if len(order) else order
+    return _take(tried, once), index[once]
+
+
+def _take(pairs: _Reached, rows: IntArray) -> _Reached:
+    return _Reached(*(getattr(pairs, name)[rows] for name in _Reached.__dataclass_fields__))
+
+
+def _join(a: _Reached, b: _Reached) -> _Reached:
+    names = _Reached.__dataclass_fields__
+    return _Reached(*(np.concatenate([getattr(a, x), getattr(b, x)]) for x in names))
+
+
+def _leg_variance(
+    scene: Scene, la: FloatArray, lb: FloatArray, settings: GrowthSettings
+) -> FloatArray:
+    along = scene.walk.noise.along_m_per_sqrt_m**2 * (la + lb)
+    fixed = 2 * settings.wobble_m**2 + 4 * scene.common.centre_sigma**2
+    out: FloatArray = fixed + along
+    return out

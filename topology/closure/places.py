@@ -1,0 +1,129 @@
+"""Places in tables: what is known of each, given which passes were by the same one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..circular import cluster_angles
+from ..passes import NO_BRANCH
+from .walk import Walk
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NOWHERE = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """`n` places with up to `s` branches ("slots") each; empty slots hold NaN.
+
+    heading: (n, s) [rad] in the map frame; share: (n, s) share of the place's passes that reported
+    the branch, 0 for one known from the track alone; visits: (n,) passes; first, last: (n,) its
+    first and last pass. next_place, next_slot: (n, s) where the slot was seen to lead, NOWHERE if
+    it was not driven; length: (n, s) of that leg [m]; sure: (n, s) times driven. entry, exit: (p,)
+    slot by which each pass came and left.
+    """
+
+    heading: FloatArray
+    share: FloatArray
+    visits: IntArray
+    first: IntArray
+    last: IntArray
+    next_place: IntArray
+    next_slot: IntArray
+    length: FloatArray
+    driven: IntArray
+    entry: IntArray
+    exit: IntArray
+
+    def __len__(self) -> int:
+        return len(self.visits)
+
+
+def tabulate(walk: Walk, place: IntArray, turn: FloatArray, gap_rad: float) -> Places:
+    """The places of a partition of the passes.
+
+    place: (p,) numbered from 0, every number in use; negative: none. turn: (p,) from the
+    odometry's frame to the map's [rad]. All places at once: one clustering of all readings, then
+    tables by fancy indexing.
+    """
+    branches = walk.passes.branches
+    owner = branches.owner
+    passes = walk.passes
+    rows = np.arange(len(walk))
+    # The track tells branches that the detector did not report.
+    came = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(walk.arriving))
+    went = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(walk.leaving))
+    by = np.concatenate([owner, came, went])
+    angle = np.concatenate([branches.values, walk.arriving[came], walk.leaving[went]]) + turn[by]
+    told = np.arange(len(by)) < len(owner)
+    home = place[by]
+    inside = home >= 0
+    clusters = cluster_angles(angle[inside], home[inside], gap_rad)
+    n = int(place.max(initial=-1)) + 1
+    start = np.searchsorted(clusters.owner, np.arange(n + 1))
+    width = int(np.diff(start).max(initial=1))
+    slot = np.full(len(by), NO_BRANCH, np.int64)
+    slot[inside] = clusters.of - start[home[inside]]
+    heading, share = np.full((n, width), np.nan), np.zeros((n, width))
+    local = np.arange(len(clusters)) - start[clusters.owner]
+    heading[clusters.owner, local] = clusters.mean
+    visits = np.bincount(place[place >= 0], minlength=n)
+    votes = inside & told
+    unique = np.unique(np.stack([home[votes], slot[votes], by[votes]]), axis=1)
+    np.add.at(share, (unique[0], unique[1]), 1.0)
+    share /= np.maximum(visits, 1)[:, None]
+    entry, exit_ = np.full(len(walk), NO_BRANCH), np.full(len(walk), NO_BRANCH)
+    for ends, local_branch, extra in ((entry, passes.entry, 0), (exit_, passes.exit, len(came))):
+        has = np.flatnonzero(local_branch != NO_BRANCH)
+        ends[has] = slot[branches.offsets[has] + local_branch[has]]
+        missing = came if extra == 0 else went
+        ends[missing] = slot[len(owner) + extra + np.arange(len(missing))]
+    first, last = np.full(n, len(walk), np.int64), np.full(n, -1, np.int64)
+    member = rows[place >= 0]
+    np.minimum.at(first, place[member], member)
+    np.maximum.at(last, place[member], member)
+    next_place, next_slot, length, driven = _ways(walk, place, entry, exit_, (n, width))
+    return Places(
+        heading, share, visits, first, last, next_place, next_slot, length, driven, entry, exit_
+    )
+
+
+def _ways(
+    walk: Walk, place: IntArray, entry: IntArray, exit_: IntArray, shape: tuple[int, int]
+) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+    """Where each slot leads: of several ends the one reached most often, then the nearest."""
+    n, width = shape
+    legs = np.flatnonzero(np.isfinite(walk.leg))
+    p, q = place[legs], place[legs + 1]
+    a, b = exit_[legs], entry[legs + 1]
+    fine = (p >= 0) & (q >= 0) & (a >= 0) & (b >= 0) & ~((p == q) & (a == b))
+    p, q, a, b, leg = p[fine], q[fine], a[fine], b[fine], walk.leg[legs[fine]]
+    here = np.concatenate([p * width + a, q * width + b])
+    there = np.concatenate([q * width + b, p * width + a])
+    far = np.concatenate([leg, leg])
+    next_place, next_slot = np.full(n * width, NOWHERE), np.full(n * width, NOWHERE)
+    length, driven = np.full(n * width, np.nan), np.zeros(n * width, np.int64)
+    if len(here):
+        order = np.lexsort((far, there, here))
+        here, there, far = here[order], there[order], far[order]
+        new = np.concatenate([[True], (np.diff(here) != 0) | (np.diff(there) != 0)])
+        group = np.cumsum(new) - 1
+        count = np.bincount(group)
+        mean = np.bincount(group, far) / count
+        head, tail = here[new], there[new]
+        best = np.lexsort((mean, -count, head))
+        chosen = best[np.concatenate([[True], np.diff(head[best]) != 0])]
+        at = head[chosen]
+        next_place[at], next_slot[at] = tail[chosen] // width, tail[chosen] % width
+        length[at], driven[at] = mean[chosen], count[chosen]
+    return (
+        next_place.reshape(shape),
+        next_slot.reshape(shape),
+        length.reshape(shape),
+        driven.reshape(shape),
+    )

@@ -1,0 +1,81 @@
+"""Buildings whose corridors cross at right angles (the paper's rectilinear worlds).
+
+There the branches of a single pass tell the robot's heading up to quarter turns, and the odometry
+knows which quarter: heading drift does not grow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..se2 import wrap
+from .walk import Walk
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class RectilinearSettings:
+    """When a building counts as rectilinear."""
+
+    least_share: float = 0.9
+    """Share of the angles between branches of a pass that must be near quarter turns."""
+    tolerance_rad: float = 0.26
+    least_angles: int = 20
+    own_spread_rad: float = 0.02
+    """How far a corridor's true direction strays from the grid, 1 sigma."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridHeadings:
+    """Passes whose branches tell the turn from the odometry's frame to the grid's.
+
+    row: (k,) pass; turn: (k,) [rad], continuous along the run; sigma: (k,) [rad].
+    """
+
+    row: IntArray
+    turn: FloatArray
+    sigma: FloatArray
+
+
+def grid_headings(
+    walk: Walk, settings: RectilinearSettings = RectilinearSettings()
+) -> GridHeadings | None:
+    """Headings from the building's grid; None if the building is not rectilinear."""
+    branches = walk.passes.branches
+    owner = branches.owner
+    # Angles between neighbouring branches of a pass, as distance from the next quarter turn.
+    same = owner[1:] == owner[:-1]
+    off = _from_quarter(np.diff(branches.values)[same])
+    # Noise of the sensor alone must not make a grid look crooked.
+    tolerance = max(settings.tolerance_rad, 3.0 * walk.noise.branch_rad)
+    if len(off) < settings.least_angles or tolerance > 0.5:
+        return None
+    if np.mean(np.abs(off) < tolerance) < settings.least_share:
+        return None
+    # Direction of the grid as each pass sees it: mean on the circle of quarter turns.
+    count = len(walk)
+    z = np.bincount(owner, np.cos(4 * branches.values), count) + 1j * np.bincount(
+        owner, np.sin(4 * branches.values), count
+    )
+    n = branches.counts
+    row = np.flatnonzero((n > 0) & (np.abs(z) > 0.5 * np.maximum(n, 1)))
+    if len(row) == 0:
+        return None
+    grid = np.angle(z[row]) / 4
+    # The grid seems to turn as the odometry drifts; between two passes by little.
+    turn = -(grid[0] + np.concatenate([[0.0], np.cumsum(_from_quarter(np.diff(grid)))]))
+    # A break in the odometry starts anew: which quarter is unknown then.
+    fresh = walk.chain[row] == walk.chain[0]
+    sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + settings.own_spread_rad**2)
+    return GridHeadings(row[fresh], np.asarray(wrap(turn[fresh])), sigma[fresh])
+
+
+def _from_quarter(angle: FloatArray) -> FloatArray:
+    """Distance to the nearest multiple of a quarter turn, in [-pi/4, pi/4)."""
+    out: FloatArray = (angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    return out

@@ -1,0 +1,259 @@
+"""The full closure: greedy rounds of the most certain identifications.
+
+A run is at hand as a whole, so certainty is collected first and spent later: identify what is
+sure, lay the walk out again, look again with the smaller uncertainty that this leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .evidence import (
+    EvidenceSettings,
+    align,
+    background,
+    position_odds,
+    rarity,
+)
+from .gated import Identification
+from .growth import GrowthSettings, Scene, grow
+from .layout import Layout, LayoutSettings, lay_out
+from .places import Places, tabulate
+from .rectilinear import RectilinearSettings, grid_headings
+from .walk import Walk, dead_reckoning_covariance
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class RoundSettings:
+    """When an identification is certain enough, round by round."""
+
+    thresholds: tuple[float, ...] = (9.0, 7.0, 5.5, 4.5)
+    """Log odds asked of an identification; the next one is used when no more is found."""
+    lead: float = 3.0
+    """Log odds that it must have over every rival that it excludes."""
+    gate: float = 14.0
+    """Largest squared Mahalanobis distance (2 d.o.f.)."""
+    reach_m: float = 20.0
+    """Places farther apart than this in the layout are not asked about."""
+    support_cap: float = 12.0
+    """Most that growth may add."""
+    conflict_price: float = 0.5
+    """Added to the threshold for each unit of disagreement."""
+    most_rounds: int = 40
+    strain: float = 30.0
+    """Squared error [3 d.o.f.] of a sighting from which its identification is taken back."""
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    growth: GrowthSettings = field(default_factory=GrowthSettings)
+    layout: LayoutSettings = field(default_factory=LayoutSettings)
+    grid: RectilinearSettings = field(default_factory=RectilinearSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closed:
+    """place: (p,) of each pass, numbered by first visit; layout: of these places; asked: evidence
+    for every identification made, and for those refused that had some."""
+
+    place: IntArray
+    layout: Layout
+    asked: list[Identification]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Pairs of places a < b that may be one, with what speaks for and against (log odds)."""
+
+    a: IntArray
+    b: IntArray
+    base: FloatArray
+    support: FloatArray
+    conflict: FloatArray
+
+    @property
+    def total(self) -> FloatArray:
+        """(k,) all evidence."""
+        out: FloatArray = self.base + self.support - self.conflict
+        return out
+
+
+def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
+    """Identify the passes of a walk."""
+    common = background(walk, settings.evidence)
+    grid = grid_headings(walk, settings.grid)
+    links: list[Identification] = []
+    forbidden: set[tuple[int, int]] = set()
+    place = np.arange(len(walk), dtype=np.int64)
+    layout = lay_out(walk, place, None, grid, settings.layout)
+    stage, found = 0, _no_candidates()
+    for number in range(settings.most_rounds):
+        places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
+        rare = rarity(places, common, settings.evidence)
+        scene = Scene(walk, places, layout.xy, common, rare)
+        found = _candidates(scene, place, layout, settings, exact=number > 0)
+        barred = {frozenset((int(place[i]), int(place[j]))) for i, j in forbidden}
+        new = _certain(places, found, settings.thresholds[stage], barred, settings)
+        if not new:
+            stage += 1
+            if stage == len(settings.thresholds):
+                break
+            continue
+        links += new
+        place = _partition(len(walk), links)
+        layout = lay_out(walk, place, layout.pose, grid, settings.layout)
+        bad = _strained(place, layout, links, settings)
+        if bad:
+            forbidden |= {(q.first, q.second) for q in bad}
+            links = [q for q in links if q not in bad]
+            place = _partition(len(walk), links)
+            layout = lay_out(walk, place, layout.pose, grid, settings.layout)
+    return Closed(place, layout, links + _refused(walk, place, found))
+
+
+def _no_candidates() -> Candidates:
+    none, zero = np.zeros(0, np.int64), np.zeros(0)
+    return Candidates(none, none, zero, zero, zero)
+
+
+def _partition(count: int, links: list[Identification]) -> IntArray:
+    """(p,) places by the links, numbered by first visit."""
+    i = np.array([q.first for q in links], np.int64)
+    j = np.array([q.second for q in links], np.int64)
+    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    out: IntArray = rank[inverse]
+    return out
+
+
+def _candidates(
+    scene: Scene, place: IntArray, layout: Layout, settings: RoundSettings, *, exact: bool
+) -> Candidates:
+    """All pairs of places that position and branches allow, with their evidence."""
+    walk, places, common, rare = scene.walk, scene.places, scene.common, scene.rare
+    pairs = cKDTree(layout.xy).query_pairs(settings.reach_m, output_type="ndarray")
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    a, b = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
+    i, j = _nearest_in_time(places, place, a, b)
+    same = walk.chain[i] == walk.chain[j]
+    a, b, i, j = a[same], b[same], i[same], j[same]
+    cov = dead_reckoning_covariance(walk, i, j)
+    # What dead reckoning alone excludes stays excluded: closures only make it more certain.
+    sigma2 = 2 * common.centre_sigma**2
+    shift = layout.xy[a] - layout.xy[b]
+    bound = cov[:, 0, 0] + cov[:, 1, 1] + 2 * sigma2
+    near = (shift**2).sum(axis=1) < settings.gate * bound
+    a, b, i, j, cov, shift = (x[near] for x in (a, b, i, j, cov, shift))
+    if exact:
+        cov = _exact_covariance(layout, a, b)
+    s = cov[:, :2, :2] + sigma2 * np.eye(2)
+    odds, d2 = position_odds(common, shift, s, settings.evidence)
+    fine = (d2 < settings.gate) & (odds > -6.0)
+    a, b, odds, cov = a[fine], b[fine], odds[fine], cov[fine]
+    turn_sigma = np.sqrt(np.maximum(cov[:, 2, 2], 0.0)) + 0.02
+    aligned = align(places, common, a, b, turn_sigma=turn_sigma)
+    base = odds + aligned.score - np.maximum(rare[a], rare[b])
+    support = grow(scene, a, b, aligned, settings.growth)
+    gain = np.minimum(support.gain, settings.support_cap)
+    return Candidates(a, b, base, gain, support.loss)
+
+
+def _nearest_in_time(
+    places: Places, place: IntArray, a: IntArray, b: IntArray
+) -> tuple[IntArray, IntArray]:
+    """A pass of each of two places, near in time: the later one's first, the other's one before."""
+    early, late = np.where(places.first[a] < places.first[b], [a, b], [b, a])
+    count = len(place)
+    key = np.sort(place * count + np.arange(count))
+    j = places.first[late]
+    i = key[np.searchsorted(key, early * count + j) - 1] % count
+    return i, j
+
+
+def _exact_covariance(layout: Layout, a: IntArray, b: IntArray) -> FloatArray:
+    """(k, 3, 3) of place b seen from place a, in map axes, from the solved graph."""
+    if len(a) == 0:
+        return np.zeros((0, 3, 3))
+    na, nb = layout.node[a], layout.node[b]
+    cov = layout.marginals().relative(na, nb)
+    theta = layout.solution.pose[na, 2]
+    c, s = np.cos(theta), np.sin(theta)
+    R = np.zeros((len(a), 3, 3))
+    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1.0
+    out: FloatArray = R @ cov @ R.transpose(0, 2, 1)
+    return out
+
+
+def _certain(
+    places: Places,
+    found: Candidates,
+    threshold: float,
+    barred: set[frozenset[int]],
+    settings: RoundSettings,
+) -> list[Identification]:
+    """The candidates that are sure and have no rival, best first."""
+    total = found.total
+    # Rivals of a candidate share one of its places and put it somewhere else.
+    by_place: dict[int, list[int]] = {}
+    serious = np.flatnonzero(total > threshold - settings.lead - 2.0)
+    known = {(int(found.a[k]), int(found.b[k])): float(total[k]) for k in serious}
+    for k in serious:
+        by_place.setdefault(int(found.a[k]), []).append(int(k))
+        by_place.setdefault(int(found.b[k]), []).append(int(k))
+    out = []
+    asked = threshold + settings.conflict_price * found.conflict
+    for k in serious[np.argsort(-total[serious], kind="stable")]:
+        a, b = int(found.a[k]), int(found.b[k])
+        if total[k] < asked[k] or frozenset((a, b)) in barred:
+            continue
+        rival = -np.inf
+        for mine, other in ((a, b), (b, a)):
+            for r in by_place[mine]:
+                third = int(found.a[r] + found.b[r]) - mine
+                if third == other:
+                    continue
+                pair = (min(other, third), max(other, third))
+                if known.get(pair, -np.inf) < 0.0:
+                    rival = max(rival, total[r])
+        if total[k] - rival < settings.lead:
+            continue
+        i, j = sorted((int(places.first[a]), int(places.first[b])))
+        bits = float(total[k] / np.log(2))
+        out.append(Identification(i, j, True, bits, "position, branches and corridors agree"))
+    return out
+
+
+def _strained(
+    place: IntArray, layout: Layout, links: list[Identification], settings: RoundSettings
+) -> list[Identification]:
+    """The weakest link of every place that a pass is torn away from."""
+    bad = np.unique(place[layout.sighting[layout.sighting_chi2 > settings.strain]])
+    if len(bad) == 0:
+        return []
+    weakest: dict[int, Identification] = {}
+    for q in links:
+        p = int(place[q.first])
+        if p not in weakest or q.bits < weakest[p].bits:
+            weakest[p] = q
+    return [weakest[p] for p in bad.tolist() if p in weakest]
+
+
+def _refused(walk: Walk, place: IntArray, found: Candidates) -> list[Identification]:
+    """Candidates of the last round that had something for them."""
+    first = np.full(len(walk), len(walk), np.int64)
+    np.minimum.at(first, place, np.arange(len(walk)))
+    out = []
+    for k in np.flatnonzero(found.base > 0):
+        i, j = sorted((int(first[found.a[k]]), int(first[found.b[k]])))
+        reason = "corridors disagree" if found.conflict[k] > 2 else "not sure enough"
+        out.append(Identification(i, j, False, float(found.total[k] / np.log(2)), reason))
+    return out
