@@ -30,10 +30,12 @@ from .truth import (
 from .walk import WalkSettings
 from .world import World
 from .worlds import make_world
+from .writing import FORMATS, write_run, write_scenario
 
 __all__ = [
     "DRIFTS",
     "FAULTS",
+    "FORMATS",
     "MIXED",
     "Drift",
     "Faults",
@@ -55,5 +57,7 @@ __all__ = [
     "true_vertex_of_nodes",
     "true_vertex_of_passes",
     "truth_transform",
+    "write_run",
+    "write_scenario",
     "write_truth",
 ]

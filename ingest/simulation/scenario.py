@@ -166,13 +166,14 @@ def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
     """
     s = settings or ScenarioSettings()
     world, regions = _world_with_regions(s)
-    worlds = {f"{s.prefix}-world": world}
-    plan = [(f"{s.prefix}-world", region) for region in regions]
+    stem = s.prefix.rstrip("-_")
+    worlds = {f"{stem}-world": world}
+    plan = [(f"{stem}-world", region) for region in regions]
     for k in range(s.unrelated_runs):
         alone = replace(s, runs=1, layout="chain", world_junctions=None, seed=0)
         other, parts = _world_with_regions(alone, Chance("elsewhere", s.seed, k).index(2**31))
-        worlds[f"{s.prefix}-other{k + 1}"] = other
-        plan.append((f"{s.prefix}-other{k + 1}", parts[0]))
+        worlds[f"{stem}-other{k + 1}"] = other
+        plan.append((f"{stem}-other{k + 1}", parts[0]))
     digits = len(str(len(plan)))
     simulated = []
     for number, place in enumerate(Chance("names", s.seed).order(len(plan)).tolist(), 1):
