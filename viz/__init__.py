@@ -1,1 +1,39 @@
-"""Results to rerun recordings. Imports `topology` and the result types of `merge`."""
+"""Results to rerun recordings. Imports `topology` and the result types of `merge`.
+
+rerun takes up to a second to import, so the modules that use it are imported by the functions
+below, when a recording is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..merge.result import MergeResult
+    from ..topology.odometry import Odometry
+    from ..topology.topomap import TopoMap
+
+
+def write_map_recording(path: Path, topomap: TopoMap, *, odometry: Odometry | None = None) -> None:
+    """Write the recording of one run's map, `maps/<run>.rrd`, atomically.
+
+    odometry: the run's own, as recorded; with it the recording shows what closing the loops
+    changed, and where the robot is on the map at any time. Raises OSError if the file cannot be
+    written.
+    """
+    from .map_recording import write
+
+    write(path, topomap, odometry)
+
+
+def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
+    """Write the recording of a merge, `merged.rrd`, atomically.
+
+    maps: the map of every run that the result speaks of, in any order. Raises ValueError if one
+    is missing or two share a name, OSError if the file cannot be written.
+    """
+    from .merged_recording import write
+
+    write(path, result, maps)

@@ -1,0 +1,88 @@
+"""Colours, chosen for the viewer's dark background."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Colours = NDArray[np.uint8]
+"""(n, 3) red, green, blue."""
+
+BACKGROUND = (15, 17, 21)
+CARD = (44, 49, 58)
+TITLE = (214, 219, 226)
+DIM = (112, 120, 133)
+FAINT = (74, 80, 91)
+SINGLE = (150, 157, 168)
+WHITE = (245, 247, 250)
+CORRIDOR = (98, 138, 186)
+RAW = (82, 87, 97)
+UNEXPLORED = (255, 178, 66)
+REFUSED = (235, 87, 87)
+ROBOT = (255, 255, 255)
+TRAIL = (120, 235, 190)
+
+MERGED = (72, 199, 116)
+AMBIGUOUS = (245, 166, 35)
+NOT_ACCEPTED = (188, 92, 84)
+UNRELATED = (58, 63, 74)
+DIAGONAL = (30, 33, 39)
+
+DEGREES = np.array(
+    [
+        (140, 146, 156),  # 0: nothing seen leaving
+        (240, 105, 125),  # 1: dead end
+        (150, 158, 170),  # 2: bend
+        (92, 178, 255),  # 3
+        (122, 222, 140),  # 4
+        (206, 147, 255),  # 5 and more
+    ],
+    np.uint8,
+)
+
+_RUNS = (
+    (80, 165, 250),
+    (255, 134, 66),
+    (52, 205, 140),
+    (244, 110, 186),
+    (248, 230, 90),
+    (160, 128, 255),
+    (84, 226, 232),
+    (240, 82, 92),
+    (170, 215, 70),
+    (214, 178, 140),
+)
+
+COUNTS = np.array(
+    [(84, 98, 122), (64, 158, 205), (70, 205, 145), (240, 220, 90), (250, 250, 235)], np.uint8
+)
+
+
+def by_degree(degree: NDArray[np.int64]) -> Colours:
+    """A colour for each number of branches."""
+    return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
+
+
+def by_count(count: NDArray[np.int64]) -> Colours:
+    """A colour for each number of runs: dull for one, the brighter the more."""
+    return COUNTS[np.clip(count, 1, len(COUNTS)) - 1]
+
+
+def of_runs(runs: Iterable[str]) -> dict[str, tuple[int, int, int]]:
+    """A colour for each run, by its place among the sorted names.
+
+    The first ten are picked by hand; later ones step round the hues by the golden angle.
+    """
+    return {run: _run_colour(i) for i, run in enumerate(sorted(set(runs)))}
+
+
+def _run_colour(index: int) -> tuple[int, int, int]:
+    if index < len(_RUNS):
+        return _RUNS[index]
+    step = index - len(_RUNS)
+    hue = (0.31 + 0.61803398875 * step) % 1.0
+    red, green, blue = colorsys.hsv_to_rgb(hue, 0.45 + 0.15 * (step % 3), 0.95)
+    return round(255 * red), round(255 * green), round(255 * blue)

@@ -1,0 +1,125 @@
+"""The one place that opens and closes rerun recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from ..topology.document import write_atomically
+from .palette import BACKGROUND
+
+APPLICATION_ID = "topobatch"
+
+CLOCKS = ("message_log_time", "ros2_timestamp")
+"""The timelines of a raw log that rerun reads: ours share its cursor when both are open."""
+
+JOIN = "join"
+"""The timeline of a merge: one step for each run that comes to a component."""
+
+UP = rr.Transform3D(mat3x3=[[1, 0, 0], [0, -1, 0], [0, 0, 1]])
+"""Mirrors a map so that y points up: in the viewer's 2-D space y points down."""
+
+PathParts = tuple[str, ...]
+
+
+class Recording:
+    """A recording being written: paths are given in parts, so that any run name may stand in one.
+
+    Nothing is stamped with the time of writing: the same results give the same recording.
+    """
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+
+    def static(self, path: PathParts, *parts: rr.AsComponents) -> None:
+        """Log what holds at all times."""
+        first, *more = parts
+        self._stream.log(entity(path), first, *more, static=True)
+
+    def over_time(
+        self, path: PathParts, time_ns: NDArray[np.int64], columns: Iterable[Any]
+    ) -> None:
+        """Log one row per time, on the clocks that the raw log uses."""
+        stamps = np.asarray(time_ns, np.int64).astype("datetime64[ns]")
+        self._send(path, [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS], columns)
+
+    def over_steps(
+        self, path: PathParts, timeline: str, steps: Any, columns: Iterable[Any]
+    ) -> None:
+        """Log one row per number of a sequence."""
+        self._send(path, [rr.TimeColumn(timeline, sequence=np.asarray(steps, np.int64))], columns)
+
+    def _send(self, path: PathParts, times: list[rr.TimeColumn], columns: Iterable[Any]) -> None:
+        self._stream.send_columns(entity(path), times, columns)
+
+
+def entity(path: PathParts) -> str:
+    """The entity path of the given parts, escaped. An empty name cannot stand in a path."""
+    return rr.new_entity_path([part or "(no name)" for part in path])
+
+
+def write_recording(
+    path: Path, recording_id: str, fill: Callable[[Recording], rrb.Blueprint]
+) -> None:
+    """Write a recording atomically; rerun's complaints are errors.
+
+    `fill` logs what it holds and returns how to show it: until it has, nothing is on the disk.
+    """
+
+    def save(temporary: Path) -> None:
+        stream = rr.RecordingStream(
+            APPLICATION_ID, recording_id=recording_id, send_properties=False
+        )
+        try:
+            blueprint = fill(Recording(stream))
+            stream.save(temporary, default_blueprint=blueprint)
+            stream.flush()
+        finally:
+            stream.disconnect()
+
+    with _strict():
+        write_atomically(path, save)
+
+
+@contextmanager
+def _strict() -> Iterator[None]:
+    before = rr.strict_mode()
+    rr.set_strict_mode(True)
+    try:
+        yield
+    finally:
+        rr.set_strict_mode(before)
+
+
+def placed(T_parent_child: NDArray[np.float64]) -> rr.Transform3D:
+    """A motion of the plane, for everything below an entity."""
+    x, y, theta = T_parent_child
+    turn = rr.RotationAxisAngle([0, 0, 1], radians=float(theta))
+    return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
+
+
+def markdown(text: str) -> rr.TextDocument:
+    """A page of text."""
+    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
+def map_view(
+    root: str, name: str, low: NDArray[np.float64], high: NDArray[np.float64], overrides: Any = None
+) -> rrb.Spatial2DView:
+    """A view of everything below `/root`, which is mirrored by UP; low, high: what it spans [m]."""
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=f"/{root}/**",
+        name=name,
+        background=BACKGROUND,
+        # The view's y points down, the map's up.
+        visual_bounds=rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[-high[1], -low[1]]),
+        overrides=overrides or {},
+    )

@@ -1,0 +1,111 @@
+"""Where the robot was on its map: raw odometry laid beside the map, and bent onto it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.odometry import Odometry
+from ..topology.se2 import apply, compose, fit_rigid
+from ..topology.topomap import TopoMap
+from .drawing import thinned
+
+MOST_POINTS = 20_000
+"""A drawn track has no more points than about this, however long the log is."""
+
+FINEST_M = 0.05
+
+SHORT_CHORD_M = 0.5
+"""Two passes closer than this say nothing about the direction between them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotTrack:
+    """A run's track in the frame of its map, thinned for drawing.
+
+    raw: (n, 3) odometry moved rigidly to where it fits the map's vertices best; bent: (n, 3) the
+    same rows, with every pass on its vertex; time_ns: (n,); starts: rows at which a new stretch
+    begins because the odometry was broken there (never 0).
+    drift_m: (k,) how far the raw track is from the map's vertex at each observation of the map.
+    """
+
+    time_ns: NDArray[np.int64]
+    raw: NDArray[np.float64]
+    bent: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    drift_m: NDArray[np.float64]
+
+    @property
+    def stretches(self) -> list[NDArray[np.float64]]:
+        """The raw track as polylines of two points or more."""
+        parts = np.split(self.raw[:, :2], self.starts)
+        return [part for part in parts if len(part) > 1]
+
+
+def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
+    """The track of a run on its map; None without odometry or observations to place it by.
+
+    O(n log k) for n poses and k observations.
+    """
+    if len(odometry) == 0 or len(topomap.observation_vertex) == 0:
+        return None
+    time_ns, first = np.unique(topomap.observation_time_ns, return_index=True)
+    seen_at = topomap.xy[topomap.observation_vertex[first]]
+    passed = odometry.at(time_ns)
+    T_map_odom = fit_rigid(seen_at, passed[:, :2])
+    drift = apply(T_map_odom, odometry.at(topomap.observation_time_ns)[:, :2])
+    drift -= topomap.xy[topomap.observation_vertex]
+
+    rows = _thinned(odometry)
+    raw = compose(T_map_odom, odometry.pose[rows])
+    bent = _bent(odometry.time_ns[rows], raw, time_ns, compose(T_map_odom, passed), seen_at)
+    starts = np.searchsorted(rows, odometry.breaks)
+    return RobotTrack(odometry.time_ns[rows], raw, bent, starts, np.hypot(drift[:, 0], drift[:, 1]))
+
+
+def _thinned(odometry: Odometry) -> NDArray[np.int64]:
+    """Rows to draw: equal steps of way, and both sides of every break."""
+    spacing = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
+    edges = np.concatenate([[0], odometry.breaks, [len(odometry)]])
+    stretches = [a + thinned(odometry.pose[a:b, :2], spacing) for a, b in pairwise(edges.tolist())]
+    return np.concatenate(stretches)
+
+
+def _bent(
+    time_ns: NDArray[np.int64],
+    raw: NDArray[np.float64],
+    pass_ns: NDArray[np.int64],
+    passed: NDArray[np.float64],
+    seen_at: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Each stretch between two passes turned by the angle between its chords, then sheared so
+    that both ends meet their vertices. Vectorised over all poses: every pose looks up the pass
+    before and after it.
+    """
+    turn = _chord_turns(passed[:, :2], seen_at)
+    after = np.clip(np.searchsorted(pass_ns, time_ns, side="right"), 1, max(len(pass_ns) - 1, 1))
+    before = after - 1
+    if len(pass_ns) == 1:
+        after = before
+    T_turn = np.stack([np.zeros(len(turn)), np.zeros(len(turn)), turn], axis=-1)[before]
+    span = (pass_ns[after] - pass_ns[before]).astype(np.float64)
+    along = (time_ns - pass_ns[before]).astype(np.float64)
+    share = np.clip(np.divide(along, span, out=np.zeros(len(along)), where=span > 0), 0.0, 1.0)
+    start, end = passed[before, :2], passed[after, :2]
+    rest = seen_at[after] - seen_at[before] - apply(T_turn, end - start)
+    xy = seen_at[before] + apply(T_turn, raw[:, :2] - start) + share[:, None] * rest
+    return np.column_stack([xy, raw[:, 2] + turn[before]])
+
+
+def _chord_turns(passed: NDArray[np.float64], seen_at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(k,) turn from the raw chord to the map's chord after each pass [rad]; the last known one
+    where either chord is short."""
+    raw, own = np.diff(passed, axis=0), np.diff(seen_at, axis=0)
+    long = np.minimum(np.hypot(*raw.T), np.hypot(*own.T)) >= SHORT_CHORD_M
+    turn = np.angle((own[:, 0] + 1j * own[:, 1]) * (raw[:, 0] - 1j * raw[:, 1]))
+    latest = np.maximum.accumulate(np.where(long, np.arange(len(long)), -1))
+    filled = np.where(latest >= 0, turn[np.maximum(latest, 0)], 0.0)
+    return np.concatenate([filled, filled[-1:] if len(filled) else [0.0]])

@@ -1,0 +1,125 @@
+"""Many maps on one sheet: each turned to stand straight, none over another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.se2 import apply, rotation
+
+ASPECT = 1.5
+"""Width over height that a sheet aims at: that of a view in the viewer."""
+
+MIN_SIDE_M = 4.0
+"""No cell is narrower: a map of one vertex has no extent of its own."""
+
+WIDTHS_TRIED = 24
+
+STRAIGHT = 0.35
+"""Corridors count as rectilinear when their directions agree this well, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cell:
+    """A map's place on a sheet.
+
+    T_sheet_map: (3,) its frame; low, high: (2,) corners of the cell [m], margin included.
+    """
+
+    T_sheet_map: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+def upright_rad(polylines: Sequence[NDArray[np.float64]]) -> float:
+    """The turn that makes a map stand straight: corridors along the axes, wider than high.
+
+    Where the corridors have no common direction (mod 90°), the longest extent becomes the width.
+    """
+    parts = [np.diff(p, axis=0) for p in polylines]
+    steps = np.concatenate([*parts, np.zeros((0, 2))])
+    length = np.hypot(*steps.T)
+    if not length.sum() > 0:
+        return 0.0
+    # Angles mod 90° are averaged as unit vectors at four times the angle.
+    mean = (length * np.exp(4j * np.arctan2(steps[:, 1], steps[:, 0]))).sum() / length.sum()
+    points = np.concatenate(polylines)
+    if abs(mean) >= STRAIGHT:
+        turn = -float(np.angle(mean)) / 4
+    else:
+        _, vectors = np.linalg.eigh(np.cov((points - points.mean(axis=0)).T))
+        x, y = vectors[:, -1] * (1 if vectors[0, -1] >= 0 else -1)
+        turn = -float(np.arctan2(y, x))
+    width, height = np.ptp(points @ rotation(turn).T, axis=0)
+    return turn if width >= height else turn + np.pi / 2
+
+
+def arrange(
+    point_sets: Sequence[NDArray[np.float64]],
+    turns_rad: Sequence[float],
+    margin_m: float,
+    legends_m: Sequence[float] | None = None,
+    aspect: float = ASPECT,
+) -> list[Cell]:
+    """A cell for each map, given its points (n, 2) and its turn; the order of reading is kept.
+
+    legends_m: room to leave at the right of each map. Cells fill rows from the left to the right,
+    the top row first (y points up); rows are as long as lets a sheet of the aspect, width
+    over height, show them largest. O(points).
+    """
+    lows, sizes = [], []
+    legends = [0.0] * len(point_sets) if legends_m is None else legends_m
+    for points, turn, legend in zip(point_sets, turns_rad, legends, strict=True):
+        turned = apply(np.array([0.0, 0.0, turn]), points) if len(points) else np.zeros((1, 2))
+        low, high = turned.min(axis=0), turned.max(axis=0)
+        spare = np.maximum(MIN_SIDE_M - (high - low), 0.0) / 2
+        lows.append(low - spare)
+        sizes.append(high - low + 2 * spare + 2 * margin_m + np.array([legend, 0.0]))
+    cells = []
+    for corner, low, size, turn in zip(
+        _shelves(sizes, aspect), lows, sizes, turns_rad, strict=True
+    ):
+        shift = corner + margin_m - low
+        cells.append(Cell(np.array([*shift, turn]), corner, corner + size))
+    return cells
+
+
+def _shelves(sizes: Sequence[NDArray[np.float64]], aspect: float) -> list[NDArray[np.float64]]:
+    """The low corner of every box, laid in rows; a row's boxes hang from its top.
+
+    Of several widths for the rows, the one that lets the whole be drawn largest is taken.
+    """
+    if not sizes:
+        return []
+    widest = max(float(w) for w, _ in sizes)
+    widths = np.linspace(widest, max(widest, sum(float(w) for w, _ in sizes)), WIDTHS_TRIED)
+    if len(sizes) > WIDTHS_TRIED:
+        area = sum(float(w * h) for w, h in sizes)
+        widths = np.maximum(widest, np.sqrt(area * aspect) * np.linspace(0.9, 1.4, WIDTHS_TRIED))
+    laid = [_rows(sizes, float(width)) for width in widths]
+    best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / aspect, laid[i][2]), i))
+    return laid[best][0]
+
+
+def _rows(
+    sizes: Sequence[NDArray[np.float64]], width: float
+) -> tuple[list[NDArray[np.float64]], float, float]:
+    """Low corners of the boxes in rows of at most the given width, and the sheet's size."""
+    corners = []
+    x = top = row = used = 0.0
+    for w, h in sizes:
+        if x > 0 and x + w > width * (1 + 1e-9):
+            x, top, row = 0.0, top - row, 0.0
+        corners.append(np.array([x, top - h]))
+        x, row = x + w, max(row, h)
+        used = max(used, x)
+    return corners, used, row - top
+
+
+def sheet_margin_m(point_sets: Sequence[NDArray[np.float64]]) -> float:
+    """The margin of the cells [m]: a share of the extent of the largest map."""
+    extents = [float(np.ptp(points, axis=0).max()) for points in point_sets if len(points)]
+    return 0.08 * max([*extents, 2 * MIN_SIDE_M])

@@ -1,0 +1,184 @@
+"""What a merge says of every pair of runs: as a matrix, and in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..merge.result import Alignment, MergeResult, PairVerdict, Verdict
+from .map_summary import bulleted, plain, several
+from .steps import Step
+
+DIAGONAL, UNRELATED, AMBIGUOUS, NOT_ACCEPTED, MERGED = range(5)
+"""Classes of the verdict matrix. NOT_ACCEPTED: the pair fits, but a later check kept it out."""
+
+MOST_PAIRS = 60
+"""Pairs told in full in the recording; `merged.json` has them all."""
+
+STORY_BEFORE, STORY_AFTER = 8, 12
+"""Steps that a page of the story shows around its own."""
+
+_CLASSES = {Verdict.UNRELATED: UNRELATED, Verdict.AMBIGUOUS: AMBIGUOUS}
+
+
+def runs_in_order(result: MergeResult) -> list[str]:
+    """All runs: those of one component together, large components first."""
+    components = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    return [run for component in components for run in sorted(component.poses)]
+
+
+def verdict_class(pair: PairVerdict) -> int:
+    """The class of a pair in the matrix."""
+    return _CLASSES.get(pair.verdict, MERGED if pair.accepted else NOT_ACCEPTED)
+
+
+def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8]:
+    """(n, n) classes of all pairs, symmetric, rows and columns in the given order."""
+    row = {run: i for i, run in enumerate(runs)}
+    matrix = np.full((len(runs), len(runs)), UNRELATED, np.uint8)
+    np.fill_diagonal(matrix, DIAGONAL)
+    for pair in result.verdicts:
+        if pair.a in row and pair.b in row:
+            i, j = row[pair.a], row[pair.b]
+            matrix[i, j] = matrix[j, i] = verdict_class(pair)
+    return matrix
+
+
+def merge_summary(result: MergeResult) -> str:
+    """A page of markdown: counts, components, how to read the picture, warnings."""
+    count = Counter(verdict_class(pair) for pair in result.verdicts)
+    fused = result.fused
+    shared = sum(len(members) > 1 for members in fused.members)
+    runs = sum(len(c.poses) for c in result.components)
+    kept_out = f", **{count[NOT_ACCEPTED]}** kept out" if count[NOT_ACCEPTED] else ""
+    rows = [
+        f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
+        f"{several(len(fused), 'junction')}, {shared} of them seen by several runs",
+        f"{several(len(fused.source), 'corridor')}, {float(fused.length.sum()):.0f} m in all",
+        f"pairs of runs: **{count[MERGED]}** merged, **{count[AMBIGUOUS]}** ambiguous, "
+        f"**{count[UNRELATED]}** unrelated{kept_out}",
+    ]
+    parts = ["# Merged map", bulleted(rows), _components(result), _LEGEND, _notes(result)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+_LEGEND = """## How to read it
+
+**Map**: every corridor is a ribbon with one strand for each run that drove it; junctions seen by \
+several runs are white, others grey. **Agreement**: the brighter, the more runs. **Runs**: each \
+run's own map, laid into its component. **Step by step**: move the *join* time line to see the \
+runs come together, strongest evidence first. **Undecided**, where there are any: both \
+placements of every pair that the evidence does not decide.
+
+Click anything for what is known about it; the eye symbols in the panel on the left show and \
+hide runs."""
+
+
+def _components(result: MergeResult) -> str:
+    size = Counter(result.fused.component.tolist())
+    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    lines = [
+        f"component {c.id}: {size[c.id]} junctions from "
+        + (
+            f"{len(c.poses)} runs ({_listed(sorted(c.poses))})"
+            if len(c.poses) > 1
+            else plain(*c.poses)
+        )
+        for c in order
+    ]
+    return "## Components\n\n" + bulleted(lines) if lines else "There are no runs to merge."
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    shown = ", ".join(plain(name) for name in names[:most])
+    return shown if len(names) <= most else f"{shown}, … {len(names) - most} more"
+
+
+def _notes(result: MergeResult) -> str:
+    warnings = result.info.get("warnings") or ()
+    return "## Warnings\n\n" + bulleted(plain(w) for w in warnings) if warnings else ""
+
+
+def pairs_told(result: MergeResult) -> str:
+    """Markdown with every pair's verdict, reason and evidence; the strongest of each kind first."""
+    parts = ["# Pairs of runs"]
+    for kind, title in (
+        (AMBIGUOUS, "Ambiguous"),
+        (NOT_ACCEPTED, "Fitting, but kept out"),
+        (MERGED, "Merged"),
+        (UNRELATED, "Unrelated"),
+    ):
+        pairs = strongest(p for p in result.verdicts if verdict_class(p) == kind)
+        if pairs:
+            parts.append(f"## {title} ({len(pairs)})")
+            told = _in_short if kind == UNRELATED else _in_full
+            parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
+            if len(pairs) > MOST_PAIRS:
+                parts.append(f"… and {len(pairs) - MOST_PAIRS} more, in `merged.json`")
+    if len(parts) == 1:
+        parts.append("There is no pair: fewer than two runs.")
+    return "\n\n".join(parts) + "\n"
+
+
+def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
+    """Pairs in descending order of evidence, then by name."""
+    return sorted(pairs, key=lambda p: (-p.evidence_bits, p.a, p.b))
+
+
+def _in_short(pair: PairVerdict) -> str:
+    return (
+        f"- {plain(pair.a)} - {plain(pair.b)} ({pair.evidence_bits:+.1f} bits): "
+        f"{plain(pair.reason)}"
+    )
+
+
+def _in_full(pair: PairVerdict) -> str:
+    lines = [f"**{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
+    for name, alignment in (("best", pair.best), ("runner-up", pair.runner_up)):
+        if alignment is not None:
+            lines.append(f"{name}: {_placement(alignment)}")
+    if pair.advice:
+        lines.append(f"to settle it: {plain(pair.advice)}")
+    if pair.locked:
+        lines.append(f"decided by a person: {plain(pair.locked)}")
+    head, *rest = lines
+    return "\n".join([f"- {head}", *(f"  - {line}" for line in rest)])
+
+
+def _placement(a: Alignment) -> str:
+    x, y, theta = a.transform
+    told = (
+        f"{a.evidence_bits:.1f} bits, {len(a.matched)} junctions and {a.corridors} corridors "
+        f"matched, {a.rmse_m:.2f} m apart on average, at ({x:.2f}, {y:.2f}) m, "
+        f"{np.degrees(theta):.1f}°"
+    )
+    against = "; ".join(plain(c) for c in a.contradictions[:3])
+    return f"{told}; against it: {against}" if against else told
+
+
+def joining_told(steps: Sequence[Step]) -> list[str]:
+    """A page of markdown for every step, that of step 0 first: what happens there, and around it.
+
+    A page shows STORY_BEFORE steps before its own and STORY_AFTER after it.
+    """
+    lines = [
+        f"**{plain(' and '.join(step.runs))}** "
+        f"{'join' if len(step.runs) > 1 else 'joins'} component {step.component}"
+        for step in steps
+    ]
+    reasons = [
+        f"{plain(s.pair.a)} - {plain(s.pair.b)}, {s.pair.evidence_bits:.1f} bits: "
+        f"{plain(s.pair.reason)}"
+        for s in steps
+    ]
+    pages = []
+    for now in range(len(steps) + 1):
+        head = f"# Step {now} of {len(steps)}\n\n"
+        head += f"{lines[now - 1]}\n\n{reasons[now - 1]}" if now else "Every run is by itself."
+        shown = range(max(0, now - 1 - STORY_BEFORE), min(len(steps), now + STORY_AFTER))
+        rest = [f"- {'→ ' if i + 1 == now else ''}{i + 1}: {lines[i]}" for i in shown]
+        pages.append(head + "\n\n## Before and after\n\n" + "\n".join(rest) + "\n")
+    return pages
