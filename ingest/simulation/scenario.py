@@ -251,7 +251,7 @@ def simulate_run(
     truth = RunTruth(
         name=name,
         world=world_name or world.name,
-        T_world_odom=compose(wrapped[0], inverse(track.pose[0])),
+        T_world_odom=np.round(compose(wrapped[0], inverse(track.pose[0])), 6),
         start_ns=stamps(seen.start_s),
         end_ns=stamps(seen.end_s),
         vertex=seen.vertex,

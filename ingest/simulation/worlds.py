@@ -97,7 +97,7 @@ def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     rooms = 7
     plan = chance.happens(0.85, 4 * rooms).reshape(2, 2, rooms)
     plan[..., rooms // 2] = False  # where the two corridors are joined
-    wings = max(2, round(junctions / (2 + 2 * rooms + plan.sum())))
+    wings = max(1, round(junctions / (2 + 2 * rooms + plan.sum())))
     xy: list[tuple[float, float]] = []
     links: list[tuple[int, int]] = []
 
@@ -146,21 +146,21 @@ def _add_wing(
 
     The wing opposite is this one turned by half a circle, so its corridors change places.
     """
-    spacing, room = 4.2, 3.0
+    room = 3.0
+    along = side * np.cumsum(4.2 * (1 + chance.normal(0.02, doors.shape[2] + 1)))
     joins: list[list[int]] = []
     for corridor in (0, 1):
         foot = corridor if side > 0 else 1 - corridor
-        x, y, here = float(x_main[foot]), 0.0, feet[foot]
+        x, here = float(x_main[foot]), feet[foot]
         joins.append([])
-        for number in range(doors.shape[2]):
-            y += side * spacing * (1 + chance.one_normal(0.02))
+        for number, y in enumerate(along[:-1].tolist()):
             here = vertex(x, y, here)
             if number == doors.shape[2] // 2:
                 joins[-1].append(here)
             for wall, direction in enumerate((-side, side)):
                 if doors[corridor, wall, number]:
                     vertex(x + direction * room * (1 + chance.one_normal(0.02)), y, here)
-        joins[-1].append(vertex(x, y + side * spacing * (1 + chance.one_normal(0.02)), here))
+        joins[-1].append(vertex(x, float(along[-1]), here))
     links.extend(zip(*joins, strict=True))
 
 
