@@ -78,7 +78,9 @@ def ingest(
     strict: Strict = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn logs into topological maps: maps/RUN.json and maps/RUN.rrd in the workspace.
+    """Turn logs into topological maps, one per run.
+
+    Writes maps/RUN.json and maps/RUN.rrd in the workspace.
 
     Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
     Finished runs are skipped unless their log or the settings changed. One bad log does not stop

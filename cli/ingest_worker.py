@@ -20,7 +20,7 @@ from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_run
 from ..topology.document import map_to_document, write_json
 from ..topology.errors import DocumentError, TopobatchError
 from ..topology.topomap import TopoMap
-from ..viz.recording import write_map_recording
+from ..viz import write_map_recording
 from .output import count
 
 POLL_S = 0.1
@@ -62,7 +62,7 @@ def job_size(job: IngestJob) -> int:
 def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     """Read a log, build its map, write both files; whatever goes wrong becomes the outcome.
 
-    `on_bytes` is told how far into this log the reader has come.
+    `on_bytes` is told how many more bytes have been read.
     """
     try:
         return _ingest_one(job, on_bytes)
@@ -161,18 +161,12 @@ def _start_worker(counter: Any) -> None:
 
 def _counted(job: IngestJob) -> IngestOutcome:
     """`ingest_one` in a worker process, adding what it reads to the shared counter."""
-    reached = 0
 
-    def on_bytes(position: int) -> None:
-        nonlocal reached
-        if position > reached:
-            with _bytes_done.get_lock():
-                _bytes_done.value += position - reached
-            reached = position
+    def on_bytes(more: int) -> None:
+        with _bytes_done.get_lock():
+            _bytes_done.value += more
 
-    outcome = ingest_one(job, on_bytes)
-    on_bytes(job_size(job))
-    return outcome
+    return ingest_one(job, on_bytes)
 
 
 def outcomes_of(
@@ -181,11 +175,13 @@ def outcomes_of(
     """Outcomes as they come; `advance` is told the bytes read so far, over all logs."""
     if workers == 1:
         done = 0
-        for job in jobs:
-            start = done
-            yield ingest_one(job, lambda position, start=start: advance(start + position))  # type: ignore[misc]
-            done += job_size(job)
+
+        def on_bytes(more: int) -> None:
+            nonlocal done
+            done += more
             advance(done)
+
+        yield from (ingest_one(job, on_bytes) for job in jobs)
         return
     context = _context()
     counter = context.Value("q", 0)

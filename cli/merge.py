@@ -33,7 +33,7 @@ def merge(
             help="robust: tolerant matching, evidence in bits, three verdicts; "
             "paper: Huang & Beevers as published, for comparison."
         ),
-    ] = "robust",
+    ] = "paper",
     false_merge_rate: Annotated[
         float,
         typer.Option(
@@ -45,11 +45,11 @@ def merge(
     ] = 1,
     quiet: QuietOption = False,
 ) -> None:
-    """Merge maps: merged.json and merged.rrd in the workspace.
+    """Merge the maps of many runs, where they overlap.
 
-    Every pair of runs gets a verdict: merged (the same place, and the evidence says so),
-    ambiguous (an alignment fits, but another fits nearly as well) or unrelated. Only merged pairs
-    join. The order of the runs does not matter.
+    Writes merged.json and merged.rrd in the workspace. Every pair of runs gets a verdict: merged
+    (the same place, and the evidence says so), ambiguous (an alignment fits, but another fits
+    nearly as well) or unrelated. Only merged pairs join. The order of the runs does not matter.
     """
     place, screen = Workspace(workspace), Screen(quiet)
     with place.held(screen.warn):
@@ -91,13 +91,9 @@ def _merged(
     false_merge_rate: float,
     jobs: int,
 ) -> MergeResult:
-    from ..merge.locks import read_locks
     from ..merge.merging import MergeSettings, merge_maps
-    from ..merge.robust import RobustSettings
 
-    settings = MergeSettings(
-        method=method, robust=RobustSettings(false_merge_rate=false_merge_rate)
-    )
+    settings = MergeSettings(method=method)
     pairs = len(maps) * (len(maps) - 1) // 2
     with (
         _executor(jobs, pairs) as executor,
@@ -106,7 +102,6 @@ def _merged(
         return merge_maps(
             maps,
             settings,
-            locks=read_locks(place.locks_json),
             on_pair=lambda done, _: advance(done),
             executor=executor,
         )
@@ -123,7 +118,7 @@ def _executor(jobs: int, pairs: int) -> Any:
 
 def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
     from ..merge.document import write_merged
-    from ..viz.recording import write_merged_recording
+    from ..viz import write_merged_recording
 
     write_merged(place.merged_json, result)
     write_merged_recording(place.merged_rrd, result, maps)

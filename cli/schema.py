@@ -18,7 +18,10 @@ class Document(StrEnum):
 def schema(
     document: Annotated[Document, typer.Argument(help="Which document: map or merged.")],
 ) -> None:
-    """Print the JSON Schema of maps/RUN.json (map) or merged.json (merged)."""
+    """Print the JSON Schema of a document.
+
+    map: maps/RUN.json; merged: merged.json.
+    """
     import json
 
     from ..merge.document import MergedDocument

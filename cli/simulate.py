@@ -1,1 +1,75 @@
 """`topobatch simulate`: logs of made-up robots, with the truth beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ..topology.errors import UsageError
+from .options import QuietOption
+from .output import Screen, count
+
+
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder to write; must be new or empty.")],
+    world: Annotated[
+        Literal["maze", "office", "organic"],
+        typer.Option(help="Rectilinear maze, repetitive office floor, or organic streets."),
+    ] = "maze",
+    runs: Annotated[int, typer.Option(help="Runs in the one world.")] = 3,
+    unrelated: Annotated[int, typer.Option(help="Further runs, each in a world of its own.")] = 0,
+    overlap: Annotated[
+        float, typer.Option(help="Share of its junctions that a run has in common with the last.")
+    ] = 0.4,
+    junctions: Annotated[int, typer.Option(help="Junctions that a run visits, about.")] = 50,
+    drift: Annotated[
+        Literal["none", "low", "mid", "high", "real"], typer.Option(help="Odometry's error.")
+    ] = "mid",
+    faults: Annotated[
+        Literal["none", "mild", "harsh"],
+        typer.Option(help="How often junctions are missed, invented, or wrong about a branch."),
+    ] = "mild",
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format", help="mcap, bag, db3 or ros2-mcap; several are dealt out to the runs."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="The same seed writes the same bytes.")] = 0,
+    force: Annotated[bool, typer.Option("--force", help="Write into a folder in use.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write logs of simulated robots, to try things out on.
+
+    With the truth beside them, in truth.json. The robots explore parts of one world that overlap,
+    with odometry that drifts and a junction detector that errs.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
+        raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
+    from ..ingest.simulation import ScenarioSettings, simulate_scenario
+    from ..ingest.simulation.writing import write_scenario
+
+    screen = Screen(quiet)
+    settings = ScenarioSettings(
+        world=world,
+        runs=runs,
+        unrelated_runs=unrelated,
+        overlap=overlap,
+        junctions_per_run=junctions,
+        drift=drift,
+        faults=faults,
+        seed=seed,
+    )
+    scenario = simulate_scenario(settings)
+    with screen.progress("writing", runs + unrelated, "logs") as advance:
+        written = 0
+
+        def on_log(_: Path) -> None:
+            nonlocal written
+            written += 1
+            advance(written)
+
+        logs = write_scenario(scenario, out, formats or ["mcap"], on_log)
+    screen.line(f"{count(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}")

@@ -19,7 +19,7 @@ def view(
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
-    """Open the merged map, or the map of one run, in the rerun viewer."""
+    """Open the merged map, or a run's, in the rerun viewer."""
     place = Workspace(workspace)
     recording = place.merged_rrd if run is None else place.map_rrd(run)
     if not recording.exists():

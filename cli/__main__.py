@@ -1,0 +1,5 @@
+"""`python -m topobatch.cli`, the same as `topobatch`."""
+
+from .main import main
+
+main()

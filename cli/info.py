@@ -1,0 +1,67 @@
+"""`topobatch info`: what a log holds and what ingest would use of it."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .ingest import JunctionFields, JunctionTopic, OdometryTopic
+from .output import count, table
+
+if TYPE_CHECKING:
+    from ..ingest.reading import LogInfo
+
+
+def info(
+    log: Annotated[Path, typer.Argument(help="An MCAP file, a ROS 1 bag or a ROS 2 bag folder.")],
+    odometry_topic: OdometryTopic = None,
+    junction_topic: JunctionTopic = None,
+    junction_fields: JunctionFields = None,
+) -> None:
+    """Show what a log holds and what ingest would use.
+
+    Its topics, their types and counts, how long it is, which topics would be used and why.
+    """
+    from ..ingest.reading import ReadSettings, inspect_log
+
+    found = inspect_log(
+        log,
+        ReadSettings(
+            odometry_topic=odometry_topic,
+            junction_topic=junction_topic,
+            junction_fields=junction_fields,
+        ),
+    )
+    for line in described(found):
+        typer.echo(line)
+
+
+def described(found: LogInfo) -> list[str]:
+    """The lines that describe a log."""
+    start = "no messages"
+    if found.start_ns:
+        seconds = found.start_ns // 1_000_000_000
+        start = f"{found.duration_s:,.1f} s from {_utc(seconds)}"
+    head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB, {start}"
+    rows = [
+        (topic.topic, topic.type_name, f"{topic.messages:,}", _use(topic.use, topic.why))
+        for topic in found.topics
+    ]
+    lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
+    if not rows:
+        lines = [head, f"  {count(0, 'topic')}"]
+    return lines + [f"problem: {problem}" for problem in found.problems]
+
+
+def _use(use: str, why: str) -> str:
+    return f"{use}: {why}" if use and why else use or why
+
+
+def _utc(seconds: int) -> str:
+    try:
+        return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except (OverflowError, ValueError, OSError):
+        return f"second {seconds}"  # a clock far outside of any calendar

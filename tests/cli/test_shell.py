@@ -1,0 +1,75 @@
+"""The command as a program: exit codes, messages, what goes to which stream."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from topobatch.merge.document import MergedDocument
+from topobatch.topology.document import MapDocument
+
+
+def run(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """`topobatch …` in a process of its own, without a display."""
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "TOPOBATCH_WORKSPACE")
+    env = {k: v for k, v in os.environ.items() if k not in hidden} | environment
+    command = [sys.executable, "-m", "topobatch.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=env)
+
+
+def one_line_error(done: subprocess.CompletedProcess[str], code: int) -> str:
+    assert done.returncode == code, done
+    assert "Traceback" not in done.stderr
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+def test_help_and_version():
+    assert run("--version").stdout.startswith("topobatch 0.")
+    shown = run("--help")
+    assert shown.returncode == 0
+    for command in ("ingest", "merge", "view", "info", "explain", "lock", "simulate", "schema"):
+        assert f"  {command} " in shown.stdout
+        help_text = run(command, "--help")
+        assert help_text.returncode == 0
+        assert "Usage: topobatch" in help_text.stdout
+
+
+@pytest.mark.parametrize(("name", "model"), [("map", MapDocument), ("merged", MergedDocument)])
+def test_schema_is_published(name, model):
+    assert json.loads(run("schema", name).stdout) == model.model_json_schema(by_alias=True)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["ingest"], ["merge", "--method", "guess"], ["schema", "x"], ["nonsense"]]
+)
+def test_wrong_calls_exit_with_2(arguments, tmp_path):
+    done = run(*arguments, TOPOBATCH_WORKSPACE=str(tmp_path))
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+
+
+def test_merge_of_an_empty_workspace(tmp_path):
+    error = one_line_error(run("merge", "--all", "-w", tmp_path / "none"), 1)
+    assert "topobatch ingest" in error
+    assert str(tmp_path) in error
+
+
+def test_view_without_a_recording(tmp_path):
+    assert "merge --all" in one_line_error(run("view", "-w", tmp_path), 1)
+    assert "runs with a map: none" in one_line_error(run("view", "r1", "-w", tmp_path), 1)
+
+
+def test_view_without_a_display_says_how(tmp_path):
+    (tmp_path / "merged.rrd").write_bytes(b"")
+    done = run("view", "-w", tmp_path)
+    assert done.returncode == 0
+    assert "no display" in done.stdout
+    assert "rerun" in done.stdout
