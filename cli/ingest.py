@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from ..ingest.reading import ReadSettings
     from .ingest_worker import IngestJob, IngestOutcome
 
+# A process takes about as long to start as reading this takes.
+WORTH_A_PROCESS_BYTES = 32_000_000
+WORTH_A_PROCESS_LOGS = 8
+
 OdometryTopic = Annotated[
     str | None,
     typer.Option(
@@ -99,7 +103,7 @@ def ingest(
     place, screen = Workspace(workspace), Screen(quiet)
     planned = _plan(logs, name, place, read, MappingSettings(closure=closure), force)
     with place.held(screen.warn):
-        outcomes = _run_all(planned, _workers(jobs, len(planned)), screen)
+        outcomes = _run_all(planned, jobs, screen)
     _summarise(outcomes, place, screen)
     if any(outcome.status == "failed" for outcome in outcomes):
         raise typer.Exit(1)
@@ -150,12 +154,14 @@ def _plan(
     return planned
 
 
-def _workers(jobs: int, logs: int) -> int:
-    return max(1, min(jobs or os.cpu_count() or 1, logs))
+def _workers(asked: int, logs: int, total_bytes: int) -> int:
+    """How many processes: as asked, or one per core as far as there is work enough for them."""
+    enough = asked or max(total_bytes // WORTH_A_PROCESS_BYTES, logs // WORTH_A_PROCESS_LOGS)
+    return max(1, min(asked or os.cpu_count() or 1, enough, logs))
 
 
 def _run_all(
-    planned: list[IngestJob | IngestOutcome], workers: int, screen: Screen
+    planned: list[IngestJob | IngestOutcome], asked: int, screen: Screen
 ) -> list[IngestOutcome]:
     """Do every job, in this process or in several; a line per finished log."""
     from .ingest_worker import IngestJob, IngestOutcome, job_size, outcomes_of
@@ -166,7 +172,7 @@ def _run_all(
         _show(outcome, screen)
     total = sum(job_size(job) for job in jobs)
     with screen.progress("reading", total, "bytes") as advance:
-        for outcome in outcomes_of(jobs, workers, advance):
+        for outcome in outcomes_of(jobs, _workers(asked, len(jobs), total), advance):
             outcomes.append(outcome)
             _show(outcome, screen)
     return outcomes
