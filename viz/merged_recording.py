@@ -52,7 +52,7 @@ def write(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
             cells = write_steps(recording, steps, parts, by_name, colours)
             views.append(_view(STEPS, "Step by step", cells))
         pairs = undecided(result)
-        if len(runs) > 1:
+        if pairs:
             cells = write_undecided(recording, pairs, by_name, colours)
             views.append(_view(UNDECIDED, "Undecided", cells))
         write_matrix(recording, result, runs)

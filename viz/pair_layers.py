@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 import rerun as rr
@@ -233,14 +234,17 @@ def _waiting_room(parts: list[Part], maps: list[TopoMap]) -> list[Cell]:
     turns = [upright_rad(m.paths) for m in maps]
     low, high = _corners([part.cell for part in parts])
     choices = []
-    for beside, aspect in ((True, ASPECT / 3), (False, ASPECT * 3)):
+    for beside, share in product((True, False), (0.25, 0.4, 0.6, 0.9)):
+        aspect = ASPECT * share if beside else ASPECT / share
         cells = arrange(points, turns, sheet_margin_m(points), aspect=aspect)
         its_low, its_high = _corners(cells)
         target = np.array([high[0], high[1]]) if beside else np.array([low[0], low[1]])
         shift = target - np.array([its_low[0], its_high[1]])
         width, height = np.maximum(high, its_high + shift) - np.minimum(low, its_low + shift)
-        choices.append((max(width / ASPECT, height), beside, [_moved(c, shift) for c in cells]))
-    return min(choices, key=lambda choice: choice[:2])[2]
+        choices.append(
+            (max(width / ASPECT, height), beside, share, [_moved(c, shift) for c in cells])
+        )
+    return min(choices, key=lambda choice: choice[:3])[3]
 
 
 def _corners(cells: list[Cell]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

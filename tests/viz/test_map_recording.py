@@ -1,0 +1,121 @@
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.topomap import TopoMap
+from topobatch.viz import write_map_recording
+
+from .readback import Readback
+
+Make = Callable[..., TopoMap]
+Drive = Callable[[TopoMap], Odometry]
+
+
+def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: Drive) -> None:
+    topomap = make_map("run1", (2.0, 1.0, 0.5))
+    path = tmp_path / "maps" / "run1.rrd"
+    write_map_recording(path, topomap, odometry=drive(topomap))
+    got = Readback(path)
+    assert got.identity == ("topobatch", "run1")
+    assert got.blueprints == 1
+    assert {
+        "/map",
+        "/map/corridors",
+        "/map/junctions",
+        "/map/branches\\ driven",
+        "/map/branches\\ never\\ driven",
+        "/map/loops\\ refused",
+        "/map/raw\\ odometry",
+        "/map/robot",
+        "/map/trail",
+        "/map/last\\ junction",
+        "/events",
+        "/drift",
+        "/summary",
+    } == got.entities
+    at = np.array(got.value("/map/junctions", "Points2D:positions"))
+    assert at == pytest.approx(topomap.xy, abs=1e-5)
+    assert got.value("/map/junctions", "Points2D:labels") == ["0", "1", "2", "3", "4"]
+    assert got.value("/map/junctions", "passes") == [2, 2, 2, 1, 1]
+    assert len(got.value("/map/corridors", "LineStrips2D:strips")) == 5
+    assert got.value("/map/loops\\ refused", "reason") == ["2 | 1 have *other* branches"]
+    assert "# run1" in got.value("/summary", "TextDocument:text")[0]
+
+
+def test_times_stand_on_the_clocks_of_the_raw_log(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1")
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=drive(topomap))
+    got = Readback(tmp_path / "a.rrd")
+    assert got.timelines == {"message_log_time", "ros2_timestamp"}
+    for clock in got.timelines:
+        assert np.array_equal(got.times("/drift", clock), topomap.observation_time_ns)
+    texts = [row[0] for row in got.rows("/events", "TextLog:text")]
+    assert len(texts) == 10
+    assert "junction 0, visit 2" in texts
+    assert "loop recognised (+21.5 bits): the square closes" in texts
+
+
+def test_without_odometry_the_map_alone_is_written(tmp_path: Path, make_map: Make) -> None:
+    write_map_recording(tmp_path / "a.rrd", make_map("a"))
+    entities = Readback(tmp_path / "a.rrd").entities
+    assert "/map/junctions" in entities
+    assert "/map/robot" not in entities
+
+
+def test_an_empty_map_and_a_single_vertex_are_written(
+    tmp_path: Path, empty_map: TopoMap, one_vertex: TopoMap
+) -> None:
+    write_map_recording(tmp_path / "a.rrd", empty_map)
+    write_map_recording(tmp_path / "b.rrd", one_vertex)
+    assert (
+        "The map is empty" in Readback(tmp_path / "a.rrd").value("/summary", "TextDocument:text")[0]
+    )
+    one = Readback(tmp_path / "b.rrd")
+    assert one.value("/map/junctions", "kind") == ["bend"]
+    assert one.blueprints == 1
+
+
+@pytest.mark.parametrize("run", ["Flur 2/Süd", "a\\b", "..", "日本 #1 {x}", "a:b*?", ""])
+def test_any_run_name_is_written(tmp_path: Path, make_map: Make, run: str) -> None:
+    write_map_recording(tmp_path / "a.rrd", make_map(run))
+    assert Readback(tmp_path / "a.rrd").identity == ("topobatch", run)
+
+
+def test_the_same_map_gives_the_same_recording(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1")
+    for name in ("a.rrd", "b.rrd"):
+        write_map_recording(tmp_path / name, topomap, odometry=drive(topomap))
+    assert Readback(tmp_path / "a.rrd").content() == Readback(tmp_path / "b.rrd").content()
+
+
+def test_nothing_is_left_when_writing_fails(
+    tmp_path: Path, make_map: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rerun as rr
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise RuntimeError("the disk is full")
+
+    path = tmp_path / "a.rrd"
+    path.write_bytes(b"the old one")
+    monkeypatch.setattr(rr.RecordingStream, "save", fail)
+    with pytest.raises(RuntimeError, match="disk is full"):
+        write_map_recording(path, make_map("a"))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
+    assert path.read_bytes() == b"the old one"
+    assert not rr.strict_mode()
+
+
+def test_importing_the_package_does_not_import_rerun() -> None:
+    code = "import sys, topobatch.viz; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

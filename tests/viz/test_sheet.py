@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from topobatch.topology.se2 import apply, rotation
+from topobatch.viz.sheet import arrange, upright_rad
+
+
+def cross(turn: float) -> list[np.ndarray]:
+    lines = [np.array([(-10.0, 0.0), (10.0, 0.0)]), np.array([(0.0, -4.0), (0.0, 4.0)])]
+    return [line @ rotation(turn).T for line in lines]
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.7, 1.2, 2.0, -2.9])
+def test_a_rectilinear_map_is_turned_onto_the_axes_and_lies_wide(turn: float) -> None:
+    lines = cross(turn)
+    straight = [line @ rotation(upright_rad(lines)).T for line in lines]
+    for line in straight:
+        assert np.min(np.abs(line[1] - line[0])) < 1e-9
+    width, height = np.ptp(np.concatenate(straight), axis=0)
+    assert width == pytest.approx(20)
+    assert height == pytest.approx(8)
+
+
+def test_a_map_without_a_common_direction_lies_along_its_extent() -> None:
+    rng = np.random.default_rng(1)
+    cloud = rng.normal(size=(300, 2)) * [12.0, 2.0] @ rotation(0.9).T
+    turned = cloud @ rotation(upright_rad([cloud])).T
+    assert np.ptp(turned[:, 0]) > 2 * np.ptp(turned[:, 1])
+
+
+@pytest.mark.parametrize("lines", [[], [np.ones((2, 2))]])
+def test_what_has_no_extent_is_not_turned(lines: list[np.ndarray]) -> None:
+    assert upright_rad(lines) == 0.0
+
+
+sizes = st.lists(st.tuples(st.floats(0, 80), st.floats(0, 80)), max_size=30)
+
+
+@given(sizes, st.floats(-3, 3))
+def test_cells_hold_their_maps_and_do_not_overlap(
+    sizes: list[tuple[float, float]], turn: float
+) -> None:
+    points = [np.array([(5.0, 5.0), (5.0 + w, 5.0 + h)]) for w, h in sizes]
+    cells = arrange(points, [turn] * len(points), margin_m=1.0)
+    assert len(cells) == len(points)
+    for cell, own in zip(cells, points, strict=True):
+        on_sheet = apply(cell.T_sheet_map, own)
+        assert np.all(on_sheet >= cell.low + 1.0 - 1e-6)
+        assert np.all(on_sheet <= cell.high - 1.0 + 1e-6)
+    for i, a in enumerate(cells):
+        for b in cells[i + 1 :]:
+            shared = np.minimum(a.high, b.high) - np.maximum(a.low, b.low)
+            assert shared.min() <= 1e-6
+
+
+def test_a_map_of_no_vertex_gets_a_cell() -> None:
+    (cell,) = arrange([np.zeros((0, 2))], [0.0], margin_m=1.0)
+    assert np.all(cell.high - cell.low > 2.0)
+
+
+def test_a_legend_widens_its_cell_alone() -> None:
+    points = [np.array([(0.0, 0.0), (10.0, 10.0)])] * 2
+    plain, wide = arrange(points, [0.0, 0.0], 1.0, [0.0, 5.0])
+    assert np.ptp([plain.low[0], plain.high[0]]) == pytest.approx(12)
+    assert np.ptp([wide.low[0], wide.high[0]]) == pytest.approx(17)

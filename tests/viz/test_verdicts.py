@@ -1,0 +1,96 @@
+from collections.abc import Callable
+
+import numpy as np
+
+from topobatch.merge.result import FusedMap, MergeResult
+from topobatch.topology.topomap import TopoMap
+from topobatch.viz.map_summary import bulleted, clock, map_summary, plain
+from topobatch.viz.steps import joining_steps
+from topobatch.viz.verdicts import (
+    AMBIGUOUS,
+    DIAGONAL,
+    MERGED,
+    UNRELATED,
+    joining_told,
+    merge_summary,
+    pairs_told,
+    runs_in_order,
+    verdict_matrix,
+)
+
+Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
+
+
+def test_the_matrix_says_what_the_verdicts_say(merge_of: Merge) -> None:
+    result, _ = merge_of([["z"], ["a", "c"]], ambiguous=[("c", "z")])
+    runs = runs_in_order(result)
+    assert runs == ["a", "c", "z"]
+    expected = [
+        [DIAGONAL, MERGED, UNRELATED],
+        [MERGED, DIAGONAL, AMBIGUOUS],
+        [UNRELATED, AMBIGUOUS, DIAGONAL],
+    ]
+    assert np.array_equal(verdict_matrix(result, runs), expected)
+
+
+def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
+    result, _ = merge_of([["a", "b"], ["c"]], ambiguous=[("b", "c")])
+    told = pairs_told(result)
+    assert "all fits" in told
+    assert "two ways" in told
+    assert "to settle it: go on" in told
+    assert "a - c" in told
+    assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
+
+
+def test_summaries_count(merge_of: Merge) -> None:
+    result, _ = merge_of([["a", "b"], ["c"]])
+    told = merge_summary(result)
+    assert "**3** runs in **2** components" in told
+    assert "**10** junctions, 5 of them seen by several runs" in told
+    assert "**1** merged, **0** ambiguous, **2** unrelated" in told
+    assert "take care" in told
+
+
+def test_a_merge_of_nothing_is_told(no_fused: FusedMap) -> None:
+    nothing = MergeResult((), no_fused, ())
+    assert "**0** runs" in merge_summary(nothing)
+    assert "no pair" in pairs_told(nothing)
+
+
+def test_the_story_has_a_page_for_every_step(merge_of: Merge) -> None:
+    result, _ = merge_of([["a", "b", "c"]])
+    pages = joining_told(joining_steps(result))
+    assert len(pages) == 3
+    assert "by itself" in pages[0]
+    assert "a and b" in pages[1]
+    assert "all fits" in pages[2]
+
+
+def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
+    told = map_summary(make_map("lab_2*"))
+    assert "# lab\\_2\\*" in told
+    assert "**5** vertices (2 bends, 1 dead ends, 2 junctions)" in told
+    assert "**1** branch seen and never driven" in told
+    assert "**1** visits recognised, **1** refused" in told
+    assert "2 \\| 1 have \\*other\\* branches" in told
+    assert "2 messages were empty" in told
+
+
+def test_an_empty_map_is_told(empty_map: TopoMap) -> None:
+    assert "The map is empty" in map_summary(empty_map)
+
+
+def test_text_stays_on_its_line() -> None:
+    assert plain("a\n\n# b  |c") == "a \\# b \\|c"
+
+
+def test_long_lists_are_cut() -> None:
+    told = bulleted((str(i) for i in range(50)), most=3)
+    assert told.splitlines()[-1] == "- … and 47 more, in the JSON document"
+
+
+def test_times_beyond_the_calendar_are_told() -> None:
+    assert clock(0) == "1970-01-01 00:00:00"
+    assert clock(2**62) == "2116-02-20 23:53:38"
+    assert clock(10**29) == f"{10**29} ns"
