@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..topology.embedding import corridor_measurements
 from ..topology.posegraph import PoseGraph, SolverSettings, solve
 from ..topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from ..topology.structure import padded_branches
@@ -145,25 +146,11 @@ def _concatenated(parts: Sequence[_Factors]) -> _Factors:
 
 def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
     """The corridors of one map as relative measurements, from row `first` of the pool on."""
-    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
-    u, v = topomap.source[keep], topomap.target[keep]
-    step = topomap.xy[v] - topomap.xy[u]
-    noise, length = topomap.noise, topomap.length[keep]
-    times = np.sqrt(np.maximum(topomap.traversals[keep], 1))
-    turn = np.maximum(noise.heading_rad_per_sqrt_m * np.sqrt(length) / times, 1e-3)
-    # A heading that walks at random along the corridor bends its chord by 1/sqrt(3) of its sum.
-    across = np.hypot(turn * length / np.sqrt(3.0), settings.min_position_m)
-    along = np.hypot(topomap.length_sigma[keep], settings.min_position_m)
-    bearing = np.arctan2(step[:, 1], step[:, 0])
-    information = np.zeros((len(keep), 3, 3))
-    c, s = np.cos(bearing), np.sin(bearing)
-    wa, wc = along**-2.0, across**-2.0
-    information[:, 0, 0] = c * c * wa + s * s * wc
-    information[:, 1, 1] = s * s * wa + c * c * wc
-    information[:, 0, 1] = information[:, 1, 0] = c * s * (wa - wc)
-    information[:, 2, 2] = turn**-2.0
-    measured = np.column_stack([step, np.zeros(len(keep))])
-    roads = _Factors(u + first, v + first, measured, information)
+    step = topomap.xy[topomap.target] - topomap.xy[topomap.source]
+    given = corridor_measurements(topomap, step)
+    roads = _Factors(
+        given.source + first, given.target + first, given.measurement, given.information
+    )
     return _concatenated([roads, _bridges(topomap, first, settings)])
 
 
