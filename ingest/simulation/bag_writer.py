@@ -88,8 +88,8 @@ def _add_chunk(body: bytearray, at: int, head: bytes, rows: list[Row]) -> bytes:
     for number, log, record in rows:
         entries.setdefault(number, []).append(_time(log) + _u32(position))
         position += len(record)
-    plain = head + b"".join(record for _, _, record in rows)
-    packed = lz4_frame(plain)
+    records = [head, *(record for _, _, record in rows)]
+    plain, packed = b"".join(records), lz4_frame(records)
     body += _fields(CHUNK, {"compression": b"lz4", "size": _u32(len(plain))})
     body += _u32(len(packed)) + packed
     for number in sorted(entries):

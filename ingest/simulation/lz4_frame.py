@@ -1,13 +1,16 @@
-"""LZ4 frames whose bytes depend on the data alone, not on the version of a library.
+"""LZ4 frames of records, whose bytes depend on the records alone, not on the version of a library.
 
 One frame with the header that every LZ4 reader knows (independent blocks of up to 4 MiB, no
-checksums), greedy matches against the last occurrence of four bytes or, where that is longer, at
-the distance of the match before: messages of one kind repeat at a constant distance.
+checksums). Messages of one kind have one length and differ in few bytes, so a record is compared
+with the last one of its length, and with nothing else: that needs no search.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 HEADER = bytes.fromhex("04224d18607073")
 """Magic number, flags, block size, and the checksum of the latter two."""
@@ -15,103 +18,107 @@ HEADER = bytes.fromhex("04224d18607073")
 BLOCK_BYTES = 1 << 22
 FARTHEST = 65535
 LEAST_MATCH = 4
-WORTH_ANOTHER_LOOK = 48
-"""Matches as long as this are taken without looking for a longer one."""
+"""The format's shortest copy."""
+
+WORTHWHILE = 5
+"""A shorter copy takes as much room as the bytes themselves."""
 
 LAST_LITERALS = 5
 LAST_MATCH = 12
-"""The format's rules: no match begins in the last 12 bytes or reaches into the last 5."""
+"""The format's rules: no copy begins in the last 12 bytes or reaches into the last 5."""
+
+IntArray = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
 
 
-def lz4_frame(data: bytes) -> bytes:
-    """`data` as one LZ4 frame. O(n log n)."""
+def lz4_frame(records: Sequence[bytes]) -> bytes:
+    """The records, one after another, as one LZ4 frame. O(bytes), vectorised."""
     out = [HEADER]
-    for at in range(0, len(data), BLOCK_BYTES):
-        plain = data[at : at + BLOCK_BYTES]
-        packed = _block(plain)
+    for block in _blocks(records):
+        plain = b"".join(block)
+        packed = _packed(plain, np.array([len(record) for record in block], np.int64))
         if len(packed) < len(plain):
             out += [len(packed).to_bytes(4, "little"), packed]
         else:
             out += [(len(plain) | 1 << 31).to_bytes(4, "little"), plain]
-    return b"".join([*out, b"\0\0\0\0"])
+    return b"".join([*out, bytes(4)])
 
 
-def _block(data: bytes) -> bytes:
+def _blocks(records: Sequence[bytes]) -> Iterator[list[bytes]]:
+    """The records in groups of up to BLOCK_BYTES; one that is longer is cut."""
+    block: list[bytes] = []
+    size = 0
+    for whole in records:
+        for at in range(0, len(whole), BLOCK_BYTES):
+            record = whole[at : at + BLOCK_BYTES]
+            if size + len(record) > BLOCK_BYTES:
+                yield block
+                block, size = [], 0
+            block.append(record)
+            size += len(record)
+    if block:
+        yield block
+
+
+def _packed(plain: bytes, lengths: IntArray) -> bytes:
     """One compressed block."""
-    out = bytearray()
-    done, distance, end = 0, 0, len(data) - LAST_LITERALS
-    places, sources, next_at = _repeats(data)
-    at = 0
-    while at < len(places):
-        start, source = places[at], sources[at]
-        length = _common(data, source, start, end)
-        again = start - distance
-        if distance and again >= 0 and again != source and length < WORTH_ANOTHER_LOOK:
-            other = _common(data, again, start, end)
-            if other >= length:
-                source, length = again, other
-        if length < LEAST_MATCH:
-            at += 1
-            continue
-        distance = start - source
-        _put(out, data[done:start], distance, length)
-        done = start + length
-        at = next_at[done]
-    _put(out, data[done:], 0, 0)
-    return bytes(out)
+    data = np.frombuffer(plain, np.uint8)
+    distance = np.repeat(_distances(lengths), lengths)
+    start, end = _copies(data, distance)
+    return _sequences(data, start, end, distance[start])
 
 
-def _repeats(data: bytes) -> tuple[memoryview, memoryview, memoryview]:
-    """Places whose four bytes occurred before, and their last occurrence, if near enough.
+def _distances(lengths: IntArray) -> IntArray:
+    """For every record the way back to the last record of its length; 0 if there is none near."""
+    place = np.cumsum(lengths) - lengths
+    order = np.argsort(lengths, kind="stable")
+    same = lengths[order[1:]] == lengths[order[:-1]]
+    back = np.zeros(len(lengths), np.int64)
+    back[order[1:][same]] = (place[order[1:]] - place[order[:-1]])[same]
+    return np.where(back <= FARTHEST, back, 0)
 
-    The third part says for every byte which of the places is the first from there on. All at
-    once: a stable sort by the four bytes brings the occurrences side by side.
+
+def _copies(data: Bytes, distance: IntArray) -> tuple[IntArray, IntArray]:
+    """Half-open spans of bytes that equal those at their distance back.
+
+    All at once: compare every byte with its counterpart, then cut where that or the distance
+    changes.
     """
-    if len(data) <= LAST_MATCH:
-        return memoryview(b""), memoryview(b""), memoryview(b"")
-    raw = np.frombuffer(data, np.uint8).astype(np.uint32)
-    words = raw[:-3] | raw[1:-2] << 8 | raw[2:-1] << 16 | raw[3:] << 24
-    order = np.argsort(words, kind="stable")
-    same = words[order[1:]] == words[order[:-1]]
-    last = np.full(len(words), -1, np.int64)
-    last[order[1:][same]] = order[:-1][same]
-    place = np.arange(len(words))
-    usable = (last >= 0) & (place - last <= FARTHEST) & (place < len(data) - LAST_MATCH)
-    next_at = np.searchsorted(place[usable], np.arange(len(data) + 1))
-    return place[usable].data, last[usable].data, next_at.data
+    equal = (distance > 0) & (data == data[np.arange(len(data)) - distance])
+    equal[max(0, len(data) - LAST_LITERALS) :] = False
+    before = np.concatenate([[False], equal[:-1] & (distance[1:] == distance[:-1])])
+    after = np.concatenate([before[1:] & equal[1:], [False]])
+    start = np.flatnonzero(equal & ~before)
+    end = np.flatnonzero(equal & ~after) + 1
+    kept = (end - start >= WORTHWHILE) & (start < len(data) - LAST_MATCH)
+    return start[kept], end[kept]
 
 
-def _common(data: bytes, source: int, start: int, end: int) -> int:
-    """How many bytes from `source` equal those from `start`, up to `end`.
+def _sequences(data: Bytes, start: IntArray, end: IntArray, distance: IntArray) -> bytes:
+    """The block: for each copy the literals before it and the copy, then the last literals.
 
-    Compared as whole numbers: the lowest bit in which they differ tells the first wrong byte.
+    The place of every sequence in the output is computed first; then all of one kind of byte are
+    scattered at once. Lengths from 15 on go on in bytes of 255 and one that is smaller, so the
+    output is filled with 255 at first.
     """
-    length, step = 0, 32
-    while start + length < end:
-        step = min(step, end - start - length)
-        a, b = source + length, start + length
-        if data[a : a + step] != data[b : b + step]:
-            one, two = (int.from_bytes(data[i : i + step], "little") for i in (a, b))
-            differing = one ^ two
-            return length + ((differing & -differing).bit_length() - 1) // 8
-        length += step
-        step *= 2
-    return length
-
-
-def _put(out: bytearray, literals: bytes, distance: int, length: int) -> None:
-    """One sequence: literals, then a copy of `length` bytes from `distance` back (0: none)."""
-    extra = length - LEAST_MATCH
-    out.append(min(len(literals), 15) << 4 | (min(extra, 15) if distance else 0))
-    _put_rest(out, len(literals))
-    out += literals
-    if distance:
-        out += distance.to_bytes(2, "little")
-        _put_rest(out, extra)
-
-
-def _put_rest(out: bytearray, count: int) -> None:
-    """What is beyond the four bits of a count."""
-    if count >= 15:
-        out += b"\xff" * ((count - 15) // 255)
-        out.append((count - 15) % 255)
+    literals = np.append(start, len(data)) - np.append(0, end)
+    copied = end - start - LEAST_MATCH
+    more_literals = np.where(literals >= 15, (literals - 15) // 255 + 1, 0)
+    more_copied = np.where(copied >= 15, (copied - 15) // 255 + 1, 0)
+    size = 1 + more_literals + literals
+    size[:-1] += 2 + more_copied
+    token = np.cumsum(size) - size
+    text = token + 1 + more_literals
+    out = np.full(int(size.sum()), 255, np.uint8)
+    out[token] = np.minimum(literals, 15) << 4
+    out[token[:-1]] |= np.minimum(copied, 15).astype(np.uint8)
+    long = more_literals > 0
+    out[text[long] - 1] = (literals[long] - 15) % 255
+    source = np.arange(literals.sum()) + np.repeat(np.append(0, np.cumsum(end - start)), literals)
+    shift = np.repeat(text - np.append(0, end), literals)
+    out[source + shift] = data[source]
+    far = (text + literals)[:-1]
+    out[far], out[far + 1] = distance & 255, distance >> 8
+    long = more_copied > 0
+    out[(far + 1 + more_copied)[long]] = (copied[long] - 15) % 255
+    return out.tobytes()

@@ -87,8 +87,8 @@ def _add_chunk(out: bytearray, head: Sequence[bytes], rows: list[Row]) -> bytes:
     for channel, log, record in rows:
         entries.setdefault(channel, []).append(struct.pack("<QQ", log, position))
         position += len(record)
-    plain = b"".join([*head, *(record for _, _, record in rows)])
-    packed = lz4_frame(plain)
+    records = [*head, *(record for _, _, record in rows)]
+    plain, packed = b"".join(records), lz4_frame(records)
     start, end = rows[0][1], rows[-1][1]
     at = len(out)
     content = struct.pack("<QQQI", start, end, len(plain), zlib.crc32(plain)) + _text("lz4")
