@@ -1,0 +1,195 @@
+"""The likelihood of systematic heading errors under evidence with outliers in it.
+
+    ℓ(x) = Σ_passes w · log t₃(r / σ_p) + Σ_legs, grid log[(1 − g) / period + g Σ_r w_r N(r; σ)]
+
+with r = wrap(y + a·x). Scales σ and shares g of inliers are estimated along with x by expectation
+maximisation, which turns every step into one weighted linear least-squares problem in x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .heading_evidence import TERMS, HeadingEvidence, Rows
+
+FloatArray = NDArray[np.float64]
+
+_QUARTER = np.pi / 2
+_DEGREES_OF_FREEDOM = 3.0
+_FINEST = 0.025
+"""No two corridors are more exactly parallel than this [rad]; keeps a share of one from a spike."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Mixture:
+    """Rows that are near zero with probability `share` (sigma), or anything within the period."""
+
+    rows: Rows
+    period: float
+    widest: float
+    sigma: float = 0.1
+    share: float = 0.5
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        r = self.rows.y + self.rows.a @ x
+        return np.asarray(r - self.period * np.round(r / self.period))
+
+    def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Log-likelihood, residuals, and the probability that each row is the one that holds."""
+        r = self.residual(x)
+        if len(r) == 0:
+            return 0.0, r, r
+        density = np.exp(-0.5 * (r / self.sigma) ** 2) / (self.sigma * np.sqrt(2 * np.pi))
+        inlier = self.share * self.rows.share * density
+        whole = (1 - self.share) / self.period + np.bincount(self.rows.owner, inlier)
+        gain = float(np.log(whole * self.period).sum())
+        return gain, r, inlier / whole[self.rows.owner]
+
+    def refit(self, r: FloatArray, holds: FloatArray) -> _Mixture:
+        """Scale and share that fit best, with one inlier and one outlier of 6° for a prior."""
+        total, guess = float(holds.sum()), 0.1
+        sigma = float(np.sqrt((float(holds @ r**2) + 2 * guess**2) / (total + 2)))
+        share = (total + 1) / (self.rows.owners + 2)
+        sigma = min(max(sigma, _FINEST), self.widest)
+        return _Mixture(self.rows, self.period, self.widest, sigma, share)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scatter:
+    """Readings about the mean of their branch: Student's t with three degrees of freedom."""
+
+    rows: Rows
+    worth: float
+    sigma: float = 0.05
+
+    def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Log-likelihood, residuals, weights of the equivalent least-squares problem."""
+        r = self.rows.y + self.rows.a @ x
+        nu, ratio = _DEGREES_OF_FREEDOM, (r / self.sigma) ** 2
+        weight = self.worth * self.rows.share
+        value = -weight @ (np.log(self.sigma) + 0.5 * (nu + 1) * np.log1p(ratio / nu))
+        return float(value), r, weight * (nu + 1) / (nu + ratio)
+
+    def refit(self, r: FloatArray, weight: FloatArray) -> _Scatter:
+        total = self.worth * float(self.rows.share.sum())
+        sigma = np.sqrt((float(weight @ r**2) + 2 * 0.05**2) / (total + 2))
+        return _Scatter(self.rows, self.worth, float(max(sigma, 0.005)))
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingLikelihood:
+    """ℓ(x) for one run, with a normal prior on x of the given sigmas about `centre`."""
+
+    scatter: _Scatter
+    mixtures: tuple[_Mixture, _Mixture]
+    prior_sigma: tuple[float, float, float]
+    centre: tuple[float, float, float]
+
+    @classmethod
+    def of(
+        cls,
+        evidence: HeadingEvidence,
+        *,
+        prior_sigma: tuple[float, float, float],
+        centre: tuple[float, float, float],
+        worth: float,
+    ) -> HeadingLikelihood:
+        """The likelihood of corrections x on top of what the evidence was corrected by."""
+        legs = _Mixture(evidence.legs, 2 * np.pi, 0.25)
+        grid = _Mixture(evidence.grid, _QUARTER, 0.15)
+        return cls(_Scatter(evidence.passes, worth), (legs, grid), prior_sigma, centre)
+
+    @property
+    def _parts(self) -> tuple[_Scatter | _Mixture, ...]:
+        return (self.scatter, *self.mixtures)
+
+    def value(self, x: FloatArray) -> float:
+        """Log-likelihood plus log-prior, in nats, up to a constant."""
+        deviation = (x - np.array(self.centre)) / np.array(self.prior_sigma)
+        return sum(part.expect(x)[0] for part in self._parts) - 0.5 * float(deviation @ deviation)
+
+    def scores(self, x: FloatArray) -> FloatArray:
+        """(visits, 3) what each visit of a junction adds to the gradient of ℓ at x."""
+        count = max(part.rows.visits for part in self._parts)
+        out = np.zeros((count, TERMS))
+        for part in self._parts:
+            _, r, weight = part.expect(x)
+            pull = part.rows.a * (-r * weight / part.sigma**2)[:, None]
+            for k in range(TERMS):
+                out[:, k] += np.bincount(part.rows.visit, pull[:, k], count)
+        return out
+
+    def slope(self, x: FloatArray) -> FloatArray:
+        """(3,) gradient of ℓ at x, prior and all."""
+        belief = (x - np.array(self.centre)) / np.square(self.prior_sigma)
+        return np.asarray(self.scores(x).sum(axis=0) - belief)
+
+    def improve(
+        self, x: FloatArray, free: NDArray[np.bool_]
+    ) -> tuple[HeadingLikelihood, FloatArray]:
+        """One step of expectation maximisation: scales, shares, and the `free` components of x."""
+        belief = 1.0 / np.square(self.prior_sigma)
+        gradient, curvature = -belief * (x - np.array(self.centre)), np.diag(belief)
+        expected = [part.expect(x)[1:] for part in self._parts]
+        fitted = HeadingLikelihood(
+            self.scatter.refit(*expected[0]),
+            (self.mixtures[0].refit(*expected[1]), self.mixtures[1].refit(*expected[2])),
+            self.prior_sigma,
+            self.centre,
+        )
+        for part, (r, weight) in zip(fitted._parts, expected, strict=True):
+            a = part.rows.a * (weight / part.sigma**2)[:, None]
+            gradient = gradient - a.T @ r
+            curvature = curvature + a.T @ part.rows.a
+        move, index = np.zeros(TERMS), np.flatnonzero(free)
+        if len(index):
+            move[index] = np.linalg.solve(curvature[np.ix_(index, index)], gradient[index])
+        return fitted, x + move
+
+    def climb(
+        self, x: FloatArray, free: NDArray[np.bool_], most: int = 60
+    ) -> tuple[HeadingLikelihood, FloatArray]:
+        """Expectation maximisation from x until it moves by less than 10⁻⁴ of the prior."""
+        here = self
+        for _ in range(most):
+            here, there = here.improve(x, free)
+            settled = np.all(np.abs(there - x) <= 1e-4 * np.array(self.prior_sigma))
+            x = there
+            if settled:
+                break
+        return here, x
+
+    def sigma(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(3,) 1 sigma of x by the curvature of ℓ, and the larger one that its scatter shows.
+
+        The curvature is taken from differences of the gradient: the bounding least-squares problem
+        would take every inlier for certain. Rows of one visit share errors (a junction seen askew,
+        a wheel that slipped), which the likelihood does not know: the scores of whole visits tell
+        (the sandwich A⁻¹BA⁻¹). On a ridge of ℓ the sigmas are those of the prior.
+        """
+        step, observed = self._step(x), np.empty((TERMS, TERMS))
+        for k in range(TERMS):
+            move = np.zeros(TERMS)
+            move[k] = step[k]
+            observed[:, k] = (self.slope(x - move) - self.slope(x + move)) / (2 * step[k])
+        observed = 0.5 * (observed + observed.T)
+        if np.linalg.eigvalsh(observed)[0] <= 0:
+            return np.array(self.prior_sigma), np.array(self.prior_sigma)
+        inverse = np.linalg.inv(observed)
+        scores = self.scores(x)
+        belief = np.diag(1.0 / np.square(self.prior_sigma))
+        count = len(scores)
+        between = scores.T @ scores * count / max(count - TERMS, 1) + belief
+        plain = np.sqrt(np.diag(inverse))
+        return plain, np.maximum(plain, np.sqrt(np.diag(inverse @ between @ inverse)))
+
+    def _step(self, x: FloatArray) -> FloatArray:
+        """(3,) steps to differentiate by: a third of a sigma, were all inliers certain."""
+        curvature = 1.0 / np.square(self.prior_sigma)
+        for part in self._parts:
+            _, _, weight = part.expect(x)
+            curvature = curvature + (weight / part.sigma**2) @ part.rows.a**2
+        return np.asarray(0.3 / np.sqrt(curvature))
