@@ -88,7 +88,7 @@ def ingest(
 
     Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
     Finished runs are skipped unless their log or the settings changed. One bad log does not stop
-    the others; the exit code is 1 if any failed.
+    the others; the exit code is then 1, or 2 if all that is wrong is a missing option.
     """
     from ..ingest.mapping import MappingSettings
     from ..ingest.reading import ReadSettings
@@ -105,8 +105,9 @@ def ingest(
     with place.held(screen.warn):
         outcomes = _run_all(planned, jobs, screen)
     _summarise(outcomes, place, screen)
-    if any(outcome.status == "failed" for outcome in outcomes):
-        raise typer.Exit(1)
+    failed = [outcome for outcome in outcomes if outcome.status == "failed"]
+    if failed:
+        raise typer.Exit(2 if all(outcome.needs_option for outcome in failed) else 1)
 
 
 def _plan(

@@ -18,7 +18,7 @@ from .. import __version__
 from ..ingest.mapping import MappingSettings, build_map
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_run
 from ..topology.document import map_to_document, write_json
-from ..topology.errors import DocumentError, TopobatchError
+from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
@@ -49,6 +49,8 @@ class IngestOutcome:
     status: Literal["done", "unchanged", "failed"]
     text: str
     warnings: tuple[str, ...] = ()
+    needs_option: bool = False
+    """The log is good, but the call must say more: which topic, for instance."""
 
 
 def job_size(job: IngestJob) -> int:
@@ -67,7 +69,8 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
     try:
         return _ingest_one(job, on_bytes)
     except TopobatchError as error:
-        return IngestOutcome(job.log, job.run, "failed", str(error))
+        asks = isinstance(error, UsageError)
+        return IngestOutcome(job.log, job.run, "failed", str(error), needs_option=asks)
     except OSError as error:
         place = error.filename or job.log
         return IngestOutcome(job.log, job.run, "failed", f"{place}: {error.strerror or error}")

@@ -1,0 +1,218 @@
+"""`topobatch ingest`: what lands where, what is said, what a bad log costs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from topobatch.topology.document import read_map
+
+
+def changed_mcap(source, target, keep=lambda topic: True, copies=lambda topic: [topic]):
+    """A copy of an MCAP file with topics left out, or written under several names."""
+    with source.open("rb") as read, target.open("wb") as written:
+        writer = Writer(written)
+        writer.start("ros2")
+        channels = {}
+        for schema, channel, message in make_reader(read).iter_messages(log_time_order=False):
+            if not keep(channel.topic):
+                continue
+            for topic in copies(channel.topic):
+                if topic not in channels:
+                    number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    channels[topic] = writer.register_channel(
+                        topic, channel.message_encoding, number
+                    )
+                writer.add_message(
+                    channels[topic],
+                    message.log_time,
+                    message.data,
+                    message.publish_time,
+                    message.sequence,
+                )
+        writer.finish()
+    return target
+
+
+def test_four_containers_one_map(topobatch, logs, tmp_path):
+    found = set()
+    for kind in ("mcap", "bag", "db3", "ros2-mcap"):
+        done = topobatch("ingest", logs[kind], "-w", tmp_path / kind)
+        assert done.code == 0, done
+        (document,) = (tmp_path / kind / "maps").glob("*.json")
+        assert (tmp_path / kind / "maps" / f"{document.stem}.rrd").stat().st_size > 10_000
+        found.add(document.read_bytes())
+        assert read_map(document).run == document.stem
+    assert len(found) == 1
+
+
+def test_a_folder_of_logs_then_merge(topobatch, logs, tmp_path):
+    shutil.copy(logs["mcap"], tmp_path / "first.mcap")
+    shutil.copy(logs["other"], tmp_path / "second.mcap")
+    workspace = tmp_path / "ws"
+    done = topobatch("ingest", tmp_path, "-w", workspace)
+    assert done.code == 0, done
+    assert "first: " in done.out
+    assert "second: " in done.out
+    assert "topobatch merge" in done.out
+    done = topobatch("merge", "--all", "-w", workspace)
+    assert done.code == 0, done
+    assert "1 pair: " in done.out
+    document = json.loads((workspace / "merged.json").read_bytes())
+    assert [(m["a"], m["b"]) for m in document["merges"]] == [("first", "second")]
+    assert sorted(p.name for p in workspace.iterdir() if not p.name.startswith(".")) == [
+        "cache",
+        "maps",
+        "merged.json",
+        "merged.rrd",
+    ]
+
+
+def test_finished_runs_are_kept_until_something_changes(topobatch, logs, tmp_path):
+    log = shutil.copy(logs["mcap"], tmp_path / "run.mcap")
+    call = ("ingest", log, "-w", tmp_path / "ws")
+    document = tmp_path / "ws" / "maps" / "run.json"
+    topobatch(*call)
+    first = document.stat().st_mtime_ns
+    assert "unchanged" in topobatch(*call).out
+    assert document.stat().st_mtime_ns == first
+    assert "unchanged" not in topobatch(*call, "--closure", "none").out
+    assert "unchanged" not in topobatch(*call, "--force").out
+    document.unlink()
+    assert "unchanged" not in topobatch(*call).out
+    assert document.exists()
+
+
+def test_one_bad_log_among_others(topobatch, logs, tmp_path):
+    good = shutil.copy(logs["mcap"], tmp_path / "good.mcap")
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"not a log")
+    done = topobatch("ingest", bad, good, tmp_path / "gone.bag", "-w", tmp_path / "ws")
+    assert done.code == 1
+    assert (tmp_path / "ws" / "maps" / "good.json").exists()
+    errors = done.err.strip().splitlines()
+    assert len(errors) == 3, errors
+    assert any("bad.mcap" in line for line in errors[:2])
+    assert any("gone.bag" in line for line in errors[:2])
+    assert "2 of 3 logs failed" in errors[2]
+    assert "Traceback" not in done.err
+
+
+def test_several_processes_give_the_same_maps(topobatch, logs, tmp_path):
+    shutil.copy(logs["mcap"], tmp_path / "a.mcap")
+    shutil.copy(logs["other"], tmp_path / "b.mcap")
+    for jobs in (1, 2):
+        done = topobatch("ingest", tmp_path, "-w", tmp_path / f"ws{jobs}", "--jobs", jobs)
+        assert done.code == 0, done
+    for name in ("a.json", "b.json"):
+        one, two = (tmp_path / f"ws{jobs}" / "maps" / name for jobs in (1, 2))
+        assert one.read_bytes() == two.read_bytes()
+
+
+def test_missing_file(topobatch, tmp_path):
+    error = topobatch("ingest", tmp_path / "gone.mcap", "-w", tmp_path / "ws").error(1)
+    assert "gone.mcap" in error
+
+
+def test_folder_that_holds_no_log(topobatch, tmp_path):
+    (tmp_path / "empty").mkdir()
+    error = topobatch("ingest", tmp_path / "empty", "-w", tmp_path / "ws").error(1)
+    assert str(tmp_path / "empty") in error
+
+
+def test_no_odometry(topobatch, logs, tmp_path):
+    log = changed_mcap(logs["mcap"], tmp_path / "x.mcap", keep=lambda topic: topic != "/odom")
+    error = topobatch("ingest", log, "-w", tmp_path / "ws").error(1)
+    assert "odometry" in error
+    assert "/junctions" in error
+
+
+def test_no_junctions(topobatch, logs, tmp_path):
+    log = changed_mcap(logs["mcap"], tmp_path / "x.mcap", keep=lambda topic: topic == "/odom")
+    error = topobatch("ingest", log, "-w", tmp_path / "ws").error(1)
+    assert "junction" in error
+    assert "/odom" in error
+
+
+def test_two_candidate_topics(topobatch, logs, tmp_path):
+    def twice(topic):
+        return ["/wheel", "/visual"] if topic == "/odom" else [topic]
+
+    log = changed_mcap(logs["mcap"], tmp_path / "x.mcap", copies=twice)
+    done = topobatch("ingest", log, "-w", tmp_path / "ws")
+    for word in ("/wheel", "/visual", "--odometry-topic"):
+        assert word in done.error(2)
+    done = topobatch("ingest", log, "-w", tmp_path / "ws", "--odometry-topic", "/wheel")
+    assert done.code == 0, done
+
+
+def test_a_truncated_log_is_salvaged_and_said(topobatch, logs, tmp_path):
+    log = tmp_path / "cut.mcap"
+    raw = logs["mcap"].read_bytes()
+    log.write_bytes(raw[: len(raw) * 7 // 10])
+    done = topobatch("ingest", log, "-w", tmp_path / "ws")
+    if done.code == 0:
+        assert "warning: cut: " in done.err
+    else:
+        assert "cut.mcap" in done.error(1)
+    assert topobatch("ingest", log, "-w", tmp_path / "ws", "--strict").code == 1
+
+
+def test_two_logs_of_one_name(topobatch, logs, tmp_path):
+    (tmp_path / "a").mkdir()
+    shutil.copy(logs["mcap"], tmp_path / "a" / "run.mcap")
+    shutil.copy(logs["other"], tmp_path / "run.mcap")
+    call = ("ingest", tmp_path, "-w", tmp_path / "ws")
+    error = topobatch(*call).error(2)
+    assert "'run'" in error
+    assert "--name" in error
+    assert not (tmp_path / "ws").exists()
+
+
+def test_a_run_of_another_log_is_not_overwritten(topobatch, logs, tmp_path):
+    (tmp_path / "a").mkdir()
+    first = shutil.copy(logs["mcap"], tmp_path / "a" / "run.mcap")
+    second = shutil.copy(logs["other"], tmp_path / "run.mcap")
+    document = tmp_path / "ws" / "maps" / "run.json"
+    assert topobatch("ingest", first, "-w", tmp_path / "ws").code == 0
+    before = document.read_bytes()
+    error = topobatch("ingest", second, "-w", tmp_path / "ws").error(1)
+    assert "--force" in error
+    assert document.read_bytes() == before
+    assert topobatch("ingest", second, "-w", tmp_path / "ws", "--name", "two").code == 0
+    assert topobatch("ingest", second, "-w", tmp_path / "ws", "--force").code == 0
+    assert document.read_bytes() != before
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", "", ".hidden"])
+def test_names_that_are_no_file_names(topobatch, logs, tmp_path, name):
+    done = topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws", "--name", name)
+    assert "cannot name a run" in done.error(2)
+
+
+def test_quiet_says_nothing_but_errors(topobatch, logs, tmp_path):
+    done = topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws", "--quiet")
+    assert (done.code, done.out, done.err) == (0, "", "")
+    assert topobatch("merge", "--all", "-w", tmp_path / "ws", "-q").out == ""
+
+
+def test_info(topobatch, logs, tmp_path):
+    for kind in ("mcap", "bag", "db3", "ros2-mcap"):
+        done = topobatch("info", logs[kind])
+        assert done.code == 0, done
+        assert "nav_msgs/msg/Odometry" in done.out
+        assert "odometry: " in done.out
+        assert "junctions: " in done.out
+    assert "gone.mcap" in topobatch("info", tmp_path / "gone.mcap").error(1)
+
+
+def test_left_overs_of_a_killed_process_are_cleared(topobatch, logs, tmp_path):
+    maps = tmp_path / "ws" / "maps"
+    maps.mkdir(parents=True)
+    (maps / ".run.json.abc.tmp").write_text("half")
+    topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws")
+    assert not list(maps.glob(".*"))
