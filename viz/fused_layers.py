@@ -289,7 +289,12 @@ def _junctions(recording: Recording, root: str, fused: FusedMap, part: Part, pen
     recording.static(
         (root, part.name, "junctions"),
         rr.Points2D(
-            fused.xy[rows], radii=pen * np.where(shared, 2.4, 1.4), colors=colours, draw_order=20.0
+            fused.xy[rows],
+            radii=pen * np.where(shared, 2.4, 1.4),
+            colors=colours,
+            labels=list(map(str, rows.tolist())),
+            show_labels=False,
+            draw_order=20.0,
         ),
         rr.AnyValues(
             vertex=rows,
@@ -346,7 +351,14 @@ def write_own_map(
         )
         recording.static((*path, "corridors"), lines, info)
     if len(topomap):
-        points = rr.Points2D(topomap.xy, radii=1.2 * pen, colors=colour, draw_order=20.0)
+        points = rr.Points2D(
+            topomap.xy,
+            radii=1.2 * pen,
+            colors=colour,
+            labels=list(map(str, range(len(topomap)))),
+            show_labels=False,
+            draw_order=20.0,
+        )
         info = rr.AnyValues(
             vertex=np.arange(len(topomap)), kind=list(topomap.kind), branches=topomap.degree
         )

@@ -216,7 +216,9 @@ def _track(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
     recording.static((*MAP, "trail"), trail)
     drift = rr.Scalars.columns(scalars=track.drift_m)
     recording.over_time(("drift",), topomap.observation_time_ns, drift)
-    recording.static(("drift",), rr.SeriesLines(colors=palette.UNEXPLORED, names="metres"))
+    recording.static(
+        ("drift",), rr.SeriesLines(colors=palette.UNEXPLORED, names="raw odometry to map, m")
+    )
 
 
 def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
@@ -224,13 +226,7 @@ def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
     if len(topomap.observation_time_ns):
         pages.append(rrb.TextLogView(origin="/events", name="Events", columns=_event_columns()))
     if track is not None:
-        pages.append(
-            rrb.TimeSeriesView(
-                origin="/drift",
-                name="Drift",
-                plot_legend=rrb.PlotLegend(visible=False),
-            )
-        )
+        pages.append(_drift_view(track))
     return rrb.Blueprint(
         rrb.Horizontal(
             _map_view(topomap, track),
@@ -243,6 +239,20 @@ def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
         rrb.TimePanel(state="collapsed", timeline=CLOCKS[0], play_state="paused"),
         auto_layout=False,
         auto_views=False,
+    )
+
+
+def _drift_view(track: RobotTrack) -> rrb.TimeSeriesView:
+    """How far the raw odometry is from the map, over the whole run."""
+    all_times = rr.TimeRange(
+        start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+    )
+    return rrb.TimeSeriesView(
+        origin="/drift",
+        name="Drift",
+        axis_x=rrb.TimeAxis(view_range=all_times),
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * max(float(track.drift_m.max()), 0.1))),
+        plot_legend=rrb.PlotLegend(visible=False),
     )
 
 

@@ -93,8 +93,9 @@ def _legend(topomap: TopoMap) -> str:
         "**blue**, four **green**, more **violet**. **Amber** arrows: branches never driven. "
         "The thin **grey** track: the raw odometry. Corridors are brighter the more often they "
         "were driven.\n\n"
-        "Click a junction or a corridor for what is known about it; the eye symbols in the panel "
-        "on the left show and hide layers (some start hidden); the time line below moves the robot."
+        "Point at a junction or a corridor for what is known about it, or select it and open the "
+        "panel on the right; the eye symbols on the left show and hide layers (some start "
+        "hidden); the time line below moves the robot."
     )
 
 

@@ -73,8 +73,8 @@ run's own map, laid into its component. **Step by step**: move the *join* time l
 runs come together, strongest evidence first. **Undecided**, where there are any: both \
 placements of every pair that the evidence does not decide.
 
-Click anything for what is known about it; the eye symbols in the panel on the left show and \
-hide runs."""
+Point at anything for what is known about it, or select it and open the panel on the right; the \
+eye symbols on the left show and hide runs. The numbers in the matrix are bits of evidence."""
 
 
 def _components(result: MergeResult) -> str:
