@@ -9,14 +9,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.closure.drivenby import DrivenBySettings, settle
 from ..topology.closure.gated import GatedSettings, Identification, gated_closure
 from ..topology.closure.layout import lay_out
 from ..topology.closure.rounds import RoundSettings, full_closure
-from ..topology.closure.walk import make_walk
+from ..topology.closure.walk import SystematicErrors, make_walk
 from ..topology.errors import DataError
-from ..topology.mapbuilding import MapBuildingSettings, Visits, build_topomap
+from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.passes import Passes
 from ..topology.topomap import Closure, RunNoise, TopoMap
+from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
 from .passes import PassSettings, fuse_passes
 from .run import Run
 
@@ -28,9 +30,15 @@ class MappingSettings:
     """How a run becomes a map; part of the document, so that a map tells how it was made."""
 
     closure: Literal["none", "gated", "full"] = "full"
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
+    calibration_doubt: float = 1.5
+    """Factor on the calibration's own sigma, which trusts corridors to be straight."""
+    systematic: SystematicErrors = field(default_factory=SystematicErrors)
+    """Constant errors of an odometry that could not be calibrated."""
     passes: PassSettings = field(default_factory=PassSettings)
     rounds: RoundSettings = field(default_factory=RoundSettings)
     gated: GatedSettings = field(default_factory=GatedSettings)
+    driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
     drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)
     most_refusals: int = 200
     """Refused identifications kept in the map: those with the most evidence."""
@@ -48,13 +56,15 @@ def build_map(
     it begins.
     """
     step = on_step or (lambda name: None)
+    step("calibration")
+    calibration = calibrate(run.odometry, run.detections, settings.calibration, settings.passes)
+    odometry = apply_calibration(run.odometry, calibration)
     step("passes")
-    odometry = run.odometry
     passes = fuse_passes(odometry, run.detections, settings.passes)
     _require_passes(run, passes)
     noise = RunNoise()
     step("loop closure")
-    walk = make_walk(odometry, passes, noise)
+    walk = make_walk(odometry, passes, noise, _systematic(calibration, settings))
     if settings.closure == "none":
         place = np.arange(len(passes), dtype=np.int64)
         asked: list[Identification] = []
@@ -66,20 +76,32 @@ def build_map(
     else:
         layout = lay_out(walk, place)
     step("map")
-    visits = Visits(passes.time_ns, place, np.ones(len(passes), bool), layout.pose, passes.centre)
+    settled = settle(walk, odometry, place, layout, settings.driven_by)
     topomap = build_topomap(
         run.name,
         odometry,
         passes,
-        xy=layout.xy,
-        visits=visits,
-        pass_vertex=place,
+        xy=settled.xy,
+        visits=settled.visits,
+        pass_vertex=settled.place,
         pass_turn=layout.pose[:, 2],
         noise=noise,
         closures=_closures(asked, passes, settings.most_refusals),
         settings=settings.drawing,
     )
-    return replace(topomap, info=_info(run, settings))
+    return replace(topomap, info=_info(run, settings, calibration))
+
+
+def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
+    """What the calibration leaves of the constant errors: its sigma, and what it did not apply."""
+    usual = settings.systematic
+    left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
+    left = settings.calibration_doubt * left
+    return SystematicErrors(
+        scale=usual.scale,
+        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else usual.turn_rad_per_m,
+        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else usual.turn_rad_per_rad,
+    )
 
 
 def _require_passes(run: Run, passes: Passes) -> None:
@@ -108,11 +130,18 @@ def _closures(
     )
 
 
-def _info(run: Run, settings: MappingSettings) -> dict[str, Any]:
+def _info(run: Run, settings: MappingSettings, calibration: Calibration) -> dict[str, Any]:
     """What the document says about the making of the map."""
     return {
         "source": dict(run.source),
         "settings": asdict(settings),
         "warnings": list(run.warnings),
-        "calibration": {},
+        "calibration": {
+            name: {
+                "applied": calibration.applied[k],
+                "estimate": calibration.estimate[k],
+                "sigma": calibration.sigma[k] if np.isfinite(calibration.sigma[k]) else None,
+            }
+            for k, name in enumerate(("bias_rad_per_m", "turn_scale", "lag_s"))
+        },
     }

@@ -14,7 +14,7 @@ from .polyline import simplify
 from .ragged import Ragged
 from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
-from .track import chain_of, track_directions, way_along, way_at
+from .track import track_directions, way_along, way_at
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -43,7 +43,7 @@ class Visits:
 
     time_ns, vertex: (v,); seen: (v,) whether a pass tells it; pose: (v, 3) corrected: position in
     the map and turn from the odometry's frame to the map's; centre: (v, 2) the vertex in the
-    odometry frame at that time.
+    odometry frame at that time; chain: (v,) unbroken piece of odometry.
     """
 
     time_ns: IntArray
@@ -51,6 +51,7 @@ class Visits:
     seen: NDArray[np.bool_]
     pose: FloatArray
     centre: FloatArray
+    chain: IntArray
 
 
 def build_topomap(
@@ -192,13 +193,12 @@ def _legs(
 ) -> _Legs:
     """Legs within an unbroken track; turning back in a corridor makes no edge."""
     way = way_at(odometry, visits.time_ns)
-    chain = chain_of(odometry, visits.time_ns)
     first = np.arange(len(visits.time_ns) - 1)
     u, v = visits.vertex[:-1], visits.vertex[1:]
     a, b = exit_[:-1], entry[1:]
     length = np.diff(way)
     loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
-    fine = (np.diff(chain) == 0) & ~loop & (length > 0.05)
+    fine = (np.diff(visits.chain) == 0) & ~loop & (length > 0.05)
     first, u, v, a, b, length = (x[fine] for x in (first, u, v, a, b, length))
     variance = (
         2 * noise.centre_m**2
@@ -291,6 +291,56 @@ def _fitting(
     return best
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnTrack:
+    """Pieces of the track between visits, bent to meet the vertices at their ends.
+
+    owner: (k,) number of the piece each point belongs to; offsets: (m + 1,) rows of each piece;
+    way: (k,) way driven [m]; share: (k,) 0 at the piece's first visit, 1 at its last; odom, xy:
+    (k, 2) in the odometry's frame and in the map's; turn: (k,) between the two.
+    """
+
+    owner: IntArray
+    offsets: IntArray
+    way: FloatArray
+    share: FloatArray
+    odom: FloatArray
+    xy: FloatArray
+    turn: FloatArray
+
+
+def draw_track(
+    odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArray, step_m: float
+) -> DrawnTrack:
+    """The track from visit `first[k]` to the next one, for all k at once.
+
+    All pieces are sampled in one flat row. Each point is placed as seen from either visit, and
+    between the two views by the way driven; what is left at the ends is spread likewise.
+    """
+    way = way_along(odometry)
+    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
+    at = way_at(odometry, visits.time_ns)
+    length = at[first + 1] - at[first]
+    points = np.maximum(np.ceil(length / step_m), 2).astype(np.int64) + 1
+    owner = np.repeat(np.arange(len(first)), points)
+    offsets = np.concatenate([[0], np.cumsum(points)]).astype(np.int64)
+    share = (np.arange(len(owner)) - offsets[owner]) / (points[owner] - 1)
+    s = at[first][owner] + share * length[owner]
+    odom = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
+
+    def seen_from(visit: IntArray) -> FloatArray:
+        turn, d = visits.pose[visit, 2][owner], odom - visits.centre[visit][owner]
+        c, sn = np.cos(turn), np.sin(turn)
+        turned = np.column_stack([c * d[:, 0] - sn * d[:, 1], sn * d[:, 0] + c * d[:, 1]])
+        return np.asarray(xy[visits.vertex[visit]][owner] + turned)
+
+    w = share[:, None]
+    drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)
+    turn = visits.pose[first, 2][owner]
+    turn = turn + share * wrap(visits.pose[first + 1, 2][owner] - turn)
+    return DrawnTrack(owner, offsets, s, share, odom, drawn, np.asarray(wrap(turn)))
+
+
 def _paths(
     odometry: Odometry,
     visits: Visits,
@@ -300,37 +350,16 @@ def _paths(
     *,
     settings: MapBuildingSettings,
 ) -> tuple[FloatArray, ...]:
-    """The drawn track of every edge, in the map frame, thinned."""
-    way = way_along(odometry)
-    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
-    at = way_at(odometry, visits.time_ns)
+    """The drawn track of every edge, in the map frame, from vertex to vertex, thinned."""
     first = legs.visit[edges.leg]
-    # Sample the tracks of all edges in one flat row, then bend each to meet its two vertices.
-    points = np.maximum(np.ceil((at[first + 1] - at[first]) / settings.path_step_m), 2).astype(int)
-    owner = np.repeat(np.arange(len(first)), points + 1)
-    offsets = np.concatenate([[0], np.cumsum(points + 1)])
-    share = (np.arange(len(owner)) - offsets[owner]) / points[owner]
-    s = at[first][owner] + share * (at[first + 1] - at[first])[owner]
-    p = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
-
-    def seen_from(visit: IntArray) -> FloatArray:
-        pose, centre = visits.pose[visit][owner], visits.centre[visit][owner]
-        c, sn = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        d = p - centre
-        turned = np.column_stack([c * d[:, 0] - sn * d[:, 1], sn * d[:, 0] + c * d[:, 1]])
-        return np.asarray(xy[visits.vertex[visit]][owner] + turned)
-
-    w = share[:, None]
-    drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)
-    start, end = xy[visits.vertex[first]], xy[visits.vertex[first + 1]]
-    begin_off = (start - drawn[offsets[:-1]])[owner]
-    end_off = (end - drawn[offsets[1:] - 1])[owner]
-    drawn = drawn + (1 - w) * begin_off + w * end_off
+    track = draw_track(odometry, visits, xy, first, settings.path_step_m)
+    begin_off = (xy[visits.vertex[first]] - track.xy[track.offsets[:-1]])[track.owner]
+    end_off = (xy[visits.vertex[first + 1]] - track.xy[track.offsets[1:] - 1])[track.owner]
+    w = track.share[:, None]
+    drawn = track.xy + (1 - w) * begin_off + w * end_off
     turned = legs.turned[edges.leg]
     paths = []
     for e in range(len(first)):
-        path = drawn[offsets[e] : offsets[e + 1]]
-        if turned[e]:
-            path = path[::-1]
-        paths.append(simplify(path, settings.path_tolerance_m))
+        path = drawn[track.offsets[e] : track.offsets[e + 1]]
+        paths.append(simplify(path[::-1] if turned[e] else path, settings.path_tolerance_m))
     return tuple(paths)

@@ -6,6 +6,7 @@ sure, lay the walk out again, look again with the smaller uncertainty that this 
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,14 +74,15 @@ class Candidates:
 
     a: IntArray
     b: IntArray
-    base: FloatArray
+    position: FloatArray
+    branches: FloatArray
     support: FloatArray
     conflict: FloatArray
 
     @property
     def total(self) -> FloatArray:
         """(k,) all evidence."""
-        out: FloatArray = self.base + self.support - self.conflict
+        out: FloatArray = self.position + self.branches + self.support - self.conflict
         return out
 
 
@@ -89,7 +91,7 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     common = background(walk, settings.evidence)
     grid = grid_headings(walk, settings.grid)
     links: list[Identification] = []
-    forbidden: set[tuple[int, int]] = set()
+    strikes: Counter[tuple[int, int]] = Counter()
     place = np.arange(len(walk), dtype=np.int64)
     layout = lay_out(walk, place, None, grid, settings.layout)
     stage, found = 0, _no_candidates()
@@ -98,7 +100,11 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
         rare = rarity(places, common, settings.evidence)
         scene = Scene(walk, places, layout.xy, common, rare)
         found = _candidates(scene, place, layout, settings, exact=number > 0)
-        barred = {frozenset((int(place[i]), int(place[j]))) for i, j in forbidden}
+        barred = {
+            frozenset((int(place[i]), int(place[j])))
+            for (i, j), count in strikes.items()
+            if count > stage
+        }
         new = _certain(places, found, settings.thresholds[stage], barred, settings)
         if not new:
             stage += 1
@@ -110,7 +116,7 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
         layout = lay_out(walk, place, layout.pose, grid, settings.layout)
         bad = _strained(place, layout, links, settings)
         if bad:
-            forbidden |= {(q.first, q.second) for q in bad}
+            strikes.update((q.first, q.second) for q in bad)
             links = [q for q in links if q not in bad]
             place = _partition(len(walk), links)
             layout = lay_out(walk, place, layout.pose, grid, settings.layout)
@@ -119,7 +125,7 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
 
 def _no_candidates() -> Candidates:
     none, zero = np.zeros(0, np.int64), np.zeros(0)
-    return Candidates(none, none, zero, zero, zero)
+    return Candidates(none, none, zero, zero, zero, zero)
 
 
 def _partition(count: int, links: list[Identification]) -> IntArray:
@@ -161,10 +167,10 @@ def _candidates(
     a, b, odds, cov = a[fine], b[fine], odds[fine], cov[fine]
     turn_sigma = np.sqrt(np.maximum(cov[:, 2, 2], 0.0)) + 0.02
     aligned = align(places, common, a, b, turn_sigma=turn_sigma)
-    base = odds + aligned.score - np.maximum(rare[a], rare[b])
+    branches = aligned.score - np.maximum(rare[a], rare[b])
     support = grow(scene, a, b, aligned, settings.growth)
     gain = np.minimum(support.gain, settings.support_cap)
-    return Candidates(a, b, base, gain, support.loss)
+    return Candidates(a, b, odds, branches, gain, support.loss)
 
 
 def _nearest_in_time(
@@ -252,7 +258,7 @@ def _refused(walk: Walk, place: IntArray, found: Candidates) -> list[Identificat
     first = np.full(len(walk), len(walk), np.int64)
     np.minimum.at(first, place, np.arange(len(walk)))
     out = []
-    for k in np.flatnonzero(found.base > 0):
+    for k in np.flatnonzero(found.position + found.branches > 0):
         i, j = sorted((int(first[found.a[k]]), int(first[found.b[k]])))
         reason = "corridors disagree" if found.conflict[k] > 2 else "not sure enough"
         out.append(Identification(i, j, False, float(found.total[k] / np.log(2)), reason))
