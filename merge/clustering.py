@@ -8,6 +8,7 @@ a rotation counts at a single vertex too. In metres squared, like the errors it 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ..topology.se2 import apply
 from .hypotheses import Hypotheses
@@ -42,7 +44,7 @@ class ClusterSettings:
     rounds: int = 10
     """Most rounds of re-admission."""
     largest_dense: int = 3000
-    """Above so many hypotheses, those of a single vertex are left out of the clustering."""
+    """On general angles, above so many hypotheses, those of one vertex are left out."""
 
 
 DEFAULT_CLUSTERS = ClusterSettings()
@@ -79,10 +81,10 @@ def cluster(
     """Cluster hypotheses by complete linkage: any two of a cluster are within the threshold.
 
     xy: positions (n, 2) of a's vertices and of b's; shortest_edge_m: shortest corridor of either
-    map. O(H²) in the hypotheses; the linkage runs inside groups that can cluster at all.
+    map. O(H log H) in the hypotheses of a rectilinear world, O(H²) on general angles.
     """
     kept = np.arange(len(h))
-    if len(h) > settings.largest_dense:
+    if not h.rectilinear and len(h) > settings.largest_dense:
         kept = np.flatnonzero(h.size > 1)[: settings.largest_dense]
     threshold = _threshold(h, kept, shortest_edge_m, settings)
     of = np.full(len(h), -1, np.int64)
@@ -107,24 +109,39 @@ def _complete_linkage(
     """(kept,) cluster of each hypothesis."""
     # Strategy: complete linkage never joins across components of the graph of pairs within the
     # threshold, so scipy's linkage runs on each of these (mostly tiny) components alone.
-    if len(kept) == 0:
-        return np.zeros(0, np.int64)
-    distance = transform_distances(h, kept, xy_b, settings.lever_m)
-    i, j = np.nonzero(np.triu(distance <= threshold, 1))
-    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=distance.shape)
+    i, j = _near_pairs(h, kept, xy_b, threshold, settings)
+    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(len(kept), len(kept)))
     count, part = connected_components(graph, directed=False)
+    order = np.argsort(part, kind="stable")
+    first = np.searchsorted(part[order], np.arange(count + 1))
     out = np.zeros(len(kept), np.int64)
-    next_label = 0
-    members = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
-    for rows in members[:count]:
-        labels = np.ones(len(rows), np.int64)
-        if len(rows) > 1:
-            inside = distance[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)]
-            tree = linkage(inside, method="complete")
-            labels = fcluster(tree, threshold, criterion="distance").astype(np.int64)
-        out[rows] = labels - 1 + next_label
-        next_label += int(labels.max())
+    out[order] = np.arange(len(kept))  # alone, unless the linkage below says otherwise
+    for low, high in pairwise(first.tolist()):
+        rows = order[low:high]
+        if len(rows) == 2:
+            out[rows] = low
+        elif len(rows) > 2:
+            distance = transform_distances(h, kept[rows], xy_b, settings.lever_m)
+            tree = linkage(distance[np.triu_indices(len(rows), 1)], method="complete")
+            out[rows] = low + fcluster(tree, threshold, criterion="distance") - 1
     return out
+
+
+def _near_pairs(
+    h: Hypotheses, kept: IntArray, xy_b: FloatArray, threshold: float, settings: ClusterSettings
+) -> tuple[IntArray, IntArray]:
+    """Pairs of hypotheses within the threshold, as positions in `kept`."""
+    if not h.rectilinear:
+        distance = transform_distances(h, kept, xy_b, settings.lever_m)
+        i, j = np.nonzero(distance <= threshold)
+        return i[i < j], j[i < j]
+    # Equal rotations move every point alike: translations in a tree, the rotations far apart.
+    turn = np.unique(np.rint(h.transform[kept, 2] * 1e6), return_inverse=True)[1]
+    reach = np.sqrt(threshold)
+    apart = 2 * reach + 1.0
+    tree = cKDTree(np.column_stack([h.transform[kept, :2], turn * apart]))
+    pairs = tree.query_pairs(reach, output_type="ndarray")
+    return pairs[:, 0], pairs[:, 1]
 
 
 def transform_distances(

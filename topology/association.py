@@ -451,9 +451,11 @@ def single_matches(
     Such a pair cannot be grown, so it is a hypothesis of one vertex. Rectilinear: classes of
     vertices by their branch slots are compared, not vertices; general: all pairs.
     """
+    if growth.rectilinear:
+        return _slot_singles(a, b, settings)
     nodes = candidate_nodes(a, b, settings)
     return SingleMatches(
-        nodes=nodes.take(shared_branches(a, b, nodes, growth.rectilinear) == 0),
+        nodes=nodes.take(shared_branches(a, b, nodes, False) == 0),
         candidates=len(nodes),
         pairs=len(np.unique(nodes.vertex_a * len(b) + nodes.vertex_b)),
     )
@@ -461,23 +463,72 @@ def single_matches(
 
 def candidate_nodes(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) -> Nodes:
     """All compatible pairs of vertices under all their correspondences (§2.1), ascending."""
-    rectilinear = is_rectilinear(a, b, settings)
-    code = (_slot_candidates if rectilinear else _angle_candidates)(a, b, settings)
-    return decode(a, b, code, rectilinear)
+    if not is_rectilinear(a, b, settings):
+        return decode(a, b, _angle_candidates(a, b, settings), False)
+    classes = _SlotClasses.of(a, b, settings)
+    return classes.expanded(classes.compatible)
 
 
-def _slot_candidates(a: Structure, b: Structure, settings: GrowthSettings) -> IntArray:
-    """Codes of all compatible nodes of a rectilinear world, ascending."""
-    found = []
-    turns = np.arange(4)
-    groups_a = [(m, np.flatnonzero(a.mask == m)) for m in np.unique(a.mask[a.mask > 0])]
-    groups_b = [(m, np.flatnonzero(b.mask == m)) for m in np.unique(b.mask[b.mask > 0])]
-    for mask_a, of_a in groups_a:
-        for mask_b, of_b in groups_b:
-            ok = _masks_agree(np.full(4, mask_a), np.full(4, mask_b), turns, settings)
-            pair = of_a[:, None] * len(b) + of_b
-            found.append((pair[:, :, None] * 4 + turns[ok]).reshape(-1))
-    return np.sort(np.concatenate(found)) if found else np.zeros(0, np.int64)
+@dataclass(frozen=True, slots=True, eq=False)
+class _SlotClasses:
+    """Vertices of both maps in classes of equal (branch slots, driven slots).
+
+    compatible: (C_a, C_b, 4) whether vertices of two classes pair under a quarter turn; disjoint:
+    likewise, whether they share no driven branch; rows: vertices by class; first: (C + 1,) where
+    each class begins in them.
+    """
+
+    compatible: NDArray[np.bool_]
+    disjoint: NDArray[np.bool_]
+    rows: tuple[IntArray, IntArray]
+    first: tuple[IntArray, IntArray]
+
+    @classmethod
+    def of(cls, a: Structure, b: Structure, settings: GrowthSettings) -> _SlotClasses:
+        kinds, rows, first = [], [], []
+        for s in (a, b):
+            kind = s.mask * 16 + s.explored_mask
+            order = np.argsort(kind, kind="stable")
+            known, start = np.unique(kind[order], return_index=True)
+            kinds.append(known)
+            rows.append(order)
+            first.append(np.append(start, len(order)))
+        turns = np.arange(4)
+        mask_a, driven_a = (k[:, None, None] for k in np.divmod(kinds[0], 16))
+        mask_b, driven_b = (k[None, :, None] for k in np.divmod(kinds[1], 16))
+        return cls(
+            compatible=_masks_agree(mask_a, mask_b, turns, settings) & (mask_a > 0),
+            disjoint=np.asarray((driven_a & TURNED[driven_b, turns]) == 0),
+            rows=(rows[0], rows[1]),
+            first=(first[0], first[1]),
+        )
+
+    @property
+    def sizes(self) -> IntArray:
+        """(C_a, C_b) vertex pairs of each pair of classes."""
+        return np.asarray(np.diff(self.first[0])[:, None] * np.diff(self.first[1]))
+
+    def expanded(self, chosen: NDArray[np.bool_]) -> Nodes:
+        """The nodes of the chosen (class, class, turn), ascending."""
+        # Strategy: a flat ragged product; node k of a triple is (k // width, k % width) of it.
+        i, j, turn = np.nonzero(chosen)
+        count, width = self.sizes[i, j], np.diff(self.first[1])[j]
+        triple = np.repeat(np.arange(len(i)), count)
+        within = np.arange(len(triple)) - np.repeat(np.cumsum(count) - count, count)
+        x, y = np.divmod(within, width[triple])
+        vertex_a = self.rows[0][self.first[0][i][triple] + x]
+        vertex_b = self.rows[1][self.first[1][j][triple] + y]
+        nodes = Nodes(vertex_a, vertex_b, turn[triple])
+        return nodes.take(np.lexsort((nodes.correspondence, vertex_b, vertex_a)))
+
+
+def _slot_singles(a: Structure, b: Structure, settings: GrowthSettings) -> SingleMatches:
+    classes = _SlotClasses.of(a, b, settings)
+    return SingleMatches(
+        nodes=classes.expanded(classes.compatible & classes.disjoint),
+        candidates=int((classes.compatible.sum(axis=2) * classes.sizes).sum()),
+        pairs=int((classes.compatible.any(axis=2) * classes.sizes).sum()),
+    )
 
 
 def _angle_candidates(a: Structure, b: Structure, settings: GrowthSettings) -> IntArray:

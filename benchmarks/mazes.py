@@ -1,0 +1,171 @@
+"""Random maze-like worlds and the maps of robots that explored parts of them, as maps, not logs."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topobatch.topology.embedding import embed_rectilinear
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import apply, wrap
+from topobatch.topology.topomap import TopoMap
+
+HEADINGS = np.array([-np.pi, -np.pi / 2, 0.0, np.pi / 2])
+STEPS = np.array([[-1, 0], [0, -1], [1, 0], [0, 1]])
+
+
+@dataclass(frozen=True)
+class Maze:
+    """A rectilinear world: vertices, and per edge its ends and the slots (0..3) it leaves by."""
+
+    xy: NDArray[np.float64]
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    source_slot: NDArray[np.int64]
+    target_slot: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Odometry error model of a length: sqrt(floor² + (share · length)²), 1 sigma."""
+
+    floor_m: float = 0.05
+    share: float = 0.005
+
+
+def random_maze(rng, rows, columns, *, extra=0.25, low_m=3.0, high_m=8.0):
+    """A spanning tree of a grid with uneven spacing, plus some of the walls taken out again.
+
+    Straight passages are corridors, not vertices.
+    """
+    x = np.concatenate([[0.0], np.cumsum(rng.uniform(low_m, high_m, columns - 1))])
+    y = np.concatenate([[0.0], np.cumsum(rng.uniform(low_m, high_m, rows - 1))])
+    cell = np.arange(rows * columns).reshape(rows, columns)
+    right = np.column_stack(
+        [cell[:, :-1].ravel(), cell[:, 1:].ravel(), np.full(rows * (columns - 1), 2)]
+    )
+    up = np.column_stack([cell[:-1].ravel(), cell[1:].ravel(), np.full((rows - 1) * columns, 3)])
+    walls = rng.permutation(np.concatenate([right, up]))
+    head = np.arange(rows * columns)
+
+    def root(v):
+        while head[v] != v:
+            head[v] = head[head[v]]
+            v = head[v]
+        return v
+
+    opened = np.full((rows * columns, 4), -1)
+    for u, v, slot in walls.tolist():
+        p, q = root(u), root(v)
+        if p != q or rng.random() < extra:
+            head[p] = q
+            opened[u, slot], opened[v, (slot + 2) % 4] = v, u
+    degree = (opened >= 0).sum(axis=1)
+    straight = (degree == 2) & ((opened[:, 0] >= 0) == (opened[:, 2] >= 0))
+    number = np.cumsum(~straight) - 1
+    edges = []
+    for u in np.flatnonzero(~straight).tolist():
+        for slot in (2, 3):
+            v = opened[u, slot]
+            if v >= 0:
+                while straight[v]:
+                    v = opened[v, slot]
+                edges.append((number[u], number[v], slot, (slot + 2) % 4))
+    where = np.column_stack([np.tile(x, rows), np.repeat(y, columns)])[~straight]
+    return Maze(where, *np.array(edges, np.int64).T)
+
+
+def overlapping_regions(maze, rng, size, overlap):
+    """Two connected regions of `size` vertices with a share `overlap` of them in common.
+
+    Both grow from a common core, one to the left and one to the right of the world.
+    """
+    neighbours = [[] for _ in maze.xy]
+    for u, v in zip(maze.source.tolist(), maze.target.tolist(), strict=True):
+        neighbours[u].append(v)
+        neighbours[v].append(u)
+    across, spread = maze.xy[:, 0], np.ptp(maze.xy[:, 0])
+    middle = np.abs(across - across.mean()) + rng.uniform(0, 0.2 * spread, len(across))
+    core = grown(neighbours, [int(middle.argmin())], max(1, round(size * overlap)), middle, set())
+    left = grown(neighbours, core, size, across + rng.uniform(0, 0.1 * spread, len(across)), set())
+    banned = set(left) - set(core)
+    cost = -across + rng.uniform(0, 0.1 * spread, len(across))
+    return left, grown(neighbours, core, size, cost, banned)
+
+
+def grown(neighbours, seed, size, cost, banned):
+    """A connected region from `seed` on, cheapest frontier vertex first."""
+    found = set(seed)
+    frontier = [(float(cost[w]), w) for v in seed for w in neighbours[v]]
+    heapq.heapify(frontier)
+    while frontier and len(found) < size:
+        _, v = heapq.heappop(frontier)
+        if v not in found and v not in banned:
+            found.add(v)
+            for w in neighbours[v]:
+                heapq.heappush(frontier, (float(cost[w]), w))
+    return sorted(found)
+
+
+def explored_map(maze, region, rng, name, *, noise=Noise(), turn=0.0, skipped=0.05):
+    """The map of a robot that drove the corridors inside a region, in a frame turned by `turn`.
+
+    Some corridors (`skipped`) were not driven; corridors that lead out are unexplored branches.
+    """
+    inside = {v: k for k, v in enumerate(region)}
+    keep = [
+        e
+        for e, (u, v) in enumerate(zip(maze.source.tolist(), maze.target.tolist(), strict=True))
+        if u in inside and v in inside and rng.random() >= skipped
+    ]
+    slots = [set() for _ in maze.xy]
+    for e in range(len(maze.source)):
+        slots[maze.source[e]].add(int(maze.source_slot[e]))
+        slots[maze.target[e]].add(int(maze.target_slot[e]))
+    rows, place = [], []
+    for v in region:
+        mine = sorted(slots[v])
+        moved = wrap(HEADINGS[mine] + turn)
+        order = np.argsort(moved)
+        rows.append(moved[order])
+        place.append({mine[k]: int(rank) for rank, k in enumerate(order)})
+    source = np.array([inside[int(u)] for u in maze.source[keep]], np.int64)
+    target = np.array([inside[int(v)] for v in maze.target[keep]], np.int64)
+    true = np.hypot(*(maze.xy[maze.target[keep]] - maze.xy[maze.source[keep]]).T)
+    sigma = np.hypot(noise.floor_m, noise.share * true)
+    length = np.maximum(true + rng.normal(0, 1, len(true)) * sigma, 0.1)
+    turned = apply(np.array([0.0, 0.0, turn]), maze.xy[region])
+    drawn = TopoMap(
+        run=name,
+        frame="odom",
+        xy=turned,
+        branches=Ragged.from_rows(rows),
+        kind=tuple("dead_end" if len(r) == 1 else "junction" for r in rows),
+        source=source,
+        target=target,
+        source_branch=np.array(
+            [place[u][int(s)] for u, s in zip(source, maze.source_slot[keep], strict=True)],
+            np.int64,
+        ),
+        target_branch=np.array(
+            [place[v][int(s)] for v, s in zip(target, maze.target_slot[keep], strict=True)],
+            np.int64,
+        ),
+        length=length,
+        length_sigma=sigma,
+        traversals=np.ones(len(keep), np.int64),
+        paths=tuple(turned[[u, v]] for u, v in zip(source, target, strict=True)),
+        observation_vertex=np.arange(len(region)),
+        observation_time_ns=np.arange(len(region)) * 10**9,
+    )
+    return embedded(drawn)
+
+
+def embedded(topomap):
+    """The map with its vertices where its own measurements put them (§3.1)."""
+    xy = embed_rectilinear(topomap)
+    paths = tuple(xy[[u, v]] for u, v in zip(topomap.source, topomap.target, strict=True))
+    return replace(topomap, xy=xy, paths=paths)
