@@ -140,7 +140,7 @@ def read_run(
 
 def inspect_log(path: Path, settings: ReadSettings = ReadSettings()) -> LogInfo:
     """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
-    recording, counts = _surveyed(recording_at(Path(path)))
+    recording, counts = _surveyed(recording_at(Path(path)), exact=True)
     formats, span, problems = _formats(recording), None, list(recording.notes)
     if counts is None:
         findings = _walk(recording, Intake(lambda _: False), None)
@@ -173,9 +173,11 @@ def inspect_log(path: Path, settings: ReadSettings = ReadSettings()) -> LogInfo:
 # Surveying
 
 
-def _surveyed(recording: Recording) -> tuple[Recording, dict[Channel, int] | None]:
+def _surveyed(
+    recording: Recording, exact: bool = False
+) -> tuple[Recording, dict[Channel, int] | None]:
     """The files by their start, and the counts per channel; None if some file has no index."""
-    surveys = _surveys(recording)
+    surveys = _surveys(recording, exact)
     if any(survey is None for survey in surveys):
         return recording, None
     sound = [survey for survey in surveys if survey is not None]
@@ -187,8 +189,10 @@ def _surveyed(recording: Recording) -> tuple[Recording, dict[Channel, int] | Non
     return replace(recording, files=tuple(recording.files[k] for k in order)), counts
 
 
-def _surveys(recording: Recording) -> list[Survey | None]:
-    return [container(file).survey() if sniff(file) != "zstd" else None for file in recording.files]
+def _surveys(recording: Recording, exact: bool = False) -> list[Survey | None]:
+    return [
+        container(file).survey(exact) if sniff(file) != "zstd" else None for file in recording.files
+    ]
 
 
 def _formats(recording: Recording) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .logs.intake import PoseColumns, Sink
+from .logs.intake import PoseColumns, Sink, no_columns
 from .track import backward_jumps
 
 Ints = NDArray[np.int64]
@@ -46,7 +46,7 @@ class Source:
             frames += sink.decoder.frames.pairs
             before += sink.messages
         return cls(
-            parts[0] if len(parts) == 1 else _joined(parts),
+            _joined(parts),
             tuple(frames),
             sinks[0].channel.type_name if sinks else "",
             before,
@@ -84,6 +84,10 @@ class Source:
 
 def _joined(parts: Sequence[PoseColumns]) -> PoseColumns:
     """Columns of several channels in the order of log time."""
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return no_columns()
     names = tuple(PoseColumns.__dataclass_fields__)
     joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
     order = np.argsort(joined[1], kind="stable")

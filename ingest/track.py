@@ -163,15 +163,19 @@ def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[
     if len(time_ns) < 2:
         return np.zeros(0, bool)
     way, turn, duration = _motion(time_ns, pose)
+    zero = ~pose[1:].any(axis=1)
+    away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)
+    reset = zero & away
+    long_step = (way > settings.teleport_min_m) | (turn > settings.teleport_min_rad)
+    if not (long_step | reset).any():
+        return reset
     speed_limit = _limit(way, duration, settings, settings.teleport_min_speed_m_per_s)
     turn_limit = _limit(turn, duration, settings, settings.teleport_min_turn_rad_per_s)
     far = (way > settings.teleport_min_m) & (way > speed_limit * duration)
     far |= (turn > settings.teleport_min_rad) & (turn > turn_limit * duration)
-    away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)
-    zero = ~pose[1:].any(axis=1)
     # Driving through the exact origin takes a step like any other; a reset takes a far longer one.
     sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
-    return far | (zero & away & sudden)
+    return far | (reset & sudden)
 
 
 def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float) -> float:
@@ -202,6 +206,8 @@ def _report_gaps(time_ns: Ints, settings: TrackSettings, warnings: list[str]) ->
     if len(time_ns) < 3:
         return
     step = np.diff(time_ns)
+    if step.max() <= settings.gap_min_s * SECOND_NS:
+        return
     usual = float(np.median(step))
     gaps = step[step > max(settings.gap_min_s * SECOND_NS, settings.gap_periods * usual)]
     if len(gaps):

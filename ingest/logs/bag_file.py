@@ -27,7 +27,7 @@ from .bag_wire import (
     record_at,
     time_ns,
 )
-from .inflate import CHUNK_BYTES, inflate, inflate_part
+from .inflate import CHUNK_BYTES, inflate, inflate_part, keep_freed_memory
 from .messages import (
     Block,
     Bytes,
@@ -41,6 +41,7 @@ from .messages import (
     Walking,
     Want,
 )
+from .walk import bag_records
 
 _UNKNOWN = -2
 _CONNECTIONS = 1 << 16
@@ -70,7 +71,7 @@ class BagFile:
             self._index_read = True
         return self._index
 
-    def survey(self) -> Survey | None:
+    def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the chunk infos of the index."""
         index = self.index()
         return index.survey() if index is not None else None
@@ -106,6 +107,7 @@ class _Walk:
 
     def run(self) -> Iterator[Block]:
         """All blocks up to the index, the end, or the last readable place."""
+        keep_freed_memory()
         window, position = self._window, len(MAGIC)
         while position < window.size:
             if self._index is not None and position == self._index.start:
@@ -213,7 +215,7 @@ class _Walk:
             return record.data_at
         rest = self._window.view(record.data_at, CHUNK_BYTES)
         part = np.frombuffer(inflate_part(compression, rest, CHUNK_BYTES), np.uint8)
-        yield from self._messages(part[: _whole_records(part)])
+        yield from self._messages(part)
         return self._window.size
 
     def _cut_chunk(self, record: Record, compression: str, size: int) -> Walking:
@@ -221,7 +223,7 @@ class _Walk:
         data = self._window.view(record.data_at, min(record.data_size, CHUNK_BYTES))
         if compression != "none":
             data = np.frombuffer(inflate_part(compression, data, size), np.uint8)
-        yield from self._messages(data[: _whole_records(data)])
+        yield from self._messages(data)
         return self._window.size
 
     def _count_lost(self, record: Record) -> None:
@@ -248,7 +250,8 @@ class _Walk:
 
     def _messages(self, data: Bytes) -> Iterator[Block]:
         """The wanted messages in a run of records; connections met are taken in."""
-        where = self._walk(data)
+        where, stop = bag_records(data)
+        self._findings.unreadable_bytes += len(data) - stop
         if self._template is None:
             self._learn(data, where)
         conn, time, size_at, others = self._columns(data, where)
@@ -273,24 +276,6 @@ class _Walk:
             size = _rows(data, size_at, 4).view("<u4")[:, 0].astype(np.int64)
             yield Block(data, sink[keep], time[keep], size_at + 4, size)
 
-    def _walk(self, data: Bytes) -> Ints:
-        """Places of all whole records in `data`."""
-        raw, position, end = data.data, 0, len(data) - 8
-        places: list[int] = []
-        append = places.append
-        while position <= end:
-            append(position)
-            body = position + 4 + U32(raw, position)[0]
-            if body > end + 4:
-                position = len(data) + 1
-                break
-            position = body + 4 + U32(raw, body)[0]
-        if position != len(data):
-            if places and position > len(data):
-                position = places.pop()
-            self._findings.unreadable_bytes += len(data) - position
-        return np.array(places, np.int64)
-
     def _learn(self, data: Bytes, where: Ints) -> None:
         """Take the header of the first message as the template of all."""
         for place in where.tolist():
@@ -313,13 +298,14 @@ class _Walk:
             return none, none, none, where
         inside = where[where + (template.size + 8) <= len(data)]
         heads = _rows(data, inside, template.size + 4)
-        like = (heads[:, template.fixed] == template.head[template.fixed]).all(axis=1)
-        found = inside[like]
-        if not like.all():
-            heads = heads[like]
+        same = heads[:, template.fixed] == template.head[template.fixed]
+        found = inside
+        if not same.all():
+            like = same.all(axis=1)
+            found, heads = inside[like], heads[like]
         conn = _word(heads, template.conn_at)
         time = _word(heads, template.time_at) * 10**9 + _word(heads, template.time_at + 4)
-        others = where if len(found) == 0 else np.setdiff1d(where, found, assume_unique=True)
+        others = where[:0] if len(found) == len(where) else np.setdiff1d(where, found)
         return conn, time, found + (4 + template.size), others
 
     def _one_by_one(self, data: Bytes, places: Ints) -> list[tuple[int, int, int]]:

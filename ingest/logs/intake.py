@@ -16,14 +16,14 @@ from .messages import UNWANTED, Block, Bytes, Channel, DamageError, Ints
 from .poses import PoseDecoder, Poses
 from .schema import as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
-from .wire import WireDecoder, gather
+from .wire import WireDecoder
 
 DENSE = 64
 """From so many messages in a block on, they are decoded in place; fewer are gathered first."""
 
 PENDING_BYTES = 1 << 20
 
-_MAGIC = np.frombuffer(ZSTD_MAGIC, np.uint8)
+_MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
 
 
 def decoder_for(channel: Channel) -> PoseDecoder:
@@ -58,6 +58,12 @@ class PoseColumns:
     yaw: NDArray[np.float64]
 
 
+def no_columns() -> PoseColumns:
+    """Columns without a row."""
+    none = np.zeros(0, np.int64)
+    return PoseColumns(none, none, none, none, np.zeros((0, 2)), np.zeros(0))
+
+
 @dataclass(slots=True)
 class Sink:
     """Everything read from one channel.
@@ -89,22 +95,21 @@ class Sink:
         if self.channel.encoding in ("cdr", "ros1") and self._packed(data, start, size).any():
             self._unpack(data, log_ns, start, size)
         elif len(start) >= DENSE:
-            self._flush()
+            self.flush()
             self._decode(data, log_ns, start, size)
         else:
             for at, length in zip(start.tolist(), size.tolist(), strict=True):
                 self._keep(data[at : at + length].tobytes())
             self._pending_ns += log_ns.tolist()
         if self._pending_bytes >= PENDING_BYTES:
-            self._flush()
+            self.flush()
 
     def columns(self) -> PoseColumns:
         """All poses; the sink is empty afterwards, so that they are held once."""
-        self._flush()
+        self.flush()
         pieces, self._pieces = self._pieces, []
         if not pieces:
-            none = np.zeros(0, np.int64)
-            return PoseColumns(none, none, none, none, np.zeros((0, 2)), np.zeros(0))
+            return no_columns()
         columns = [list(column) for column in zip(*pieces, strict=True)]
         del pieces
         out = []
@@ -115,8 +120,8 @@ class Sink:
     def _packed(self, data: Bytes, start: Ints, size: Ints) -> NDArray[np.bool_]:
         """Which payloads are zstd streams: recorders compress messages one by one if asked to."""
         packed = size >= 9
-        rows = gather(data, start[packed], len(_MAGIC))
-        packed[packed] = (rows == _MAGIC).all(axis=1)
+        words = np.ndarray((max(0, len(data) - 3),), "<u4", data.data, strides=(1,))
+        packed[packed] = words[start[packed]] == _MAGIC
         return packed
 
     def _unpack(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
@@ -131,13 +136,14 @@ class Sink:
                 continue
             self._pending_ns.append(int(log_ns[k]))
             if self._pending_bytes >= PENDING_BYTES:
-                self._flush()
+                self.flush()
 
     def _keep(self, payload: bytes) -> None:
         self._pending.append(payload)
         self._pending_bytes += len(payload)
 
-    def _flush(self) -> None:
+    def flush(self) -> None:
+        """Decode what was only gathered so far."""
         if not self._pending:
             return
         size = np.fromiter(map(len, self._pending), np.int64, len(self._pending))
@@ -163,12 +169,13 @@ class Sink:
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
-        finite = np.isfinite(poses.value).all(axis=1)
         # Far below any unit quaternion, far above what rounding leaves of a zero one.
-        turned = (poses.value[:, 3:] ** 2).sum(axis=1) > 1e-12
-        usable = finite & turned
-        if usable.all():
+        rotation = poses.value[:, 3:]
+        turned = np.einsum("ij,ij->i", rotation, rotation) > 1e-12
+        if turned.all() and np.isfinite(poses.value).all():
             return poses
+        finite = np.isfinite(poses.value).all(axis=1)
+        usable = finite & turned
         self.not_finite += int((~finite).sum())
         self.zero_quaternion += int((finite & ~turned).sum())
         return poses.rows(usable)
@@ -209,7 +216,7 @@ class Intake:
         if (block.sink == first).all():
             self.sinks[first].add(block.data, block.log_time_ns, block.start, block.size)
             return
-        for number in np.unique(block.sink).tolist():
+        for number in np.flatnonzero(np.bincount(block.sink)).tolist():
             rows = np.flatnonzero(block.sink == number)
             self.sinks[number].add(
                 block.data, block.log_time_ns[rows], block.start[rows], block.size[rows]
@@ -217,7 +224,10 @@ class Intake:
 
     def of_topic(self, topic: str) -> list[Sink]:
         """The sinks that hold messages of a topic."""
-        return [sink for sink in self.sinks if sink.channel.topic == topic and sink.messages]
+        found = [sink for sink in self.sinks if sink.channel.topic == topic]
+        for sink in found:
+            sink.flush()
+        return [sink for sink in found if sink.messages]
 
     def check(self, topic: str, log: str) -> None:
         """Raise LogError if the topic's messages could not be decoded at all."""

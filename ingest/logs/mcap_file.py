@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .inflate import inflate, inflate_part
+from .inflate import inflate, inflate_part, keep_freed_memory
 from .mcap_summary import McapSummary, read_summary
 from .mcap_wire import (
     ATTACHMENT,
@@ -42,8 +44,8 @@ from .messages import (
     Walking,
     Want,
 )
+from .walk import mcap_records
 
-_LENGTH = struct.Struct("<Q").unpack_from
 _HEAD = struct.Struct("<BQ").unpack_from
 
 _UNKNOWN = -2
@@ -58,8 +60,16 @@ _MESSAGE = np.dtype(
     }
 )
 
+_NOT_MESSAGES = frozenset(range(256)) - {MESSAGE, SCHEMA, CHANNEL}
+
 SLAB_BYTES = 1 << 20
 """How much of an unchunked file is walked at a time."""
+
+THREADS = 1
+"""Inflating and checking leave the interpreter's lock, so they run beside the decoding."""
+
+AHEAD_BYTES = 1 << 23
+"""How much is read and inflated ahead of the decoding."""
 
 LARGEST_RECORD = 1 << 32
 """A record outside a chunk that claims more is taken for damage, not for a record."""
@@ -75,6 +85,27 @@ class _ChunkHead(NamedTuple):
     compression: str
     data_at: int
     data_size: int
+
+
+class _Pending(NamedTuple):
+    """A chunk read ahead: what it inflates to, None if not needed, and its index's counts."""
+
+    head: _ChunkHead
+    inflating: Future[bytes] | None
+    counts: dict[int, int]
+
+
+def _inflated(head: _ChunkHead, raw: bytes) -> bytes:
+    """The records of a chunk; raises DamageError if they are not what its head says."""
+    if head.compression == "":
+        if head.size != head.data_size:
+            raise DamageError("a chunk does not have its declared size")
+        data = raw
+    else:
+        data = inflate(head.compression, raw, head.size)
+    if head.crc and zlib.crc32(data) != head.crc:
+        raise DamageError("checksum (CRC) is wrong")
+    return data
 
 
 class McapFile:
@@ -95,7 +126,7 @@ class McapFile:
             self._summary_read = True
         return self._summary
 
-    def survey(self) -> Survey | None:
+    def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the statistics record of a sound summary."""
         summary = self.summary()
         return summary.survey() if summary is not None else None
@@ -124,40 +155,48 @@ class _Walk:
         self._sink = np.full(1 << 16, _UNKNOWN, np.int64)
         self._met = np.zeros(1 << 16, np.int64)
         self._lost = np.zeros(1 << 16, np.int64)
-        self._after_damage = False
+        self._ahead: deque[_Pending] = deque()
+        self._ahead_bytes = 0
         if summary is not None:
             for number, channel in summary.channels.items():
                 self._describe(number, channel)
 
     def run(self) -> Iterator[Block]:
         """All blocks from the first record to the footer, the end, or the last readable place."""
-        position = len(MAGIC)
-        if bytes(self._window.view(0, len(MAGIC))) != MAGIC:
+        if self._window.view(0, len(MAGIC)).tobytes() != MAGIC:
             self._findings.note("the file does not begin with the MCAP magic")
-            position = 0
-        complete = False
-        while position < self._window.size:
-            head = self._window.view(position, RECORD_HEAD)
-            if len(head) < RECORD_HEAD:
-                break
-            op, length = _HEAD(head.data)
+        keep_freed_memory()
+        with ThreadPoolExecutor(THREADS) as pool:
+            complete = yield from self._records(pool)
+        self._finish(bool(complete))
+
+    def _records(self, pool: Executor) -> Walking:
+        """Go through the records outside chunks; returns 1 if the footer was reached."""
+        window, position = self._window, len(MAGIC)
+        complete = 0
+        while position + RECORD_HEAD <= window.size:
+            op, length = _HEAD(window.view(position, RECORD_HEAD).data)
             end = position + RECORD_HEAD + length
-            if op == FOOTER and length == 20 and end <= self._window.size:
-                complete = True
+            if op == FOOTER and length == 20 and end <= window.size:
+                complete = 1
                 break
-            if not _plausible(op, length) or end > self._window.size:
-                position = yield from self._around_damage(position, op, end)
-                continue
-            if op in (MESSAGE, SCHEMA, CHANNEL):
-                position = yield from self._slab(position)
-                continue
-            if op == CHUNK:
-                yield from self._chunk(position, length)
-            elif op == MESSAGE_INDEX and self._after_damage:
-                self._count_lost(position, length)
+            if op == CHUNK and end <= window.size and _plausible(op, length):
+                self._read_ahead(pool, position, length)
+                yield from self._caught_up(AHEAD_BYTES)
+            elif op == MESSAGE_INDEX and end <= window.size:
+                self._indexed(position, length)
+            else:
+                yield from self._caught_up(0)
+                if not _plausible(op, length) or end > window.size:
+                    position = yield from self._around_damage(position, op, end)
+                    continue
+                if op in (MESSAGE, SCHEMA, CHANNEL):
+                    position = yield from self._slab(position)
+                    continue
             position = end
-            self._window.passed(position)
-        self._finish(complete)
+            window.passed(position)
+        yield from self._caught_up(0)
+        return complete
 
     # Records outside chunks
 
@@ -165,7 +204,7 @@ class _Walk:
         """Messages outside chunks, up to the next record of another kind; returns its place."""
         _, length = _HEAD(self._window.view(position, RECORD_HEAD).data)
         data = self._window.view(position, max(SLAB_BYTES, RECORD_HEAD + length))
-        stop = _run_of_messages(data)
+        _, stop = mcap_records(data, _NOT_MESSAGES)
         yield from self._messages(data[:stop])
         self._window.passed(position + stop)
         return position + stop
@@ -183,7 +222,7 @@ class _Walk:
                     if head.compression == ""
                     else np.frombuffer(inflate_part(head.compression, data, head.size), np.uint8)
                 )
-                whole = _whole_records(part)
+                _, whole = mcap_records(part)
                 yield from self._messages(part[:whole])
                 return window.size
         found = self._next_record(position + 1)
@@ -249,36 +288,55 @@ class _Walk:
             return None
         return _ChunkHead(start, end, size, crc, compression, at + cursor.position, data_size)
 
-    def _chunk(self, position: int, length: int) -> Iterator[Block]:
-        """The messages of a whole chunk; a damaged one is skipped and counted."""
-        self._after_damage = False
-        try:
-            head = self._chunk_head(position, length)
-            if head is None:
-                raise DamageError("a chunk header contradicts itself")
-            data = self._window.view(head.data_at, head.data_size)
-            if head.compression == "":
-                if head.size != head.data_size:
-                    raise DamageError("a chunk does not have its declared size")
-            else:
-                data = np.frombuffer(inflate(head.compression, data, head.size), np.uint8)
-            if head.crc and zlib.crc32(data.data) != head.crc:
-                raise DamageError("checksum (CRC) is wrong")
-        except DamageError as damage:
-            self._findings.damaged_chunks[str(damage)] += 1
-            self._after_damage = True
-            return
-        yield from self._messages(data)
+    def _read_ahead(self, pool: Executor, position: int, length: int) -> None:
+        """Read a chunk and have it inflated and checked on another thread."""
+        head = self._chunk_head(position, length)
+        if head is None:
+            self._damaged("a chunk header contradicts itself", {})
+        elif not self._needed(position):
+            self._ahead.append(_Pending(head, None, {}))
+        else:
+            raw = self._window.view(head.data_at, head.data_size).tobytes()
+            self._ahead.append(_Pending(head, pool.submit(_inflated, head, raw), {}))
+            self._ahead_bytes += head.data_size + head.size
 
-    def _count_lost(self, position: int, length: int) -> None:
-        """Count the messages of a damaged chunk by the index record that follows it."""
-        cursor = Cursor(self._window.view(position + RECORD_HEAD, min(length, 16)))
-        try:
+    def _needed(self, position: int) -> bool:
+        """Whether a chunk may hold wanted messages; only a checked index is trusted to deny it."""
+        if self._summary is None or not self._summary.checked:
+            return True
+        numbers = self._summary.chunk_channels.get(position)
+        return not numbers or any(self._sink[n] == _UNKNOWN or self._sink[n] >= 0 for n in numbers)
+
+    def _indexed(self, position: int, length: int) -> None:
+        """Remember how many messages the index record behind a chunk counts."""
+        cursor = Cursor(self._window.view(position + RECORD_HEAD, min(length, 6)))
+        if length >= 6 and self._ahead:
             number, size = cursor.u16(), cursor.u32()
-        except DamageError:
-            return
-        if size + 6 == length:
-            self._lost[number] += size // 16
+            if size + 6 == length:
+                self._ahead[-1].counts[number] = size // 16
+
+    def _caught_up(self, most_bytes: int) -> Iterator[Block]:
+        """Messages of the chunks read ahead, until at most `most_bytes` are left of them."""
+        while self._ahead and (self._ahead_bytes > most_bytes or not most_bytes):
+            head, inflating, counts = self._ahead.popleft()
+            if inflating is None:
+                for number, count in counts.items():
+                    self._met[number] += count
+                self._findings.span(head.start_ns, head.end_ns)
+                continue
+            self._ahead_bytes -= head.data_size + head.size
+            try:
+                data = inflating.result()
+            except DamageError as damage:
+                self._damaged(str(damage), counts)
+                continue
+            yield from self._messages(np.frombuffer(data, np.uint8))
+
+    def _damaged(self, reason: str, counts: dict[int, int]) -> None:
+        """Count a chunk that cannot be used, and its messages if its index tells their number."""
+        self._findings.damaged_chunks[reason] += 1
+        for number, count in counts.items():
+            self._lost[number] += count
 
     # Messages
 
@@ -291,6 +349,8 @@ class _Walk:
         heads = np.ndarray((len(data) - _MESSAGE.itemsize + 1,), _MESSAGE, data.data, strides=(1,))[
             positions
         ]
+        if heads["length"].min() < MESSAGE_HEAD:
+            positions, heads = self._long_enough(positions, heads)
         number = heads["channel"].astype(np.int64)
         counts = np.bincount(number, minlength=1)
         self._met[: len(counts)] += counts
@@ -303,30 +363,26 @@ class _Walk:
             start = positions + (RECORD_HEAD + MESSAGE_HEAD)
             yield Block(data, sink[keep], log_time[keep], start[keep], size[keep])
 
+    def _long_enough(self, positions: Ints, heads: Any) -> tuple[Ints, Any]:
+        """Leave out records that call themselves messages but are shorter than a message's head."""
+        fit = heads["length"] >= MESSAGE_HEAD
+        self._findings.unreadable_bytes += RECORD_HEAD * int((~fit).sum())
+        return positions[fit], heads[fit]
+
     def _positions(self, data: Bytes) -> Ints:
         """Places of the message records in `data`; schemas and channels met are taken in."""
-        raw = data.data
-        end = len(data) - RECORD_HEAD
-        position = 0
-        places: list[int] = []
-        append = places.append
-        while position <= end:
-            append(position)
-            position += RECORD_HEAD + _LENGTH(raw, position + 1)[0]
-        if position != len(data):
-            if places and position > len(data):
-                position = places.pop()
-            self._findings.unreadable_bytes += len(data) - position
-        where = np.array(places, np.int64)
-        op = data[where] if len(where) else np.zeros(0, np.uint8)
-        is_message = op == MESSAGE
+        where, stop = mcap_records(data)
+        self._findings.unreadable_bytes += len(data) - stop
+        if len(where) == 0:
+            return where
+        is_message = data[where] == MESSAGE
         if not is_message.all():
             for place in where[~is_message].tolist():
                 self._definition(data, place)
             where = where[is_message]
-        if len(where):
-            lengths = np.ndarray((len(data) - 8,), "<u8", data.data, offset=1, strides=(1,))[where]
-            where = where[lengths >= MESSAGE_HEAD]
+        if len(where) and where[-1] + _MESSAGE.itemsize > len(data):
+            where = where[where + _MESSAGE.itemsize <= len(data)]
+            self._findings.unreadable_bytes += RECORD_HEAD
         return where
 
     def _definition(self, data: Bytes, place: int) -> None:
@@ -381,30 +437,6 @@ def _plausible(op: int, length: int) -> bool:
     return (0 < op <= DATA_END or op >= 0x80) and length < (
         1 << 48 if op == ATTACHMENT else 1 << 40
     )
-
-
-def _run_of_messages(data: Bytes) -> int:
-    """Length of the whole message, schema and channel records at the front of `data`."""
-    raw = data.data
-    position, end = 0, len(data) - RECORD_HEAD
-    while position <= end and raw[position] in (MESSAGE, SCHEMA, CHANNEL):
-        following = position + RECORD_HEAD + _LENGTH(raw, position + 1)[0]
-        if following > len(data):
-            break
-        position = following
-    return position
-
-
-def _whole_records(data: Bytes) -> int:
-    """Length of the records of `data` that are there to their last byte."""
-    raw = data.data
-    position, end = 0, len(data) - RECORD_HEAD
-    while position <= end:
-        following = position + RECORD_HEAD + _LENGTH(raw, position + 1)[0]
-        if following > len(data):
-            break
-        position = following
-    return position
 
 
 def _candidates(data: Bytes) -> Ints:

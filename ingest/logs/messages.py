@@ -158,8 +158,11 @@ class Container(Protocol):
     path: Path
     format: str
 
-    def survey(self) -> Survey | None:
-        """What the index says, or None where there is none that can be believed."""
+    def survey(self, exact: bool = False) -> Survey | None:
+        """What the index says, or None where there is none that can be believed.
+
+        exact: the counts must be right; without it a count above 0 may stand for any other.
+        """
 
     def blocks(
         self, want: Want, findings: Findings, progress: Progress | None = None

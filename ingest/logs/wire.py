@@ -46,10 +46,13 @@ class Template(NamedTuple):
 
     def like(self, rows: Bytes) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """(n,) whether each row of bytes has this shape."""
-        same = np.ones(len(rows), bool)
+        like = np.ones(len(rows), bool)
         for first, last in self.fixed:
-            same &= (rows[:, first:last] == self.head[first:last]).all(axis=1)
-        return same
+            same = rows[:, first:last] == self.head[first:last]
+            # One reduction over everything is far cheaper than one per row, and mostly enough.
+            if not same.all():
+                like &= same.all(axis=1)
+        return like
 
     def poses(self, rows: Bytes, message: Ints) -> Poses:
         """The poses of rows of this shape."""
@@ -152,7 +155,18 @@ def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
         count = parser.count() if many else 1
         runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count))
     head = np.frombuffer(raw, np.uint8, parser.position)
-    return Template(head, tuple(parser.fixed), tuple(runs), parser.order, ros1)
+    return Template(head, _merged(parser.fixed), tuple(runs), parser.order, ros1)
+
+
+def _merged(spans: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """Spans joined where one ends at the beginning of the next."""
+    out: list[tuple[int, int]] = []
+    for first, last in spans:
+        if out and out[-1][1] == first:
+            out[-1] = (out[-1][0], last)
+        else:
+            out.append((first, last))
+    return tuple(out)
 
 
 class WireDecoder:
