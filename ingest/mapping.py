@@ -98,7 +98,6 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
     left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
     left = settings.calibration_doubt * left
     return SystematicErrors(
-        scale=usual.scale,
         turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else usual.turn_rad_per_m,
         turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else usual.turn_rad_per_rad,
     )

@@ -89,7 +89,7 @@ def lay_out(
     for k in (0, 1):
         total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
         guess[:, k] = total[several] / visits[several]
-    sensitivity = np.zeros((len(legs.row) + len(shared.row), 3, 3))
+    sensitivity = np.zeros((len(legs.row) + len(shared.row), 3, 2))
     sensitivity[: len(legs.row)] = systematic_modes(walk, legs.row, legs.row + 1)
     s = walk.systematic
     width = np.full(len(sensitivity), np.inf)
@@ -102,7 +102,7 @@ def lay_out(
         information=np.concatenate([legs.information, shared.information]),
         kernel=width,
         priors=_priors(grid, settings),
-        shared=SharedErrors(sensitivity, np.array([s.scale, s.turn_rad_per_m, s.turn_rad_per_rad])),
+        shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
     )
     solution = solve(graph, SolverSettings(start="given"))
     return Layout(

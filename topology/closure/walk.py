@@ -18,10 +18,11 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class SystematicErrors:
-    """1 sigma of what the odometry gets wrong in the same way all the time."""
+    """1 sigma of what the odometry gets wrong in the same way all the time.
 
-    scale: float = 0.01
-    """Relative error of lengths."""
+    An error of scale is not among them: every loop closes whatever the scale.
+    """
+
     turn_rad_per_m: float = 0.0005
     """Heading gained per metre driven."""
     turn_rad_per_rad: float = 0.01
@@ -129,16 +130,15 @@ def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatA
 
 
 def systematic_modes(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
-    """(k, 3, 3) derivatives of pass `second`'s x, y, theta, seen from `first`, by constant errors.
+    """(k, 3, 2) derivatives of pass `second`'s x, y, theta, seen from `first`, by constant errors.
 
-    Last axis: scale, turn per metre, turn per radian (`SystematicErrors`). Exact sums over the
+    Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the
     odometry rows, for first <= second.
     """
     d = _between(walk, first, second)
     c = walk.passes.centre[second] - walk.origin
-    out = np.zeros((len(d), 3, 3))
-    out[:, :2, 0] = walk.passes.centre[second] - walk.passes.centre[first]
-    for mode, at in ((1, 7), (2, 10)):
+    out = np.zeros((len(d), 3, 2))
+    for mode, at in ((0, 7), (1, 10)):
         l0, l1x, l1y = d[:, at], d[:, at + 1], d[:, at + 2]
         out[:, 0, mode] = -(l0 * c[:, 1] - l1y)
         out[:, 1, mode] = l0 * c[:, 0] - l1x
@@ -150,7 +150,7 @@ def dead_reckoning_covariance(walk: Walk, first: IntArray, second: IntArray) -> 
     """(k, 3, 3) `relative_covariance` with the systematic errors in it."""
     modes = systematic_modes(walk, first, second)
     s = walk.systematic
-    modes = modes * np.array([s.scale, s.turn_rad_per_m, s.turn_rad_per_rad])
+    modes = modes * np.array([s.turn_rad_per_m, s.turn_rad_per_rad])
     out: FloatArray = relative_covariance(walk, first, second) + modes @ modes.transpose(0, 2, 1)
     return out
 
