@@ -33,10 +33,13 @@ class DrivenBySettings:
     step_m: float = 0.1
     match_rad: float = 0.6
     """The place must have branches within this of the directions driven."""
-    real_share: float = 0.5
-    """Real junctions per corridor driven, against which phantoms are weighed."""
-    straight_gain: float = 3.0
+    straight_gain: float = 4.5
     """Log odds of being a phantom that two opposite branches and nothing else add."""
+    least_odds: float = 2.0
+    """Log odds of being a phantom at which a place is dissolved."""
+    least_miss_rate: float = 0.1
+    """A junction driven by unseen once is unseen again at least this often: causes last."""
+    least_phantom_rate: float = 0.01
     straight_rad: float = 0.35
 
 
@@ -169,9 +172,9 @@ def phantoms(
     unseen: (n,) times each place was driven by without a detection.
     """
     noise = walk.noise
-    miss = max(noise.miss_rate, 0.01)
-    odds = np.log(max(noise.phantom_rate, 0.002) / settings.real_share) - unseen * np.log(miss)
-    odds += (places.visits - 1) * np.log(max(noise.phantom_rate, 0.002))
+    miss = max(2 * noise.miss_rate, settings.least_miss_rate)
+    invented = max(noise.phantom_rate, settings.least_phantom_rate)
+    odds = places.visits * np.log(invented) - unseen * np.log(miss)
     count = np.isfinite(places.heading).sum(axis=1)
     first_two = np.sort(places.heading, axis=1)[:, :2]
     if first_two.shape[1] == 2:
@@ -180,7 +183,7 @@ def phantoms(
         odds = odds + settings.straight_gain * straight
     # A robot that turned into a branch there knows better.
     turned = (places.driven > 0).sum(axis=1) > 2
-    result: NDArray[np.bool_] = (odds > 0) & (unseen > 0) & ~turned
+    result: NDArray[np.bool_] = (odds > settings.least_odds) & (unseen > 0) & ~turned
     return result
 
 
