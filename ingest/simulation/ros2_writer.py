@@ -21,8 +21,13 @@ SQLITE_VERSION_AT = 96
 
 SQLITE_VERSION = 3_040_000
 
-PRAGMAS = """
-PRAGMA page_size = 4096;
+PAGE_BYTES = 4096
+
+TREE_PAGES = {2: 12, 5: 12, 10: 8, 13: 8}
+"""Bytes of header by the kind of a page that holds cells."""
+
+PRAGMAS = f"""
+PRAGMA page_size = {PAGE_BYTES};
 PRAGMA auto_vacuum = NONE;
 PRAGMA encoding = 'UTF-8';
 PRAGMA journal_mode = OFF;
@@ -104,7 +109,7 @@ def _metadata(topics: tuple[Topic, ...], storage: str, file: str) -> list[str]:
 
 
 def _write_sqlite(path: Path, topics: tuple[Topic, ...], metadata: list[str]) -> None:
-    """One transaction into an empty file; then the writer's version is replaced by a fixed one."""
+    """One transaction into an empty file, then the traces of the library removed."""
     hashes = [DIGESTS["ros2", t.type_name] for t in topics]
     database = sqlite3.connect(path, isolation_level=None)
     try:
@@ -127,6 +132,21 @@ def _write_sqlite(path: Path, topics: tuple[Topic, ...], metadata: list[str]) ->
         database.execute("COMMIT")
     finally:
         database.close()
-    with path.open("r+b") as file:
-        file.seek(SQLITE_VERSION_AT)
-        file.write(struct.pack(">I", SQLITE_VERSION))
+    path.write_bytes(_settled(path.read_bytes()))
+
+
+def _settled(raw: bytes) -> bytes:
+    """A database without what depends on the library: its version, and scraps in unused space.
+
+    A page holds a header of 8 bytes (12 if it has children below), two bytes per cell, unused
+    space, and the cells; the format says nothing about the bytes of the unused space.
+    """
+    out = bytearray(raw)
+    out[SQLITE_VERSION_AT : SQLITE_VERSION_AT + 4] = struct.pack(">I", SQLITE_VERSION)
+    for page in range(0, len(out), PAGE_BYTES):
+        head = page + (100 if page == 0 else 0)
+        kind, _, cells, content = struct.unpack_from(">BHHH", out, head)
+        if kind in TREE_PAGES:
+            unused = head + TREE_PAGES[kind] + 2 * cells
+            out[unused : page + content] = bytes(page + content - unused)
+    return bytes(out)

@@ -14,34 +14,39 @@ from .scenario import Scenario, ScenarioSettings, joined, simulate_scenario
 from .walk import WalkSettings
 from .writing import write_scenario
 
+BRISK = MotionSettings(
+    slowest_m_per_s=1.3, fastest_m_per_s=1.5, turn_rate_rad_per_s=2.0, stop_rate=0.01
+)
+"""Short runs make small files."""
+
 FORMATS = ("mcap", "bag", "db3", "mcap")
 
 MAZE = ScenarioSettings(
     world="maze",
     runs=3,
-    overlap=0.5,
-    junctions_per_run=30,
+    overlap=0.55,
+    junctions_per_run=26,
     drift="mid",
     faults="mild",
     walk=WalkSettings(revisit_share=0.05),
-    motion=MotionSettings(slowest_m_per_s=1.1, fastest_m_per_s=1.4, turn_rate_rad_per_s=1.5),
+    motion=BRISK,
     odometry_hz=10.0,
     detector_hz=5.0,
     prefix="maze-",
-    seed=1,
+    seed=182,
 )
 STREETS = ScenarioSettings(
     world="organic",
     runs=1,
-    junctions_per_run=25,
+    junctions_per_run=22,
     drift="mid",
     faults="mild",
     walk=WalkSettings(revisit_share=0.05),
-    motion=MotionSettings(slowest_m_per_s=1.1, fastest_m_per_s=1.4, turn_rate_rad_per_s=1.5),
+    motion=BRISK,
     odometry_hz=10.0,
     detector_hz=5.0,
     prefix="streets-",
-    seed=1,
+    seed=26,
 )
 
 

@@ -1,0 +1,68 @@
+"""The sample logs: made by one command, the same bytes on any machine, fit to show what we do."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from topobatch.ingest.reading import read_run
+from topobatch.ingest.simulation import Truth, read_truth
+from topobatch.ingest.simulation.samples import sample_scenario
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
+LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "streets-1.mcap")
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != "README.md")
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    return read_truth(SAMPLES / "truth.json")
+
+
+def test_one_command_writes_them_anew_byte_for_byte(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "topobatch.ingest.simulation.samples", str(tmp_path)]
+    subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+    made, kept = _contents(tmp_path), _contents(SAMPLES)
+    assert sorted(made) == sorted(kept)
+    assert [name for name in made if made[name] != kept[name]] == []
+
+
+def test_they_are_small_and_come_in_three_containers() -> None:
+    assert sum(len(raw) for raw in _contents(SAMPLES).values()) < 3_200_000
+    assert (SAMPLES / "maze-1.mcap").read_bytes().startswith(b"\x89MCAP0\r\n")
+    assert (SAMPLES / "maze-2.bag").read_bytes().startswith(b"#ROSBAG V2.0\n")
+    assert (SAMPLES / "maze-3" / "maze-3_0.db3").read_bytes().startswith(b"SQLite format 3\0")
+    assert "rosbag2_bagfile_information:" in (SAMPLES / "maze-3" / "metadata.yaml").read_text()
+
+
+def test_three_runs_overlap_and_one_is_elsewhere(truth: Truth) -> None:
+    assert truth.linked(least_common=12) == [{"maze-1", "maze-2", "maze-3"}, {"streets-1"}]
+    assert all(20 <= len(run.detected) <= 40 for run in truth.runs.values())
+    for run in truth.runs.values():
+        corridors = set(run.drive_edge.tolist())
+        assert len(corridors) - len(run.detected) >= 2, "no loops to close"
+
+
+@pytest.mark.parametrize("log", LOGS)
+def test_every_log_holds_the_run_that_was_simulated(log: str) -> None:
+    run = read_run(SAMPLES / log)
+    want = sample_scenario().runs[Path(log).stem]
+    assert run.name == want.name
+    assert run.warnings == ()
+    assert run.odometry.time_ns.tolist() == want.odometry.time_ns.tolist()
+    assert run.detections.time_ns.tolist() == want.detections.time_ns.tolist()
+    assert run.detections.branches.counts.tolist() == want.detections.branches.counts.tolist()
+
+
+def test_the_readme_names_every_log_and_its_command() -> None:
+    text = (SAMPLES / "README.md").read_text()
+    for log in LOGS:
+        assert f"`{log}" in text
+    assert "python -m topobatch.ingest.simulation.samples sample_logs" in text
