@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from ..merge.result import MergeResult
     from ..topology.odometry import Odometry
     from ..topology.topomap import TopoMap
+    from .explain_recording import Findings
 
 
 def write_map_recording(path: Path, topomap: TopoMap, *, odometry: Odometry | None = None) -> None:
@@ -37,3 +38,14 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     from .merged_recording import write
 
     write(path, result, maps)
+
+
+def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, findings: Findings) -> None:
+    """Write what structural matching found between two maps, atomically: the table of vertex
+    pairs, the clusters in transform space, and where the best clusters place b over a.
+
+    Raises OSError if the file cannot be written.
+    """
+    from .explain_recording import write
+
+    write(path, a, b, findings)

@@ -79,6 +79,11 @@ def of_runs(runs: Iterable[str]) -> dict[str, tuple[int, int, int]]:
     return {run: _run_colour(i) for i, run in enumerate(sorted(set(runs)))}
 
 
+def of_rank(rank: int) -> tuple[int, int, int]:
+    """The colour of the first, second, … of a ranking, from 0; told apart up to ten."""
+    return _run_colour(rank)
+
+
 def _run_colour(index: int) -> tuple[int, int, int]:
     if index < len(_RUNS):
         return _RUNS[index]

@@ -1,0 +1,335 @@
+"""The recording of what matching found between two maps: its hypotheses and their clusters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from ..topology.se2 import apply
+from ..topology.topomap import TopoMap
+from . import palette
+from .drawing import bounds, pen_m
+from .fused_layers import write_cards, write_own_map
+from .map_summary import plain
+from .recording import UP, Recording, map_view, markdown, placed, write_recording
+from .sheet import Cell, arrange, sheet_margin_m, upright_rad
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+TABLE, SPACE, PLACEMENTS = "table", "transforms", "placements"
+
+TOLD_APART = 9
+"""Clusters with a colour of their own; the others share one."""
+
+MOST_PLACEMENTS = 9
+MOST_ROWS = 40
+
+NUMBER_GAP = 0.035
+"""Distance of the numbers from the table, in tables."""
+
+MOST_NUMBERED = 45
+"""Up to this many vertices the table is numbered."""
+
+HEIGHT = 0.6
+"""A full turn in transform space is this share of the extent of x and y high."""
+
+
+class FoundHypotheses(Protocol):
+    """H matches of vertices that grew from one pair, and their N pairs (§2.2).
+
+    of: (N,) hypothesis of each pair; vertex_a, vertex_b: (N,); size, corridors: (H,) vertex and
+    corridor pairs; transform: (H, 3) T_a_b; error: (H,) mean squared distance [m²].
+    """
+
+    # ruff: noqa: D102
+    @property
+    def of(self) -> IntArray: ...
+    @property
+    def vertex_a(self) -> IntArray: ...
+    @property
+    def vertex_b(self) -> IntArray: ...
+    @property
+    def size(self) -> IntArray: ...
+    @property
+    def corridors(self) -> IntArray: ...
+    @property
+    def transform(self) -> FloatArray: ...
+    @property
+    def error(self) -> FloatArray: ...
+
+
+class FoundClusters(Protocol):
+    """C clusters of hypotheses, the best first (§3.2).
+
+    of: (H,) cluster of each hypothesis, -1 for none; transform: (C, 3) T_a_b; vertices: (C,)
+    matched pairs; hypotheses: (C,); largest: (C,) pairs of the largest hypothesis; squared_error:
+    (C,) total squared distance [m²].
+    """
+
+    @property
+    def of(self) -> IntArray: ...
+    @property
+    def transform(self) -> FloatArray: ...
+    @property
+    def vertices(self) -> IntArray: ...
+    @property
+    def hypotheses(self) -> IntArray: ...
+    @property
+    def largest(self) -> IntArray: ...
+    @property
+    def squared_error(self) -> FloatArray: ...
+
+
+class Findings(Protocol):
+    """What matching found between two maps."""
+
+    @property
+    def hypotheses(self) -> FoundHypotheses: ...
+    @property
+    def clusters(self) -> FoundClusters: ...
+
+
+def write(path: Path, a: TopoMap, b: TopoMap, findings: Findings) -> None:
+    """Write the recording of a match; see `topobatch.viz.write_explain_recording`."""
+    h, c = findings.hypotheses, findings.clusters
+
+    def fill(recording: Recording) -> rrb.Blueprint:
+        _table(recording, a, b, h, c)
+        _transform_space(recording, h, c)
+        cells = _placements(recording, a, b, h, c)
+        recording.static(("summary",), markdown(_told(a, b, h, c)))
+        views = [_table_view(a, b)]
+        if len(h.size):
+            views = [_placements_view(cells), _space_view(h), *views]
+        return _blueprint(views)
+
+    write_recording(path, f"{a.run} - {b.run}", fill)
+
+
+def _colour(rank: int) -> tuple[int, int, int]:
+    return palette.of_rank(rank) if 0 <= rank < TOLD_APART else palette.DIM
+
+
+def _title(c: FoundClusters, k: int) -> str:
+    count = int(c.vertices[k])
+    return f"{k + 1}: {count} {'vertex' if count == 1 else 'vertices'}"
+
+
+def pair_classes(shape: tuple[int, int], h: FoundHypotheses, c: FoundClusters) -> NDArray[np.uint8]:
+    """(n_a, n_b) for each pair of vertices: 0 no hypothesis holds it, 1 … TOLD_APART the best
+    cluster that holds it, TOLD_APART + 1 another cluster or none."""
+    cells = np.zeros(shape, np.uint8)
+    cluster = c.of[h.of]
+    rank = np.where((cluster >= 0) & (cluster < TOLD_APART), cluster, TOLD_APART)
+    # Written from the worst to the best, so that the best cluster of a pair stays.
+    order = np.argsort(-rank, kind="stable")
+    cells[h.vertex_a[order], h.vertex_b[order]] = rank[order] + 1
+    return cells
+
+
+def _table(
+    recording: Recording, a: TopoMap, b: TopoMap, h: FoundHypotheses, c: FoundClusters
+) -> None:
+    if len(a) == 0 or len(b) == 0:
+        return
+    classes = [(0, "incompatible", palette.DIAGONAL)]
+    classes += [(k + 1, f"cluster {k + 1}", _colour(k)) for k in range(TOLD_APART)]
+    classes.append((TOLD_APART + 1, "another cluster", palette.DIM))
+    recording.static((TABLE,), rr.AnnotationContext(classes))
+    cells = pair_classes((len(a), len(b)), h, c)
+    recording.static((TABLE, "pairs"), rr.SegmentationImage(cells, opacity=1.0))
+    if max(len(a), len(b)) <= MOST_NUMBERED:
+        _numbers(recording, len(a), len(b))
+
+
+def _numbers(recording: Recording, rows: int, columns: int) -> None:
+    """The vertices' numbers at the left and above the table, in cells."""
+    gap = NUMBER_GAP * max(rows, columns)
+    down, across = np.arange(rows), np.arange(columns)
+    left = np.stack([np.full(rows, -gap), down + 0.25], axis=-1)
+    above = np.stack([across + 0.5, np.full(columns, -gap)], axis=-1)
+    numbers = rr.Points2D(
+        np.concatenate([left, above]),
+        radii=0.0,
+        colors=palette.TITLE,
+        labels=[str(i) for i in (*down.tolist(), *across.tolist())],
+        show_labels=True,
+    )
+    recording.static((TABLE, "vertices"), numbers)
+
+
+def _space(h: FoundHypotheses) -> tuple[FloatArray, FloatArray, float]:
+    """Low and high corner (2,) of all shifts [m], and how high a turn is drawn [m/rad]."""
+    low, high = h.transform[:, :2].min(axis=0), h.transform[:, :2].max(axis=0)
+    return low, high, HEIGHT * max(float((high - low).max()), 1.0) / (2 * np.pi)
+
+
+def _transform_space(recording: Recording, h: FoundHypotheses, c: FoundClusters) -> None:
+    """Hypotheses and clusters as points (x, y, turn); the turn is drawn upwards."""
+    if len(h.size) == 0:
+        return
+    low, high, rise = _space(h)
+
+    def drawn(transform: FloatArray) -> FloatArray:
+        return np.asarray(transform) * [1.0, 1.0, rise]
+
+    recording.static(
+        (SPACE, "hypotheses"),
+        rr.Points3D(
+            drawn(h.transform),
+            radii=-2.0 - 1.5 * np.sqrt(h.size),  # negative: in points of the screen
+            colors=[_colour(int(k)) for k in c.of],
+        ),
+        rr.AnyValues(
+            hypothesis=np.arange(len(h.size)),
+            cluster=c.of,
+            vertices=h.size,
+            corridors=h.corridors,
+            error_m2=h.error,
+            turn_deg=np.degrees(h.transform[:, 2]),
+        ),
+    )
+    shown = min(len(c.vertices), TOLD_APART)
+    labels = rr.Points3D(
+        drawn(c.transform[:shown]),
+        radii=rr.Radius.ui_points(1.0),
+        colors=[_colour(k) for k in range(shown)],
+        labels=[_title(c, k) for k in range(shown)],
+        show_labels=True,
+    )
+    recording.static((SPACE, "clusters"), labels)
+    _turn_levels(recording, low, high, rise)
+
+
+def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: float) -> None:
+    """A frame for every quarter turn, so that heights can be read as angles."""
+    spare = 0.05 * max(float((high - low).max()), 1.0)
+    (x0, y0), (x1, y1) = low - spare, high + spare
+    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+    quarters = np.arange(-2, 3)
+    frames = [np.column_stack([corners, np.full(5, rise * q * np.pi / 2)]) for q in quarters]
+    lines = rr.LineStrips3D(frames, radii=rr.Radius.ui_points(0.75), colors=palette.CARD)
+    recording.static((SPACE, "quarter turns"), lines)
+    names = rr.Points3D(
+        np.array([frame[1] for frame in frames]),
+        radii=0.0,
+        colors=palette.TITLE,
+        labels=[f"{90 * q}°" for q in quarters],
+        show_labels=True,
+    )
+    recording.static((SPACE, "quarter turns", "names"), names)
+
+
+def _placements(
+    recording: Recording, a: TopoMap, b: TopoMap, h: FoundHypotheses, c: FoundClusters
+) -> list[Cell]:
+    """Map b over map a as each of the best clusters places it."""
+    shown = min(len(c.vertices), MOST_PLACEMENTS)
+    points = [np.concatenate([a.xy, apply(c.transform[k], b.xy)]) for k in range(shown)]
+    cells = arrange(points, [upright_rad(a.paths)] * shown, sheet_margin_m(points))
+    recording.static((PLACEMENTS,), UP)
+    titles = [_title(c, k) for k in range(shown)]
+    write_cards(recording, PLACEMENTS, cells, titles)
+    pen = pen_m([a, b])
+    for k, cell in enumerate(cells):
+        here = (PLACEMENTS, f"cluster {k + 1}")
+        recording.static(here, placed(cell.T_sheet_map))
+        write_own_map(recording, (*here, "a", a.run), a, palette.of_rank(0), pen)
+        recording.static((*here, "b"), placed(c.transform[k]))
+        write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
+        matched = np.unique(h.vertex_a[c.of[h.of] == k])
+        if len(matched):
+            rings = rr.Points2D(a.xy[matched], radii=2.4 * pen, colors=palette.WHITE, draw_order=8)
+            recording.static((*here, "matched"), rings)
+    return cells
+
+
+def _told(a: TopoMap, b: TopoMap, h: FoundHypotheses, c: FoundClusters) -> str:
+    head = (
+        f"# {plain(a.run)} - {plain(b.run)}\n\n{len(a)} by {len(b)} vertices, "
+        f"**{len(h.size)}** hypotheses, **{len(c.vertices)}** clusters"
+    )
+    if len(c.vertices) == 0:
+        return f"{head}: no pair of junctions is compatible.\n"
+    rms = np.sqrt(c.squared_error / np.maximum(c.vertices, 1))
+    clusters = [
+        f"| {k + 1} | {c.vertices[k]} | {c.hypotheses[k]} | {c.largest[k]} | {rms[k]:.2f} "
+        f"| {_pose(c.transform[k])} |"
+        for k in range(min(len(c.vertices), MOST_ROWS))
+    ]
+    hypotheses = [
+        f"| {i} | {c.of[i] + 1 if c.of[i] >= 0 else ''} | {h.size[i]} | {h.corridors[i]} "
+        f"| {np.sqrt(h.error[i]):.2f} | {_pose(h.transform[i])} |"
+        for i in range(min(len(h.size), MOST_ROWS))
+    ]
+    return "\n\n".join(
+        [
+            head,
+            "## Clusters\n\n| cluster | vertices | hypotheses | largest | rms, m | b over a |\n"
+            "| ---: | ---: | ---: | ---: | ---: | --- |\n" + "\n".join(clusters),
+            "## Hypotheses\n\n| no. | cluster | vertices | corridors | rms, m | b over a |\n"
+            "| ---: | ---: | ---: | ---: | ---: | --- |\n" + "\n".join(hypotheses),
+            f"At most {MOST_ROWS} rows of each are shown.\n",
+        ]
+    )
+
+
+def _pose(pose: FloatArray) -> str:
+    x, y = np.round(pose[:2], 1) + 0.0  # no minus before a zero
+    return f"({x:.1f}, {y:.1f}) m, {np.round(np.degrees(pose[2])) + 0.0:.0f}°"
+
+
+def _placements_view(cells: list[Cell]) -> rrb.View:
+    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
+    return map_view(PLACEMENTS, "Placements", *bounds([corners], margin=0.02))
+
+
+def _space_view(h: FoundHypotheses) -> rrb.View:
+    """Transform space, seen from above one side so that all of it is in the picture."""
+    low, high, _ = _space(h)
+    middle, extent = (low + high) / 2, max(float((high - low).max()), 1.0)
+    return rrb.Spatial3DView(
+        origin=f"/{SPACE}",
+        name="Transform space",
+        background=palette.BACKGROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=(middle[0] - 0.7 * extent, middle[1] - 1.7 * extent, 0.8 * extent),
+            look_target=(middle[0], middle[1], 0.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+
+
+def _table_view(a: TopoMap, b: TopoMap) -> rrb.View:
+    spare = 2 * NUMBER_GAP * max(len(a), len(b), 1)
+    return rrb.Spatial2DView(
+        origin=f"/{TABLE}",
+        name=f"Vertices of {a.run} (down) and {b.run} (across)",
+        background=palette.BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-spare, len(b) + spare / 2], y_range=[-spare, len(a) + spare / 2]
+        ),
+    )
+
+
+def _blueprint(views: list[rrb.View]) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Tabs(*views, active_tab=0, name="Maps"),
+            rrb.TextDocumentView(origin="/summary", name="Clusters and hypotheses"),
+            column_shares=[2, 1],
+            name="Match of two maps",
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="hidden"),
+        auto_layout=False,
+        auto_views=False,
+    )
