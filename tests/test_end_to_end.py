@@ -1,0 +1,143 @@
+"""The whole chain on the sample logs, through the library, judged by the truth beside them."""
+
+from __future__ import annotations
+
+import json
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.mapping import build_map
+from topobatch.ingest.reading import read_run
+from topobatch.ingest.simulation import (
+    FORMATS,
+    MIXED,
+    Truth,
+    best_transform,
+    read_truth,
+    true_vertex_of_nodes,
+    true_vertex_of_passes,
+    write_run,
+)
+from topobatch.ingest.simulation.samples import sample_scenario
+from topobatch.merge.merging import merge_maps
+from topobatch.merge.result import MergeResult
+from topobatch.topology.document import map_from_document, map_to_document
+from topobatch.topology.se2 import between
+from topobatch.topology.topomap import TopoMap
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
+MAZE = ("maze-1", "maze-2", "maze-3")
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    return read_truth(SAMPLES / "truth.json")
+
+
+@pytest.fixture(scope="module")
+def maps() -> dict[str, TopoMap]:
+    logs = ("maze-1.mcap", "maze-2.bag", "maze-3", "streets-1.mcap")
+    built = [build_map(read_run(SAMPLES / log)) for log in logs]
+    return {topomap.run: topomap for topomap in built}
+
+
+@pytest.fixture(scope="module")
+def merged(maps: dict[str, TopoMap]) -> MergeResult:
+    return merge_maps(list(maps.values()))
+
+
+@pytest.mark.parametrize("run", [*MAZE, "streets-1"])
+def test_every_node_is_one_place_and_nearly_every_place_one_node(
+    run: str, maps: dict[str, TopoMap], truth: Truth
+) -> None:
+    vertex = true_vertex_of_nodes(truth, maps[run])
+    assert MIXED not in vertex
+    real = vertex[vertex >= 0].tolist()
+    assert set(real) == truth.runs[run].detected
+    assert len(real) - len(set(real)) <= 1
+    assert len(vertex) - len(real) <= truth.runs[run].fault.count("phantom")
+
+
+@pytest.mark.parametrize("run", [*MAZE, "streets-1"])
+def test_maps_have_the_shape_of_their_world(
+    run: str, maps: dict[str, TopoMap], truth: Truth
+) -> None:
+    topomap, world = maps[run], truth.worlds[truth.runs[run].world]
+    vertex = true_vertex_of_nodes(truth, topomap)
+    real = np.flatnonzero(vertex >= 0)
+    # Distances need no common frame.
+    apart = np.array(list(combinations(real.tolist(), 2)))
+    drawn = np.hypot(*(topomap.xy[apart[:, 0]] - topomap.xy[apart[:, 1]]).T)
+    true = np.hypot(*(world.xy[vertex[apart[:, 0]]] - world.xy[vertex[apart[:, 1]]]).T)
+    assert np.sqrt(np.mean((drawn - true) ** 2)) < 0.6
+
+
+@pytest.mark.parametrize("run", [*MAZE, "streets-1"])
+def test_corridors_join_what_the_world_joins(
+    run: str, maps: dict[str, TopoMap], truth: Truth
+) -> None:
+    topomap, of_run = maps[run], truth.runs[run]
+    world = truth.worlds[of_run.world]
+    vertex = true_vertex_of_nodes(truth, topomap)
+    known = {frozenset(e) for e in zip(world.source.tolist(), world.target.tolist(), strict=True)}
+    ends = zip(vertex[topomap.source].tolist(), vertex[topomap.target].tolist(), strict=True)
+    drawn = {frozenset(e) for e in ends if min(e) >= 0}
+    driven = {
+        frozenset((int(world.source[e]), int(world.target[e]))) for e in of_run.drive_edge.tolist()
+    }
+    # A junction that was missed once may leave a corridor past it, and two undrawn.
+    assert len(drawn - known) <= of_run.fault.count("missed")
+    assert len(driven - drawn) <= 2 * of_run.fault.count("missed")
+
+
+def test_nothing_is_merged_wrongly(
+    merged: MergeResult, maps: dict[str, TopoMap], truth: Truth
+) -> None:
+    for component in merged.components:
+        assert len({truth.runs[run].world for run in component.poses}) == 1
+    for verdict in merged.verdicts:
+        if verdict.accepted and verdict.best is not None:
+            want = best_transform(truth, maps[verdict.a], maps[verdict.b])
+            error = between(want, verdict.best.transform)
+            assert np.hypot(error[0], error[1]) < 1.0
+            assert abs(error[2]) < np.radians(5)
+
+
+def test_fused_vertices_are_single_places(merged: MergeResult, truth: Truth) -> None:
+    for observations in merged.fused.observations:
+        places = {
+            (truth.runs[run].world, int(true_vertex_of_passes(truth, run, [time_ns])[0]))
+            for run, time_ns in observations
+        }
+        assert len({place for place in places if place[1] >= 0}) <= 1
+
+
+def test_the_order_of_maps_changes_nothing(merged: MergeResult, maps: dict[str, TopoMap]) -> None:
+    again = merge_maps(list(maps.values())[::-1])
+    assert [(v.a, v.b, v.verdict, v.evidence_bits) for v in again.verdicts] == [
+        (v.a, v.b, v.verdict, v.evidence_bits) for v in merged.verdicts
+    ]
+    np.testing.assert_array_equal(again.fused.xy, merged.fused.xy)
+    assert again.fused.members == merged.fused.members
+
+
+def test_one_run_gives_one_map_from_any_container(tmp_path: Path, maps: dict[str, TopoMap]) -> None:
+    simulated = next(s for s in sample_scenario().simulated if s.run.name == "maze-2")
+    documents = {
+        container: json.dumps(
+            map_to_document(
+                build_map(read_run(write_run(tmp_path / container, simulated, container)))
+            )
+        )
+        for container in FORMATS
+    }
+    assert set(documents.values()) == {json.dumps(map_to_document(maps["maze-2"]))}
+
+
+def test_maps_survive_their_documents(maps: dict[str, TopoMap]) -> None:
+    for topomap in maps.values():
+        doc = map_to_document(topomap)
+        assert map_to_document(map_from_document(doc)) == doc
