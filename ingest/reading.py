@@ -14,7 +14,6 @@ from .logs.intake import Intake
 from .logs.messages import Channel, Findings, Survey
 from .logs.recording import (
     Recording,
-    container,
     find_logs,
     log_fingerprint,
     log_size,
@@ -118,8 +117,8 @@ def read_run(
     """
     log = str(path)
     recording = recording_at(Path(path))
-    recording, counts = _surveyed(recording)
-    intake = Intake(_acceptance(counts, settings, log))
+    recording, survey = _surveyed(recording)
+    intake = Intake(_acceptance(survey.counts if survey else None, settings, log))
     findings = _walk(recording, intake, on_bytes)
     warnings = _damage(recording, findings, settings)
     odometry_choice, odometry, frames = _odometry(intake, findings.counts, settings, log)
@@ -140,28 +139,24 @@ def read_run(
 
 def inspect_log(path: Path, settings: ReadSettings = ReadSettings()) -> LogInfo:
     """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
-    recording, counts = _surveyed(recording_at(Path(path)), exact=True)
-    formats, span, problems = _formats(recording), None, list(recording.notes)
-    if counts is None:
+    recording, survey = _surveyed(recording_at(Path(path)), exact=True)
+    problems = list(recording.notes)
+    if survey is None:
         findings = _walk(recording, Intake(lambda _: False), None)
-        counts, problems = findings.counts, [*problems, *findings.damage]
-        if findings.first_ns is not None and findings.last_ns is not None:
-            span = findings.first_ns, findings.last_ns
-    else:
-        span = _span(recording)
-    uses = _uses(counts, settings, str(path), problems)
+        problems += findings.damage
+        survey = _Survey(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
+    uses = _uses(survey.counts, settings, str(path), problems)
     topics: dict[tuple[str, str], int] = {}
-    for channel, count in counts.items():
+    for channel, count in survey.counts.items():
         key = channel.topic, channel.type_name
         topics[key] = topics.get(key, 0) + count
-    first, last = span or (0, 0)
     return LogInfo(
         recording.path,
         run_name(recording.path),
-        "+".join(formats),
+        "+".join(sorted({sniff(file) or "" for file in recording.files})),
         recording.bytes,
-        first,
-        (last - first) / 1e9,
+        survey.start_ns,
+        (survey.end_ns - survey.start_ns) / 1e9,
         tuple(
             TopicInfo(topic, type_name, count, *uses.get(topic, ("", "")))
             for (topic, type_name), count in sorted(topics.items())
@@ -173,38 +168,39 @@ def inspect_log(path: Path, settings: ReadSettings = ReadSettings()) -> LogInfo:
 # Surveying
 
 
-def _surveyed(
-    recording: Recording, exact: bool = False
-) -> tuple[Recording, dict[Channel, int] | None]:
-    """The files by their start, and the counts per channel; None if some file has no index."""
-    surveys = _surveys(recording, exact)
-    if any(survey is None for survey in surveys):
-        return recording, None
-    sound = [survey for survey in surveys if survey is not None]
-    order = sorted(range(len(sound)), key=lambda k: (sound[k].start_ns, k))
+@dataclass(frozen=True, slots=True)
+class _Survey:
+    """What the indexes of all files say together."""
+
+    counts: dict[Channel, int]
+    start_ns: int
+    end_ns: int
+
+
+def _surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, _Survey | None]:
+    """The files by their start, and what their indexes say; None if some file has none.
+
+    A file that is compressed as a whole is only unpacked for exactness.
+    """
+    surveys: list[Survey] = []
+    for file in recording.files:
+        if sniff(file) == "zstd" and not exact:
+            return recording, None
+        with opened(file) as log:
+            survey = log.survey(exact)
+        if survey is None:
+            return recording, None
+        surveys.append(survey)
+    order = sorted(range(len(surveys)), key=lambda k: (surveys[k].start_ns, k))
     counts: dict[Channel, int] = {}
-    for survey in sound:
+    for survey in surveys:
         for channel, count in survey.counts.items():
             counts[channel] = counts.get(channel, 0) + count
-    return replace(recording, files=tuple(recording.files[k] for k in order)), counts
-
-
-def _surveys(recording: Recording, exact: bool = False) -> list[Survey | None]:
-    return [
-        container(file).survey(exact) if sniff(file) != "zstd" else None for file in recording.files
-    ]
-
-
-def _formats(recording: Recording) -> list[str]:
-    return sorted({sniff(file) or "" for file in recording.files})
-
-
-def _span(recording: Recording) -> tuple[int, int] | None:
-    """First and last log time of the files that hold messages."""
-    surveys = [s for s in _surveys(recording) if s is not None and any(s.counts.values())]
-    if not surveys:
-        return None
-    return min(s.start_ns for s in surveys), max(s.end_ns for s in surveys)
+    filled = [survey for survey in surveys if any(survey.counts.values())]
+    start = min((survey.start_ns for survey in filled), default=0)
+    end = max((survey.end_ns for survey in filled), default=0)
+    by_start = replace(recording, files=tuple(recording.files[k] for k in order))
+    return by_start, _Survey(counts, start, end)
 
 
 def _uses(

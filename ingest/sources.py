@@ -35,15 +35,16 @@ class Source:
     @classmethod
     def of(cls, sinks: Sequence[Sink]) -> Source:
         """Join the sinks of one topic; there are several if its definition changed on the way."""
-        frames: list[tuple[str, str]] = []
+        frames: dict[tuple[str, str], int] = {}
         parts: list[PoseColumns] = []
         before = 0
         for sink in sinks:
             columns = sink.columns()
             columns.message = columns.message + before
-            columns.frame = columns.frame + len(frames)
+            pairs = sink.decoder.frames.pairs
+            numbers = np.array([frames.setdefault(p, len(frames)) for p in pairs], np.int64)
+            columns.frame = numbers[columns.frame]
             parts.append(columns)
-            frames += sink.decoder.frames.pairs
             before += sink.messages
         return cls(
             _joined(parts),

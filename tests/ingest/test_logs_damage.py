@@ -1,0 +1,226 @@
+"""Damaged logs: what is there is read, what is lost is counted, nothing else is raised."""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+
+import pytest
+
+from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
+from topobatch.topology.errors import LogError
+
+WRITERS = {
+    "mcap-none": lambda logs, path: logs.mcap(path, logs.drive(), compression="NONE"),
+    "mcap-unchunked": lambda logs, path: logs.mcap(path, logs.drive(), use_chunking=False),
+    "mcap-zstd": lambda logs, path: logs.mcap(path, logs.drive()),
+    "mcap-lz4": lambda logs, path: logs.mcap(path, logs.drive(), compression="LZ4"),
+    "bag-none": lambda logs, path: logs.bag(path, logs.drive()),
+    "bag-bz2": lambda logs, path: logs.bag(path, logs.drive(), "bz2"),
+    "bag-lz4": lambda logs, path: logs.bag(path, logs.drive(), "lz4"),
+}
+COUNT = re.compile(r"(\d+) messages could be read, ([\d.]+) s from (\d+) to (\d+) ns")
+
+
+def said(run) -> int:
+    """The number of messages that the report names."""
+    found = [match for text in run.warnings if (match := COUNT.search(text))]
+    assert len(found) == 1, run.warnings
+    first, last = int(found[0][3]), int(found[0][4])
+    assert float(found[0][2]) == pytest.approx((last - first) / 1e9, abs=1e-3)
+    return int(found[0][1])
+
+
+def ends_of_payloads(logs, raw: bytes, ros1: bool) -> list[int]:
+    """Where every message of an uncompressed log ends."""
+    store, position, ends = logs.store_of(ros1), 0, []
+    for message in logs.drive():
+        payload = logs.payload(message, "ros1" if ros1 else "cdr", store)
+        position = raw.index(payload, position) + len(payload)
+        ends.append(position)
+    return ends
+
+
+def read_part(path: Path):
+    """The run, or None where too little is left for one."""
+    try:
+        return read_run(path)
+    except LogError as error:
+        problem = str(error)
+    assert str(path) in problem
+    assert "\n" not in problem
+    return None
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_log_cut_anywhere_gives_all_that_is_left(logs, tmp_path, name):
+    path = WRITERS[name](logs, tmp_path / "whole")
+    raw = path.read_bytes()
+    cut_path = tmp_path / "cut"
+    whole, before = len(logs.drive()), 0
+    plain = name in ("mcap-none", "mcap-unchunked", "bag-none")
+    ends = ends_of_payloads(logs, raw, name.startswith("bag")) if plain else []
+    for percent in range(1, 100):
+        cut = len(raw) * percent // 100
+        cut_path.write_bytes(raw[:cut])
+        run = read_part(cut_path)
+        if run is None:
+            continue
+        count = len(run.odometry) + len(run.detections)
+        if plain:
+            assert count == sum(end <= cut for end in ends)
+        assert count >= before, "a longer log gives no less"
+        assert said(run) == count
+        assert count < whole or any("cut short" in text for text in run.warnings)
+        before = count
+    assert before >= whole * 0.9
+
+
+@pytest.mark.parametrize("name", ["mcap-zstd", "mcap-lz4", "mcap-none"])
+def test_a_flipped_byte_costs_its_chunk_and_is_counted(logs, tmp_path, name):
+    path = WRITERS[name](logs, tmp_path / "run.mcap")
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 3] ^= 0x10
+    path.write_bytes(raw)
+    run = read_run(path)
+    count = len(run.odometry) + len(run.detections)
+    assert 250 < count < 330
+    assert said(run) == count
+    assert any("1 damaged chunk skipped" in text for text in run.warnings)
+    lost = [re.match(r"(\d+) messages of (\S+) are lost", text) for text in run.warnings]
+    assert sum(int(match[1]) for match in lost if match) == 330 - count
+    with pytest.raises(LogError, match="--strict"):
+        read_run(path, ReadSettings(strict=True))
+
+
+def test_lost_messages_are_counted_without_a_summary(logs, tmp_path):
+    from mcap.writer import IndexType
+
+    options = {"use_statistics": False, "use_summary_offsets": False, "repeat_channels": False}
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive(), index_types=IndexType.MESSAGE, **options)
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 3] ^= 0x10
+    path.write_bytes(raw)
+    run = read_run(path)
+    lost = [re.match(r"(\d+) messages of (\S+) are lost", text) for text in run.warnings]
+    assert sum(int(m[1]) for m in lost if m) == 330 - len(run.odometry) - len(run.detections) > 0
+
+
+def test_a_chunk_of_unknown_compression_is_reported(logs, tmp_path):
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive())
+    raw = path.read_bytes()
+    at = raw.index(b"\x04\x00\x00\x00zstd", len(raw) // 2)
+    path.write_bytes(raw[:at] + b"\x04\x00\x00\x00zst9" + raw[at + 8 :])
+    run = read_run(path)
+    assert any("compression 'zst9' is not known" in text for text in run.warnings)
+    assert said(run) == len(run.odometry) + len(run.detections) < 330
+
+
+@pytest.mark.parametrize("name", ["mcap-zstd", "mcap-none", "bag-none", "bag-lz4"])
+@pytest.mark.parametrize("summary", [True, False])
+def test_reading_goes_on_behind_a_destroyed_stretch(logs, tmp_path, name, summary):
+    path = WRITERS[name](logs, tmp_path / "run")
+    raw = bytearray(path.read_bytes())
+    middle = len(raw) // 3
+    raw[middle : middle + 400] = bytes(400)
+    path.write_bytes(raw if summary else raw[: -len(raw) // 20])
+    run = read_run(path)
+    last = int(run.odometry.time_ns[-1])
+    assert last > logs.START_NS + 0.85 * 300 * 20_000_000
+    count = len(run.odometry) + len(run.detections)
+    assert 150 < count < 330
+    assert run.warnings
+
+
+def test_an_unindexed_bag_is_read(logs, tmp_path):
+    path = logs.bag(tmp_path / "run.bag", logs.drive())
+    raw = path.read_bytes()
+    index = struct.unpack_from("<Q", raw, raw.index(b"index_pos=") + 10)[0]
+    active = tmp_path / "run.bag.active"
+    zeroed = raw[:index].replace(struct.pack("<Q", index), bytes(8), 1)
+    active.write_bytes(zeroed)
+    run = read_run(active)
+    assert run.name == "run"
+    assert (len(run.odometry), len(run.detections)) == (300, 30)
+    assert inspect_log(active).topics == inspect_log(path).topics
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
+def test_the_open_chunk_of_an_active_bag_is_read(logs, tmp_path, compression):
+    """A recorder that is killed leaves a last chunk whose head still says that it is empty."""
+    path = logs.bag(tmp_path / "run.bag", logs.drive(), compression)
+    raw = path.read_bytes()
+    marks = [m.start() for m in re.finditer(rb"\x0d\x00\x00\x00compression|op=\x05", raw)]
+    start = max(m for m in marks if raw[m : m + 4] == b"op=\x05")
+    size_at = raw.index(b"size=", start - 60) + 5
+    head_at = next(p for p in range(start - 60, start) if _is_chunk_head(raw, p))
+    length = struct.unpack_from("<I", raw, head_at)[0]
+    data_at = head_at + 4 + length
+    data_size = struct.unpack_from("<I", raw, data_at)[0]
+    open_chunk = bytearray(raw[: data_at + 4 + data_size])
+    open_chunk[size_at : size_at + 4] = bytes(4)
+    open_chunk[data_at : data_at + 4] = bytes(4)
+    active = tmp_path / "open.bag.active"
+    active.write_bytes(open_chunk)
+    run = read_run(active)
+    assert (len(run.odometry), len(run.detections)) == (300, 30)
+    assert any("cut short" in text for text in run.warnings)
+
+
+def _is_chunk_head(raw: bytes, position: int) -> bool:
+    length = struct.unpack_from("<I", raw, position)[0]
+    header = raw[position + 4 : position + 4 + length]
+    return (
+        20 < length < 80
+        and b"op=\x05" in header
+        and b"compression=" in header
+        and (struct.unpack_from("<I", header)[0] < 40)
+    )
+
+
+def test_declared_sizes_allocate_nothing(logs, tmp_path):
+    """A chunk that claims to hold a terabyte, and a record that claims more, are just damaged."""
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive())
+    raw = path.read_bytes()
+    at = raw.index(b"\x04\x00\x00\x00zstd", len(raw) // 2)
+    size_at = at - 12
+    path.write_bytes(raw[:size_at] + struct.pack("<Q", 1 << 40) + raw[size_at + 8 :])
+    run = read_run(path)
+    assert any("declares more than 512 MiB" in text for text in run.warnings)
+    path.write_bytes(raw[: at - 36] + struct.pack("<Q", 1 << 62) + raw[at - 28 :])
+    assert said(read_run(path)) > 250
+
+
+def test_one_line_says_why_nothing_can_be_read(logs, tmp_path):
+    folder, empty, foreign = tmp_path / "folder", tmp_path / "empty.mcap", tmp_path / "a.bag"
+    folder.mkdir()
+    empty.touch()
+    foreign.write_text("#ROSBAG V1.1\n")
+    whole = logs.mcap(tmp_path / "whole.mcap", logs.drive(), compression="NONE")
+    stub = tmp_path / "stub.mcap"
+    stub.write_bytes(whole.read_bytes()[:60])
+    for path, words in (
+        (tmp_path / "missing.mcap", "no such file"),
+        (folder, "holds no log files"),
+        (empty, "is empty"),
+        (foreign, "is no log"),
+        (stub, "nothing can be read"),
+    ):
+        with pytest.raises(LogError, match=words) as caught:
+            read_run(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_metadata_names_but_is_missing_is_reported(logs, tmp_path):
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive())
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(text.replace("- run.db3", "- run.db3\n  - run_1.db3"))
+    run = read_run(folder)
+    assert len(run.odometry) == 300
+    assert any("names run_1.db3, which is missing" in text for text in run.warnings)
+    (folder / "metadata.yaml").write_text("{ broken: [")
+    run = read_run(folder)
+    assert len(run.odometry) == 300
+    assert any("metadata.yaml cannot be read" in text for text in run.warnings)
