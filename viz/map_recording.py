@@ -126,12 +126,20 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
 
 def _refused(recording: Recording, topomap: TopoMap) -> None:
     """Thin lines between visits that were not taken for the same place."""
-    vertices = [
-        (c, _vertex_at(topomap, c.time_a_ns), _vertex_at(topomap, c.time_b_ns))
+    seen = dict(
+        zip(
+            topomap.observation_time_ns.tolist(),
+            topomap.observation_vertex.tolist(),
+            strict=True,
+        )
+    )
+    visits = [
+        (c, seen.get(c.time_a_ns), seen.get(c.time_b_ns))
         for c in topomap.closures
         if not c.accepted
     ]
-    apart = [(c, a, b) for c, a, b in vertices if a is not None and b is not None and a != b]
+    # A visit that ended in no vertex (a phantom, say) has no place to draw a line from.
+    apart = [(c, a, b) for c, a, b in visits if a is not None and b is not None and a != b]
     if not apart:
         return
     recording.static(
@@ -146,12 +154,6 @@ def _refused(recording: Recording, topomap: TopoMap) -> None:
             bits=np.array([c.bits for c, _, _ in apart]), reason=[c.reason for c, _, _ in apart]
         ),
     )
-
-
-def _vertex_at(topomap: TopoMap, time_ns: int) -> int | None:
-    """The vertex observed at a time, None if nothing was."""
-    found = np.flatnonzero(topomap.observation_time_ns == time_ns)
-    return int(topomap.observation_vertex[found[0]]) if len(found) else None
 
 
 def _visits(recording: Recording, topomap: TopoMap) -> None:

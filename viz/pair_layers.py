@@ -42,8 +42,8 @@ MOST_NAMES = 16
 MOST_NUMBERS = 8
 """Above this many runs the evidence is not written into the matrix, only shown by dots."""
 
-SHORT_NAME = 4
-"""Names up to this length fit above a column."""
+NAMES_ABOVE = 34
+"""Names stand above the columns if all columns as wide as the longest take fewer letters."""
 
 MOST_DOTS = 200
 """Above this many runs the matrix is drawn without dots."""
@@ -93,7 +93,7 @@ def _names_width(runs: list[str]) -> float:
 def _names(recording: Recording, runs: list[str]) -> None:
     """Names at the left of the rows; above the columns names where they are short, else the
     numbers that stand before the names."""
-    short = len(runs) <= MOST_NUMBERS and max(map(len, runs)) <= SHORT_NAME
+    short = len(runs) * max(map(len, runs)) <= NAMES_ABOVE
     middle = np.arange(len(runs)) + 0.5
     left, above = np.full(len(runs), -_names_width(runs) / 2), np.full(len(runs), -0.09 * len(runs))
     rows = runs if short else [f"{i}  {run}" for i, run in enumerate(runs, start=1)]
