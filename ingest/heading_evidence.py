@@ -107,7 +107,7 @@ def heading_evidence(
     expressed; nominal: the same rows and times uncorrected, which the regressors are taken from.
     O(readings + branches · grid_reach).
     """
-    reading = _assign(odometry, detections, passes, settings.match_rad)
+    reading = assign_readings(odometry, detections, passes, settings.match_rad)
     time_ns = detections.time_ns[detections.branches.owner[reading.row]]
     regressor = regressors(nominal, time_ns, settings.rate_window_s)
     count = len(passes.branches.values)
@@ -161,7 +161,7 @@ def regressors(odometry: Odometry, time_ns: IntArray, window_s: float) -> FloatA
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Readings:
+class Readings:
     """Branch readings that belong to a fused branch: row (into the flat readings), branch, heading.
 
     heading is in the odometry frame.
@@ -172,9 +172,9 @@ class _Readings:
     heading: FloatArray
 
 
-def _assign(
+def assign_readings(
     odometry: Odometry, detections: Detections, passes: Passes, match_rad: float
-) -> _Readings:
+) -> Readings:
     """The fused branch (flat index) of every reading, where one is near.
 
     All readings at once: each is paired with every branch of its pass, and the nearest pair kept.
@@ -194,10 +194,10 @@ def _assign(
     off = np.abs(wrap(heading[pair_row] - passes.branches.values[candidate]))
     if len(rows) == 0:
         none = np.zeros(0, np.int64)
-        return _Readings(none, none, np.zeros(0))
+        return Readings(none, none, np.zeros(0))
     nearest = np.lexsort((off, pair_row))[starts]
     near = off[nearest] <= match_rad
-    return _Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
+    return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
 
 
 def _mean(group: IntArray, values: FloatArray, n: IntArray) -> FloatArray:

@@ -1,0 +1,122 @@
+"""The noise of simulated runs, estimated and true."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.noise import NoiseSettings, estimate_noise, refine_noise
+from topobatch.ingest.passes import fuse_passes, no_passes
+from topobatch.ingest.run import Detections
+from topobatch.ingest.simulation import (
+    DRIFTS,
+    FAULTS,
+    Scenario,
+    ScenarioSettings,
+    simulate_scenario,
+    true_vertex_of_passes,
+)
+from topobatch.topology.passes import Passes
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import wrap
+from topobatch.topology.topomap import RunNoise
+
+
+def simulated(world: str, drift: str, faults: str, seed: int) -> Scenario:
+    return simulate_scenario(
+        ScenarioSettings(world, 1, junctions_per_run=60, drift=drift, faults=faults, seed=seed)
+    )
+
+
+def estimated(scenario: Scenario) -> RunNoise:
+    odometry, detections = scenario.runs["run1"].odometry, scenario.runs["run1"].detections
+    return estimate_noise(odometry, detections, fuse_passes(odometry, detections))
+
+
+@pytest.mark.parametrize("world", ["maze", "organic"])
+@pytest.mark.parametrize(("drift", "faults"), [("low", "none"), ("mid", "mild"), ("high", "harsh")])
+def test_noise_is_found_within_a_factor(world: str, drift: str, faults: str) -> None:
+    found = [estimated(simulated(world, drift, faults, seed)) for seed in range(3)]
+    real, detector = DRIFTS[drift], FAULTS[faults]
+    # Half of the detector's variance is common to a pass, the rest averages out.
+    half = np.sqrt(0.5)
+    for name, truth, factor in (
+        ("centre_m", detector.centre_m * half, 1.2),
+        ("branch_rad", np.radians(detector.branch_deg) * half, 1.2),
+        ("heading_rad_per_sqrt_m", np.radians(real.heading_deg_per_sqrt_m), 2.5),
+        ("heading_rad_per_sqrt_rad", np.radians(real.heading_deg_per_sqrt_rad), 2.0),
+        ("along_m_per_sqrt_m", real.along_m_per_sqrt_m, 2.5),
+    ):
+        typical = np.exp(np.mean([np.log(getattr(noise, name)) for noise in found]))
+        assert truth / factor < typical < truth * factor, (name, typical, truth)
+
+
+def test_more_drift_shows() -> None:
+    quiet, wild = (estimated(simulated("maze", level, "none", 5)) for level in ("low", "high"))
+    assert wild.heading_rad_per_sqrt_m > 1.5 * quiet.heading_rad_per_sqrt_m
+    assert wild.heading_rad_per_sqrt_rad > 1.5 * quiet.heading_rad_per_sqrt_rad
+
+
+def passes_and_truth(world: str, faults: str, seed: int) -> tuple[Passes, np.ndarray, list[str]]:
+    scenario = simulated(world, "none", faults, seed)
+    run = scenario.runs["run1"]
+    passes = fuse_passes(run.odometry, run.detections)
+    vertex = true_vertex_of_passes(scenario.truth, "run1", passes.time_ns)
+    return passes, vertex, list(scenario.truth.runs["run1"].fault)
+
+
+@pytest.mark.parametrize("faults", ["none", "harsh"])
+def test_rates_come_from_repeated_passes(faults: str) -> None:
+    passes, vertex, fault = passes_and_truth("maze", faults, 1)
+    turn = np.zeros(len(passes))
+    missed = fault.count("missed")
+    before = RunNoise(branch_rad=0.03)
+    found = refine_noise(passes, vertex, turn, before, drive_bys=missed)
+    wrong = fault.count("wrong pass")
+    assert found.branch_fault_rate == pytest.approx(wrong / len(passes), abs=0.035)
+    assert found.miss_rate == pytest.approx(missed / len(fault), abs=0.02)
+    half = np.sqrt(0.5)
+    assert found.branch_rad == pytest.approx(np.radians(FAULTS[faults].branch_deg) * half, rel=0.3)
+    assert found.centre_m == before.centre_m
+
+
+def test_rates_do_not_see_the_direction_of_passes() -> None:
+    """Branches are compared after the turn that the caller gives for each pass."""
+    passes, vertex, _ = passes_and_truth("organic", "mild", 2)
+    here = refine_noise(passes, vertex, np.zeros(len(passes)), RunNoise())
+    spin = np.random.default_rng(0).uniform(-3, 3, len(passes))
+    rows = [np.sort(wrap(passes.branches[k] - spin[k])) for k in range(len(passes))]
+    turned = replace(
+        passes,
+        branches=Ragged.from_rows(rows),
+        entry=np.full(len(passes), -1),
+        exit=np.full(len(passes), -1),
+    )
+    there = refine_noise(turned, vertex, spin, RunNoise())
+    assert there.branch_fault_rate == pytest.approx(here.branch_fault_rate)
+    assert there.branch_rad == pytest.approx(here.branch_rad, rel=1e-6)
+
+
+def test_a_run_without_passes_has_the_usual_noise() -> None:
+    run = simulated("maze", "low", "none", 3).runs["run1"]
+    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
+    assert estimate_noise(run.odometry, none, no_passes()) == NoiseSettings().prior
+    nothing = np.zeros(0, np.int64)
+    refined = refine_noise(no_passes(), nothing, np.zeros(0), RunNoise())
+    assert asdict(refined) == pytest.approx(asdict(RunNoise()))
+
+
+def test_single_message_passes_are_no_obstacle() -> None:
+    run = simulated("maze", "low", "none", 4).runs["run1"]
+    passes = fuse_passes(run.odometry, run.detections)
+    first = np.searchsorted(run.detections.time_ns, passes.time_ns)
+    few = Detections(
+        run.detections.time_ns[first],
+        run.detections.centre[first],
+        run.detections.branches.take(first),
+    )
+    noise = estimate_noise(run.odometry, few, fuse_passes(run.odometry, few))
+    assert 0 < noise.branch_rad < 0.2
+    assert 0 < noise.centre_m < 0.3
