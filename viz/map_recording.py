@@ -30,6 +30,12 @@ from .robot_track import RobotTrack, robot_track
 MOST_LABELS = 150
 """Above this many vertices, numbers on the map hide more than they tell: hover shows them."""
 
+MOST_NODES = 300
+"""Above this many vertices there is no room for a graph of boxes."""
+
+GRAPH_CORRIDOR = 90.0
+"""The usual corridor's length in the graph, in units of which a node takes about twenty."""
+
 TRAIL_S = 60.0
 
 MAP: PathParts = ("map",)
@@ -44,6 +50,7 @@ def write(path: Path, topomap: TopoMap, odometry: Odometry | None) -> None:
         _corridors(recording, topomap)
         _branches(recording, topomap)
         _junctions(recording, topomap)
+        _graph(recording, topomap)
         _refused(recording, topomap)
         _visits(recording, topomap)
         if track is not None:
@@ -122,6 +129,28 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
             passes=passes,
         ),
     )
+
+
+def _on_graph(topomap: TopoMap) -> NDArray[np.float64]:
+    """(n, 2) where the vertices lie in the graph; y points down."""
+    usual = float(np.median(topomap.length)) if len(topomap.length) else 1.0
+    return GRAPH_CORRIDOR / usual * topomap.xy * [1.0, -1.0]
+
+
+def _graph(recording: Recording, topomap: TopoMap) -> None:
+    """The map as boxes and straight lines: its topology without its shape."""
+    if not 0 < len(topomap) <= MOST_NODES:
+        return
+    ids = [str(i) for i in range(len(topomap))]
+    nodes = rr.GraphNodes(
+        ids,
+        labels=ids,
+        colors=palette.by_degree(topomap.degree),
+        positions=_on_graph(topomap),
+    )
+    ends = zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)
+    edges = [(str(u), str(v)) for u, v in ends if u != v]
+    recording.static(("graph",), nodes, *([rr.GraphEdges(edges)] if edges else []))
 
 
 def _refused(recording: Recording, topomap: TopoMap) -> None:
@@ -224,6 +253,11 @@ def _track(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
 
 
 def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
+    views: list[rrb.View] = [_map_view(topomap, track)]
+    if 0 < len(topomap) <= MOST_NODES:
+        low, high = bounds([_on_graph(topomap)], margin=0.05)
+        around = rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[low[1], high[1]])
+        views.append(rrb.GraphView(origin="/graph", name="Graph", visual_bounds=around))
     pages: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
     if len(topomap.observation_time_ns):
         pages.append(rrb.TextLogView(origin="/events", name="Events", columns=_event_columns()))
@@ -231,7 +265,7 @@ def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
         pages.append(_drift_view(track))
     return rrb.Blueprint(
         rrb.Horizontal(
-            _map_view(topomap, track),
+            rrb.Tabs(*views, active_tab=0, name="Maps"),
             rrb.Tabs(*pages, active_tab=0, name="Details"),
             column_shares=[3, 1],
             name="Map of one run",

@@ -14,8 +14,6 @@ from .drawing import driven_branches
 MOST_LINES = 40
 """Longer lists are cut: the document has them all."""
 
-_KINDS = {"junction": "junctions", "dead_end": "dead ends", "bend": "bends"}
-
 
 def map_summary(topomap: TopoMap) -> str:
     """A page of markdown about one map: counts, loops, noise, warnings, how to read the picture."""
@@ -66,7 +64,9 @@ def bulleted(lines: Iterable[str], most: int = MOST_LINES) -> str:
 
 def _counts(topomap: TopoMap) -> str:
     kinds = Counter(topomap.kind)
-    named = ", ".join(f"{n} {_KINDS.get(k, k)}" for k, n in sorted(kinds.items()))
+    named = ", ".join(
+        f"{n} {kind.replace('_', ' ')}{'s' * (n != 1)}" for kind, n in sorted(kinds.items())
+    )
     unseen = int((~driven_branches(topomap)).sum())
     rows = [
         several(len(topomap), "vertex", "vertices") + (f" ({plain(named)})" if named else ""),
@@ -103,7 +103,7 @@ def _closures(closures: tuple[Closure, ...]) -> str:
     if not closures:
         return ""
     refused = [c for c in closures if not c.accepted]
-    head = f"## Loops\n\n**{len(closures) - len(refused)}** visits recognised"
+    head = f"## Loops\n\n{several(len(closures) - len(refused), 'visit')} recognised"
     if not refused:
         return f"{head}, none refused."
     lines = (

@@ -37,6 +37,7 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
         "/map/last\\ junction",
         "/events",
         "/drift",
+        "/graph",
         "/summary",
     } == got.entities
     at = np.array(got.value("/map/junctions", "Points2D:positions"))
@@ -45,6 +46,7 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
     assert got.value("/map/junctions", "passes") == [2, 2, 2, 1, 1]
     assert len(got.value("/map/corridors", "LineStrips2D:strips")) == 5
     assert got.value("/map/loops\\ refused", "reason") == ["2 | 1 have *other* branches"]
+    assert len(got.value("/graph", "GraphEdges:edges")) == 5
     assert "# run1" in got.value("/summary", "TextDocument:text")[0]
 
 

@@ -70,9 +70,9 @@ def test_the_story_has_a_page_for_every_step(merge_of: Merge) -> None:
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
     told = map_summary(make_map("lab_2*"))
     assert "# lab\\_2\\*" in told
-    assert "**5** vertices (2 bends, 1 dead ends, 2 junctions)" in told
+    assert "**5** vertices (2 bends, 1 dead end, 2 junctions)" in told
     assert "**1** branch seen and never driven" in told
-    assert "**1** visits recognised, **1** refused" in told
+    assert "**1** visit recognised, **1** refused" in told
     assert "2 \\| 1 have \\*other\\* branches" in told
     assert "2 messages were empty" in told
 
