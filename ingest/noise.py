@@ -17,13 +17,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.circular import cluster_angles
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.se2 import apply, wrap
 from ..topology.topomap import RunNoise
 from ..topology.track import chain_of
 from .heading_evidence import assign_readings
+from .repeats import Repeats
 from .run import Detections
 
 FloatArray = NDArray[np.float64]
@@ -48,6 +48,8 @@ class NoiseSettings:
     """Readings farther than this from a branch are of another."""
     least_messages: int = 6
     """Shorter passes tell no drift."""
+    straight_rad: float = 0.3
+    """Only passes that turn by no more tell of lengths."""
     reach_passes: int = 6
     reach_m: float = 60.0
     """Branches are compared with those of so many passes before, not farther back than this."""
@@ -188,7 +190,7 @@ def refine_noise(
     seen = int(np.sum(vertex >= 0))
     legs = max(seen + drive_bys - 1, 0)
     invented = len(passes) - seen
-    visits = _Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad, settings)
+    visits = Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad, settings.match_rad)
     faulty, judged = visits.faults()
     return replace(
         noise,
@@ -202,70 +204,6 @@ def refine_noise(
 def _rate(events: float, trials: float, prior: float, worth: float) -> float:
     """Mean of the Beta posterior."""
     return (events + worth * prior) / (trials + worth)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Repeats:
-    """Branches of places passed at least twice: `seen` (c, ·) by which pass, and how far off.
-
-    Flat over sightings (pass, cluster): visit, cluster, off [rad] from the cluster's mean. Over
-    clusters: place, sightings. passes: (places,) passes of each.
-    """
-
-    visit: IntArray
-    cluster: IntArray
-    off: FloatArray
-    place: IntArray
-    sightings: IntArray
-    passes: IntArray
-
-    @classmethod
-    def of(
-        cls, passes: Passes, vertex: IntArray, turn_rad: FloatArray, settings: NoiseSettings
-    ) -> _Repeats:
-        count = np.bincount(vertex[vertex >= 0], minlength=1)
-        owner = passes.branches.owner
-        home = vertex[owner]
-        rows = np.flatnonzero((home >= 0) & (count[np.maximum(home, 0)] >= 2))
-        heading = np.asarray(wrap(passes.branches.values[rows] + turn_rad[owner[rows]]))
-        clusters = cluster_angles(heading, home[rows], settings.match_rad)
-        # A pass that has two branches in one cluster saw it once.
-        pairs, first = np.unique(np.stack([clusters.of, owner[rows]]), axis=1, return_index=True)
-        off = np.asarray(wrap(heading - clusters.mean[clusters.of]))[first]
-        sightings = np.bincount(pairs[0], minlength=len(clusters))
-        return cls(pairs[1], pairs[0], off, clusters.owner, sightings, count)
-
-    def faults(self) -> tuple[float, int]:
-        """Passes that saw a branch too many or too few, and passes judged.
-
-        The majority of a place's passes is right; of two passes that differ, one is wrong.
-        """
-        k = self.passes[self.place]
-        absent = k - self.sightings
-        # Of each cluster, the smaller side is at fault; a tie makes half of both.
-        wrong = np.minimum(self.sightings, absent).astype(np.float64)
-        judged = self.passes[self.passes >= 2]
-        by_place = np.bincount(self.place, wrong, len(self.passes))[self.passes >= 2]
-        # One pass with several wrong branches is one fault; fewer than half can be at fault.
-        return float(np.minimum(by_place, judged / 2).sum()), int(judged.sum())
-
-    def branch_sigma(self, prior: float, worth: float) -> float:
-        """1 sigma of a pass's branch: what is left after the direction of place and pass.
-
-        Robust: from the median, scaled for the freedom that the two means take.
-        """
-        visit = np.unique(self.visit, return_inverse=True)[1]
-        size = np.bincount(visit)
-        off = self.off - (np.bincount(visit, self.off) / np.maximum(size, 1))[visit]
-        k, c = self.sightings[self.cluster], size[visit]
-        free = (k >= 2) & (c >= 2)
-        if not free.any():
-            return prior
-        freedom = (1 - 1 / k[free]) * (1 - 1 / c[free])
-        scaled = np.abs(off[free]) / np.sqrt(freedom)
-        weight = float(freedom.sum())
-        found = float(np.median(scaled)) / 0.6745
-        return float(np.sqrt((weight * found**2 + worth * prior**2) / (weight + worth)))
 
 
 def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:
@@ -425,18 +363,20 @@ def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
     """Random walk along the way, and size of the constant error of lengths.
 
     A junction that seems to move along with the robot tells of wrong lengths; the detector may do
-    the same, so it is used as a size of the error and not to correct it.
+    the same, so it is used as a size of the error and not to correct it. Turns are left out: there
+    the odometry's point and the detector's need not move alike.
     """
     from scipy.optimize import minimize_scalar
 
-    along, moved = thirds.shift[:, 0], np.maximum(thirds.moved, 0.0)
-    variance = thirds.shift_variance
+    straight = thirds.turned <= settings.straight_rad
+    along, moved = thirds.shift[straight, 0], np.maximum(thirds.moved[straight], 0.0)
+    variance = thirds.shift_variance[straight]
     belief = moved @ (moved / variance) + settings.scale_prior**-2
     scale = float(moved @ (along / variance) / belief)
     centre = np.log(settings.prior.along_m_per_sqrt_m)
 
     def cost(x: float) -> float:
-        spread = variance + np.exp(2 * x) * np.maximum(thirds.way, 0.0)
+        spread = variance + np.exp(2 * x) * np.maximum(thirds.way[straight], 0.0)
         pull = (x - centre) / settings.prior_spread
         return _student_cost(along - scale * moved, spread) + 0.5 * float(pull**2)
 
