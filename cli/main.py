@@ -14,8 +14,10 @@ import typer
 
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
+from .explain import explain
 from .info import info
 from .ingest import ingest
+from .lock import lock
 from .merge import merge
 from .output import complain
 from .schema import schema
@@ -33,7 +35,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, info, simulate, schema):
+for command in (ingest, merge, view, info, explain, lock, simulate, schema):
     app.command()(command)
 
 

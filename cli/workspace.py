@@ -6,8 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..topology.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from ..merge.locks import Lock
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +75,22 @@ class Workspace:
                 f"no map of {', '.join(unknown)} in {self.root}; there are: {shortened(known)}"
             )
         return sorted(set(names))
+
+    def locks(self) -> tuple[Lock, ...]:
+        """What a person decided about pairs of runs; DocumentError if it cannot be read."""
+        from ..merge.locks import locks_from_document
+        from ..topology.document import read_json
+
+        if not self.locks_json.exists():
+            return ()
+        return locks_from_document(read_json(self.locks_json), str(self.locks_json))
+
+    def write_locks(self, locks: Sequence[Lock]) -> None:
+        """Keep these locks."""
+        from ..merge.locks import locks_to_document
+        from ..topology.document import write_json
+
+        write_json(self.locks_json, locks_to_document(locks))
 
     @contextmanager
     def held(self, say: Callable[[str], None]) -> Iterator[None]:

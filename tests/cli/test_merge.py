@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def ready(logs, tmp_path_factory):
     """A workspace with two maps; copy it, do not change it."""
     from topobatch.ingest.mapping import build_map
@@ -64,3 +64,64 @@ def test_only_broken_maps(topobatch, tmp_path):
     done = topobatch("merge", "--all", "-w", tmp_path)
     assert done.code == 1
     assert "none of the 1 map can be read" in done.err
+
+
+def test_locks_are_kept_shown_and_cleared(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    assert "no locks" in topobatch("lock", "-w", workspace).out
+    assert topobatch("lock", b, a, "--same", "--at", "1,2", "-w", workspace).code == 0
+    assert f"{a} + {b}: same, junction 2 = junction 1" in topobatch("lock", "-w", workspace).out
+    assert topobatch("lock", a, b, "--never", "-w", workspace).code == 0
+    assert f"{a} + {b}: never" in topobatch("lock", "-w", workspace).out
+    assert topobatch("lock", a, b, "--clear", "-w", workspace).code == 0
+    assert "no locks" in topobatch("lock", "-w", workspace).out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["A", "B"], "--same"),
+        (["A", "B", "--same", "--never"], "--clear"),
+        (["A"], "two runs"),
+        (["A", "A", "--same"], "'run1'"),
+        (["A", "nobody", "--same"], "nobody"),
+        (["A", "B", "--same", "--at", "3"], "--at"),
+        (["A", "B", "--never", "--at", "0,0"], "never"),
+    ],
+)
+def test_locks_that_make_no_sense(topobatch, workspace, arguments, word):
+    names = dict(
+        zip("AB", sorted(p.stem for p in (workspace / "maps").glob("*.json")), strict=True)
+    )
+    called = [names.get(argument, argument) for argument in arguments]
+    assert word in topobatch("lock", *called, "-w", workspace).error(2)
+
+
+def test_a_lock_on_a_junction_that_is_not_there(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    error = topobatch("lock", a, b, "--same", "--at", "0,999", "-w", workspace).error(1)
+    assert "not 999" in error
+
+
+def test_a_never_lock_keeps_runs_apart(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    topobatch("lock", a, b, "--never", "-w", workspace)
+    assert topobatch("merge", "--all", "-w", workspace).code == 0
+    document = json.loads((workspace / "merged.json").read_bytes())
+    assert len(document["graph"]["components"]) == 2
+    assert document["merges"][0]["locked"] == "never"
+
+
+def test_explain(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    shown = topobatch("explain", b, a, "-w", workspace)
+    assert shown.code == 0, shown
+    assert "hypotheses" in shown.out
+    assert "cluster" in shown.out
+    assert "not merged yet" in shown.out
+    assert (workspace / "explain" / f"{a}+{b}.rrd").stat().st_size > 1000
+    topobatch("merge", "--all", "-w", workspace)
+    document = json.loads(topobatch("explain", a, b, "--json", "-w", workspace).out)
+    assert document["schema"] == "topobatch.explanation/1"
+    assert document["verdict"]["a"] == a
+    assert "twice" in topobatch("explain", a, a, "-w", workspace).error(2)

@@ -1,0 +1,96 @@
+"""`topobatch lock`: what a person knows about two runs."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ..topology.errors import DataError, UsageError
+from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import warn
+from .workspace import Workspace
+
+if TYPE_CHECKING:
+    from ..merge.locks import Lock
+
+
+def lock(
+    a: Annotated[str | None, typer.Argument(metavar="[A]", help="A run.")] = None,
+    b: Annotated[str | None, typer.Argument(metavar="[B]", help="Another run.")] = None,
+    same: Annotated[
+        bool, typer.Option("--same", help="The two share places: join them, where they fit best.")
+    ] = False,
+    never: Annotated[
+        bool, typer.Option("--never", help="They share nothing: keep them apart, always.")
+    ] = False,
+    clear: Annotated[
+        bool, typer.Option("--clear", help="Forget what was said about the two.")
+    ] = False,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="JUNCTIONS",
+            help="With --same: a junction of A and the junction of B that is the same place, by "
+            'the numbers their maps give them: "3,7".',
+        ),
+    ] = None,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+) -> None:
+    """Say that two runs belong together, or never do.
+
+    Kept in the workspace (locks.json) and honoured by every later merge. Without runs, the locks
+    that there are.
+    """
+    place = Workspace(workspace)
+    if a is None or b is None:
+        if a is not None or same or never or clear:
+            raise UsageError("name two runs: topobatch lock A B --same (or --never, or --clear)")
+        _show(place.locks())
+        return
+    if same + never + clear != 1:
+        raise UsageError("say one of --same, --never and --clear")
+    from ..merge.locks import Lock, with_lock, without_lock
+
+    with place.held(warn):
+        if clear:
+            kept = without_lock(place.locks(), a, b)
+        else:
+            place.chosen_runs([a, b], False)
+            kept = with_lock(place.locks(), _checked(place, Lock(a, b, _decision(same), _pair(at))))
+        place.write_locks(kept)
+    _show(kept)
+    typer.echo("next: topobatch merge --all")
+
+
+def _decision(same: bool) -> Literal["same", "never"]:
+    return "same" if same else "never"
+
+
+def _pair(at: str | None) -> tuple[int, int] | None:
+    if at is None:
+        return None
+    found = re.fullmatch(r"\s*(\d+)\s*,\s*(\d+)\s*", at)
+    if found is None:
+        raise UsageError(f'--at is {at!r}; it names a junction of A and one of B, like "3,7"')
+    return int(found[1]), int(found[2])
+
+
+def _checked(place: Workspace, wanted: Lock) -> Lock:
+    """The lock, if both junctions exist."""
+    from ..topology.document import read_map
+
+    for run, vertex in zip((wanted.a, wanted.b), wanted.at or (), strict=False):
+        junctions = len(read_map(place.map_json(run)))
+        if vertex >= junctions:
+            raise DataError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
+    return wanted
+
+
+def _show(locks: tuple[Lock, ...]) -> None:
+    if not locks:
+        typer.echo("no locks")
+    for entry in locks:
+        at = f", junction {entry.at[0]} = junction {entry.at[1]}" if entry.at else ""
+        typer.echo(f"{entry.a} + {entry.b}: {entry.decision}{at}")
