@@ -62,8 +62,10 @@ class Background:
     miss_rate: float
 
 
-def background(walk: Walk, settings: EvidenceSettings = EvidenceSettings()) -> Background:
-    """Statistics of a run that evidence is measured against."""
+def background(
+    walk: Walk, noise: RunNoise, settings: EvidenceSettings = EvidenceSettings()
+) -> Background:
+    """Statistics of a run that evidence is measured against; `noise` as far as it is known."""
     legs = walk.leg[np.isfinite(walk.leg)]
     # Chords: a leg that turns back or winds says nothing about how close junctions lie.
     chord = np.hypot(*np.diff(walk.passes.centre, axis=0).T)
@@ -75,7 +77,6 @@ def background(walk: Walk, settings: EvidenceSettings = EvidenceSettings()) -> B
     counts = np.histogram(legs, edges)[0].astype(np.float64)
     smooth = np.convolve(counts, [0.1, 0.2, 0.4, 0.2, 0.1], mode="same") + 0.02
     density = smooth / (smooth.sum() * 0.25)
-    noise: RunNoise = walk.noise
     return Background(
         # Each place is the middle of a cell about as wide as a typical leg.
         density=1.0 / typical**2,
@@ -101,7 +102,9 @@ def position_odds(
     d2 = (cov[:, 1, 1] * x * x - 2 * cov[:, 0, 1] * x * y + cov[:, 0, 0] * y * y) / det
     s2 = np.sqrt(det)
     inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, 1e6))
-    rival = common.density * np.maximum(1.0 - inside, settings.core_exception)
+    # Exceptions within the core are doors side by side, not one upon the other.
+    apart = np.minimum((x * x + y * y + 2 * s2) / common.core_m**2, 1.0)
+    rival = common.density * np.maximum(1.0 - inside, settings.core_exception * apart)
     odds = -0.5 * d2 - np.log(2 * np.pi * s2) - np.log(rival)
     return odds, d2
 

@@ -24,7 +24,8 @@ class Places:
     heading: (n, s) [rad] in the map frame; share: (n, s) share of the place's passes that reported
     the branch, 0 for one known from the track alone; visits: (n,) passes; first, last: (n,) its
     first and last pass. next_place, next_slot: (n, s) where the slot was seen to lead, NOWHERE if
-    it was not driven; length: (n, s) of that leg [m]; sure: (n, s) times driven. entry, exit: (p,)
+    it was not driven; length: (n, s) of that leg [m]; driven: (n, s) times driven so; tried: (n, s) times driven,
+    wherever it led. entry, exit: (p,)
     slot by which each pass came and left.
     """
 
@@ -37,6 +38,7 @@ class Places:
     next_slot: IntArray
     length: FloatArray
     driven: IntArray
+    tried: IntArray
     entry: IntArray
     exit: IntArray
 
@@ -87,15 +89,13 @@ def tabulate(walk: Walk, place: IntArray, turn: FloatArray, gap_rad: float) -> P
     member = rows[place >= 0]
     np.minimum.at(first, place[member], member)
     np.maximum.at(last, place[member], member)
-    next_place, next_slot, length, driven = _ways(walk, place, entry, exit_, (n, width))
-    return Places(
-        heading, share, visits, first, last, next_place, next_slot, length, driven, entry, exit_
-    )
+    ways = _ways(walk, place, entry, exit_, (n, width))
+    return Places(heading, share, visits, first, last, *ways, entry, exit_)
 
 
 def _ways(
     walk: Walk, place: IntArray, entry: IntArray, exit_: IntArray, shape: tuple[int, int]
-) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+) -> tuple[IntArray, IntArray, FloatArray, IntArray, IntArray]:
     """Where each slot leads: of several ends the one reached most often, then the nearest."""
     n, width = shape
     legs = np.flatnonzero(np.isfinite(walk.leg))
@@ -108,6 +108,7 @@ def _ways(
     far = np.concatenate([leg, leg])
     next_place, next_slot = np.full(n * width, NOWHERE), np.full(n * width, NOWHERE)
     length, driven = np.full(n * width, np.nan), np.zeros(n * width, np.int64)
+    tried = np.bincount(here, minlength=n * width)
     if len(here):
         order = np.lexsort((far, there, here))
         here, there, far = here[order], there[order], far[order]
@@ -126,4 +127,5 @@ def _ways(
         next_slot.reshape(shape),
         length.reshape(shape),
         driven.reshape(shape),
+        tried.reshape(shape),
     )

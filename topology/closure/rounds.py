@@ -26,6 +26,7 @@ from .gated import Identification
 from .growth import GrowthSettings, Scene, grow
 from .layout import Layout, LayoutSettings, lay_out
 from .places import Places, tabulate
+from .rates import RateSettings, measured_rates
 from .rectilinear import RectilinearSettings, grid_headings
 from .walk import Walk, dead_reckoning_covariance
 
@@ -47,12 +48,13 @@ class RoundSettings:
     """Places farther apart than this in the layout are not asked about."""
     support_cap: float = 12.0
     """Most that growth may add."""
-    conflict_price: float = 0.5
+    conflict_price: float = 0.25
     """Added to the threshold for each unit of disagreement."""
     most_rounds: int = 40
     strain: float = 30.0
     """Squared error [3 d.o.f.] of a sighting from which its identification is taken back."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    rates: RateSettings = field(default_factory=RateSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
     layout: LayoutSettings = field(default_factory=LayoutSettings)
     grid: RectilinearSettings = field(default_factory=RectilinearSettings)
@@ -88,7 +90,6 @@ class Candidates:
 
 def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
     """Identify the passes of a walk."""
-    common = background(walk, settings.evidence)
     grid = grid_headings(walk, settings.grid)
     links: list[Identification] = []
     strikes: Counter[tuple[int, int]] = Counter()
@@ -97,6 +98,9 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     stage, found = 0, _no_candidates()
     for number in range(settings.most_rounds):
         places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
+        common = background(
+            walk, measured_rates(places, walk.noise, settings.rates), settings.evidence
+        )
         rare = rarity(places, common, settings.evidence)
         scene = Scene(walk, places, layout.xy, common, rare)
         found = _candidates(scene, place, layout, settings, exact=number > 0)

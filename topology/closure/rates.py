@@ -1,0 +1,49 @@
+"""How often the detector of a run is at fault, from the places that are known so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..topomap import RunNoise
+from .places import Places
+
+
+@dataclass(frozen=True, slots=True)
+class RateSettings:
+    """What a run is held to before it has shown otherwise."""
+
+    prior_passes: float = 25.0
+    """Worth of the prior rates, in passes."""
+    most: float = 0.25
+    """No rate is believed to be higher: the evidence would be worthless."""
+
+
+def measured_rates(
+    places: Places, noise: RunNoise, settings: RateSettings = RateSettings()
+) -> RunNoise:
+    """The noise with the rates of missed junctions and of branch faults measured.
+
+    A corridor that mostly leads to one place and once to another passed a junction unseen (or an
+    invented one); a branch that most passes of a place saw and one did not, or the other way
+    round, is a fault.
+    """
+    several = places.tried >= 2
+    torn = float((places.tried - places.driven)[several].sum())
+    legs = float((places.tried - 1)[several].sum())
+    known = places.visits >= 3
+    share = places.share[known]
+    odd = np.where(np.isfinite(places.heading[known]), np.minimum(share, 1 - share), 0.0)
+    faults = float((odd.sum(axis=1) * places.visits[known]).sum())
+    passes = float(places.visits[known].sum())
+
+    def rate(prior: float, count: float, of: float) -> float:
+        worth = settings.prior_passes
+        return min((prior * worth + count) / (worth + of), settings.most)
+
+    return replace(
+        noise,
+        miss_rate=rate(noise.miss_rate, torn, legs),
+        branch_fault_rate=rate(noise.branch_fault_rate, faults, passes),
+    )
