@@ -110,17 +110,38 @@ def grown(neighbours, seed, size, cost, banned):
     return sorted(found)
 
 
+def spanning_edges(maze, edges):
+    """Edges of a spanning forest of the given ones."""
+    head = np.arange(len(maze.xy))
+
+    def root(v):
+        while head[v] != v:
+            v = head[v]
+        return v
+
+    found = set()
+    for e in edges:
+        p, q = root(int(maze.source[e])), root(int(maze.target[e]))
+        if p != q:
+            head[p] = q
+            found.add(e)
+    return found
+
+
 def explored_map(maze, region, rng, name, *, noise=Noise(), turn=0.0, skipped=0.05):
     """The map of a robot that drove the corridors inside a region, in a frame turned by `turn`.
 
-    Some corridors (`skipped`) were not driven; corridors that lead out are unexplored branches.
+    Some corridors (`skipped`) were not driven, but the map hangs together; corridors that lead
+    out are unexplored branches.
     """
     inside = {v: k for k, v in enumerate(region)}
     keep = [
         e
         for e, (u, v) in enumerate(zip(maze.source.tolist(), maze.target.tolist(), strict=True))
-        if u in inside and v in inside and rng.random() >= skipped
+        if u in inside and v in inside
     ]
+    needed = spanning_edges(maze, keep)
+    keep = [e for e in keep if e in needed or rng.random() >= skipped]
     slots = [set() for _ in maze.xy]
     for e in range(len(maze.source)):
         slots[maze.source[e]].add(int(maze.source_slot[e]))

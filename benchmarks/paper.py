@@ -92,8 +92,9 @@ def print_figures(trials, noise):
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     print("| paper, Fig. 3 | 3918 | 72 | 69 | 1 or 2 | - | 40 (650 MHz Pentium 3) | 1 of 1 | - |")
     for size, m, good in figures(trials, noise):
-        print(f"| {size} x {size} | {m[0]:.0f} | {m[1]:.0f} | {m[2]:.0f} | {m[3]:.0f} | {m[4]:.2f} |"
-              f" {m[5]:.1f} | {good[0]} of {trials} | {good[1]} of {trials} |")  # fmt: skip
+        counts = " | ".join(f"{x:.0f}" for x in m[:4])
+        rates = " | ".join(f"{g} of {trials}" for g in good)
+        print(f"| {size} x {size} | {counts} | {m[4]:.2f} | {m[5]:.1f} | {rates} |")
 
 
 def print_baselines(trials, noise):
@@ -123,7 +124,7 @@ def print_baselines(trials, noise):
     start = time.process_time()
     largest_common_subgraph(*small)
     print(
-        f"| largest common subgraph, 9 junctions | {1e3 * (time.process_time() - start):.1f} | – |"
+        f"| largest common subgraph, 9 junctions | {1e3 * (time.process_time() - start):.1f} | - |"
     )
 
 

@@ -3,7 +3,7 @@ transform (§2, §3.1)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,22 @@ class Hypotheses:
 
     def __len__(self) -> int:
         return len(self.size)
+
+    def take(self, numbers: IntArray) -> Hypotheses:
+        """The hypotheses of the given ascending numbers, renumbered."""
+        rank = np.full(len(self), -1, np.int64)
+        rank[numbers] = np.arange(len(numbers))
+        rows = np.flatnonzero(rank[self.of] >= 0)
+        return replace(
+            self,
+            of=rank[self.of[rows]],
+            nodes=self.nodes.take(rows),
+            rotation=self.rotation[rows],
+            size=self.size[numbers],
+            corridors=self.corridors[numbers],
+            transform=self.transform[numbers],
+            error=self.error[numbers],
+        )
 
     @property
     def vertex_a(self) -> IntArray:

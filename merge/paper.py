@@ -7,9 +7,9 @@ choice may later turn out to be incorrect"); here a cluster needs some vertices 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations, islice
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..topology.structure import Structure, prepare
 from ..topology.topomap import TopoMap
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
+from .meeting import Meeting, near_vertices, seeded
 from .result import Alignment, PairVerdict, Verdict
 
 FloatArray = NDArray[np.float64]
@@ -43,6 +44,8 @@ class PaperSettings:
     """Clusters elsewhere: they displace the best cluster's vertices by more than this …"""
     rival_rad: float = 0.35
     """… or turn them by more than this."""
+    meetings: tuple[Meeting, ...] = ()
+    """Runs that met: their hypotheses hold a pair of vertices near both robots (§4.2)."""
 
 
 DEFAULT_PAPER = PaperSettings()
@@ -56,6 +59,8 @@ class PreparedMap:
     structure: Structure
     xy: FloatArray
     shortest_edge_m: float
+    near: Mapping[Meeting, IntArray] = field(default_factory=dict)
+    """Vertices near the robot at each of its meetings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,10 +71,15 @@ class Matching:
     clusters: Clusters
 
 
-def prepare_map(topomap: TopoMap) -> PreparedMap:
+def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> PreparedMap:
     """Prepare a map for any number of comparisons. Linear in its size."""
     shortest = float(topomap.length.min()) if len(topomap.length) else np.inf
-    return PreparedMap(topomap.run, prepare(topomap), topomap.xy, shortest)
+    near = {}
+    for m in settings.meetings:
+        if topomap.run in (m.run_a, m.run_b):
+            time_ns = m.time_a_ns if topomap.run == m.run_a else m.time_b_ns
+            near[m] = near_vertices(topomap, time_ns, m.range_m)
+    return PreparedMap(topomap.run, prepare(topomap), topomap.xy, shortest, near)
 
 
 def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
@@ -81,6 +91,10 @@ def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPE
         settings.growth,
         single_vertex=settings.single_vertex,
     )
+    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
+    if meeting is not None:
+        rows = seeded(hypotheses.vertex_a, hypotheses.vertex_b, (a.near[meeting], b.near[meeting]))
+        hypotheses = hypotheses.take(np.unique(hypotheses.of[rows]))
     shortest = min(a.shortest_edge_m, b.shortest_edge_m)
     return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), shortest, settings.clusters))
 
@@ -93,7 +107,7 @@ def decide(
     executor: Executor | None = None,
 ) -> tuple[PairVerdict, ...]:
     """A verdict for every pair of maps, sorted by name. on_pair(done, total) after each pair."""
-    prepared = [prepare_map(m) for m in sorted(maps, key=lambda m: m.run)]
+    prepared = [prepare_map(m, settings) for m in sorted(maps, key=lambda m: m.run)]
     pairs = list(combinations(prepared, 2))
     out = []
     for verdict in _judged(pairs, settings, executor):

@@ -145,14 +145,27 @@ def find_links(
         _Measured(signature(b, rows_b, settings), b.length[rows_b], b.sigma[rows_b]),
         settings.length_bound_sigmas,
     )
-    node = _slot_nodes if rectilinear else _angle_nodes
-    return node(a, b, rows_a[i], rows_b[j], settings)
+    return confirm_links(a, b, rows_a[i], rows_b[j], settings)
+
+
+def confirm_links(
+    a: Structure,
+    b: Structure,
+    dart_a: IntArray,
+    dart_b: IntArray,
+    settings: GrowthSettings = DEFAULT_GROWTH,
+) -> Links:
+    """Links of darts whose lengths agree: those of which the vertices at both ends pair, too."""
+    node = _slot_nodes if is_rectilinear(a, b, settings) else _angle_nodes
+    return node(a, b, dart_a, dart_b, settings)
 
 
 def join_links(parts: list[Links]) -> Links:
-    """Links found in parts, as if found at once."""
+    """Links found in parts, as if found at once, in the order of their darts."""
     names = ("dart_a", "dart_b", "start", "end")
-    return Links(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+    order = np.lexsort((columns[1], columns[0]))
+    return Links(*(column[order] for column in columns))
 
 
 def _slot_signature(s: Structure, darts: IntArray, settings: GrowthSettings) -> FloatArray:
@@ -222,7 +235,10 @@ def _windows(
 def _slot_nodes(
     a: Structure, b: Structure, dart_a: IntArray, dart_b: IntArray, settings: GrowthSettings
 ) -> Links:
-    """Rectilinear world: a node is (vertex of a, vertex of b, quarter turns of b)."""
+    """Rectilinear world: a node is (vertex of a, vertex of b, quarter turns of b).
+
+    Exact degrees: the darts' signatures have already compared the vertices.
+    """
     turn = (a.out_slot[dart_a] - b.out_slot[dart_b]) % 4
     if settings.degree == "inexact":
         ok = _masks_agree(a.mask[a.start[dart_a]], b.mask[b.start[dart_b]], turn, settings)

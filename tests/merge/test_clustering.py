@@ -1,0 +1,168 @@
+"""Registration and clustering: against closed forms, brute force and examples by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.merge.clustering import ClusterSettings, cluster, transform_distances
+from topobatch.merge.hypotheses import Hypotheses
+from topobatch.merge.registration import register, register_groups
+from topobatch.topology.association import Nodes
+from topobatch.topology.se2 import apply, fit_rigid
+
+
+def test_registration_recovers_a_motion_and_agrees_with_the_closed_form():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        xy, w = rng.normal(0, 5, (6, 2)), rng.uniform(0, 2, 6)
+        T = rng.uniform(-3, 3, 3)
+        assert register(apply(T, xy), xy) == pytest.approx(T, abs=1e-9)
+        noisy = apply(T, xy) + rng.normal(0, 0.5, (6, 2))
+        assert register(noisy, xy, w) == pytest.approx(fit_rigid(noisy, xy, w), abs=1e-9)
+
+
+def test_registration_of_mirrored_points_is_a_rotation_never_a_reflection():
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        xy = rng.normal(0, 5, (5, 2))
+        mirrored = xy * [1.0, -1.0]
+        T = register(mirrored, xy)
+        best = ((apply(T, xy) - mirrored) ** 2).sum()
+        for theta in np.linspace(-np.pi, np.pi, 721):
+            R = np.array([0.0, 0.0, theta])
+            shift = mirrored.mean(axis=0) - apply(R, xy).mean(axis=0)
+            assert ((apply(R, xy) + shift - mirrored) ** 2).sum() >= best - 1e-9
+
+
+def test_registration_of_collinear_single_and_coinciding_points():
+    line = np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]])
+    T = np.array([2.0, -1.0, 2.5])
+    assert register(apply(T, line), line) == pytest.approx(T)
+    assert register([[3.0, 4.0]], [[1.0, 1.0]]) == pytest.approx([2.0, 3.0, 0.0])
+    assert register(np.ones((3, 2)), np.zeros((3, 2))) == pytest.approx([1.0, 1.0, 0.0])
+
+
+def test_registration_leaves_out_pairs_of_no_weight_and_refuses_nonsense():
+    a = np.array([[0.0, 0.0], [1.0, 0.0], [50.0, 9.0]])
+    b = np.array([[0.0, 0.0], [0.0, 1.0], [-7.0, 3.0]])
+    assert register(a, b, [1, 1, 0]) == pytest.approx([0.0, 0.0, -np.pi / 2])
+    for bad in ([0, 0, 0], [1, 1], [1, -1, 1]):
+        with pytest.raises(ValueError, match="weight"):
+            register(a, b, bad)
+    with pytest.raises(ValueError, match="two equal"):
+        register(a, b[:2])
+
+
+def test_groups_are_registered_as_if_alone():
+    rng = np.random.default_rng(2)
+    group = np.array([0, 1, 0, 1, 1, 0, 2])
+    a, b = rng.normal(0, 3, (7, 2)), rng.normal(0, 3, (7, 2))
+    together = register_groups(a, b, group, 3)
+    for k in range(3):
+        assert together[k] == pytest.approx(register(a[group == k], b[group == k]))
+
+
+# --- clusters -------------------------------------------------------------------------------------
+
+
+def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
+    """Hypotheses of the given vertex pairs and transforms."""
+    of = np.repeat(np.arange(len(groups)), [len(g) for g in groups])
+    pairs = np.array([p for g in groups for p in g], np.int64)
+    size = np.bincount(of)
+    transforms = np.array(transforms, float)
+    return Hypotheses(
+        of=of,
+        nodes=Nodes(pairs[:, 0], pairs[:, 1], np.zeros(len(pairs), np.int64)),
+        rotation=transforms[of, 2],
+        size=size,
+        corridors=size - 1,
+        transform=transforms,
+        error=np.zeros(len(groups)) if errors is None else np.array(errors, float),
+        rectilinear=rectilinear,
+        candidates=len(pairs),
+        corridor_chance=0.1,
+    )
+
+
+def test_distance_is_the_mean_squared_displacement_of_matched_points_and_their_surroundings():
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(0, 40, (20, 2))
+    groups = [[(v, v) for v in rng.choice(20, n, replace=False).tolist()] for n in (1, 2, 4, 7)]
+    h = hypotheses(groups, rng.uniform(-3, 3, (4, 3)))
+    lever = 5.0
+    got = transform_distances(h, np.arange(4), xy, lever)
+    ring = lever * np.stack([np.cos(t := np.arange(8) * np.pi / 4), np.sin(t)], axis=1)
+    for i in range(4):
+        for j in range(4):
+            points = np.concatenate([xy[[v for v, _ in groups[k]]] for k in (i, j)])
+            around = (points[:, None] + ring).reshape(-1, 2)
+            moved = apply(h.transform[i], around) - apply(h.transform[j], around)
+            assert got[i, j] == pytest.approx((moved**2).sum(axis=1).mean())
+
+
+XY = np.column_stack([np.arange(12.0) * 3, np.zeros(12)])
+
+
+def test_clusters_are_ordered_by_vertices_then_error_then_largest_hypothesis():
+    groups = [[(0, 0), (1, 1), (2, 2)], [(3, 3)], [(4, 5), (5, 6)], [(6, 7), (7, 8)], [(0, 6)]]
+    shift = [[0, 0, 0], [0.05, 0, 0], [-3, 0, 0], [-3.05, 0, 0], [-18, 0, 0]]
+    c = cluster(hypotheses(groups, shift), (XY, XY))
+    assert c.of.tolist() == [0, 0, 1, 1, 2]
+    assert c.vertices.tolist() == [4, 4, 1]
+    assert c.hypotheses.tolist() == [2, 2, 1]
+    assert c.largest.tolist() == [3, 2, 1]  # equal vertices and errors: the larger hypothesis
+
+
+def test_error_ranks_clusters_of_equal_size():
+    xy_a = XY.copy()
+    xy_a[2] += [0.0, 0.4]
+    h = hypotheses([[(0, 0), (1, 1), (2, 2)], [(3, 6), (4, 7), (5, 8)]], [[0, 0, 0], [-9, 0, 0]])
+    c = cluster(h, (xy_a, XY))
+    assert c.of.tolist() == [1, 0]
+    assert c.squared_error[0] < 1e-12 < c.squared_error[1]
+
+
+def test_linkage_is_complete_no_chain_stretches_a_cluster():
+    groups = [[(k, k)] for k in range(5)]
+    chain = [[0.4 * k, 0, 0] for k in range(5)]
+    settings = ClusterSettings(threshold="shortest_edge", edge_fraction=1.0)
+    for rectilinear in (False, True):
+        h = hypotheses(groups, chain, rectilinear=rectilinear)
+        c = cluster(h, (XY, XY), 0.5, settings)
+        assert c.threshold == pytest.approx(0.25)
+        spans = [np.ptp(h.transform[c.of == k, 0]) for k in range(len(c))]
+        assert max(spans) <= 0.5
+        assert len(c) == 3
+
+
+def test_threshold_is_three_times_the_largest_mean_squared_error():
+    groups = [[(0, 0), (1, 1)], [(2, 2), (3, 3)], [(4, 4)]]
+    h = hypotheses(groups, [[0, 0, 0], [0.5, 0, 0], [1.1, 0, 0]], errors=[0.09, 0.01, 0.0])
+    c = cluster(h, (XY, XY))
+    assert c.threshold == pytest.approx(0.27)
+    assert c.of[0] == c.of[1] != c.of[2]
+
+
+def test_rotations_of_a_rectilinear_world_never_share_a_cluster():
+    h = hypotheses(
+        [[(0, 0)], [(0, 0)]], [[0, 0, 0], [0, 0, np.pi / 2]], errors=[9e9, 0], rectilinear=True
+    )
+    assert len(cluster(h, (XY, XY))) == 2
+
+
+def test_iterative_clustering_readmits_a_small_hypothesis_by_its_metric_error():
+    groups = [[(k, k) for k in range(5)], [(9, 9), (10, 10)]]
+    # Two vertices place the second map off: wrong by a turn, near in metric error.
+    h = hypotheses(groups, [[0, 0, 0], [0.0, -2.85, 0.1]], errors=[0.01, 0.0])
+    assert cluster(h, (XY, XY)).of.tolist() == [0, 1]
+    again = cluster(h, (XY, XY), settings=ClusterSettings(iterative=True))
+    assert again.of.tolist() == [0, 0]
+    assert again.vertices.tolist() == [7]
+
+
+def test_nothing_to_cluster():
+    h = hypotheses([[(0, 0)]], [[0, 0, 0]]).take(np.zeros(0, np.int64))
+    assert len(h) == 0
+    assert len(cluster(h, (XY, XY))) == 0
