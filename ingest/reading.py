@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..topology.errors import LogError, UsageError
-from .logs.intake import Intake
+from .logs.fields import JunctionFields, fields_decoder
+from .logs.intake import Intake, decoder_for
 from .logs.messages import Channel, Findings, Survey
+from .logs.poses import PoseDecoder
 from .logs.recording import (
     Recording,
     find_logs,
@@ -31,7 +33,7 @@ from .logs.topics import (
     listing,
 )
 from .run import Run
-from .sightings import Sightings, SightingSettings, robot_frame_sightings, side_of
+from .sightings import Sightings, SightingSettings, robot_frame_sightings
 from .sources import (
     Clock,
     Source,
@@ -78,6 +80,8 @@ class ReadSettings:
     def __post_init__(self) -> None:
         if self.time not in ("header", "log"):
             raise UsageError(f"--time is {self.time!r}, expected header or log")
+        if self.junction_fields is not None:
+            JunctionFields.parse(self.junction_fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +122,8 @@ def read_run(
     log = str(path)
     recording = recording_at(Path(path))
     recording, survey = _surveyed(recording)
-    intake = Intake(_acceptance(survey.counts if survey else None, settings, log))
+    accept = _acceptance(survey.counts if survey else None, settings, log)
+    intake = Intake(accept, _decoders(settings))
     findings = _walk(recording, intake, on_bytes)
     warnings = _damage(recording, findings, settings)
     odometry_choice, odometry, frames = _odometry(intake, findings.counts, settings, log)
@@ -245,6 +250,17 @@ def _acceptance(
     )
 
 
+def _decoders(settings: ReadSettings) -> Callable[[Channel], PoseDecoder]:
+    """How channels are decoded: by their types, but the junctions by the fields that are named."""
+    if settings.junction_fields is None:
+        return decoder_for
+    fields = JunctionFields.parse(settings.junction_fields)
+    named = "/" + (settings.junction_topic or "junctions").strip("/")
+    return lambda channel: (
+        fields_decoder(channel, fields) if channel.topic == named else decoder_for(channel)
+    )
+
+
 def _junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
     any_type = settings.junction_fields is not None
     return choose_junctions(counts, settings.junction_topic, any_type, log)
@@ -353,19 +369,11 @@ def _sightings(
 ) -> Sightings:
     """The detections in the robot's frame; raises LogError if none is left."""
     odometry = track.odometry
-    sides = [side_of(frame, odometry.frame, odometry.child_frame) for frame, _ in source.frames]
+    frames = [frame for frame, _ in source.frames]
     sightings = robot_frame_sightings(
-        source.columns, source.time_ns(clock), sides, odometry, settings.sightings
-    )
-    foreign = sorted(
-        f for (f, _), side in zip(source.frames, sides, strict=True) if side == "foreign"
+        source.columns, source.time_ns(clock), frames, odometry, settings.sightings
     )
     warnings = [*source.warnings(choice.topic), *sightings.warnings]
-    if foreign:
-        warnings.append(
-            f"{choice.topic} has messages in frame {', '.join(map(repr, foreign[:5]))}, expected "
-            f"{odometry.child_frame!r} or {odometry.frame!r}; left out"
-        )
     if len(sightings.detections) == 0:
         raise LogError(f"{log}: no usable junction detection: {'; '.join(warnings)}")
     return Sightings(sightings.detections, tuple(warnings))

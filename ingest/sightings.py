@@ -50,25 +50,32 @@ def side_of(frame: str, odometry_frame: str, child_frame: str) -> Side:
 def robot_frame_sightings(
     columns: PoseColumns,
     time_ns: Ints,
-    sides: Sequence[Side],
+    frames: Sequence[str],
     odometry: Odometry,
     settings: SightingSettings = SightingSettings(),
 ) -> Sightings:
-    """One sighting per message, in the robot's frame at the message's time, by time.
+    """One sighting per junction of a message, in the robot's frame at the message's time, by time.
 
-    time_ns: (k,) time of each pose's message; sides: side of every frame number. Messages in a
-    foreign frame, with implausibly many branches, or outside the odometry's time are left out.
+    time_ns: (k,) time of each pose's message; frames: name of every frame number. Messages in a
+    frame that is neither of the odometry's, with implausibly many branches, or outside the
+    odometry's time are left out.
     """
     warnings: list[str] = []
-    first = np.flatnonzero(np.diff(columns.message, prepend=-1))
+    new = np.diff(columns.message, prepend=-1) != 0
+    new[1:] |= np.diff(columns.part.astype(np.int64)) != 0
+    first = np.flatnonzero(new)
     counts = np.diff(np.append(first, len(columns.message)))
     rows = Ragged(np.append(first, len(columns.message)).astype(np.int64), columns.yaw)
     centre = _centres(columns.xy, first, counts, settings, warnings)
     time = time_ns[first]
+    sides = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
+    foreign = [frame for frame, side in zip(frames, sides, strict=True) if side == "foreign"]
     side = np.array(sides, dtype="U8")[columns.frame[first]]
 
     outside = settings.outside_s * 1e9
-    keep = side != "foreign"
+    keep = _leave_out(
+        np.ones(len(side), bool), side != "foreign", warnings, _expected(foreign, odometry)
+    )
     keep = _leave_out(
         keep,
         counts <= settings.max_branches,
@@ -90,6 +97,11 @@ def robot_frame_sightings(
         yaw = wrap(branches.values - heading[branches.owner])
         branches = Ragged(branches.offsets, yaw)
     return Sightings(Detections(time, centre, branches), tuple(warnings))
+
+
+def _expected(foreign: Sequence[str], odometry: Odometry) -> str:
+    names = ", ".join(map(repr, sorted(set(foreign))[:5]))
+    return f"are in frame {names}, expected {odometry.child_frame!r} or {odometry.frame!r}"
 
 
 def _centres(

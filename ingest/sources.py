@@ -91,7 +91,7 @@ def _joined(parts: Sequence[PoseColumns]) -> PoseColumns:
         return no_columns()
     names = tuple(PoseColumns.__dataclass_fields__)
     joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
-    order = np.argsort(joined[1], kind="stable")
+    order = np.argsort(joined[2], kind="stable")
     return PoseColumns(*(column[order] for column in joined))
 
 

@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 
 SECOND_NS = 10**9
 
+FEW_STEPS = 20
+"""With fewer steps in motion than this, nothing is known about how fast the robot usually is."""
+
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
@@ -181,7 +184,7 @@ def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[
 def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float) -> float:
     """Speed above which a step is not believed: far above what the robot does otherwise."""
     moving = size > 0
-    if not moving.any():
+    if int(moving.sum()) < FEW_STEPS:
         return least
     usual = float(np.quantile(size[moving] / duration[moving], 0.95))
     return max(least, settings.teleport_speed_factor * usual)

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 from .messages import Bytes, DamageError, Ints, text
-from .poses import Frames, Poses, join, no_poses
-
-Row = tuple[int, int, list[tuple[float, ...]]]
-"""Stamp [ns], number of the frames, poses."""
+from .poses import Frames, Poses, Row, join, no_poses
 
 MESSAGE_BYTES = 1 << 24
 """Longest message that is decoded one by one."""
@@ -41,15 +38,16 @@ class RowDecoder:
             except DamageError:
                 self.failed += 1
                 continue
-            parts += [_poses(number, row) for row in rows if row[2]]
+            parts += [_poses(number, part, row) for part, row in enumerate(rows) if row[2]]
         return join(parts) if parts else no_poses()
 
 
-def _poses(number: int, row: Row) -> Poses:
+def _poses(number: int, part: int, row: Row) -> Poses:
     stamp, frame, values = row
     count = len(values)
     return Poses(
         np.full(count, number),
+        np.full(count, part),
         np.full(count, stamp),
         np.full(count, frame),
         np.array(values, np.float64).reshape(count, 7),

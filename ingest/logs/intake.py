@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +47,12 @@ def decoder_for(channel: Channel) -> PoseDecoder:
 class PoseColumns:
     """Poses of one channel: one row per pose, in the order of the log.
 
-    message: number of the message; log_ns, stamp_ns: its times; frame: number of the frames; xy:
-    [m]; yaw: [rad].
+    message: number of the message; part: of the junction in it; log_ns, stamp_ns: its times;
+    frame: number of the frames; xy: [m]; yaw: [rad].
     """
 
     message: Ints
+    part: Ints
     log_ns: Ints
     stamp_ns: Ints
     frame: Ints
@@ -61,7 +63,7 @@ class PoseColumns:
 def no_columns() -> PoseColumns:
     """Columns without a row."""
     none = np.zeros(0, np.int64)
-    return PoseColumns(none, none, none, none, np.zeros((0, 2)), np.zeros(0))
+    return PoseColumns(none, none, none, none, none, np.zeros((0, 2)), np.zeros(0))
 
 
 @dataclass(slots=True)
@@ -78,9 +80,7 @@ class Sink:
     not_finite: int = 0
     zero_quaternion: int = 0
     undecoded: int = 0
-    _pieces: list[tuple[Ints, Ints, Ints, Ints, NDArray[np.float64], NDArray[np.float64]]] = field(
-        default_factory=list
-    )
+    _pieces: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
@@ -158,6 +158,7 @@ class Sink:
         self._pieces.append(
             (
                 (poses.message + self.messages).astype(np.int32),
+                poses.part.astype(np.uint16),
                 log_ns[poses.message],
                 poses.stamp_ns,
                 poses.frame.astype(np.int16),

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from .messages import Bytes, DamageError, Ints
 
+Row = tuple[int, int, list[tuple[float, ...]]]
+"""Stamp [ns], number of the frames and poses of one junction, decoded one by one."""
+
 FRAMES = 1024
 """Most pairs of frames in one topic that are kept apart."""
 
@@ -18,11 +21,13 @@ FRAMES = 1024
 class Poses(NamedTuple):
     """Poses out of a batch of messages, in the order of the messages.
 
-    message: (k,) number of the message within the batch; stamp_ns: (k,) header time; frame: (k,)
+    message: (k,) number of the message within the batch; part: (k,) number of the junction within
+    the message, where one message may tell of several; stamp_ns: (k,) header time; frame: (k,)
     number in the decoder's frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded.
     """
 
     message: Ints
+    part: Ints
     stamp_ns: Ints
     frame: Ints
     value: NDArray[np.float64]
@@ -30,7 +35,11 @@ class Poses(NamedTuple):
     def rows(self, which: NDArray[Any]) -> Poses:
         """The chosen poses, by number or by mask."""
         return Poses(
-            self.message[which], self.stamp_ns[which], self.frame[which], self.value[which]
+            self.message[which],
+            self.part[which],
+            self.stamp_ns[which],
+            self.frame[which],
+            self.value[which],
         )
 
 
@@ -66,7 +75,7 @@ class PoseDecoder(Protocol):
 def no_poses() -> Poses:
     """A batch without poses."""
     none = np.zeros(0, np.int64)
-    return Poses(none, none, none, np.zeros((0, 7)))
+    return Poses(none, none, none, none, np.zeros((0, 7)))
 
 
 def join(parts: Sequence[Poses]) -> Poses:
@@ -77,6 +86,7 @@ def join(parts: Sequence[Poses]) -> Poses:
         return parts[0]
     joined = Poses(
         np.concatenate([part.message for part in parts]),
+        np.concatenate([part.part for part in parts]),
         np.concatenate([part.stamp_ns for part in parts]),
         np.concatenate([part.frame for part in parts]),
         np.concatenate([part.value for part in parts]),

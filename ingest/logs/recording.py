@@ -202,11 +202,14 @@ def _is_split(files: Sequence[Path]) -> bool:
             return False
         spans.append((survey.start_ns, survey.end_ns))
     gaps = [after[0] - before[1] for before, after in itertools.pairwise(spans)]
-    return all(-SPLIT_GAP_NS <= gap <= SPLIT_GAP_NS for gap in gaps)
+    return all(-SPLIT_OVERLAP_NS <= gap <= SPLIT_GAP_NS for gap in gaps)
 
 
 SPLIT_GAP_NS = 5 * 10**9
-"""Longest silence, or overlap, between two parts of one recording."""
+"""Longest silence between two parts of one recording."""
+
+SPLIT_OVERLAP_NS = 10**9 // 2
+"""Longest overlap of two parts: messages in flight while the recorder changes files."""
 
 
 def container(path: Path) -> Container:

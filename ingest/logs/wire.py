@@ -69,7 +69,7 @@ class Template(NamedTuple):
         if run.length != 1:
             message, stamp_ns = np.repeat(message, run.length), np.repeat(stamp_ns, run.length)
         frame = np.full(len(message), run.frame, np.int64)
-        return Poses(message, stamp_ns, frame, value.reshape(-1, 7))
+        return Poses(message, np.zeros_like(message), stamp_ns, frame, value.reshape(-1, 7))
 
 
 class _Parser:

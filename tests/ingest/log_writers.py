@@ -60,9 +60,14 @@ def drive(odometry: int = 300, every: int = 10) -> list[Message]:
 
 
 def store_of(ros1: bool) -> Any:
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1 and TF not in store.types:
+        store.register(
+            get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/TFMessage")
+        )
+    return store
 
 
 def ros_object(message: Message, store: Any, ros1: bool) -> Any:

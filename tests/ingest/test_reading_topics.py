@@ -1,0 +1,306 @@
+"""Which topics are used, in which frames and by which fields."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, log_fingerprint, read_run
+from topobatch.topology.errors import LogError, UsageError
+from topobatch.topology.se2 import apply, wrap
+
+
+def split(logs):
+    messages = logs.drive()
+    return (
+        [m for m in messages if m.topic == "/odom"],
+        [m for m in messages if m.topic == "/junctions"],
+    )
+
+
+def by_time(*lists):
+    return sorted((m for part in lists for m in part), key=lambda m: m.log_ns)
+
+
+def test_odometry_wins_over_tf_and_poses(logs, tmp_path):
+    odometry, seen = split(logs)
+    tf = logs.relabelled(odometry, topic="/tf", type_name=logs.TF)
+    goal = logs.relabelled(odometry[:5], topic="/goal", type_name=logs.POSE_STAMPED, child="")
+    wheel = logs.relabelled(odometry, topic="/wheel")
+    run = read_run(logs.mcap(tmp_path / "a.mcap", by_time(wheel, tf, goal, seen)))
+    assert run.source["odometry"]["topic"] == "/wheel"
+    run = read_run(logs.bag(tmp_path / "b.bag", by_time(odometry, wheel, seen)))
+    assert run.source["odometry"]["topic"] == "/odom"
+    named = read_run(tmp_path / "b.bag", ReadSettings(odometry_topic="wheel"))
+    assert named.source["odometry"]["topic"] == "/wheel"
+
+
+@pytest.mark.parametrize("container", ["mcap", "bag", "db3", "unindexed"])
+def test_two_candidates_ask_for_the_flag(logs, tmp_path, container):
+    odometry, seen = split(logs)
+    two = [logs.relabelled(odometry, topic=name) for name in ("/left", "/right")]
+    write = {
+        "mcap": lambda m: logs.mcap(tmp_path / "a.mcap", m),
+        "bag": lambda m: logs.bag(tmp_path / "a.bag", m),
+        "db3": lambda m: logs.ros2_folder(tmp_path / "a", m),
+        "unindexed": lambda m: logs.mcap(tmp_path / "a.mcap", m, use_statistics=False),
+    }[container]
+    path = write(by_time(*two, seen))
+    with pytest.raises(UsageError, match=r"/left, /right; choose with --odometry-topic"):
+        read_run(path)
+    assert any("--odometry-topic" in text for text in inspect_log(path).problems)
+    chosen = read_run(path, ReadSettings(odometry_topic="/right"))
+    assert len(chosen.odometry) == 300
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_tf_serves_where_there_is_no_odometry(logs, tmp_path, ros1):
+    odometry, seen = split(logs)
+    tf = logs.relabelled(odometry, topic="/tf", type_name=logs.TF)
+    wheel = [
+        replace(m, frame="base_link", child="wheel", log_ns=m.log_ns + 1, poses=m.poses * 2)
+        for m in tf
+    ]
+    messages = by_time(tf, wheel, logs.relabelled(tf[::7], frame="map", child="odom"), seen)
+    write = logs.bag if ros1 else logs.mcap
+    run = read_run(write(tmp_path / "a", messages))
+    whole = read_run(logs.mcap(tmp_path / "whole.mcap", logs.drive()))
+    assert run.odometry.pose.tobytes() == whole.odometry.pose.tobytes()
+    assert (run.odometry.frame, run.odometry.child_frame) == ("odom", "base_link")
+    assert run.source["odometry"]["type"] == logs.TF
+
+
+def test_tf_without_odom_gives_way_to_a_pose(logs, tmp_path):
+    odometry, seen = split(logs)
+    tf = logs.relabelled(odometry, topic="/tf", type_name=logs.TF, frame="map")
+    pose = logs.relabelled(odometry, topic="/pose", type_name=logs.POSE_STAMPED, child="")
+    run = read_run(logs.mcap(tmp_path / "a.mcap", by_time(tf, pose, seen)))
+    assert run.source["odometry"]["topic"] == "/pose"
+    with pytest.raises(LogError, match="no transform from an odom frame"):
+        read_run(logs.mcap(tmp_path / "b.mcap", by_time(tf, seen)))
+
+
+def test_missing_topics_are_named(logs, tmp_path):
+    odometry, seen = split(logs)
+    with pytest.raises(LogError, match=r"no odometry found.*topics: /junctions"):
+        read_run(logs.mcap(tmp_path / "a.mcap", seen))
+    with pytest.raises(LogError, match=r"no junction detections found.*topics: /odom"):
+        read_run(logs.mcap(tmp_path / "b.mcap", odometry))
+    whole = logs.mcap(tmp_path / "c.mcap", logs.drive())
+    with pytest.raises(LogError, match=r"no messages of /nothing"):
+        read_run(whole, ReadSettings(odometry_topic="/nothing"))
+    with pytest.raises(UsageError, match=r"/junctions is geometry_msgs/msg/PoseArray"):
+        read_run(whole, ReadSettings(odometry_topic="/junctions"))
+
+
+def test_detections_in_the_odometry_frame_are_turned_into_the_robots(logs, tmp_path):
+    odometry, seen = split(logs)
+    run = read_run(logs.mcap(tmp_path / "a.mcap", by_time(odometry, seen)))
+    pose = dict(zip(run.odometry.time_ns.tolist(), run.odometry.pose, strict=True))
+
+    def moved(message):
+        T_odom_base = pose[message.stamp_ns]
+        x, y = apply(T_odom_base, np.array(message.poses[0][:2]))
+        yaws = [2 * np.arctan2(p[5], p[6]) + T_odom_base[2] for p in message.poses]
+        poses = tuple(logs.yaw_pose(x, y, yaw) for yaw in yaws)
+        return replace(message, frame="/odom", poses=poses)
+
+    turned = read_run(logs.mcap(tmp_path / "b.mcap", by_time(odometry, [moved(m) for m in seen])))
+    np.testing.assert_allclose(turned.detections.centre, run.detections.centre, atol=1e-9)
+    difference = wrap(turned.detections.branches.values - run.detections.branches.values)
+    np.testing.assert_allclose(difference, 0, atol=1e-9)
+
+
+def test_a_foreign_frame_is_an_error_or_a_warning(logs, tmp_path):
+    odometry, seen = split(logs)
+    foreign = logs.relabelled(seen, frame="camera")
+    with pytest.raises(LogError, match=r"'camera', expected 'base_link' or 'odom'"):
+        read_run(logs.mcap(tmp_path / "a.mcap", by_time(odometry, foreign)))
+    run = read_run(logs.mcap(tmp_path / "b.mcap", by_time(odometry, seen[:20], foreign[20:])))
+    assert len(run.detections) == 20
+    assert any("'camera'" in text and "10 detections" in text for text in run.warnings)
+
+
+CROSSING = """\
+geometry_msgs/Point center
+float64 radius
+Frontier[] frontiers
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: lama_msgs/Frontier
+float64 width
+float64 angle
+"""
+
+
+def test_fields_of_any_embedded_type_can_be_named(logs, tmp_path):
+    from mcap.writer import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(CROSSING, "lama_msgs/msg/Crossing"))
+    t = store.types
+    odometry, seen = split(logs)
+    path = logs.mcap(tmp_path / "odometry.mcap", odometry)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    path.rename(folder / "a.mcap")
+    with (folder / "b.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("lama_msgs/msg/Crossing", "ros2msg", CROSSING.encode())
+        channel = writer.register_channel("/crossing", "cdr", schema)
+        for message in seen:
+            crossing = t["lama_msgs/msg/Crossing"](
+                center=t["geometry_msgs/msg/Point"](x=0.5, y=0.125, z=0.0),
+                radius=1.0,
+                frontiers=[
+                    t["lama_msgs/msg/Frontier"](width=1.0, angle=float(2 * np.arctan2(p[5], p[6])))
+                    for p in message.poses
+                ],
+            )
+            raw = bytes(store.serialize_cdr(crossing, "lama_msgs/msg/Crossing"))
+            writer.add_message(channel, message.log_ns, raw, message.log_ns)
+        writer.finish()
+    settings = ReadSettings(
+        junction_topic="/crossing",
+        junction_fields="center=center,branches=frontiers[].angle",
+        time="log",
+    )
+    run = read_run(folder, settings)
+    same = read_run(logs.mcap(tmp_path / "s.mcap", logs.drive()), ReadSettings(time="log"))
+    np.testing.assert_allclose(run.detections.branches.values, same.detections.branches.values)
+    assert run.detections.branches.counts.tolist() == same.detections.branches.counts.tolist()
+    assert run.detections.time_ns.tolist() == same.detections.time_ns.tolist()
+
+
+def test_several_junctions_of_one_message_and_json_in_strings(logs, tmp_path):
+    from mcap.writer import Writer
+
+    odometry, seen = split(logs)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    logs.mcap(folder / "a.mcap", odometry)
+    body = {
+        "header": {"frame_id": "base_link"},
+        "found": [
+            {"at": {"x": 1.0, "y": 2.0}, "ways": [0.5, 1.5]},
+            {"at": {"x": -1.0, "y": 2.5}, "ways": [{"x": -1.0, "y": 3.5}]},
+        ],
+    }
+    with (folder / "b.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Seen", "jsonschema", b"{}")
+        channel = writer.register_channel("/seen", "json", schema)
+        for message in seen:
+            stamp = {"sec": message.stamp_ns // 10**9, "nsec": message.stamp_ns % 10**9}
+            inner = {**body, "header": {"frame_id": "base_link", "stamp": stamp}}
+            raw = json.dumps({"data": json.dumps(inner), **inner}).encode()
+            writer.add_message(channel, message.log_ns, raw, message.log_ns)
+        writer.finish()
+    for prefix in ("", "data."):
+        fields = f"each={prefix}found[],center=at,branches=ways"
+        run = read_run(folder, ReadSettings(junction_topic="/seen", junction_fields=fields))
+        assert len(run.detections) == 60
+        assert run.detections.branches.counts.tolist() == [2, 1] * 30
+        np.testing.assert_allclose(run.detections.branches[0], [0.5, 1.5])
+        np.testing.assert_allclose(run.detections.branches[1], [np.pi / 2])
+        assert run.detections.centre[:2].tolist() == [[1.0, 2.0], [-1.0, 2.5]]
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        "",
+        "center",
+        "center=a",
+        "branches=b",
+        "center=a,branches=b,x=c",
+        "center=__dict__,branches=b",
+        "center=a,center=b,branches=c",
+    ],
+)
+def test_a_wrong_mapping_is_a_usage_error(fields):
+    with pytest.raises(UsageError, match="--junction-fields"):
+        ReadSettings(junction_fields=fields)
+
+
+def test_an_unusual_definition_is_decoded_by_its_schema(logs, tmp_path):
+    """A fork of Odometry with a field in front must not be read by the usual layout."""
+    from mcap.writer import Writer
+    from rosbags.typesys import get_types_from_msg
+
+    store = logs.store_of(False)
+    usual, _ = store.generate_msgdef(logs.ODOMETRY, ros_version=2)
+    text = "float64 quality\n" + usual
+    fork = logs.store_of(False)
+    types = get_types_from_msg(text, "nav_msgs/msg/Odometry")
+    del fork.fielddefs["nav_msgs/msg/Odometry"]
+    fork.register({"nav_msgs/msg/Odometry": types["nav_msgs/msg/Odometry"]})
+    odometry, seen = split(logs)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    logs.mcap(folder / "seen.mcap", seen)
+    with (folder / "odom.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", text.encode())
+        channel = writer.register_channel("/odom", "cdr", schema)
+        for message in odometry:
+            value = logs.ros_object(message, store, False)
+            forked = fork.types["nav_msgs/msg/Odometry"](
+                quality=1.0,
+                header=value.header,
+                child_frame_id=value.child_frame_id,
+                pose=value.pose,
+                twist=value.twist,
+            )
+            raw = bytes(fork.serialize_cdr(forked, "nav_msgs/msg/Odometry"))
+            writer.add_message(channel, message.log_ns, raw, message.log_ns)
+        writer.finish()
+    run = read_run(folder)
+    same = read_run(logs.mcap(tmp_path / "whole.mcap", logs.drive()))
+    assert run.odometry.pose.tobytes() == same.odometry.pose.tobytes()
+
+
+def test_find_logs_by_content(logs, tmp_path):
+    logs.mcap(tmp_path / "b.mcap", logs.drive(50))
+    logs.bag(tmp_path / "deep.bag", logs.drive(50))
+    (tmp_path / "x").mkdir()
+    logs.bag(tmp_path / "x" / "c.bag.active", logs.drive(50))
+    logs.ros2_folder(tmp_path / "x" / "bag", logs.drive(50))
+    (tmp_path / "notes.txt").write_text("no log")
+    found = find_logs([tmp_path])
+    assert found == sorted(
+        tmp_path / name for name in ("b.mcap", "deep.bag", "x/bag", "x/c.bag.active")
+    )
+    assert find_logs([tmp_path / "b.mcap", tmp_path]) == found
+    (tmp_path / "nothing").mkdir()
+    with pytest.raises(LogError, match="no log in this folder"):
+        find_logs([tmp_path / "nothing"])
+    with pytest.raises(LogError, match="no such file"):
+        find_logs([tmp_path / "missing.bag"])
+
+
+def test_runs_beside_each_other_are_not_parts_of_one(logs, tmp_path):
+    """Numbered names alone do not make one recording: the times must follow each other."""
+    for number in range(3):
+        logs.mcap(tmp_path / f"run_{number}.mcap", logs.drive(50))
+    assert len(find_logs([tmp_path])) == 3
+
+
+def test_fingerprints_follow_content_and_not_names(logs, tmp_path):
+    a = logs.mcap(tmp_path / "a.mcap", logs.drive())
+    b = tmp_path / "b.mcap"
+    b.write_bytes(a.read_bytes())
+    assert log_fingerprint(a) == log_fingerprint(b)
+    b.write_bytes(a.read_bytes()[:-1] + b"x")
+    assert log_fingerprint(a) != log_fingerprint(b)

@@ -1,0 +1,209 @@
+"""Sanity of time and pose: every disturbance is repaired, counted and reported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from topobatch.ingest.reading import ReadSettings, read_run
+from topobatch.ingest.track import sane_track
+
+SECOND = 10**9
+
+
+def straight(n=500, period_ns=20_000_000, speed=0.5):
+    time = 1_700_000_000 * SECOND + period_ns * np.arange(n)
+    pose = np.zeros((n, 3))
+    pose[:, 0] = 1.0 + speed * (time - time[0]) / SECOND
+    return time, pose
+
+
+def track(time, pose):
+    return sane_track(time.copy(), pose.copy(), "odom", "base_link")
+
+
+def test_a_sane_track_is_left_alone():
+    time, pose = straight()
+    result = track(time, pose)
+    assert result.warnings == ()
+    assert result.odometry.pose.tolist() == pose.tolist()
+    assert result.odometry.time_ns.tolist() == time.tolist()
+    assert len(result.odometry.breaks) == 0
+
+
+def test_messages_out_of_order_are_sorted():
+    time, pose = straight()
+    order = np.arange(len(time))
+    order[[10, 11, 50, 52]] = order[[11, 10, 52, 50]]
+    result = track(time[order], pose[order])
+    assert result.odometry.pose.tolist() == pose.tolist()
+    assert len(result.warnings) == 1
+    assert "out of order" in result.warnings[0]
+
+
+def test_repeated_times_keep_the_first():
+    time, pose = straight()
+    rows = np.sort(np.concatenate([np.arange(500), [7, 7, 300]]))
+    result = track(time[rows], pose[rows])
+    assert len(result.odometry) == 500
+    assert result.warnings == ("3 odometry messages repeat the time of another and were dropped",)
+
+
+def test_a_clock_set_back_does_not_weave_two_stretches():
+    time, pose = straight()
+    time[300:] -= 3 * SECOND
+    result = track(time, pose)
+    assert "clock goes back 1 times; 149 odometry messages" in result.warnings[0]
+    assert len(result.odometry) == 350
+    assert np.all(np.diff(result.odometry.pose[:, 0]) > 0)
+
+
+def test_a_teleport_breaks_the_chain():
+    time, pose = straight()
+    pose[200:] += [7.0, -3.0, 0.0]
+    result = track(time, pose)
+    assert result.odometry.breaks.tolist() == [200]
+    assert "jumps 1 times (up to 7.6" in result.warnings[0]
+    assert result.odometry.step_m.max() < 0.011
+
+
+def test_a_reset_to_the_origin_breaks_the_chain_even_when_near():
+    time, pose = straight(speed=0.05)
+    pose[:, 0] -= 0.8
+    pose[400:, 0] -= pose[400, 0]
+    result = track(time, pose)
+    assert result.odometry.breaks.tolist() == [400]
+
+
+def test_a_turn_nobody_can_drive_breaks_the_chain():
+    time, pose = straight()
+    pose[100:, 2] = 2.0
+    assert track(time, pose).odometry.breaks.tolist() == [100]
+
+
+def test_a_single_pose_off_the_track_is_dropped():
+    time, pose = straight()
+    pose[77] = [100.0, 100.0, 1.0]
+    result = track(time, pose)
+    assert len(result.odometry) == 499
+    assert len(result.odometry.breaks) == 0
+    assert "off the track" in result.warnings[0]
+
+
+def test_slow_odometry_of_a_fast_vehicle_is_no_teleport():
+    time, pose = straight(200, SECOND, 15.0)
+    result = track(time, pose)
+    assert len(result.odometry.breaks) == 0
+    assert result.warnings == ()
+
+
+def test_gaps_are_reported_and_driving_through_them_is_no_teleport():
+    time, pose = straight()
+    keep = (np.arange(500) < 100) | (np.arange(500) >= 300)
+    result = track(time[keep], pose[keep])
+    assert result.warnings == ("odometry is silent 1 times (longest 4.02 s)",)
+    assert len(result.odometry.breaks) == 0
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 10**11),
+            st.floats(-1e6, 1e6),
+            st.floats(-1e6, 1e6),
+            st.floats(-3.2, 3.2),
+        ),
+        min_size=1,
+        max_size=60,
+    )
+)
+@settings(max_examples=100, deadline=None)
+def test_anything_finite_becomes_a_valid_track(rows):
+    time = np.array([row[0] for row in rows], np.int64)
+    pose = np.array([row[1:] for row in rows])
+    result = track(time, pose)
+    assert 1 <= len(result.odometry) <= len(rows)
+    # Turning the world leaves breaks and times as they are.
+    c, s = np.cos(0.7), np.sin(0.7)
+    turned = pose @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    if not np.any((np.abs(pose[:, :2]) < 1e-3).all(axis=1)):
+        assert len(track(time, turned).odometry) == len(result.odometry)
+
+
+def disturbed(logs, change):
+    """The sample drive with the odometry messages changed one by one."""
+    out, number = [], 0
+    for message in logs.drive():
+        if message.topic == "/odom":
+            message = change(number, message)  # noqa: PLW2901
+            number += 1
+        out.append(message)
+    return out
+
+
+def test_poses_that_are_none_are_left_out(logs, tmp_path):
+    def change(k, m):
+        x = m.poses[0]
+        if k in (5, 6, 7):
+            return replace(m, poses=((np.nan, *x[1:]),))
+        if k in (20, 21):
+            return replace(m, poses=((*x[:3], 0.0, 0.0, 0.0, 0.0),))
+        return m
+
+    for run in (
+        read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change))),
+        read_run(logs.bag(tmp_path / "a.bag", disturbed(logs, change))),
+    ):
+        assert len(run.odometry) == 295
+        assert "/odom: 3 poses hold numbers that are not finite; left out" in run.warnings
+        assert "/odom: 2 poses have a quaternion of zero length; left out" in run.warnings
+
+
+def test_messages_without_header_time_go_by_log_time(logs, tmp_path):
+    zero = [replace(m, stamp_ns=0) for m in logs.drive()]
+    run = read_run(logs.mcap(tmp_path / "a.mcap", zero))
+    assert run.odometry.time_ns[0] == logs.START_NS + 3_000_001
+    assert run.source["time"] == "log"
+    assert any("no header time" in text for text in run.warnings)
+    some = disturbed(logs, lambda k, m: replace(m, stamp_ns=0) if k < 10 else m)
+    run = read_run(logs.mcap(tmp_path / "b.mcap", some))
+    assert len(run.odometry) == 290
+    assert "/odom: 10 messages carry no header time; left out" in run.warnings
+
+
+def test_a_header_clock_that_goes_back_gives_way_to_log_time(logs, tmp_path):
+    def change(k, m):
+        return replace(m, stamp_ns=m.stamp_ns - 2 * SECOND) if k >= 150 else m
+
+    run = read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change)))
+    assert run.source["time"] == "log"
+    assert len(run.odometry) == 300
+    assert any("header clock goes back 1 times" in text for text in run.warnings)
+
+
+def test_headers_of_different_clocks_give_way_to_log_time(logs, tmp_path):
+    run = read_run(
+        logs.mcap(
+            tmp_path / "a.mcap",
+            disturbed(logs, lambda _, m: replace(m, stamp_ns=m.stamp_ns - 10**6 * SECOND)),
+        )
+    )
+    assert run.source["time"] == "log"
+    assert len(run.detections) == 30
+
+
+def test_detections_outside_the_odometry_are_left_out(logs, tmp_path):
+    messages = logs.drive()
+    messages = [m for m in messages if m.topic != "/odom" or m.stamp_ns < logs.START_NS + SECOND]
+    run = read_run(logs.mcap(tmp_path / "a.mcap", messages))
+    assert any("outside the time of the odometry" in text for text in run.warnings)
+    assert len(run.detections) < 30
+
+
+def test_a_clock_must_be_known():
+    with pytest.raises(Exception, match="--time"):
+        ReadSettings(time="sundial")
