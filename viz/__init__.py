@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..merge.explain import Explanation
     from ..merge.result import MergeResult
     from ..topology.odometry import Odometry
     from ..topology.topomap import TopoMap
-    from .explain_recording import Findings
 
 
 def write_map_recording(path: Path, topomap: TopoMap, *, odometry: Odometry | None = None) -> None:
@@ -40,7 +40,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     write(path, result, maps)
 
 
-def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, findings: Findings) -> None:
+def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, explanation: Explanation) -> None:
     """Write what structural matching found between two maps, atomically: the table of vertex
     pairs, the clusters in transform space, and where the best clusters place b over a.
 
@@ -48,4 +48,4 @@ def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, findings: Findin
     """
     from .explain_recording import write
 
-    write(path, a, b, findings)
+    write(path, a, b, explanation)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
@@ -19,6 +19,9 @@ from .map_summary import plain
 from .recording import UP, Recording, map_view, markdown, placed, write_recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
+if TYPE_CHECKING:
+    from ..merge.explain import Explanation
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -26,6 +29,9 @@ TABLE, SPACE, PLACEMENTS = "table", "transforms", "placements"
 
 TOLD_APART = 9
 """Clusters with a colour of their own; the others share one."""
+
+OTHER, DROPPED = TOLD_APART + 1, TOLD_APART + 2
+"""Classes of the table after those of the clusters."""
 
 MOST_PLACEMENTS = 9
 MOST_ROWS = 40
@@ -40,73 +46,17 @@ HEIGHT = 0.6
 """A full turn in transform space is this share of the extent of x and y high."""
 
 
-class FoundHypotheses(Protocol):
-    """H matches of vertices that grew from one pair, and their N pairs (§2.2).
-
-    of: (N,) hypothesis of each pair; vertex_a, vertex_b: (N,); size, corridors: (H,) vertex and
-    corridor pairs; transform: (H, 3) T_a_b; error: (H,) mean squared distance [m²].
-    """
-
-    # ruff: noqa: D102
-    @property
-    def of(self) -> IntArray: ...
-    @property
-    def vertex_a(self) -> IntArray: ...
-    @property
-    def vertex_b(self) -> IntArray: ...
-    @property
-    def size(self) -> IntArray: ...
-    @property
-    def corridors(self) -> IntArray: ...
-    @property
-    def transform(self) -> FloatArray: ...
-    @property
-    def error(self) -> FloatArray: ...
-
-
-class FoundClusters(Protocol):
-    """C clusters of hypotheses, the best first (§3.2).
-
-    of: (H,) cluster of each hypothesis, -1 for none; transform: (C, 3) T_a_b; vertices: (C,)
-    matched pairs; hypotheses: (C,); largest: (C,) pairs of the largest hypothesis; squared_error:
-    (C,) total squared distance [m²].
-    """
-
-    @property
-    def of(self) -> IntArray: ...
-    @property
-    def transform(self) -> FloatArray: ...
-    @property
-    def vertices(self) -> IntArray: ...
-    @property
-    def hypotheses(self) -> IntArray: ...
-    @property
-    def largest(self) -> IntArray: ...
-    @property
-    def squared_error(self) -> FloatArray: ...
-
-
-class Findings(Protocol):
-    """What matching found between two maps."""
-
-    @property
-    def hypotheses(self) -> FoundHypotheses: ...
-    @property
-    def clusters(self) -> FoundClusters: ...
-
-
-def write(path: Path, a: TopoMap, b: TopoMap, findings: Findings) -> None:
+def write(path: Path, a: TopoMap, b: TopoMap, e: Explanation) -> None:
     """Write the recording of a match; see `topobatch.viz.write_explain_recording`."""
-    h, c = findings.hypotheses, findings.clusters
 
     def fill(recording: Recording) -> rrb.Blueprint:
-        _table(recording, a, b, h, c)
-        _transform_space(recording, h, c)
-        cells = _placements(recording, a, b, h, c)
-        recording.static(("summary",), markdown(_told(a, b, h, c)))
+        _table(recording, a, b, e)
+        _transform_space(recording, e)
+        cells = _placements(recording, a, b, e)
+        recording.static(("summary",), markdown(_told(a, b, e)))
         views = [_table_view(a, b)]
-        if len(h.size):
-            views = [_placements_view(cells), _space_view(h), *views]
+        if len(e.hypotheses.size):
+            views = [_placements_view(cells), _space_view(e), *views]
         return _blueprint(views)
 
     write_recording(path, f"{a.run} - {b.run}", fill)
@@ -116,16 +66,18 @@ def _colour(rank: int) -> tuple[int, int, int]:
     return palette.of_rank(rank) if 0 <= rank < TOLD_APART else palette.DIM
 
 
-def _title(c: FoundClusters, k: int) -> str:
-    count = int(c.vertices[k])
+def _title(e: Explanation, k: int) -> str:
+    count = int(e.clusters.vertices[k])
     return f"{k + 1}: {count} {'vertex' if count == 1 else 'vertices'}"
 
 
-def pair_classes(shape: tuple[int, int], h: FoundHypotheses, c: FoundClusters) -> NDArray[np.uint8]:
-    """(n_a, n_b) for each pair of vertices: 0 no hypothesis holds it, 1 … TOLD_APART the best
-    cluster that holds it, TOLD_APART + 1 another cluster or none."""
+def pair_classes(shape: tuple[int, int], e: Explanation) -> NDArray[np.uint8]:
+    """(n_a, n_b) for each pair of vertices: 0 incompatible, 1 … TOLD_APART the best cluster that
+    holds it, OTHER another cluster or none, DROPPED compatible but in no hypothesis."""
+    h = e.hypotheses
     cells = np.zeros(shape, np.uint8)
-    cluster = c.of[h.of]
+    cells[e.candidate_a, e.candidate_b] = DROPPED
+    cluster = e.clusters.of[h.of]
     rank = np.where((cluster >= 0) & (cluster < TOLD_APART), cluster, TOLD_APART)
     # Written from the worst to the best, so that the best cluster of a pair stays.
     order = np.argsort(-rank, kind="stable")
@@ -133,48 +85,53 @@ def pair_classes(shape: tuple[int, int], h: FoundHypotheses, c: FoundClusters) -
     return cells
 
 
-def _table(
-    recording: Recording, a: TopoMap, b: TopoMap, h: FoundHypotheses, c: FoundClusters
-) -> None:
+def _table(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> None:
     if len(a) == 0 or len(b) == 0:
         return
     classes = [(0, "incompatible", palette.DIAGONAL)]
     classes += [(k + 1, f"cluster {k + 1}", _colour(k)) for k in range(TOLD_APART)]
-    classes.append((TOLD_APART + 1, "another cluster", palette.DIM))
+    classes.append((OTHER, "another cluster", palette.DIM))
+    classes.append((DROPPED, "compatible, no hypothesis survived", palette.UNRELATED))
     recording.static((TABLE,), rr.AnnotationContext(classes))
-    cells = pair_classes((len(a), len(b)), h, c)
+    # By number of branches: only vertices of the same number are compatible.
+    rows = np.argsort(e.degree_a, kind="stable")
+    columns = np.argsort(e.degree_b, kind="stable")
+    cells = pair_classes((len(a), len(b)), e)[np.ix_(rows, columns)]
     recording.static((TABLE, "pairs"), rr.SegmentationImage(cells, opacity=1.0))
     if max(len(a), len(b)) <= MOST_NUMBERED:
-        _numbers(recording, len(a), len(b))
+        _numbers(recording, rows, columns)
 
 
-def _numbers(recording: Recording, rows: int, columns: int) -> None:
+def _numbers(recording: Recording, rows: IntArray, columns: IntArray) -> None:
     """The vertices' numbers at the left and above the table, in cells."""
-    gap = NUMBER_GAP * max(rows, columns)
-    down, across = np.arange(rows), np.arange(columns)
-    left = np.stack([np.full(rows, -gap), down + 0.25], axis=-1)
-    above = np.stack([across + 0.5, np.full(columns, -gap)], axis=-1)
+    count = max(len(rows), len(columns))
+    gap = NUMBER_GAP * count
+    rise = count / 128  # the viewer writes below a point
+    left = np.stack([np.full(len(rows), -gap), np.arange(len(rows)) + 0.5 - rise], axis=-1)
+    above = np.stack([np.arange(len(columns)) + 0.5, np.full(len(columns), -gap)], axis=-1)
     numbers = rr.Points2D(
         np.concatenate([left, above]),
         radii=0.0,
         colors=palette.TITLE,
-        labels=[str(i) for i in (*down.tolist(), *across.tolist())],
+        labels=[str(i) for i in (*rows.tolist(), *columns.tolist())],
         show_labels=True,
     )
     recording.static((TABLE, "vertices"), numbers)
 
 
-def _space(h: FoundHypotheses) -> tuple[FloatArray, FloatArray, float]:
+def _space(e: Explanation) -> tuple[FloatArray, FloatArray, float]:
     """Low and high corner (2,) of all shifts [m], and how high a turn is drawn [m/rad]."""
-    low, high = h.transform[:, :2].min(axis=0), h.transform[:, :2].max(axis=0)
+    shift = e.hypotheses.transform[:, :2]
+    low, high = shift.min(axis=0), shift.max(axis=0)
     return low, high, HEIGHT * max(float((high - low).max()), 1.0) / (2 * np.pi)
 
 
-def _transform_space(recording: Recording, h: FoundHypotheses, c: FoundClusters) -> None:
+def _transform_space(recording: Recording, e: Explanation) -> None:
     """Hypotheses and clusters as points (x, y, turn); the turn is drawn upwards."""
+    h, c = e.hypotheses, e.clusters
     if len(h.size) == 0:
         return
-    low, high, rise = _space(h)
+    low, high, rise = _space(e)
 
     def drawn(transform: FloatArray) -> FloatArray:
         return np.asarray(transform) * [1.0, 1.0, rise]
@@ -200,7 +157,7 @@ def _transform_space(recording: Recording, h: FoundHypotheses, c: FoundClusters)
         drawn(c.transform[:shown]),
         radii=rr.Radius.ui_points(1.0),
         colors=[_colour(k) for k in range(shown)],
-        labels=[_title(c, k) for k in range(shown)],
+        labels=[_title(e, k) for k in range(shown)],
         show_labels=True,
     )
     recording.static((SPACE, "clusters"), labels)
@@ -226,15 +183,14 @@ def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: 
     recording.static((SPACE, "quarter turns", "names"), names)
 
 
-def _placements(
-    recording: Recording, a: TopoMap, b: TopoMap, h: FoundHypotheses, c: FoundClusters
-) -> list[Cell]:
+def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> list[Cell]:
     """Map b over map a as each of the best clusters places it."""
+    h, c = e.hypotheses, e.clusters
     shown = min(len(c.vertices), MOST_PLACEMENTS)
     points = [np.concatenate([a.xy, apply(c.transform[k], b.xy)]) for k in range(shown)]
     cells = arrange(points, [upright_rad(a.paths)] * shown, sheet_margin_m(points))
     recording.static((PLACEMENTS,), UP)
-    titles = [_title(c, k) for k in range(shown)]
+    titles = [_title(e, k) for k in range(shown)]
     write_cards(recording, PLACEMENTS, cells, titles)
     pen = pen_m([a, b])
     for k, cell in enumerate(cells):
@@ -250,9 +206,11 @@ def _placements(
     return cells
 
 
-def _told(a: TopoMap, b: TopoMap, h: FoundHypotheses, c: FoundClusters) -> str:
+def _told(a: TopoMap, b: TopoMap, e: Explanation) -> str:
+    h, c = e.hypotheses, e.clusters
     head = (
         f"# {plain(a.run)} - {plain(b.run)}\n\n{len(a)} by {len(b)} vertices, "
+        f"**{len(e.candidate_a)}** compatible pairs with their rotations, "
         f"**{len(h.size)}** hypotheses, **{len(c.vertices)}** clusters"
     )
     if len(c.vertices) == 0:
@@ -290,9 +248,9 @@ def _placements_view(cells: list[Cell]) -> rrb.View:
     return map_view(PLACEMENTS, "Placements", *bounds([corners], margin=0.02))
 
 
-def _space_view(h: FoundHypotheses) -> rrb.View:
+def _space_view(e: Explanation) -> rrb.View:
     """Transform space, seen from above one side so that all of it is in the picture."""
-    low, high, _ = _space(h)
+    low, high, _ = _space(e)
     middle, extent = (low + high) / 2, max(float((high - low).max()), 1.0)
     return rrb.Spatial3DView(
         origin=f"/{SPACE}",

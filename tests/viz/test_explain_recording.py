@@ -7,7 +7,7 @@ import pytest
 
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz import write_explain_recording
-from topobatch.viz.explain_recording import TOLD_APART, pair_classes
+from topobatch.viz.explain_recording import DROPPED, OTHER, pair_classes
 
 from .readback import Readback
 
@@ -15,7 +15,7 @@ Make = Callable[..., TopoMap]
 
 
 def findings() -> SimpleNamespace:
-    """Two clusters of three hypotheses: the first holds four pairs, the second one."""
+    """As an Explanation: two clusters of three hypotheses, of four pairs and of one."""
     hypotheses = SimpleNamespace(
         of=np.array([0, 0, 0, 1, 2]),
         vertex_a=np.array([0, 1, 2, 3, 0]),
@@ -33,10 +33,17 @@ def findings() -> SimpleNamespace:
         largest=np.array([3, 1]),
         squared_error=np.array([0.04, 0.0]),
     )
-    return SimpleNamespace(hypotheses=hypotheses, clusters=clusters)
+    return SimpleNamespace(
+        hypotheses=hypotheses,
+        clusters=clusters,
+        candidate_a=np.array([0, 1, 2, 3, 0, 4]),
+        candidate_b=np.array([0, 1, 2, 3, 4, 2]),
+        degree_a=np.array([3, 2, 3, 2, 1]),
+        degree_b=np.array([3, 2, 3, 2, 1]),
+    )
 
 
-def nothing() -> SimpleNamespace:
+def nothing(degree_b: int) -> SimpleNamespace:
     none, poses = np.zeros(0, np.int64), np.zeros((0, 3))
     hypotheses = SimpleNamespace(
         of=none,
@@ -55,7 +62,14 @@ def nothing() -> SimpleNamespace:
         largest=none,
         squared_error=np.zeros(0),
     )
-    return SimpleNamespace(hypotheses=hypotheses, clusters=clusters)
+    return SimpleNamespace(
+        hypotheses=hypotheses,
+        clusters=clusters,
+        candidate_a=none,
+        candidate_b=none,
+        degree_a=np.zeros(5, np.int64),
+        degree_b=np.zeros(degree_b, np.int64),
+    )
 
 
 def test_what_was_found_is_written_and_read_back(tmp_path: Path, make_map: Make) -> None:
@@ -75,25 +89,32 @@ def test_what_was_found_is_written_and_read_back(tmp_path: Path, make_map: Make)
 
 
 def test_nothing_found_is_told(tmp_path: Path, make_map: Make, empty_map: TopoMap) -> None:
-    write_explain_recording(tmp_path / "a.rrd", make_map("a"), make_map("b"), nothing())
-    write_explain_recording(tmp_path / "b.rrd", make_map("a"), empty_map, nothing())
+    write_explain_recording(tmp_path / "a.rrd", make_map("a"), make_map("b"), nothing(5))
+    write_explain_recording(tmp_path / "b.rrd", make_map("a"), empty_map, nothing(0))
     for name in ("a.rrd", "b.rrd"):
         told = Readback(tmp_path / name).value("/summary", "TextDocument:text")[0]
         assert "no pair of junctions is compatible" in told
 
 
+def test_the_table_is_in_the_order_of_branches(tmp_path: Path, make_map: Make) -> None:
+    write_explain_recording(tmp_path / "a.rrd", make_map("a"), make_map("b"), findings())
+    labels = Readback(tmp_path / "a.rrd").value("/table/vertices", "Points2D:labels")
+    assert labels == ["4", "1", "3", "0", "2"] * 2
+
+
 def test_a_pair_of_vertices_shows_its_best_cluster() -> None:
     found = findings()
-    h, c = found.hypotheses, found.clusters
-    h.vertex_b[4] = 0  # the second cluster claims the pair (0, 0) as well
-    cells = pair_classes((5, 5), h, c)
+    found.hypotheses.vertex_b[4] = 0  # the second cluster claims the pair (0, 0) as well
+    cells = pair_classes((5, 5), found)
     assert cells[0, 0] == 1
     assert cells[3, 3] == 1
-    assert np.count_nonzero(cells) == 4
+    assert cells[4, 2] == DROPPED
+    assert cells[0, 4] == DROPPED
+    assert np.count_nonzero(cells) == 6
 
 
-@pytest.mark.parametrize("cluster", [-1, TOLD_APART + 3])
+@pytest.mark.parametrize("cluster", [-1, OTHER + 3])
 def test_other_clusters_share_a_class(cluster: int) -> None:
     found = findings()
     found.clusters.of[2] = cluster
-    assert pair_classes((5, 5), found.hypotheses, found.clusters)[0, 4] == TOLD_APART + 1
+    assert pair_classes((5, 5), found)[0, 4] == OTHER
