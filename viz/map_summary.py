@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 
 import numpy as np
@@ -23,6 +23,7 @@ def map_summary(topomap: TopoMap) -> str:
         _legend(topomap),
         _closures(topomap.closures),
         _warnings(topomap),
+        _source(topomap),
         _noise(topomap),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -119,6 +120,20 @@ def _warnings(topomap: TopoMap) -> str:
     if not warnings:
         return ""
     return "## Warnings\n\n" + bulleted(plain(w) for w in warnings)
+
+
+def _source(topomap: TopoMap) -> str:
+    """What the map was made from, as far as its document says it."""
+    source = topomap.info.get("source")
+    if not isinstance(source, Mapping):
+        return ""
+    lines = []
+    for name, value in sorted(source.items()):
+        told = value
+        if isinstance(value, Mapping):
+            told = ", ".join(f"{v} {k}" if k == "messages" else str(v) for k, v in value.items())
+        lines.append(f"{plain(name)}: {plain(told)}")
+    return "## Made from\n\n" + bulleted(lines) if lines else ""
 
 
 def _noise(topomap: TopoMap) -> str:

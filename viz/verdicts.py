@@ -61,6 +61,8 @@ def merge_summary(result: MergeResult) -> str:
         f"pairs of runs: **{count[MERGED]}** merged, **{count[AMBIGUOUS]}** ambiguous, "
         f"**{count[UNRELATED]}** unrelated{kept_out}",
     ]
+    if "method" in result.info:
+        rows.append(f"method: {plain(result.info['method'])}")
     parts = ["# Merged map", bulleted(rows), _components(result), _LEGEND, _notes(result)]
     return "\n\n".join(part for part in parts if part) + "\n"
 

@@ -63,7 +63,10 @@ def make_map() -> Callable[..., TopoMap]:
                 Closure(10 * STEP_NS, 16 * STEP_NS, True, 21.5, "the square closes"),
                 Closure(12 * STEP_NS, 17 * STEP_NS, False, -3.0, "2 | 1 have *other* branches"),
             ),
-            info={"warnings": ["2 messages were empty"]},
+            info={
+                "warnings": ["2 messages were empty"],
+                "source": {"odometry": {"topic": "/odom", "messages": 140}, "time": "header"},
+            },
         )
 
     return make

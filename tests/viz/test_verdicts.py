@@ -75,6 +75,7 @@ def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMa
     assert "**1** visit recognised, **1** refused" in told
     assert "2 \\| 1 have \\*other\\* branches" in told
     assert "2 messages were empty" in told
+    assert "- odometry: /odom, 140 messages\n- time: header" in told
 
 
 def test_an_empty_map_is_told(empty_map: TopoMap) -> None:
