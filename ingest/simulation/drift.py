@@ -53,15 +53,35 @@ class Drift:
 DRIFTS: Mapping[str, Drift] = MappingProxyType(
     {
         "none": Drift(),
-        "low": Drift(0.005, 0.2, 0.3, 0.002, 0.001),
-        "mid": Drift(0.01, 0.5, 0.8, 0.005, 0.004, 0.003),
-        "high": Drift(0.02, 1.0, 1.5, 0.01, 0.008, 0.015),
+        "low": Drift(
+            along_m_per_sqrt_m=0.005,
+            heading_deg_per_sqrt_m=0.2,
+            heading_deg_per_sqrt_rad=0.3,
+            scale_sigma=0.002,
+            turn_scale_sigma=0.001,
+        ),
+        "mid": Drift(
+            along_m_per_sqrt_m=0.01,
+            heading_deg_per_sqrt_m=0.5,
+            heading_deg_per_sqrt_rad=0.8,
+            scale_sigma=0.005,
+            turn_scale_sigma=0.004,
+            gyro_bias_deg_per_s_sigma=0.003,
+        ),
+        "high": Drift(
+            along_m_per_sqrt_m=0.02,
+            heading_deg_per_sqrt_m=1.0,
+            heading_deg_per_sqrt_rad=1.5,
+            scale_sigma=0.01,
+            turn_scale_sigma=0.008,
+            gyro_bias_deg_per_s_sigma=0.015,
+        ),
         "real": Drift(
-            0.02,
-            1.0,
-            1.5,
-            0.01,
-            0.01,
+            along_m_per_sqrt_m=0.02,
+            heading_deg_per_sqrt_m=1.0,
+            heading_deg_per_sqrt_rad=1.5,
+            scale_sigma=0.01,
+            turn_scale_sigma=0.01,
             heading_bias_deg_per_m=1.5,
             sideways_slip_m_per_rad=0.02,
             heading_jumps_per_100_m=0.3,
@@ -90,35 +110,52 @@ class MeasuredTrack:
 
 def measured(drive: Drive, drift: Drift, rate_hz: float, chance: Chance) -> MeasuredTrack:
     """What the robot's odometry says of a drive, in a frame of its own. O(n), vectorised."""
-    end = float(drive.time_s[-1])
-    count = int(end * rate_hz) + 1
-    time = np.arange(count) / rate_hz
-    time[1:-1] += np.clip(chance.normal(0.05, count - 2), -0.3, 0.3) / rate_hz
-    time = quantised(time, 20)
+    time = _stamps(float(drive.time_s[-1]), rate_hz, chance)
+    period = np.diff(time)
     true = drive.at(time)
     step = between(true[:-1], true[1:])
     way, turn = np.hypot(step[:, 0], step[:, 1]), np.diff(true[:, 2])
-    n = len(way)
-
-    noise = drift.along_m_per_sqrt_m * np.sqrt(way)
-    scale = 1 + chance.one_normal(drift.scale_sigma)
-    forward = step[:, 0] * scale + noise * chance.normal(1.0, n)
-    aside = step[:, 1] * scale + 0.5 * noise * chance.normal(1.0, n)
-    aside = aside + drift.sideways_slip_m_per_rad * turn * (way > 0.2 * np.abs(turn))
-    heading = turn * (1 + chance.one_normal(drift.turn_scale_sigma))
-    heading = heading + np.radians(
-        drift.heading_deg_per_sqrt_m * np.sqrt(way) * chance.normal(1.0, n)
-        + drift.heading_deg_per_sqrt_rad * np.sqrt(np.abs(turn)) * chance.normal(1.0, n)
-        + chance.one_normal(drift.gyro_bias_deg_per_s_sigma) * np.diff(time)
-        - drift.heading_bias_deg_per_m * way
-    )
+    forward, aside = _moves(step, turn, drift, chance)
+    heading = _turns(way, turn, period, drift, chance)
     jumps = _struck(way, drift.heading_jumps_per_100_m, chance)
     heading[jumps] += np.radians(chance.normal(drift.heading_jump_deg, len(jumps)))
     breaks = _struck(way, drift.resets_per_100_m, chance) + 1
     pose = _integrated(forward, aside, heading, _origin(chance), breaks)
-    period = np.diff(time)
     twist = np.column_stack([forward / period, heading / period])
     return MeasuredTrack(time, pose, breaks, jumps + 1, true, np.concatenate([twist, twist[-1:]]))
+
+
+def _stamps(end_s: float, rate_hz: float, chance: Chance) -> FloatArray:
+    """(n,) times of the odometry's messages: even but for some jitter."""
+    count = int(end_s * rate_hz) + 1
+    time = np.arange(count) / rate_hz
+    time[1:-1] += np.clip(chance.normal(0.05, count - 2), -0.3, 0.3) / rate_hz
+    return quantised(time, 20)
+
+
+def _moves(
+    step: FloatArray, turn: FloatArray, drift: Drift, chance: Chance
+) -> tuple[FloatArray, FloatArray]:
+    """Way forward and to the left in every step, as measured."""
+    way = np.hypot(step[:, 0], step[:, 1])
+    noise = drift.along_m_per_sqrt_m * np.sqrt(way)
+    scale = 1 + chance.one_normal(drift.scale_sigma)
+    forward = step[:, 0] * scale + noise * chance.normal(1.0, len(way))
+    aside = step[:, 1] * scale + 0.5 * noise * chance.normal(1.0, len(way))
+    rolling = way > 0.2 * np.abs(turn)
+    return forward, aside + drift.sideways_slip_m_per_rad * turn * rolling
+
+
+def _turns(
+    way: FloatArray, turn: FloatArray, period: FloatArray, drift: Drift, chance: Chance
+) -> FloatArray:
+    """Turn in every step [rad], as measured."""
+    scaled = turn * (1 + chance.one_normal(drift.turn_scale_sigma))
+    walk = drift.heading_deg_per_sqrt_m * np.sqrt(way) * chance.normal(1.0, len(way))
+    per_turn = drift.heading_deg_per_sqrt_rad * np.sqrt(np.abs(turn))
+    walk = walk + per_turn * chance.normal(1.0, len(way))
+    bias = chance.one_normal(drift.gyro_bias_deg_per_s_sigma) * period
+    return scaled + np.radians(walk + bias - drift.heading_bias_deg_per_m * way)
 
 
 def _struck(way: FloatArray, per_100_m: float, chance: Chance) -> IntArray:
