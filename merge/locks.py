@@ -1,0 +1,103 @@
+"""What a person decided about pairs of runs; it overrules the evidence on every later merge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from ..topology.document import Model, validated
+from ..topology.errors import UsageError
+
+LOCKS_SCHEMA: Literal["topobatch.locks/1"] = "topobatch.locks/1"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Lock:
+    """A decision about runs `a < b`.
+
+    "same": the two runs are joined, by their best alignment; with `at` (vertex of a, vertex of b)
+    by the best one that identifies these two vertices. "never": they never share a component, not
+    even through other runs; `at` must be None then. Raises UsageError where that does not hold.
+    """
+
+    a: str
+    b: str
+    decision: Literal["same", "never"]
+    at: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.a == self.b:
+            raise UsageError(f"a lock needs two runs, got {self.a!r} twice")
+        if self.decision not in ("same", "never"):
+            raise UsageError(f"a lock is 'same' or 'never', not {self.decision!r}")
+        if self.at is not None and (len(self.at) != 2 or min(self.at) < 0):
+            raise UsageError(f"a lock names one vertex of each run, got {self.at!r}")
+        if self.at is not None and self.decision == "never":
+            raise UsageError("a 'never' lock is about whole runs: leave the vertices out")
+        if self.b < self.a:
+            swapped = None if self.at is None else (self.at[1], self.at[0])
+            first, second = self.b, self.a
+            object.__setattr__(self, "a", first)
+            object.__setattr__(self, "b", second)
+            object.__setattr__(self, "at", swapped)
+
+
+def lock_table(locks: Iterable[Lock]) -> dict[tuple[str, str], Lock]:
+    """The locks by pair. Raises UsageError where two locks of one pair disagree."""
+    table: dict[tuple[str, str], Lock] = {}
+    for lock in locks:
+        known = table.setdefault((lock.a, lock.b), lock)
+        if known != lock:
+            raise UsageError(
+                f"runs {lock.a!r} and {lock.b!r} are locked in two ways; remove one of the locks"
+            )
+    return table
+
+
+def with_lock(locks: Sequence[Lock], lock: Lock) -> tuple[Lock, ...]:
+    """The locks with one more, which replaces an earlier one of the same pair; sorted."""
+    kept = [k for k in locks if (k.a, k.b) != (lock.a, lock.b)]
+    return tuple(sorted([*kept, lock], key=lambda k: (k.a, k.b)))
+
+
+def without_lock(locks: Sequence[Lock], a: str, b: str) -> tuple[Lock, ...]:
+    """The locks but for the one of the pair {a, b}."""
+    pair = (min(a, b), max(a, b))
+    return tuple(k for k in locks if (k.a, k.b) != pair)
+
+
+class LockEntry(Model):
+    """One lock in the document."""
+
+    a: str
+    b: str
+    decision: Literal["same", "never"]
+    at: tuple[int, int] | None = None
+
+
+class LocksDocument(Model):
+    """`locks.json`."""
+
+    locks: list[LockEntry]
+
+
+def locks_to_document(locks: Sequence[Lock]) -> dict[str, Any]:
+    """The document of a set of locks, sorted; inverse of `locks_from_document`."""
+    ordered = sorted(lock_table(locks).items())
+    entries: list[Mapping[str, Any]] = []
+    for _, lock in ordered:
+        at = {} if lock.at is None else {"at": list(lock.at)}
+        entries.append({"a": lock.a, "b": lock.b, "decision": lock.decision, **at})
+    return {"schema": LOCKS_SCHEMA, "locks": entries}
+
+
+def locks_from_document(doc: Any, name: str = "locks document") -> tuple[Lock, ...]:
+    """The locks that a parsed document holds; DocumentError if it follows no such schema."""
+    entries = validated(LocksDocument, doc, name).locks
+    return tuple(
+        sorted(
+            lock_table(Lock(e.a, e.b, e.decision, e.at) for e in entries).values(),
+            key=lambda k: (k.a, k.b),
+        )
+    )

@@ -1,0 +1,8 @@
+"""Trusted merging: evidence in bits, three verdicts, no false merges."""
+
+from .alignment import Candidate, match
+from .decide import decide
+from .prepare import Prepared, prepare
+from .settings import RobustSettings
+
+__all__ = ["Candidate", "Prepared", "RobustSettings", "decide", "match", "prepare"]

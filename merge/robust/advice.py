@@ -1,0 +1,79 @@
+"""What would settle an ambiguous pair: which corridor to record next."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...topology.passes import NO_BRANCH
+from ...topology.se2 import wrap
+from .alignment import Candidate
+from .branches import GATE_RAD
+from .prepare import NO_HEADING, IntArray, Prepared
+from .verdict import Opinion
+
+
+def advice(a: Prepared, b: Prepared, opinion: Opinion) -> str | None:
+    """A sentence: the corridor that one run drove and the other left out, where they would part.
+
+    Such a corridor leaves a matched junction by a branch that both runs saw. Preferred are those
+    that the runner-up places where the other run says something else.
+    """
+    best = opinion.best
+    if best is None:
+        return None
+    options = [
+        *_unexplored(a, b, best.a, best.b, best.transform[2]),
+        *_unexplored(b, a, best.b, best.a, -best.transform[2]),
+    ]
+    if not options:
+        return (
+            f"record {a.run} or {b.run} again, further along the edge of what both have seen: "
+            "every corridor they share has been driven by both"
+        )
+    blind = _vertices_of(opinion.runner_up)
+    known, length, end, other, vertex, known_vertex = max(
+        options, key=lambda o: (_telling(o, blind, a), o[1], -o[4])
+    )
+    return (
+        f"record with {other.run}'s robot the corridor that {known.run} drove from its junction "
+        f"{known_vertex} to {end} ({length:.1f} m): it leaves junction {vertex} of {other.run}, "
+        "where that run turned another way"
+    )
+
+
+Option = tuple[Prepared, float, int, Prepared, int, int]
+
+
+def _vertices_of(candidate: Candidate | None) -> tuple[IntArray, IntArray]:
+    none = np.zeros(0, np.int64)
+    return (none, none) if candidate is None else (candidate.a, candidate.b)
+
+
+def _telling(option: Option, blind: tuple[IntArray, IntArray], a: Prepared) -> bool:
+    """Does the runner-up match the junction at all, so that the corridor can refute it?"""
+    known, _, _, _, vertex, known_vertex = option
+    ours, theirs = (known_vertex, vertex) if known is a else (vertex, known_vertex)
+    return bool(
+        np.any(blind[1] == theirs) and not np.any((blind[0] == ours) & (blind[1] == theirs))
+    )
+
+
+def _unexplored(
+    known: Prepared, other: Prepared, vk: IntArray, vo: IntArray, turn: float
+) -> list[Option]:
+    """Corridors of `known` at matched junctions by branches that `other` saw and did not take."""
+    partner = np.full(len(known), -1)
+    partner[vk] = vo
+    taken = np.zeros(other.heading.shape, np.bool_)
+    rows = np.flatnonzero(other.leave != NO_BRANCH)
+    taken[other.tail[rows], other.leave[rows]] = True
+    out: list[Option] = []
+    for row in np.flatnonzero((partner[known.tail] >= 0) & (known.leave != NO_BRANCH)).tolist():
+        tail, vertex = int(known.tail[row]), int(partner[known.tail[row]])
+        heading = known.heading[tail, known.leave[row]] - turn
+        gap = np.abs(wrap(other.heading[vertex] - heading))
+        gap[other.heading[vertex] > NO_HEADING / 2] = 9.0
+        branch = int(gap.argmin())
+        if gap[branch] < GATE_RAD and not taken[vertex, branch]:
+            out.append((known, float(known.length[row]), int(known.head[row]), other, vertex, tail))
+    return out

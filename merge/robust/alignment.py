@@ -1,0 +1,134 @@
+"""One pair of maps: candidate alignments with their evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...topology.se2 import wrap
+from .conflicts import Conflicts, conflicts
+from .growth import Match, grow
+from .links import Links, Seed, candidate_links, seeds
+from .prepare import FloatArray, IntArray, Prepared
+from .repetition import CopyModel, Sameness, sameness
+from .settings import RobustSettings
+from .support import support
+
+SAME_PLACE_M = 3.0
+SAME_TURN_RAD = 0.35
+"""Two alignments that differ by less are versions of one placement."""
+
+TELLING_BITS = 2.0
+"""Alignments with less are not worth the second question."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A way to lay b over a.
+
+    transform: (3,) T_a_b; a, b: (k,) matched vertices; corridors: (c, 2) rows of the corridors
+    that agree; bits: log2 odds against chance, corrected for the hypotheses tested; same: the
+    answer to the second question, None where the first one failed.
+    """
+
+    transform: FloatArray
+    a: IntArray
+    b: IntArray
+    corridors: IntArray
+    conflicts: Conflicts
+    bits: float
+    rmse_m: float
+    same: Sameness | None
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    def move(self, z: complex) -> complex:
+        """Where a point x + iy of b lands in a."""
+        x, y, theta = self.transform
+        return complex(x + 1j * y + np.exp(1j * theta) * z)
+
+
+def match(
+    a: Prepared, b: Prepared, settings: RobustSettings, copies: CopyModel | None = None
+) -> tuple[Candidate, ...]:
+    """Candidate alignments of two maps, best first; versions of one placement appear once. Pure.
+
+    The steps of the paper with its certainties replaced by odds: compatible corridors (§2.1),
+    connected hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
+    """
+    links = candidate_links(a, b)
+    found = seeds(a, b, links, settings.hypotheses)
+    return best_of(a, b, found, tested=len(links), settings=settings, copies=copies)
+
+
+def best_of(
+    a: Prepared,
+    b: Prepared,
+    hypotheses: Sequence[Seed],
+    *,
+    tested: int,
+    settings: RobustSettings,
+    copies: CopyModel | None = None,
+) -> tuple[Candidate, ...]:
+    """Grow and judge hypotheses; `tested` is the number of links they were chosen from."""
+    model = copies or CopyModel(settings.copy_variation, settings.copy_change_rate)
+    found: list[Candidate] = []
+    for seed in hypotheses:
+        grown = grow(a, b, seed, settings)
+        if len(grown) < 2:
+            continue
+        found.append(_judge(a, b, grown, float(np.log2(tested + 1.0)), model))
+    found.sort(key=lambda c: (-c.bits, c.transform.tolist()))
+    kept: list[Candidate] = []
+    for candidate in found:
+        if not any(same_placement(candidate, other, b) for other in kept):
+            kept.append(candidate)
+    return tuple(kept)
+
+
+def _judge(
+    a: Prepared, b: Prepared, grown: Match, tested_bits: float, copies: CopyModel
+) -> Candidate:
+    """The evidence of a grown match."""
+    agree, against = support(a, b, grown), conflicts(a, b, grown)
+    bits = agree.bits - against.bits - tested_bits
+    pa, pb = a.z[grown.a], b.z[grown.b]
+    mean_a, mean_b = pa.sum() / len(pa), pb.sum() / len(pb)
+    turn = np.vdot(pb - mean_b, pa - mean_a)
+    unit = turn / abs(turn) if abs(turn) > 1e-9 else grown.turn[grown.b[0]]
+    shift = mean_a - unit * mean_b
+    rmse = float(np.sqrt(np.sum(np.abs(pa - unit * pb - shift) ** 2) / len(pa)))
+    transform = np.array([shift.real, shift.imag, float(np.angle(unit))])
+    same = (
+        sameness(a, b, grown, agree=agree, against=against, copies=copies)
+        if bits > TELLING_BITS
+        else None
+    )
+    return Candidate(transform, grown.a, grown.b, agree.corridors, against, float(bits), rmse, same)
+
+
+def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
+    """Are two candidates versions of one placement of b, seen from where each matches?"""
+    if abs(float(wrap(x.transform[2] - y.transform[2]))) > SAME_TURN_RAD:
+        return False
+    _, rows_x, rows_y = np.intersect1d(x.b, y.b, assume_unique=True, return_indices=True)
+    if len(rows_x):
+        return float(np.count_nonzero(x.a[rows_x] == y.a[rows_y])) >= 0.5 * len(rows_x)
+    one, two = complex(b.z[x.b].mean()), complex(b.z[y.b].mean())
+    slack = SAME_PLACE_M + 0.1 * abs(one - two)
+    return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
+
+
+def self_matches(m: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
+    """Alignments of a map with itself, elsewhere: how much the building repeats itself."""
+    links = candidate_links(m, m)
+    one = (m.z[m.tail[links.a_row]] + m.z[m.head[links.a_row]]) / 2
+    two = (m.z[m.tail[links.b_row]] + m.z[m.head[links.b_row]]) / 2
+    here = (np.abs(links.theta) < SAME_TURN_RAD) & (np.abs(one - two) < SAME_PLACE_M)
+    away = Links(links.a_row[~here], links.b_row[~here], links.theta[~here], links.bits[~here])
+    away_seeds = seeds(m, m, away, settings.hypotheses)
+    found = best_of(m, m, away_seeds, tested=len(away), settings=settings)
+    return tuple(c for c in found if np.count_nonzero(c.a == c.b) < 0.2 * len(c))

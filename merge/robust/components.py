@@ -1,0 +1,105 @@
+"""Runs that belong together: joined strongest pair first, checked over cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.se2 import compose, inverse, wrap
+from .alignment import Candidate
+from .prepare import Prepared
+
+Pair = tuple[int, int]
+
+CYCLE_M = 2.5
+CYCLE_PER_M = 0.06
+CYCLE_RAD = 0.4
+"""Two ways to place a run agree within this much, plus drift per metre between the maps' middles:
+chained rigid transforms of maps that drift cannot agree better."""
+
+
+class Components:
+    """A partition of runs 0 … n - 1 with a pose of each in its component's frame.
+
+    Grows by `join`; runs named in `never` pairs are kept in different components.
+    """
+
+    def __init__(self, n: int, never: Iterable[Pair]) -> None:
+        self.head = list(range(n))
+        self.members: dict[int, list[int]] = {i: [i] for i in range(n)}
+        self.pose: list[NDArray[np.float64]] = [np.zeros(3) for _ in range(n)]
+        self.never = frozenset((min(p), max(p)) for p in never)
+
+    def together(self, i: int, j: int) -> bool:
+        """Do runs i and j share a component?"""
+        return self.head[i] == self.head[j]
+
+    def relative(self, i: int, j: int) -> NDArray[np.float64]:
+        """T_i_j of two runs of one component."""
+        return compose(inverse(self.pose[i]), self.pose[j])
+
+    def forbidden(self, i: int, j: int) -> Pair | None:
+        """The `never` pair that joining i and j would bring together, if any."""
+        for x in self.members[self.head[i]]:
+            for y in self.members[self.head[j]]:
+                pair = (min(x, y), max(x, y))
+                if pair in self.never:
+                    return pair
+        return None
+
+    def join(self, i: int, j: int, T_i_j: NDArray[np.float64]) -> None:
+        """Put the components of i and j into one frame."""
+        into, gone = self.head[i], self.head[j]
+        if len(self.members[into]) < len(self.members[gone]):
+            self.join(j, i, inverse(T_i_j))
+            return
+        move = compose(compose(self.pose[i], T_i_j), inverse(self.pose[j]))
+        for run in self.members.pop(gone):
+            self.pose[run] = compose(move, self.pose[run])
+            self.head[run] = into
+            self.members[into].append(run)
+
+
+def agrees(candidate: Candidate, T_a_b: NDArray[np.float64], b: Prepared) -> bool:
+    """Does an alignment place b as T_a_b does, within what drift makes of chained transforms?"""
+    middle = complex(b.z[candidate.b].mean())
+    x, y, theta = T_a_b.tolist()
+    gap = abs(candidate.move(middle) - (x + 1j * y + np.exp(1j * theta) * middle))
+    reach = abs(middle - complex(b.z.mean()))
+    turn = abs(float(wrap(candidate.transform[2] - theta)))
+    return gap < CYCLE_M + CYCLE_PER_M * reach and turn < CYCLE_RAD
+
+
+def join_all(
+    components: Components,
+    strongest_first: Sequence[Pair],
+    best: Mapping[Pair, Candidate],
+    prepared: Sequence[Prepared],
+    runs: Sequence[str],
+) -> dict[Pair, str]:
+    """Join pairs in order of strength. Returns the pairs that were refused, with the reason.
+
+    A pair that closes a cycle must place its runs as the stronger pairs around the cycle do: where
+    they contradict each other, the weakest link, which comes last, gives way.
+    """
+    refused: dict[Pair, str] = {}
+    for i, j in strongest_first:
+        alignment = best[i, j]
+        if components.together(i, j):
+            if not agrees(alignment, components.relative(i, j), prepared[j]):
+                refused[i, j] = (
+                    "other runs, matched with more evidence, place the two differently: "
+                    "the weakest of these matches is set aside"
+                )
+            continue
+        kept_apart = components.forbidden(i, j)
+        if kept_apart is not None:
+            x, y = kept_apart
+            refused[i, j] = (
+                f"joining them would bring {runs[x]} and {runs[y]} together, which are locked apart"
+            )
+            continue
+        components.join(i, j, alignment.transform)
+    return refused

@@ -1,0 +1,182 @@
+"""What speaks against a match: what one run drove through and the other says is there, in bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .growth import Match
+from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
+
+TRUSTED_M = 10.0
+"""Contradictions count only this near to a match: farther off the prediction is too vague."""
+
+VAGUE_PER_M = 0.04
+"""What a prediction may be off by, per metre to the nearest match."""
+
+OFF_END_M = 1.2
+"""Nearer than this to a junction a corridor is that junction's own."""
+
+ON_ROAD_M = 0.45
+CROSSING = 0.64
+"""Cosine of the angle between two corridors (50°) from which on they cross, not run together."""
+
+CONFLICT_BITS = 6.0
+"""No single contradiction weighs more: each may be a fault that no rate foresaw."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conflicts:
+    """Contradictions. extra_b: vertices of b inside corridors of a (extra_b_in: directed rows),
+    unseen there; extra_a, extra_a_in: the reverse; crossing: (k, 2) directed corridors of a and b
+    that cross where neither has a junction; bits: their weight in all, positive."""
+
+    extra_b: IntArray
+    extra_b_in: IntArray
+    extra_a: IntArray
+    extra_a_in: IntArray
+    crossing: IntArray
+    bits: float
+
+    def __len__(self) -> int:
+        return len(self.extra_b) + len(self.extra_a) + len(self.crossing)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    """Points of b laid into a. where: (k,) positions; vague: (k,) [m]; vertex, gap_v: nearest
+    vertex of a and its distance; road, gap_r: nearest point of a corridor of a."""
+
+    where: ComplexArray
+    vague: FloatArray
+    vertex: IntArray
+    gap_v: FloatArray
+    road: IntArray
+    gap_r: FloatArray
+
+
+def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
+    """The contradictions of a match. O(points · log points).
+
+    Strategy: the points of b's corridors and b's unmatched vertices are placed in a; one look into
+    the tree of a's junctions and one into the tree of a's corridor points answer all questions.
+    """
+    near = match.support_m < TRUSTED_M
+    alone = near.copy()
+    alone[match.b] = False
+    lone = np.flatnonzero(alone)
+    half = len(b.tail) // 2
+    rows = np.flatnonzero((near[b.tail[:half]] & near[b.head[:half]])[b.road_edge])
+    if a.tree is None or a.road_tree is None or len(lone) + len(rows) == 0:
+        none = np.zeros(0, np.int64)
+        return Conflicts(none, none, none, none, np.zeros((0, 2), np.int64), 0.0)
+    place, vague = _placed_road(b, match, rows)
+    spots = _look(
+        a,
+        np.concatenate([match.place[lone], place]),
+        np.concatenate([VAGUE_PER_M * match.support_m[lone], vague]),
+    )
+    extra_b, in_a, bits_b = _extra_b(a, b, lone, spots)
+    taken = np.zeros(len(a), np.bool_)
+    taken[match.a] = True
+    turned = match.turn[b.tail[b.road_edge[rows]]] * b.road_dir[rows]
+    inner = b.road_end[rows] > OFF_END_M + vague
+    road = _tail_of(spots, len(lone))
+    extra_a, in_b, bits_a = _extra_a(
+        a, b, taken, rows=rows[inner], turned=turned[inner], road=_at(road, inner)
+    )
+    crossing = _crossings(a, b, rows[inner], turned[inner], _at(road, inner))
+    total = bits_b + bits_a + CONFLICT_BITS * len(crossing)
+    return Conflicts(extra_b, in_a, extra_a, in_b, crossing, total)
+
+
+def _placed_road(b: Prepared, match: Match, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
+    """b's corridor points in a, between the predictions of their two ends, and how vague they are.
+
+    Rows name points of directed corridors of the first half, tail to head.
+    """
+    edge, t = b.road_edge[rows], b.road_share[rows]
+    tail, head = b.tail[edge], b.head[edge]
+    by_tail = match.place[tail] + match.turn[tail] * (b.road[rows] - b.z[tail])
+    by_head = match.place[head] + match.turn[head] * (b.road[rows] - b.z[head])
+    vague = VAGUE_PER_M * np.maximum(match.support_m[tail], match.support_m[head])
+    return by_tail + t * (by_head - by_tail), vague
+
+
+def _look(a: Prepared, where: ComplexArray, vague: FloatArray) -> _Points:
+    assert a.tree is not None
+    assert a.road_tree is not None
+    xy = where.view(np.float64).reshape(-1, 2)
+    gap_v, vertex = a.tree.query(xy, distance_upper_bound=2.0)
+    gap_r, road = a.road_tree.query(xy, distance_upper_bound=0.8)
+    return _Points(
+        where, vague, np.asarray(vertex), np.asarray(gap_v), np.asarray(road), np.asarray(gap_r)
+    )
+
+
+def _at(p: _Points, rows: BoolArray | slice) -> _Points:
+    return _Points(
+        p.where[rows], p.vague[rows], p.vertex[rows], p.gap_v[rows], p.road[rows], p.gap_r[rows]
+    )
+
+
+def _tail_of(p: _Points, start: int) -> _Points:
+    return _at(p, slice(start, None))
+
+
+def _weight(missing: Prepared, edge: IntArray, extra: Prepared, vertex: IntArray) -> float:
+    """Bits against: the one run drove the corridor and missed it each time, or the other one
+    invented it at each look."""
+    missed = (missing.noise.miss_rate + 0.015) ** np.minimum(missing.traversals[edge], 3)
+    invented = (extra.noise.phantom_rate + 0.01) ** np.minimum(extra.looks[vertex], 3)
+    bits = -np.log2(np.minimum(missed + invented, 1.0))
+    return float(np.minimum(bits, CONFLICT_BITS).sum())
+
+
+def _extra_b(
+    a: Prepared, b: Prepared, lone: IntArray, spots: _Points
+) -> tuple[IntArray, IntArray, float]:
+    """Unmatched vertices of b (the first of the spots) well inside corridors of a."""
+    k = len(lone)
+    inside = np.flatnonzero(
+        (spots.gap_r[:k] < 0.8) & (spots.gap_v[:k] > OFF_END_M + spots.vague[:k])
+    )
+    r = spots.road[inside]
+    across = np.abs(((spots.where[inside] - a.road[r]) * a.road_dir[r].conj()).imag)
+    hit = across < ON_ROAD_M
+    vertex, edge = lone[inside[hit]], a.road_edge[r[hit]]
+    return vertex, edge, _weight(a, edge, b, vertex) if len(vertex) else 0.0
+
+
+def _extra_a(
+    a: Prepared,
+    b: Prepared,
+    taken: BoolArray,
+    *,
+    rows: IntArray,
+    turned: ComplexArray,
+    road: _Points,
+) -> tuple[IntArray, IntArray, float]:
+    """Unmatched vertices of a beside points of b's corridors."""
+    near = np.flatnonzero(road.gap_v < 0.8)
+    near = near[~taken[road.vertex[near]]]
+    if len(near) == 0:
+        return near, near, 0.0
+    across = np.abs(((a.z[road.vertex[near]] - road.where[near]) * turned[near].conj()).imag)
+    near = near[across < ON_ROAD_M]
+    extra, first = np.unique(road.vertex[near], return_index=True)
+    edge = b.road_edge[rows[near[first]]]
+    return extra, edge, _weight(b, edge, a, extra)
+
+
+def _crossings(
+    a: Prepared, b: Prepared, rows: IntArray, turned: ComplexArray, road: _Points
+) -> IntArray:
+    """Corridors of a and b that cross away from every junction."""
+    near = np.flatnonzero((road.gap_r < 0.55) & (road.gap_v > OFF_END_M + 0.2 + road.vague))
+    r = road.road[near]
+    along = np.abs((turned[near] * a.road_dir[r].conj()).real)
+    across = along < CROSSING
+    key = np.unique(a.road_edge[r[across]] * len(b.tail) + b.road_edge[rows[near[across]]])
+    return np.stack([key // max(len(b.tail), 1), key % max(len(b.tail), 1)], axis=1)

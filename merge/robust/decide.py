@@ -1,0 +1,248 @@
+"""The robust method: from maps to a verdict for every pair of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...topology.errors import UsageError
+from ...topology.topomap import TopoMap
+from ..locks import Lock, lock_table
+from ..result import Alignment, PairVerdict, Verdict
+from .advice import advice
+from .alignment import Candidate, self_matches
+from .components import Components, agrees, join_all
+from .forced import forced_alignment
+from .pairing import Candidates, Pair, match_all
+from .prepare import Prepared, prepare
+from .rematching import Rematcher, Reunion
+from .repetition import CopyModel, copy_model
+from .settings import DEFAULT_ROBUST, RobustSettings
+from .verdict import ODD_BITS, Bar, Opinion, bar, opinion, repetition_level
+from .wording import contradictions, summary
+
+FLEET_SHARE = 0.75
+"""The repetition of a batch is that of the map at this quantile: most maps repeat, or few do."""
+
+
+def decide(
+    maps: Sequence[TopoMap],
+    settings: RobustSettings = DEFAULT_ROBUST,
+    *,
+    locks: Sequence[Lock] = (),
+    on_pair: Callable[[int, int], None] | None = None,
+    executor: Executor | None = None,
+) -> tuple[PairVerdict, ...]:
+    """A verdict for every pair of runs, sorted by (a, b); `maps` are sorted by run.
+
+    1. Every map is prepared, and matched with itself: how much does the building repeat itself?
+    2. Every pair is matched: candidate alignments with evidence against chance and for sameness.
+    3. Each pair by itself is merged, ambiguous or unrelated.
+    4. Merged pairs are joined, strongest first, locks honoured, cycles checked.
+    5. The merged maps of components are matched again: evidence adds up over their runs.
+    6. What the joined runs say of the pairs that stayed open is taken over.
+
+    Locks of runs that are not among the maps are left alone. Raises UsageError on locks that
+    contradict each other or name a vertex that does not exist.
+    """
+    prepared = [prepare(m) for m in maps]
+    runs = [m.run for m in maps]
+    locked = _locked_pairs(runs, prepared, locks)
+    copies, repetition = _repetition(prepared, settings)
+    candidates = match_all(prepared, settings, copies, on_pair, executor)
+    levels = _bars(candidates, repetition, settings)
+    opinions = {pair: opinion(found, levels[pair]) for pair, found in candidates.items()}
+    forced = _forced(prepared, candidates, locked, settings, copies)
+    never = [pair for pair, lock in locked.items() if lock.decision == "never"]
+    components = Components(len(maps), never)
+    best, order = _strongest_first(opinions, forced, never)
+    refused = join_all(components, order, best, prepared, runs)
+    kept = {pair: c for pair, c in best.items() if pair not in refused}
+    reunions = Rematcher(maps, components, opinions, levels, settings, copies).run(kept)
+    return tuple(
+        _verdict(
+            prepared[i],
+            prepared[j],
+            _Case(
+                view=opinions[i, j],
+                forced=forced.get((i, j)),
+                lock=locked.get((i, j)),
+                refused=refused.get((i, j)),
+                reunion=reunions.get((i, j)),
+                seconded=_seconded((i, j), candidates[i, j], components, prepared),
+            ),
+        )
+        for i, j in sorted(candidates)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """All that was said about one pair: by itself, by a person, by the other runs."""
+
+    view: Opinion
+    forced: Candidate | None
+    lock: Lock | None
+    refused: str | None
+    reunion: Reunion | None
+    seconded: Candidate | None
+
+
+def _locked_pairs(
+    runs: Sequence[str], prepared: Sequence[Prepared], locks: Sequence[Lock]
+) -> dict[Pair, Lock]:
+    """The locks that concern these runs, by indices."""
+    index = {run: i for i, run in enumerate(runs)}
+    out: dict[Pair, Lock] = {}
+    for (a, b), lock in lock_table(locks).items():
+        if a not in index or b not in index:
+            continue
+        pair = (index[a], index[b])
+        for run, vertex in zip(pair, lock.at or (), strict=False):
+            if vertex >= len(prepared[run]):
+                raise UsageError(
+                    f"the lock of {a!r} and {b!r} names junction {vertex} of {runs[run]!r}, which "
+                    f"has {len(prepared[run])}: lock by the numbers in its map document"
+                )
+        out[pair] = lock
+    return out
+
+
+def _repetition(
+    prepared: Sequence[Prepared], settings: RobustSettings
+) -> tuple[CopyModel, list[float]]:
+    """How copies differ in these buildings, and 0 … 1 for every map: does it repeat itself?"""
+    found = [self_matches(m, settings) for m in prepared]
+    levels = [repetition_level(c[0].bits) if c else 0.0 for c in found]
+    samples = [
+        (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
+    ]
+    fleet = float(np.quantile(levels, FLEET_SHARE)) if levels else 0.0
+    return copy_model(samples, settings), [max(level, fleet) for level in levels]
+
+
+def _bars(
+    candidates: Candidates, repetition: Sequence[float], settings: RobustSettings
+) -> dict[Pair, Bar]:
+    n = len(candidates)
+    return {(i, j): bar(n, max(repetition[i], repetition[j]), settings) for i, j in candidates}
+
+
+def _forced(
+    prepared: Sequence[Prepared],
+    candidates: Candidates,
+    locked: dict[Pair, Lock],
+    settings: RobustSettings,
+    copies: CopyModel,
+) -> dict[Pair, Candidate]:
+    """Alignments of the pairs that are locked as the same."""
+    out = {}
+    for (i, j), lock in sorted(locked.items()):
+        if lock.decision == "same":
+            found = forced_alignment(
+                prepared[i], prepared[j], candidates[i, j], lock, settings=settings, copies=copies
+            )
+            if found is not None:
+                out[i, j] = found
+    return out
+
+
+def _strongest_first(
+    opinions: dict[Pair, Opinion], forced: dict[Pair, Candidate], never: Sequence[Pair]
+) -> tuple[dict[Pair, Candidate], list[Pair]]:
+    """The alignments to join by, and their order: a person's locks first, then by evidence."""
+    best = {
+        pair: o.best
+        for pair, o in opinions.items()
+        if o.verdict is Verdict.MERGED and o.best is not None and pair not in never
+    }
+    best |= forced
+    order = sorted(best, key=lambda p: (p not in forced, -opinions[p].bits, p))
+    return best, order
+
+
+def _seconded(
+    pair: Pair,
+    candidates: tuple[Candidate, ...],
+    components: Components,
+    prepared: Sequence[Prepared],
+) -> Candidate | None:
+    """The candidate of a pair that agrees with where other runs have put its two runs."""
+    i, j = pair
+    if not components.together(i, j):
+        return None
+    T_i_j = components.relative(i, j)
+    fitting = (c for c in candidates if c.bits > ODD_BITS and agrees(c, T_i_j, prepared[j]))
+    return next(fitting, None)
+
+
+def _verdict(a: Prepared, b: Prepared, case: _Case) -> PairVerdict:
+    """One entry of the result. A person's word comes first, then the safety of the component, then
+    the pair's own evidence, then what the other runs say."""
+    view = case.view
+    says = summary(view.best, view.margin) if view.best else "nothing that chance would not offer"
+    if case.lock is not None and case.lock.decision == "never":
+        reason = f"locked apart by a person; the maps alone say: {says}"
+        return _entry(a, b, case, Verdict.UNRELATED, reason)
+    if case.lock is not None and case.forced is None:
+        reason = f"locked as the same, but no alignment honours the lock; the maps say: {says}"
+        return _entry(a, b, case, view.verdict, reason)
+    if case.refused is not None:
+        return _entry(a, b, case, Verdict.AMBIGUOUS, f"{says}; but {case.refused}")
+    return _by_evidence(a, b, case, says)
+
+
+def _by_evidence(a: Prepared, b: Prepared, case: _Case, says: str) -> PairVerdict:
+    """The entry of a pair that nobody forbids."""
+    view = case.view
+    if case.forced is not None:
+        reason = f"locked as the same by a person; {summary(case.forced, None)}"
+        return _accepted(a, b, case, _alignment(case.forced, a, b, case.forced.bits), reason)
+    if view.verdict is Verdict.MERGED and view.best is not None:
+        return _accepted(a, b, case, _alignment(view.best, a, b, view.bits), says)
+    if case.reunion is not None:
+        return _accepted(a, b, case, case.reunion.alignment, case.reunion.reason)
+    if case.seconded is not None:
+        reason = f"{summary(case.seconded, None)}; other runs place the two in the same way"
+        return _accepted(a, b, case, _alignment(case.seconded, a, b, case.seconded.bits), reason)
+    return _entry(a, b, case, view.verdict, f"{says}; {view.why}" if view.why else says)
+
+
+def _accepted(a: Prepared, b: Prepared, case: _Case, best: Alignment, reason: str) -> PairVerdict:
+    merged = _entry(a, b, case, Verdict.MERGED, reason)
+    return replace(merged, accepted=True, best=best, evidence_bits=best.evidence_bits, advice=None)
+
+
+def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str) -> PairVerdict:
+    """An entry for a pair that is not joined."""
+    view, best, second = case.view, case.view.best, case.view.runner_up
+    same = best.same if best is not None else None
+    return PairVerdict(
+        a=a.run,
+        b=b.run,
+        verdict=verdict,
+        accepted=False,
+        evidence_bits=view.bits,
+        reason=reason,
+        best=None if best is None else _alignment(best, a, b, view.bits),
+        runner_up=None if second is None else _alignment(second, a, b, second.bits),
+        margin_bits=view.margin,
+        advice=advice(a, b, view) if verdict is Verdict.AMBIGUOUS else None,
+        locked=None if case.lock is None else case.lock.decision,
+        extra={} if same is None else {"same_place_bits": round(same.bits, 3)},
+    )
+
+
+def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:
+    order = np.argsort(c.a, kind="stable")
+    return Alignment(
+        transform=c.transform,
+        evidence_bits=bits,
+        matched=np.column_stack([c.a, c.b])[order],
+        rmse_m=c.rmse_m,
+        corridors=len(c.corridors),
+        contradictions=contradictions(c, a, b),
+    )

@@ -1,0 +1,353 @@
+"""Per-map preparation: everything of a map that matching needs and that no other map changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...topology.passes import NO_BRANCH
+from ...topology.se2 import wrap
+from ...topology.topomap import RunNoise, TopoMap
+
+ComplexArray = NDArray[np.complex128]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+NEIGHBOURS = 20
+"""Junctions around each junction whose matches predict where it lies in the other map."""
+
+REACH_M = 8.0
+FAR_WEIGHT = 0.005
+"""Matches weigh exp(-d²/2 REACH_M²) + FAR_WEIGHT in predicting a junction d metres away."""
+
+SAMPLE_M = 1.0
+"""Spacing of the points that stand for a corridor."""
+
+CLEAR_M = 1.3
+"""Points of a corridor nearer to its ends than this belong to the junctions there."""
+
+SECTOR_RAD = np.pi / 2
+"""Branches are sorted into four sectors around the one by which a corridor leaves."""
+
+SOFT_RAD = 0.21
+"""Branches this close to the border of two sectors are looked up in both."""
+
+MAX_VARIANTS = 8
+LENGTH_SCALE = 1024.0
+"""Separates the pattern from the length in a sort key; above any corridor's length [m]."""
+
+NO_HEADING = 1e3
+"""Fills the rows of `heading` behind the last branch; no gate ever reaches it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """A map of n junctions and k directed corridors (both directions of each, loops left out).
+
+    z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NO_HEADING behind the last;
+    count: (n,) branches; looks: (n,) passes that saw the junction; surprise: (n,) bits that the
+    branches of this junction tell, by how common such a pattern is in this map; turn_bits: (n, d)
+    -log2 density [1/rad] of finding a branch at its angle to the others.
+    neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances;
+    near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
+    near_weight: (n, q) what their matches weigh in predicting this one.
+    tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction [rad]; leave, arrive:
+    (k,) row-local branches used at tail and head, NO_BRANCH where unknown; sag: (k,) [m] signed
+    offset of the mid of the path from the chord; twin: (k,) row of the reverse; variance: (k,)
+    [m²] of the length; traversals: (k,); rarity: (k,) -log2 density [1/m] of corridors this long.
+    pair_key, pair_row: directed corridors sorted by tail * n + head.
+    probe_*: for every directed corridor its sort keys (pattern, length), sorted.
+    road: points inside the corridors (x + iy), road_dir: unit tangents, road_edge: row of the
+    directed corridor, road_share: 0 at its tail … 1 at its head, road_end: distance [m] to the
+    nearer end, road_tree over them; tree over z.
+    """
+
+    run: str
+    noise: RunNoise
+    z: ComplexArray
+    heading: FloatArray
+    count: IntArray
+    looks: IntArray
+    surprise: FloatArray
+    turn_bits: FloatArray
+    neighbour: IntArray
+    near_m: FloatArray
+    near_rarity: FloatArray
+    near_weight: FloatArray
+    tail: IntArray
+    head: IntArray
+    length: FloatArray
+    angle: FloatArray
+    leave: IntArray
+    arrive: IntArray
+    sag: FloatArray
+    twin: IntArray
+    variance: FloatArray
+    traversals: IntArray
+    rarity: FloatArray
+    pair_key: IntArray
+    pair_row: IntArray
+    pattern: IntArray
+    probe_key: FloatArray
+    probe_row: IntArray
+    road: ComplexArray
+    road_dir: ComplexArray
+    road_edge: IntArray
+    road_share: FloatArray
+    road_end: FloatArray
+    road_tree: cKDTree | None
+    tree: cKDTree | None
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+def prepare(topomap: TopoMap) -> Prepared:
+    """Make a map ready for matching; pure and picklable. O(n log n).
+
+    Positions are the map's own embedding (§3); directed corridors and the patterns of branches at
+    their ends are what §2 compares, indexed here so that compatible ones are found by bisection.
+    """
+    m = topomap
+    z = m.xy[:, 0] + 1j * m.xy[:, 1]
+    heading, count = _padded(m)
+    looks = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(np.int64)
+    rows = np.flatnonzero((m.source != m.target) & (np.abs(z[m.source] - z[m.target]) > 0.05))
+    tail = np.concatenate([m.source[rows], m.target[rows]])
+    head = np.concatenate([m.target[rows], m.source[rows]])
+    leave = np.concatenate([m.source_branch[rows], m.target_branch[rows]])
+    arrive = np.concatenate([m.target_branch[rows], m.source_branch[rows]])
+    twin = np.roll(np.arange(2 * len(rows)), len(rows))
+    chord = z[head] - z[tail]
+    length, angle = np.abs(chord), np.angle(chord)
+    traversals = np.tile(np.maximum(m.traversals[rows], 1), 2)
+    variance = _length_variance(m.noise, length, traversals, looks[tail], looks[head])
+    sag, road, road_dir, road_edge = _corridor_shapes(m, rows, z)
+    offset = _offsets(heading, count, tail, leave, angle)
+    near_masks = _masks(offset)
+    mask = near_masks[0]
+    pattern = mask * 16 + mask[twin]
+    surprise, turn_bits = _pattern_bits(heading, count)
+    probe_key, probe_row = _probes(near_masks[1], twin, length)
+    order = np.argsort(tail * len(z) + head, kind="stable")
+    neighbour, near_m, tree = _neighbours(z)
+    return Prepared(
+        run=m.run,
+        noise=m.noise,
+        z=z,
+        heading=heading,
+        count=count,
+        looks=looks,
+        surprise=surprise,
+        turn_bits=turn_bits,
+        neighbour=neighbour,
+        near_m=near_m,
+        near_rarity=_rarity(near_m.reshape(-1)).reshape(near_m.shape),
+        near_weight=np.exp(-0.5 * (near_m / REACH_M) ** 2) + FAR_WEIGHT,
+        tail=tail,
+        head=head,
+        length=length,
+        angle=angle,
+        leave=leave,
+        arrive=arrive,
+        sag=sag,
+        twin=twin,
+        variance=variance,
+        traversals=traversals,
+        rarity=_rarity(length),
+        pair_key=(tail * len(z) + head)[order],
+        pair_row=order,
+        pattern=pattern,
+        probe_key=probe_key,
+        probe_row=probe_row,
+        road=road,
+        road_dir=road_dir,
+        road_edge=road_edge,
+        road_share=np.clip(((road - z[tail[road_edge]]) / chord[road_edge]).real, 0.0, 1.0),
+        road_end=np.minimum(np.abs(road - z[tail[road_edge]]), np.abs(road - z[head[road_edge]])),
+        road_tree=cKDTree(np.column_stack([road.real, road.imag])) if len(road) else None,
+        tree=tree,
+    )
+
+
+def _padded(m: TopoMap) -> tuple[FloatArray, IntArray]:
+    """Branch headings as a rectangle."""
+    count = m.branches.counts
+    width = int(count.max(initial=1))
+    heading = np.full((len(count), max(width, 1)), NO_HEADING)
+    column = np.arange(len(m.branches.values)) - np.repeat(m.branches.offsets[:-1], count)
+    heading[m.branches.owner, column] = m.branches.values
+    return heading, count
+
+
+def _length_variance(
+    noise: RunNoise, length: FloatArray, traversals: IntArray, looks_u: IntArray, looks_v: IntArray
+) -> FloatArray:
+    """Variance [m²] of a corridor's chord: centres at both ends, odometry along it, its scale.
+
+    The floor of 3 cm stands for what no estimate holds: detectors that shift with the view.
+    """
+    centres = noise.centre_m**2 * (1 / np.minimum(looks_u, 4) + 1 / np.minimum(looks_v, 4))
+    along = noise.along_m_per_sqrt_m**2 * length / np.minimum(traversals, 4)
+    return np.asarray(0.03**2 + centres + along + (noise.scale * length) ** 2)
+
+
+def _corridor_shapes(
+    m: TopoMap, rows: IntArray, z: ComplexArray
+) -> tuple[FloatArray, ComplexArray, ComplexArray, IntArray]:
+    """Sag of every directed corridor, and points along the corridors away from their ends.
+
+    All polylines are laid end to end and resampled by one interpolation over the arc length.
+    """
+    if len(rows) == 0:
+        none = np.zeros(0, np.complex128)
+        return np.zeros(0), none, none, np.zeros(0, np.int64)
+    points = [m.paths[r] for r in rows.tolist()]
+    size = np.array([len(p) for p in points])
+    flat = np.concatenate(points)
+    line = flat[:, 0] + 1j * flat[:, 1]
+    first = np.concatenate([[0], np.cumsum(size)[:-1]])
+    step = np.abs(np.diff(line, prepend=line[:1]))
+    step[first] = 0.0
+    arc = np.cumsum(step)
+    start, end = arc[first], arc[first + size - 1]
+    # A strictly rising abscissa for np.interp: the jump between two polylines costs nothing.
+    at = arc + np.repeat(np.arange(len(rows)), size) * 1e-3
+    shift = np.arange(len(rows)) * 1e-3
+
+    def point(s: FloatArray) -> ComplexArray:
+        return np.asarray(np.interp(s, at, line.real) + 1j * np.interp(s, at, line.imag))
+
+    chord = z[m.target[rows]] - z[m.source[rows]]
+    unit = chord / np.abs(chord)
+    middle = point((start + end) / 2 + shift)
+    bow = ((middle - (z[m.source[rows]] + z[m.target[rows]]) / 2) * unit.conj()).imag
+    inner = np.maximum(end - start - 2 * CLEAR_M, 0.0)
+    pieces = np.where(inner > 0.2, np.ceil(inner / SAMPLE_M), 0).astype(np.int64)
+    owner = np.repeat(np.arange(len(rows)), pieces)
+    nth = np.arange(len(owner)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    s = (start + shift)[owner] + CLEAR_M + (nth + 0.5) / pieces[owner] * inner[owner]
+    tangent = point(s + 0.3) - point(s - 0.3)
+    tangent = tangent / np.maximum(np.abs(tangent), 1e-9)
+    return np.concatenate([bow, -bow]), point(s), tangent, owner.astype(np.int64)
+
+
+def _offsets(
+    heading: FloatArray, count: IntArray, tail: IntArray, leave: IntArray, angle: FloatArray
+) -> FloatArray:
+    """(k, d) angle from the branch by which each corridor leaves to the other branches there."""
+    used = np.where(leave == NO_BRANCH, angle, heading[tail, np.maximum(leave, 0)])
+    offset = np.asarray(wrap(heading[tail] - used[:, None]))
+    column = np.arange(heading.shape[1])
+    other = (column < count[tail][:, None]) & (column != leave[:, None])
+    return np.where(other, offset, np.nan)
+
+
+def _masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
+    """Occupied sectors: (k,) the mask itself; (k, v) variants for branches near a border, -1 pads.
+
+    Strategy: every branch has a first sector and, near a border, a second; the variants are the
+    choices of all subsets of the two branches nearest to a border.
+    """
+    there = np.isfinite(offset)
+    turn = np.where(there, offset, 0.0) / SECTOR_RAD
+    sector = np.where(there, np.round(turn), 0).astype(np.int64) % 4
+    slack = np.where(there, 0.5 - np.abs(turn - np.round(turn)), 9.0) * SECTOR_RAD
+    second = (np.where(turn > np.round(turn), sector + 1, sector - 1)) % 4
+    mask = _mask_of(sector, there)
+    if offset.shape[1] == 0 or len(offset) == 0:
+        return mask, mask[:, None]
+    worst = np.argsort(slack, axis=1, kind="stable")[:, :2]
+    variants = [mask]
+    rows = np.arange(len(offset))
+    for choice in ((0,), (1,), (0, 1)):
+        if max(choice) >= worst.shape[1]:
+            continue
+        moved, soft = sector.copy(), np.ones(len(offset), np.bool_)
+        for c in choice:
+            column = worst[:, c]
+            soft &= slack[rows, column] < SOFT_RAD
+            moved[rows, column] = second[rows, column]
+        variants.append(np.where(soft, _mask_of(moved, there), -1))
+    return mask, np.stack(variants, axis=1)
+
+
+def _mask_of(sector: IntArray, there: BoolArray) -> IntArray:
+    bits = np.zeros(len(sector), np.int64)
+    for s in range(4):
+        bits |= ((there & (sector == s)).any(axis=1)).astype(np.int64) << s
+    return bits
+
+
+def _probes(variants: IntArray, twin: IntArray, length: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Sorted keys pattern * LENGTH_SCALE + length of every variant of every directed corridor."""
+    if len(length) == 0:
+        return np.zeros(0), np.zeros(0, np.int64)
+    here, there = variants[:, :, None], variants[twin][:, None, :]
+    pattern = np.where((here >= 0) & (there >= 0), here * 16 + there, -1).reshape(len(length), -1)
+    row, column = np.nonzero(pattern >= 0)
+    key = pattern[row, column] * LENGTH_SCALE + np.minimum(length[row], LENGTH_SCALE / 2)
+    order = np.argsort(key, kind="stable")
+    return key[order], row[order]
+
+
+def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
+    """How much the branches of each junction tell, by how common they are in this map.
+
+    Strategy: every branch in turn is the reference; the mask of sectors of the others has a
+    frequency, and so has, within a sector, the angle (24 smoothed bins, folded into a sector).
+    """
+    n, d = heading.shape
+    there = heading < NO_HEADING / 2
+    offset = np.asarray(wrap(heading[:, None, :] - heading[:, :, None]))  # (n, reference, other)
+    other = there[:, None, :] & there[:, :, None] & ~np.eye(d, dtype=np.bool_)
+    flat = np.where(other, offset, np.nan).reshape(n * d, d)
+    mask = _masks_only(flat)
+    used = there.reshape(-1)
+    seen = np.bincount(mask[used], minlength=16) + 0.5
+    frequency = (seen / seen.sum())[mask].reshape(n, d)
+    mean = (frequency * there).sum(axis=1) / np.maximum(count, 1)
+    surprise = np.where(count > 0, -np.log2(np.maximum(mean, 1e-3)), 0.0)
+    bins = 24
+    fold = (offset / SECTOR_RAD - np.round(offset / SECTOR_RAD) + 0.5) * bins
+    cell = np.clip(fold.astype(np.int64), 0, bins - 1)
+    density = np.bincount(cell[other], minlength=bins) + 1.0
+    density = (np.roll(density, 1) + 2 * density + np.roll(density, -1)) / 4
+    density = density / density.sum() * bins / SECTOR_RAD
+    gain = np.where(other, -np.log2(density)[cell], 0.0)
+    turn_bits = gain.sum(axis=1) / np.maximum(other.sum(axis=1), 1)
+    return surprise, turn_bits
+
+
+def _masks_only(offset: FloatArray) -> IntArray:
+    there = np.isfinite(offset)
+    sector = np.where(there, np.round(np.where(there, offset, 0.0) / SECTOR_RAD), 0)
+    return _mask_of(sector.astype(np.int64) % 4, there)
+
+
+def _rarity(length: FloatArray) -> FloatArray:
+    """-log2 of the density [1/m] of corridors of each length, among the map's own corridors.
+
+    Strategy: histogram of 10 cm, smoothed by a triangle of ± 0.4 m, a tenth of it spread evenly.
+    """
+    if len(length) == 0:
+        return np.zeros(0)
+    cell = np.minimum((length * 10).astype(np.int64), 999)
+    histogram = np.bincount(cell, minlength=int(cell.max()) + 5).astype(np.float64)
+    kernel = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
+    density = np.convolve(histogram, kernel / kernel.sum(), mode="same") / len(length) * 10
+    density = 0.9 * density + 0.1 / max(float(length.max()), 1.0)
+    return np.asarray(-np.log2(density)[cell])
+
+
+def _neighbours(z: ComplexArray) -> tuple[IntArray, FloatArray, cKDTree | None]:
+    if len(z) == 0:
+        return np.zeros((0, 0), np.int64), np.zeros((0, 0)), None
+    points = np.column_stack([z.real, z.imag])
+    tree = cKDTree(points)
+    near_m, neighbour = tree.query(points, k=np.arange(1, min(NEIGHBOURS, len(z)) + 1))
+    return np.asarray(neighbour, np.int64), np.asarray(near_m), tree

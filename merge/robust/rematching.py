@@ -1,0 +1,205 @@
+"""Merged maps matched again: the evidence of many runs, every physical thing counted once."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...topology.se2 import fit_rigid
+from ...topology.topomap import RunNoise, TopoMap
+from ..fusion import fuse
+from ..result import Alignment, FusedMap, PairVerdict, Verdict
+from .alignment import Candidate, match
+from .components import Components
+from .prepare import Prepared, prepare
+from .repetition import CopyModel
+from .settings import RobustSettings
+from .verdict import ODD_BITS, Bar, Opinion, opinion
+from .wording import summary
+
+Pair = tuple[int, int]
+Runs = tuple[int, ...]
+
+OPEN_BITS = ODD_BITS
+"""Components are matched again where some pair across them has more evidence than this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reunion:
+    """A pair of runs joined by what their components say together."""
+
+    alignment: Alignment
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fused:
+    """The merged map of a component: prepared, with the vertices of its runs behind each vertex."""
+
+    runs: tuple[int, ...]
+    prepared: Prepared
+    members: tuple[Mapping[str, tuple[int, ...]], ...]
+    maps: Mapping[int, TopoMap]
+
+
+@dataclass(slots=True, eq=False)
+class Rematcher:
+    """Matches the fused maps of components with open pairs between them, until nothing joins.
+
+    Changes `components`. The strongest reunion of each round is carried out, then its component
+    is fused anew, so that every decision uses all that is known.
+    """
+
+    maps: Sequence[TopoMap]
+    components: Components
+    opinions: Mapping[Pair, Opinion]
+    levels: Mapping[Pair, Bar]
+    settings: RobustSettings
+    copies: CopyModel
+    _cache: dict[Runs, _Fused] = field(default_factory=dict)
+    _failed: set[tuple[Runs, Runs]] = field(default_factory=set)
+
+    def run(self, joined: Mapping[Pair, Candidate]) -> dict[Pair, Reunion]:
+        """The pairs that components say belong together; `joined` are those that already do."""
+        accepted = {pair: _plain(c) for pair, c in joined.items()}
+        reunions: dict[Pair, Reunion] = {}
+        while (found := self._strongest(accepted)) is not None:
+            one, two, view = found
+            links = _links(one, two, view)
+            for pair, alignment in links.items():
+                accepted[pair] = alignment
+                reunions[pair] = Reunion(alignment, _reason(pair, one, two, view, self.maps))
+            (i, j), first = next(iter(links.items()))
+            self.components.join(i, j, first.transform)
+        return reunions
+
+    def _strongest(
+        self, accepted: Mapping[Pair, Alignment]
+    ) -> tuple[_Fused, _Fused, Opinion] | None:
+        """The best-founded reunion of two components; those that fail are not tried again."""
+        found: list[tuple[_Fused, _Fused, Opinion]] = []
+        for x, y in self._open():
+            if (x, y) in self._failed:
+                continue
+            reunion = self._reunion(x, y, accepted)
+            if reunion is None:
+                self._failed.add((x, y))
+            else:
+                found.append(reunion)
+        return max(found, key=lambda f: (f[2].bits, f[0].runs, f[1].runs), default=None)
+
+    def _reunion(
+        self, x: Runs, y: Runs, accepted: Mapping[Pair, Alignment]
+    ) -> tuple[_Fused, _Fused, Opinion] | None:
+        if self.components.forbidden(x[0], y[0]) is not None:
+            return None
+        one, two = (_fused(runs, self.maps, accepted, self._cache) for runs in (x, y))
+        across = [self.levels[min(i, j), max(i, j)] for i in x for j in y]
+        level = max(across, key=lambda bar: (bar.need_bits, bar.repetition))
+        view = opinion(match(one.prepared, two.prepared, self.settings, self.copies), level)
+        sure = view.verdict is Verdict.MERGED and bool(_links(one, two, view))
+        return (one, two, view) if sure else None
+
+    def _open(self) -> list[tuple[Runs, Runs]]:
+        """Pairs of components, not both single runs, with an undecided pair across them."""
+        pairs = set()
+        for (i, j), view in self.opinions.items():
+            if self.components.together(i, j) or view.bits <= OPEN_BITS or view.best is None:
+                continue
+            heads = (self.components.head[i], self.components.head[j])
+            x, y = sorted(tuple(sorted(self.components.members[h])) for h in heads)
+            if len(x) + len(y) > 2:
+                pairs.add((x, y))
+        return sorted(pairs)
+
+
+def _fused(
+    runs: Runs,
+    maps: Sequence[TopoMap],
+    accepted: Mapping[Pair, Alignment],
+    cache: dict[Runs, _Fused],
+) -> _Fused:
+    """The merged map of some runs, ready to be matched."""
+    if runs not in cache:
+        own = [maps[i] for i in runs]
+        inside = [
+            PairVerdict(maps[i].run, maps[j].run, Verdict.MERGED, True, a.evidence_bits, "", best=a)
+            for (i, j), a in sorted(accepted.items())
+            if i in runs and j in runs
+        ]
+        _, fused = fuse(own, inside)
+        members = fused.members
+        as_map = own[0] if len(own) == 1 else _as_map(fused, own)
+        cache[runs] = _Fused(runs, prepare(as_map), members, {i: maps[i] for i in runs})
+    return cache[runs]
+
+
+def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
+    """A fused map as the map of one run that saw everything; its noise that of the worst run."""
+    looks = np.array([len(seen) for seen in fused.observations])
+    times = np.arange(int(looks.sum()), dtype=np.int64)
+    fields = RunNoise.__dataclass_fields__
+    noise = RunNoise(**{name: max(getattr(m.noise, name) for m in own) for name in fields})
+    return TopoMap(
+        run="+".join(m.run for m in own),
+        frame="component",
+        xy=fused.xy,
+        branches=fused.branches,
+        kind=fused.kind,
+        source=fused.source,
+        target=fused.target,
+        source_branch=fused.source_branch,
+        target_branch=fused.target_branch,
+        length=fused.length,
+        length_sigma=fused.length_sigma,
+        traversals=fused.traversals,
+        paths=fused.paths,
+        observation_vertex=np.repeat(np.arange(len(looks)), looks),
+        observation_time_ns=times,
+        noise=noise,
+    )
+
+
+def _links(one: _Fused, two: _Fused, view: Opinion) -> dict[Pair, Alignment]:
+    """What a match of two fused maps says of pairs of their runs, the strongest pair first.
+
+    A pair is linked by the matched places that both its runs saw; of pairs with fewer than three
+    only the best one counts, and only if no pair has more.
+    """
+    assert view.best is not None
+    shared: dict[Pair, list[tuple[int, int]]] = defaultdict(list)
+    run_of_one = {m.run: i for i, m in one.maps.items()}
+    run_of_two = {m.run: j for j, m in two.maps.items()}
+    for p, q in zip(view.best.a.tolist(), view.best.b.tolist(), strict=True):
+        for run_i, vertices_i in sorted(one.members[p].items()):
+            for run_j, vertices_j in sorted(two.members[q].items()):
+                i, j = run_of_one[run_i], run_of_two[run_j]
+                u, v = vertices_i[0], vertices_j[0]
+                shared[(i, j) if i < j else (j, i)].append((u, v) if i < j else (v, u))
+    ranked = sorted(shared.items(), key=lambda item: (-len(item[1]), item[0]))
+    strong = [item for item in ranked if len(item[1]) >= 3]
+    known = {**one.maps, **two.maps}
+    out = {}
+    for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
+        matched = np.array(sorted(pairs), np.int64)
+        pa, pb = known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]]
+        transform = fit_rigid(pa, pb)
+        unit = np.exp(1j * transform[2])
+        moved = unit * (pb @ np.array([1, 1j])) + transform[0] + 1j * transform[1]
+        rmse = float(np.sqrt(np.mean(np.abs(pa @ np.array([1, 1j]) - moved) ** 2)))
+        out[i, j] = Alignment(transform, view.bits, matched, rmse)
+    return out
+
+
+def _plain(c: Candidate) -> Alignment:
+    return Alignment(c.transform, c.bits, np.column_stack([c.a, c.b]), c.rmse_m)
+
+
+def _reason(pair: Pair, one: _Fused, two: _Fused, view: Opinion, maps: Sequence[TopoMap]) -> str:
+    assert view.best is not None
+    names = sorted(maps[i].run for i in (*one.runs, *two.runs) if i not in pair)
+    shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+    return f"together with {shown}: {summary(view.best, view.margin)}"

@@ -1,0 +1,55 @@
+"""Sentences that a person understands."""
+
+from __future__ import annotations
+
+from ...topology.topomap import TopoMap
+from .alignment import Candidate
+from .prepare import Prepared
+
+
+def counted(number: int, noun: str) -> str:
+    """ "1 junction", "2 junctions"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def summary(best: Candidate, margin: float | None) -> str:
+    """What agrees, what contradicts, how far the next alignment is behind."""
+    agree = f"{counted(len(best), 'junction')} and {counted(len(best.corridors), 'corridor')} agree"
+    against = len(best.conflicts)
+    text = f"{agree}, {against} {'contradicts' if against == 1 else 'contradict'}"
+    if margin is None:
+        return f"{text}; no other alignment comes near"
+    return f"{text}; next best alignment {margin:.0f} bits behind"
+
+
+def contradictions(best: Candidate, a: Prepared, b: Prepared) -> tuple[str, ...]:
+    """One sentence per contradiction of an alignment."""
+    c = best.conflicts
+    said = []
+    for vertex, row in zip(c.extra_b.tolist(), c.extra_b_in.tolist(), strict=True):
+        said.append(_unseen(vertex, b.run, row, a))
+    for vertex, row in zip(c.extra_a.tolist(), c.extra_a_in.tolist(), strict=True):
+        said.append(_unseen(vertex, a.run, row, b))
+    for row_a, row_b in c.crossing.tolist():
+        said.append(
+            f"corridor {_name(a, row_a)} of {a.run} crosses corridor {_name(b, row_b)} of {b.run} "
+            "where neither run saw a junction"
+        )
+    return tuple(said)
+
+
+def _unseen(vertex: int, run: str, row: int, other: Prepared) -> str:
+    return (
+        f"junction {vertex} of {run} falls inside corridor {_name(other, row)} of {other.run}, "
+        "unseen there"
+    )
+
+
+def _name(m: Prepared, row: int) -> str:
+    return f"{int(m.tail[row])} to {int(m.head[row])}"
+
+
+def place(topomap: TopoMap, vertex: int) -> str:
+    """A junction by number and position."""
+    x, y = topomap.xy[vertex].tolist()
+    return f"junction {vertex} ({x:.1f}, {y:.1f})"
