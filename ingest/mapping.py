@@ -17,8 +17,9 @@ from ..topology.closure.walk import SystematicErrors, make_walk
 from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.passes import Passes
-from ..topology.topomap import Closure, RunNoise, TopoMap
+from ..topology.topomap import Closure, TopoMap
 from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
+from .noise import NoiseSettings, estimate_noise
 from .passes import PassSettings, fuse_passes
 from .run import Run
 
@@ -36,6 +37,7 @@ class MappingSettings:
     systematic: SystematicErrors = field(default_factory=SystematicErrors)
     """Constant errors of an odometry that could not be calibrated."""
     passes: PassSettings = field(default_factory=PassSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
     rounds: RoundSettings = field(default_factory=RoundSettings)
     gated: GatedSettings = field(default_factory=GatedSettings)
     driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
@@ -62,7 +64,8 @@ def build_map(
     step("passes")
     passes = fuse_passes(odometry, run.detections, settings.passes)
     _require_passes(run, passes)
-    noise = RunNoise()
+    step("noise")
+    noise = estimate_noise(odometry, run.detections, passes, settings.noise)
     step("loop closure")
     walk = make_walk(odometry, passes, noise, _systematic(calibration, settings))
     if settings.closure == "none":

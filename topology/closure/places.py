@@ -24,9 +24,8 @@ class Places:
     heading: (n, s) [rad] in the map frame; share: (n, s) share of the place's passes that reported
     the branch, 0 for one known from the track alone; visits: (n,) passes; first, last: (n,) its
     first and last pass. next_place, next_slot: (n, s) where the slot was seen to lead, NOWHERE if
-    it was not driven; length: (n, s) of that leg [m]; driven: (n, s) times driven so; tried: (n, s) times driven,
-    wherever it led. entry, exit: (p,)
-    slot by which each pass came and left.
+    it was not driven; length: (n, s) of that leg [m]; driven: (n, s) times driven so; tried: (n, s)
+    times driven, wherever it led. entry, exit: (p,) slot by which each pass came and left.
     """
 
     heading: FloatArray
