@@ -6,25 +6,25 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
-from . import paper
+from . import paper, robust
 from .fusion import DEFAULT_FUSION, FusionSettings, fuse
+from .locks import Lock
 from .paper import DEFAULT_PAPER, PaperSettings
-from .result import MergeResult
-
-if TYPE_CHECKING:
-    Lock = Any
+from .result import MergeResult, PairVerdict
+from .robust import DEFAULT_ROBUST, RobustSettings
 
 
 @dataclass(frozen=True, slots=True)
 class MergeSettings:
     """Which method decides, and how it and the fusion are tuned."""
 
-    method: Literal["robust", "paper"] = "paper"
+    method: Literal["robust", "paper"] = "robust"
     """robust: tolerant matching with evidence in bits; paper: Huang & Beevers as published."""
+    robust: RobustSettings = DEFAULT_ROBUST
     paper: PaperSettings = DEFAULT_PAPER
     fusion: FusionSettings = DEFAULT_FUSION
 
@@ -44,7 +44,13 @@ def merge_maps(
     Raises DataError if two maps are of the same run.
     """
     ordered = _by_run(maps)
-    verdicts = paper.decide(ordered, settings.paper, on_pair=on_pair, executor=executor)
+    verdicts: tuple[PairVerdict, ...]
+    if settings.method == "robust":
+        verdicts = robust.decide(
+            ordered, settings.robust, locks=locks, on_pair=on_pair, executor=executor
+        )
+    else:
+        verdicts = paper.decide(ordered, settings.paper, on_pair=on_pair, executor=executor)
     components, fused = fuse(ordered, verdicts, settings.fusion)
     return MergeResult(components, fused, verdicts, info={"method": settings.method})
 

@@ -3,6 +3,14 @@
 from .alignment import Candidate, match
 from .decide import decide
 from .prepare import Prepared, prepare
-from .settings import RobustSettings
+from .settings import DEFAULT_ROBUST, RobustSettings
 
-__all__ = ["Candidate", "Prepared", "RobustSettings", "decide", "match", "prepare"]
+__all__ = [
+    "DEFAULT_ROBUST",
+    "Candidate",
+    "Prepared",
+    "RobustSettings",
+    "decide",
+    "match",
+    "prepare",
+]
