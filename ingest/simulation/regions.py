@@ -6,6 +6,8 @@ import heapq
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from .chance import Chance
 from .world import FloatArray, World
@@ -34,21 +36,31 @@ def chain_of_regions(
 ) -> list[set[int]]:
     """Connected regions in a row: each shares about `overlap` of its vertices with the one before.
 
-    The world is swept along several directions; the sweep whose overlaps come nearest wins.
+    The world is swept along several directions, and along the way from either end; the sweep whose
+    overlaps come nearest wins.
     With `overlap` 0 the regions share nothing and leave a gap of one vertex.
     """
-    best: tuple[float, list[set[int]]] | None = None
-    directions = [0.0, np.pi, *chance.uniform(-0.25, 0.25, 4).tolist()]
-    for direction in directions:
-        sweep = world.xy[:, 0] * np.cos(direction) + world.xy[:, 1] * np.sin(direction)
-        regions = _sweep(world, runs, size, overlap, sweep)
+
+    def miss(regions: list[set[int]]) -> float:
         shares = [len(a & b) / size for a, b in pairwise(regions)]
-        short = sum(abs(len(r) - size) / size for r in regions)
-        miss = sum(abs(share - overlap) for share in shares) + short
-        if best is None or miss < best[0] - 1e-9:
-            best = (miss, regions)
-    assert best is not None
-    return best[1]
+        short = sum(size - len(region) for region in regions) / size + runs - len(regions)
+        return round(sum(abs(share - overlap) for share in shares) + short, 9)
+
+    directions = [0.0, np.pi, *chance.uniform(-0.25, 0.25, 4).tolist(), 0.5 * np.pi, -0.5 * np.pi]
+    sweeps = [world.xy[:, 0] * np.cos(d) + world.xy[:, 1] * np.sin(d) for d in directions]
+    sweeps += [_way_from(world, int(v)) for v in (np.argmin(sweeps[0]), np.argmax(sweeps[0]))]
+    return min((_sweep(world, runs, size, overlap, sweep) for sweep in sweeps), key=miss)
+
+
+def _way_from(world: World, vertex: int) -> FloatArray:
+    """(n,) length of the shortest way from one vertex to each [m], rounded to a millimetre.
+
+    Two corridors between the same vertices count as one of their joint length.
+    """
+    ends = (world.source, world.target)
+    lengths = coo_matrix((world.length, ends), shape=(len(world), len(world)))
+    way = dijkstra(lengths.tocsr(), directed=False, indices=[vertex])
+    return np.round(way[0], 3)
 
 
 def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray) -> list[set[int]]:
