@@ -59,8 +59,9 @@ def _way_from(world: World, vertex: int) -> FloatArray:
     """
     ends = (world.source, world.target)
     lengths = coo_matrix((world.length, ends), shape=(len(world), len(world)))
-    way = dijkstra(lengths.tocsr(), directed=False, indices=[vertex])
-    return np.round(way[0], 3)
+    way: FloatArray = dijkstra(lengths.tocsr(), directed=False, indices=[vertex])[0]
+    rounded: FloatArray = np.round(way, 3)
+    return rounded
 
 
 def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray) -> list[set[int]]:
