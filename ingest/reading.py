@@ -314,7 +314,10 @@ def _odometry(
         transforms = ODOMETRY_KINDS[choice.type_name][1] == "transforms"
         pair = pair_of_transforms(source) if transforms else pair_of_poses(source)
         if pair is not None:
-            source.keep(source.columns.frame == pair)
+            chosen = source.columns.frame == pair
+            if not transforms:
+                source.elsewhere = int((~chosen).sum())
+            source.keep(chosen)
             return choice, source, source.frames[pair]
         lack = "no transform from an odom frame" if transforms else "no usable pose"
         reasons.append(f"{choice.topic} holds {lack}" + _because(source, choice.topic))

@@ -21,7 +21,8 @@ class Source:
     """Everything that one topic gave.
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: how
-    many there were; failed, not_finite, zero_quaternion: what could not be used.
+    many there were; failed, not_finite, zero_quaternion,
+    empty, elsewhere: what could not be used.
     """
 
     columns: PoseColumns
@@ -31,6 +32,8 @@ class Source:
     failed: int
     not_finite: int
     zero_quaternion: int
+    empty: int
+    elsewhere: int = 0
 
     @classmethod
     def of(cls, sinks: Sequence[Sink]) -> Source:
@@ -54,6 +57,7 @@ class Source:
             sum(sink.failed for sink in sinks),
             sum(sink.not_finite for sink in sinks),
             sum(sink.zero_quaternion for sink in sinks),
+            sum(sink.empty for sink in sinks),
         )
 
     def __len__(self) -> int:
@@ -75,7 +79,9 @@ class Source:
         out = []
         for count, what in (
             (self.failed, "messages could not be decoded"),
-            (self.not_finite, "poses hold numbers that are not finite"),
+            (self.empty, "messages hold no pose"),
+            (self.elsewhere, "poses are between other frames"),
+            (self.not_finite, "poses hold numbers that are not finite or absurdly large"),
             (self.zero_quaternion, "poses have a quaternion of zero length"),
         ):
             if count:

@@ -24,6 +24,9 @@ DENSE = 64
 
 PENDING_BYTES = 1 << 20
 
+FARTHEST = 1e9
+"""No robot's odometry goes farther [m]; what does is taken for a broken number."""
+
 _MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
 
 
@@ -71,7 +74,7 @@ class Sink:
     """Everything read from one channel.
 
     messages: taken in; failed: messages that do not decode; not_finite, zero_quaternion: poses
-    left out.
+    left out; empty: messages without any pose.
     """
 
     channel: Channel
@@ -80,6 +83,7 @@ class Sink:
     not_finite: int = 0
     zero_quaternion: int = 0
     undecoded: int = 0
+    empty: int = 0
     _pieces: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
@@ -153,7 +157,13 @@ class Sink:
         self._decode(data, log_ns, np.cumsum(size) - size, size)
 
     def _decode(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
-        poses = self._usable(self.decoder.decode(data, start, size))
+        failed = self.decoder.failed
+        decoded = self.decoder.decode(data, start, size)
+        failed = self.decoder.failed - failed
+        # Messages are numbered in their order, so that each change of the number is a message.
+        told = int(np.count_nonzero(np.diff(decoded.message, prepend=-1)))
+        self.empty += len(start) - failed - told
+        poses = self._usable(decoded)
         x, y, _, qx, qy, qz, qw = poses.value.T
         self._pieces.append(
             (
@@ -170,16 +180,19 @@ class Sink:
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
+        # NaN compares as false, so that it is never inside.
+        inside = np.abs(poses.value) <= FARTHEST
+        if not inside.all():
+            finite = np.asarray(inside.all(axis=1))
+            self.not_finite += int((~finite).sum())
+            poses = poses.rows(finite)
         # Far below any unit quaternion, far above what rounding leaves of a zero one.
         rotation = poses.value[:, 3:]
-        turned = np.einsum("ij,ij->i", rotation, rotation) > 1e-12
-        if turned.all() and np.isfinite(poses.value).all():
-            return poses
-        finite = np.isfinite(poses.value).all(axis=1)
-        usable = finite & turned
-        self.not_finite += int((~finite).sum())
-        self.zero_quaternion += int((finite & ~turned).sum())
-        return poses.rows(usable)
+        turned = np.asarray(np.einsum("ij,ij->i", rotation, rotation) > 1e-12)
+        if not turned.all():
+            self.zero_quaternion += int((~turned).sum())
+            poses = poses.rows(turned)
+        return poses
 
 
 class Intake:

@@ -53,8 +53,13 @@ def normal_topic(name: str) -> str:
 
 
 def text(raw: bytes) -> str:
-    """Bytes of a name as text; what is no UTF-8 is replaced, never an error."""
-    return raw[:NAME_BYTES].decode("utf-8", "replace")
+    """Bytes of a name as text on one line; what cannot be shown is replaced, never an error."""
+    return printable(raw[:NAME_BYTES].decode("utf-8", "replace"))
+
+
+def printable(name: str) -> str:
+    """A name in which every character can be shown."""
+    return name if name.isprintable() else "".join(c if c.isprintable() else "�" for c in name)
 
 
 class Block(NamedTuple):
@@ -90,6 +95,11 @@ class Survey(NamedTuple):
     end_ns: int
 
 
+def one_line(error: object) -> str:
+    """The text of an error from elsewhere, short and on one line."""
+    return printable(" ".join(str(error).split()))[:200]
+
+
 @dataclass(slots=True)
 class Findings:
     """What was met on the way through a log: counts, and everything that is wrong with it.
@@ -104,6 +114,7 @@ class Findings:
     truncated: bool = False
     unindexed: bool = False
     unreadable_bytes: int = 0
+    broken_rows: int = 0
     damaged_chunks: Counter[str] = field(default_factory=Counter)
     first_ns: int | None = None
     last_ns: int | None = None
@@ -118,6 +129,10 @@ class Findings:
         """Widen the span of log times met."""
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
+
+    def unreadable_rows(self, count: int) -> None:
+        """Count rows of a table that hold no message."""
+        self.broken_rows += count
 
     def note(self, sentence: str) -> None:
         """Keep a sentence, once."""
@@ -137,6 +152,8 @@ class Findings:
             out.append(f"{count} damaged chunk{'s' * (count > 1)} skipped: {reason}")
         if self.unreadable_bytes:
             out.append(f"{self.unreadable_bytes} bytes could not be read as messages")
+        if self.broken_rows:
+            out.append(f"{self.broken_rows} rows of the database hold no message")
         if self.truncated:
             out.append("the log is cut short")
         if self.unknown:

@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -21,6 +22,8 @@ from .messages import (
     Want,
     normal_topic,
     normal_type,
+    one_line,
+    printable,
 )
 
 MAGIC = b"SQLite format 3\x00"
@@ -64,16 +67,24 @@ class SqliteFile:
             with closing(_connect(self.path)) as base:
                 channels = _channels(base)
                 sinks = {key: want(channel) for key, channel in channels.items()}
-                wanted = [key for key, sink in sinks.items() if sink >= 0]
-                marks = ",".join("?" * len(wanted))
+                # Rows of topics that are described nowhere come along, to be counted.
+                unwanted = [key for key, sink in sinks.items() if sink < 0]
+                marks = ",".join("?" * len(unwanted))
                 cursor = base.execute(
-                    f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks})",
-                    wanted,
+                    "SELECT topic_id, timestamp, data FROM messages "
+                    f"WHERE topic_id NOT IN ({marks})",
+                    unwanted,
                 )
                 while rows := cursor.fetchmany(ROWS):
-                    yield _block(rows, sinks, channels, findings)
+                    block = _block(rows, sinks, channels, findings)
+                    if len(block.sink):
+                        yield block
+                if len(unwanted) == len(channels):
+                    for key, count in _counts(base).items():
+                        if key in channels:
+                            findings.seen(channels[key], count)
         except sqlite3.Error as error:
-            findings.note(f"the database is damaged ({error})")
+            findings.note(f"the database is damaged ({one_line(error)})")
         if progress is not None:
             progress(total)
 
@@ -83,7 +94,7 @@ def _connect(path: Path) -> sqlite3.Connection:
     try:
         return sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)
     except sqlite3.Error as error:
-        raise LogError(f"{path}: cannot be opened as a database ({error})") from error
+        raise LogError(f"{path}: cannot be opened as a database ({one_line(error)})") from error
 
 
 def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
@@ -99,9 +110,8 @@ def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
         f"SELECT id, name, type, {encoding} FROM topics"
     ):
         kind, body = definitions.get(str(type_name), ("", b""))
-        out[int(key)] = Channel(
-            normal_topic(str(name)), normal_type(str(type_name)), str(form), body, kind
-        )
+        names = normal_topic(printable(str(name))), normal_type(printable(str(type_name)))
+        out[int(key)] = Channel(*names, printable(str(form)), body, kind)
     return out
 
 
@@ -123,21 +133,26 @@ def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
 
 
 def _block(
-    rows: list[tuple[int, int, bytes]],
+    rows: list[tuple[Any, Any, Any]],
     sinks: dict[int, int],
     channels: dict[int, Channel],
     findings: Findings,
 ) -> Block:
-    keys, times, payloads = zip(*rows, strict=True)
-    size = np.fromiter(map(len, payloads), np.int64, len(rows))
-    start = np.concatenate([[0], np.cumsum(size)[:-1]]).astype(np.int64)
-    data = np.frombuffer(b"".join(payloads), np.uint8)
+    """The wanted rows as one buffer; sqlite keeps any type in any column, so they are checked."""
+    good = [row for row in rows if type(row[2]) is bytes and type(row[1]) is int]
+    findings.unreadable_rows(len(rows) - len(good))
+    known = [row for row in good if row[0] in channels]
+    findings.unknown += len(good) - len(known)
+    keys, times, payloads = zip(*known, strict=True) if known else ((), (), ())
+    size = np.fromiter(map(len, payloads), np.int64, len(known))
     key = np.array(keys, np.int64)
     log_time = np.array(times, np.int64)
-    sink = np.zeros(len(rows), np.int64)
-    for number in np.unique(key).tolist():
+    sink = np.zeros(len(known), np.int64)
+    for number in set(keys):
         chosen = key == number
         sink[chosen] = sinks[number]
         findings.seen(channels[number], int(chosen.sum()))
-    findings.span(int(log_time.min()), int(log_time.max()))
-    return Block(data, sink, log_time, start, size)
+    if known:
+        findings.span(int(log_time.min()), int(log_time.max()))
+    data = np.frombuffer(b"".join(payloads), np.uint8)
+    return Block(data, sink, log_time, np.cumsum(size) - size, size)
