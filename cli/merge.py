@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..topology.errors import DataError, DocumentError
+from ..topology.errors import DataError, DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
 from .output import Screen, count
 from .workspace import Workspace, shortened
 
 if TYPE_CHECKING:
+    from ..merge.locks import Lock
+    from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
     from ..topology.topomap import TopoMap
 
@@ -33,13 +36,30 @@ def merge(
             help="robust: tolerant matching, evidence in bits, three verdicts; "
             "paper: Huang & Beevers as published, for comparison."
         ),
-    ] = "paper",
+    ] = "robust",
     false_merge_rate: Annotated[
-        float,
+        float | None,
         typer.Option(
-            min=1e-9, max=0.5, help="Robust method: share of batches allowed any false merge."
+            min=1e-9,
+            max=0.5,
+            help="Robust method: share of batches that may hold any false merge; default 0.001.",
         ),
-    ] = 1e-3,
+    ] = None,
+    degree: Annotated[
+        Literal["exact", "inexact"] | None,
+        typer.Option(
+            help="Paper's method: must matched junctions have equally many branches (static "
+            "world, the default), or may doors open and close?"
+        ),
+    ] = None,
+    met: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="RUN@TIME,RUN@TIME",
+            help="Paper's method: two robots were near each other, each at a time of its own log; "
+            "only junctions near both start hypotheses. May be given several times.",
+        ),
+    ] = None,
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=0, help="Processes to match with; 0: one per core.")
     ] = 1,
@@ -52,9 +72,10 @@ def merge(
     nearly as well) or unrelated. Only merged pairs join. The order of the runs does not matter.
     """
     place, screen = Workspace(workspace), Screen(quiet)
+    settings = _settings(method, false_merge_rate, degree, met or [])
     with place.held(screen.warn):
         maps, broken = _read_maps(place, place.chosen_runs(runs or [], everything), screen)
-        result = _merged(maps, place, screen, method, false_merge_rate, jobs)
+        result = _merged(maps, settings, place.locks(), jobs, screen)
         _write(place, result, maps)
     _summarise(result, place, screen)
     if broken:
@@ -83,17 +104,38 @@ def _read_maps(
     return maps, broken
 
 
+def _settings(
+    method: Literal["robust", "paper"],
+    false_merge_rate: float | None,
+    degree: Literal["exact", "inexact"] | None,
+    met: list[str],
+) -> MergeSettings:
+    """The settings that the options ask for; UsageError if they are the other method's."""
+    from ..merge.meeting import parse_meeting
+    from ..merge.merging import MergeSettings
+
+    if method == "robust" and (degree is not None or met):
+        raise UsageError("--degree and --met belong to --method paper")
+    if method == "paper" and false_merge_rate is not None:
+        raise UsageError("--false-merge-rate belongs to --method robust")
+    settings = MergeSettings(method=method)
+    if false_merge_rate is not None:
+        robust = replace(settings.robust, false_merge_rate=false_merge_rate)
+        return replace(settings, robust=robust)
+    growth = replace(settings.paper.growth, degree=degree or settings.paper.growth.degree)
+    meetings = tuple(parse_meeting(text) for text in met)
+    return replace(settings, paper=replace(settings.paper, growth=growth, meetings=meetings))
+
+
 def _merged(
     maps: list[TopoMap],
-    place: Workspace,
-    screen: Screen,
-    method: Literal["robust", "paper"],
-    false_merge_rate: float,
+    settings: MergeSettings,
+    locks: tuple[Lock, ...],
     jobs: int,
+    screen: Screen,
 ) -> MergeResult:
-    from ..merge.merging import MergeSettings, merge_maps
+    from ..merge.merging import merge_maps
 
-    settings = MergeSettings(method=method)
     pairs = len(maps) * (len(maps) - 1) // 2
     with (
         _executor(jobs, pairs) as executor,
@@ -102,6 +144,7 @@ def _merged(
         return merge_maps(
             maps,
             settings,
+            locks=locks,
             on_pair=lambda done, _: advance(done),
             executor=executor,
         )
