@@ -115,6 +115,7 @@ class Findings:
     unindexed: bool = False
     unreadable_bytes: int = 0
     broken_rows: int = 0
+    damaged_pages: int = 0
     damaged_chunks: Counter[str] = field(default_factory=Counter)
     first_ns: int | None = None
     last_ns: int | None = None
@@ -129,10 +130,6 @@ class Findings:
         """Widen the span of log times met."""
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
-
-    def unreadable_rows(self, count: int) -> None:
-        """Count rows of a table that hold no message."""
-        self.broken_rows += count
 
     def note(self, sentence: str) -> None:
         """Keep a sentence, once."""
@@ -152,6 +149,8 @@ class Findings:
             out.append(f"{count} damaged chunk{'s' * (count > 1)} skipped: {reason}")
         if self.unreadable_bytes:
             out.append(f"{self.unreadable_bytes} bytes could not be read as messages")
+        if self.damaged_pages:
+            out.append(f"{self.damaged_pages} damaged pages of the database skipped")
         if self.broken_rows:
             out.append(f"{self.broken_rows} rows of the database hold no message")
         if self.truncated:

@@ -14,9 +14,13 @@ import numpy as np
 from ...topology.errors import LogError
 from .messages import (
     SCHEMA_BYTES,
+    UNWANTED,
     Block,
     Channel,
+    DamageError,
+    FileWindow,
     Findings,
+    Ints,
     Progress,
     Survey,
     Want,
@@ -25,9 +29,12 @@ from .messages import (
     one_line,
     printable,
 )
+from .sqlite_pages import Pages, Rows
 
 MAGIC = b"SQLite format 3\x00"
 ROWS = 2048
+_TOPICS = 1 << 15
+_UNKNOWN = -2
 
 
 class SqliteFile:
@@ -61,32 +68,133 @@ class SqliteFile:
     def blocks(
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
-        """All wanted messages in the order of their rows."""
-        total = self.path.stat().st_size
+        """All messages in the order of their rows. O(bytes of the pages that hold any).
+
+        Goes through the pages where it can, through the library where some messages are still in
+        a write-ahead log, and over every page of a database that the library refuses.
+        """
+        with FileWindow(self.path, progress) as window:
+            before = findings.messages
+            try:
+                with closing(_connect(self.path)) as base:
+                    reader = _Reader(base, want, findings)
+                    root = None if _unmerged(self.path) else _root(base)
+                    if root is None:
+                        yield from reader.by_library()
+                    else:
+                        yield from reader.by_pages(Pages(window), root)
+            except (sqlite3.Error, DamageError) as error:
+                findings.note(f"the database is damaged ({one_line(error)})")
+                # The tree of pages is read before any row: what fails later has given its rows.
+                if findings.messages == before:
+                    yield from self._salvaged(window, want, findings)
+            window.passed(window.size)
+
+    def _salvaged(self, window: FileWindow, want: Want, findings: Findings) -> Iterator[Block]:
+        """The rows on every page that is left, without the tree that orders them."""
         try:
+            pages = Pages(window)
+            declared = int.from_bytes(window.view(28, 4).tobytes(), "big")
+            findings.truncated |= declared > pages.count
             with closing(_connect(self.path)) as base:
-                channels = _channels(base)
-                sinks = {key: want(channel) for key, channel in channels.items()}
-                # Rows of topics that are described nowhere come along, to be counted.
-                unwanted = [key for key, sink in sinks.items() if sink < 0]
-                marks = ",".join("?" * len(unwanted))
-                cursor = base.execute(
-                    "SELECT topic_id, timestamp, data FROM messages "
-                    f"WHERE topic_id NOT IN ({marks})",
-                    unwanted,
-                )
-                while rows := cursor.fetchmany(ROWS):
-                    block = _block(rows, sinks, channels, findings)
-                    if len(block.sink):
-                        yield block
-                if len(unwanted) == len(channels):
-                    for key, count in _counts(base).items():
-                        if key in channels:
-                            findings.seen(channels[key], count)
-        except sqlite3.Error as error:
-            findings.note(f"the database is damaged ({one_line(error)})")
-        if progress is not None:
-            progress(total)
+                # Lets the library open a file that is shorter than its header says.
+                base.execute("PRAGMA writable_schema = ON")
+                reader = _Reader(base, want, findings)
+            yield from reader.by_every_page(pages)
+        except (sqlite3.Error, DamageError) as error:
+            findings.note(f"its topics cannot be read ({one_line(error)})")
+
+
+class _Reader:
+    """Gives the rows of one database as blocks, and counts them."""
+
+    def __init__(self, base: sqlite3.Connection, want: Want, findings: Findings) -> None:
+        self._base = base
+        self._findings = findings
+        self._channels = _channels(base)
+        self._sinks = {key: want(channel) for key, channel in self._channels.items()}
+        self._sink = np.full(_TOPICS, _UNKNOWN, np.int64)
+        for key, sink in self._sinks.items():
+            if 0 <= key < _TOPICS:
+                self._sink[key] = sink
+
+    def by_library(self) -> Iterator[Block]:
+        """All rows as the library gives them."""
+        cursor = self._base.execute("SELECT topic_id, timestamp, data FROM messages")
+        while rows := cursor.fetchmany(ROWS):
+            yield from self._block(rows)
+
+    def by_pages(self, pages: Pages, root: int) -> Iterator[Block]:
+        """All rows from the leaf pages of the table; large ones from the library."""
+        for data in pages.batches(pages.leaves(root)):
+            rows = pages.rows(data)
+            self._findings.damaged_pages += rows.broken
+            yield from self._columns(rows)
+            yield from self._large(rows)
+
+    def by_every_page(self, pages: Pages) -> Iterator[Block]:
+        """All rows of described topics on any page that looks like a leaf."""
+        for data in pages.batches(np.arange(1, pages.count + 1)):
+            rows = pages.rows(data)
+            known = self._sink[np.clip(rows.topic, 0, _TOPICS - 1)] != _UNKNOWN
+            yield from self._columns(rows.only(known))
+            known = rows.elsewhere_topic >= 0
+            known &= self._sink[np.clip(rows.elsewhere_topic, 0, _TOPICS - 1)] >= 0
+            self._findings.broken_rows += int(known.sum())
+
+    def _columns(self, rows: Rows) -> Iterator[Block]:
+        """The wanted ones of rows that lie in pages; all are counted."""
+        self._count(rows.topic, rows.time_ns)
+        sink = self._sink[np.clip(rows.topic, 0, _TOPICS - 1)]
+        keep = sink >= 0
+        if keep.any():
+            start, size = rows.start[keep], rows.size[keep]
+            yield Block(rows.data, sink[keep], rows.time_ns[keep], start, size)
+
+    def _large(self, rows: Rows) -> Iterator[Block]:
+        """Rows that go on in other pages: the unwanted ones are counted, the others fetched."""
+        topic = rows.elsewhere_topic
+        sink = self._sink[np.clip(topic, 0, _TOPICS - 1)]
+        unwanted = (topic >= 0) & (sink == UNWANTED)
+        self._count(topic[unwanted], np.zeros(0, np.int64))
+        wanted = rows.elsewhere[~unwanted].tolist()
+        for first in range(0, len(wanted), 500):
+            some = wanted[first : first + 500]
+            marks = ",".join("?" * len(some))
+            query = f"SELECT topic_id, timestamp, data FROM messages WHERE id IN ({marks})"
+            try:
+                found = self._base.execute(query, some).fetchall()
+            except sqlite3.Error:
+                self._findings.broken_rows += len(some)
+                continue
+            self._findings.broken_rows += len(some) - len(found)
+            yield from self._block(found)
+
+    def _block(self, rows: list[tuple[Any, Any, Any]]) -> Iterator[Block]:
+        """The wanted ones of the library's rows as a block; sqlite keeps any type anywhere."""
+        good = [r for r in rows if type(r[0]) is type(r[1]) is int and type(r[2]) is bytes]
+        self._findings.broken_rows += len(rows) - len(good)
+        topic = np.array([row[0] for row in good], np.int64)
+        time_ns = np.array([row[1] for row in good], np.int64)
+        self._count(topic, time_ns)
+        sink = self._sink[np.clip(topic, 0, _TOPICS - 1)]
+        kept = np.flatnonzero(sink >= 0)
+        if len(kept):
+            payloads = [good[k][2] for k in kept.tolist()]
+            size = np.fromiter(map(len, payloads), np.int64, len(payloads))
+            data = np.frombuffer(b"".join(payloads), np.uint8)
+            yield Block(data, sink[kept], time_ns[kept], np.cumsum(size) - size, size)
+
+    def _count(self, topic: Ints, time_ns: Ints) -> None:
+        counts = np.bincount(np.clip(topic, 0, _TOPICS - 1))
+        for key in np.flatnonzero(counts).tolist():
+            channel = self._channels.get(key)
+            if channel is None:
+                self._findings.unknown += int(counts[key])
+            else:
+                self._findings.seen(channel, int(counts[key]))
+        if len(time_ns):
+            self._findings.span(int(time_ns.min()), int(time_ns.max()))
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -132,27 +240,19 @@ def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
     return dict.fromkeys(present, 1)
 
 
-def _block(
-    rows: list[tuple[Any, Any, Any]],
-    sinks: dict[int, int],
-    channels: dict[int, Channel],
-    findings: Findings,
-) -> Block:
-    """The wanted rows as one buffer; sqlite keeps any type in any column, so they are checked."""
-    good = [row for row in rows if type(row[2]) is bytes and type(row[1]) is int]
-    findings.unreadable_rows(len(rows) - len(good))
-    known = [row for row in good if row[0] in channels]
-    findings.unknown += len(good) - len(known)
-    keys, times, payloads = zip(*known, strict=True) if known else ((), (), ())
-    size = np.fromiter(map(len, payloads), np.int64, len(known))
-    key = np.array(keys, np.int64)
-    log_time = np.array(times, np.int64)
-    sink = np.zeros(len(known), np.int64)
-    for number in set(keys):
-        chosen = key == number
-        sink[chosen] = sinks[number]
-        findings.seen(channels[number], int(chosen.sum()))
-    if known:
-        findings.span(int(log_time.min()), int(log_time.max()))
-    data = np.frombuffer(b"".join(payloads), np.uint8)
-    return Block(data, sink, log_time, np.cumsum(size) - size, size)
+def _unmerged(path: Path) -> bool:
+    """Whether a log beside the database holds changes that its pages lack."""
+    beside = (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal"))
+    return any(log.is_file() and log.stat().st_size > 0 for log in beside)
+
+
+def _root(base: sqlite3.Connection) -> int | None:
+    """The first page of the messages, None if the table is not laid out as usual."""
+    columns = [row[1:3] for row in base.execute("PRAGMA table_info(messages)")]
+    if [name for name, _ in columns] != ["id", "topic_id", "timestamp", "data"]:
+        return None
+    query = "SELECT rootpage, sql FROM sqlite_master WHERE type = 'table' AND name = 'messages'"
+    root, sql = base.execute(query).fetchone()
+    # Only this declaration makes the id the row's own number, which is not stored in the row.
+    usual = columns[0][1].upper() == "INTEGER" and "PRIMARY KEY" in sql.upper()
+    return int(root) if usual and "WITHOUT" not in sql.upper() else None

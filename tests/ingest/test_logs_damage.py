@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+import sqlite3
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
+from topobatch.ingest.sightings import SightingSettings
 from topobatch.topology.errors import LogError
 
 WRITERS = {
@@ -224,3 +227,80 @@ def test_a_file_that_metadata_names_but_is_missing_is_reported(logs, tmp_path):
     run = read_run(folder)
     assert len(run.odometry) == 300
     assert any("metadata.yaml cannot be read" in text for text in run.warnings)
+
+
+def big_database(logs, tmp_path) -> Path:
+    """A folder's database with large rows between the others, so that pages follow no pattern."""
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive())
+    path = folder / "run.db3"
+    base = sqlite3.connect(path)
+    base.execute("INSERT INTO topics SELECT 9, '/camera', 'sensor_msgs/msg/Image', 'cdr', '', ''")
+    rows = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id").fetchall()
+    base.execute("DELETE FROM messages")
+    base.commit()
+    base.execute("VACUUM")
+    for number, row in enumerate(rows):
+        base.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
+        if number % 25 == 0:
+            image = (9, row[1], bytes(range(256)) * 40)
+            base.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", image)
+    base.commit()
+    base.close()
+    return path
+
+
+def test_pages_give_what_the_library_gives(logs, tmp_path):
+    path = big_database(logs, tmp_path)
+    run = read_run(path)
+    assert run.warnings == ()
+    assert (len(run.odometry), len(run.detections)) == (300, 30)
+    counts = {topic.topic: topic.messages for topic in inspect_log(path).topics}
+    assert counts == {"/camera": 14, "/junctions": 30, "/odom": 300}
+
+
+def test_rows_too_large_for_a_page_are_read(logs, tmp_path):
+    messages = logs.drive()
+    many = tuple(logs.yaw_pose(0.5, 0.125, 0.05 * k) for k in range(100))
+    messages = [
+        replace(m, poses=many) if m.topic == "/junctions" and k < 100 else m
+        for k, m in enumerate(messages)
+    ]
+    settings = ReadSettings(sightings=SightingSettings(max_branches=200))
+    run = read_run(logs.ros2_folder(tmp_path / "run", messages), settings)
+    assert run.detections.branches.counts.tolist()[:9] == [100] * 9
+    assert len(run.detections) == 30
+
+
+def test_a_database_cut_anywhere_gives_all_that_is_left(logs, tmp_path):
+    path = big_database(logs, tmp_path)
+    raw = path.read_bytes()
+    store = logs.store_of(False)
+    ends = []
+    for message in logs.drive():
+        payload = logs.payload(message, "cdr", store)
+        # A row is there when the page that it ends in is.
+        ends.append((raw.index(payload) // 4096 + 1) * 4096)
+    cut_path = tmp_path / "cut.db3"
+    read = 0
+    for percent in range(1, 100):
+        cut = len(raw) * percent // 100
+        cut_path.write_bytes(raw[:cut])
+        run = read_part(cut_path)
+        if run is not None:
+            read += 1
+            count = len(run.odometry) + len(run.detections)
+            assert count == sum(end <= cut for end in ends)
+            assert any("cut short" in text or "damaged" in text for text in run.warnings)
+    assert read > 60
+
+
+def test_a_destroyed_page_costs_its_rows_alone(logs, tmp_path):
+    path = big_database(logs, tmp_path)
+    raw = bytearray(path.read_bytes())
+    payload = logs.payload(logs.drive()[200], "cdr", logs.store_of(False))
+    page = raw.index(payload) // 4096 * 4096
+    raw[page : page + 4096] = bytes(4096)
+    path.write_bytes(raw)
+    run = read_run(path)
+    assert "1 damaged pages of the database skipped" in run.warnings
+    assert 320 <= len(run.odometry) + len(run.detections) < 330
