@@ -142,10 +142,11 @@ def _cards(
     """The frame, title and legend of every component."""
     titles = [part.short_title if len(parts) > MOST_LONG_TITLES else part.title for part in parts]
     write_cards(recording, root, [part.cell for part in parts], titles if len(parts) > 1 else [])
-    tops = np.array([(part.cell.low[1], part.cell.high[1]) for part in parts])
+    corners = np.array([(part.cell.low, part.cell.high) for part in parts]).reshape(-1, 2)
     for part in parts:
         if part.legend_m > 0:
-            step_m = float(np.ptp(tops)) / LEGEND_LINES
+            width, height = np.ptp(corners, axis=0)
+            step_m = float(max(width / ASPECT, height)) / LEGEND_LINES
             entries = {run: colours[run] for run in sorted(part.component.poses)}
             if root == AGREEMENT:
                 entries = _count_colours(part)

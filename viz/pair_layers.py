@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ..merge.result import MergeResult, PairVerdict
+from ..merge.result import Alignment, MergeResult, PairVerdict
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from . import palette
@@ -171,9 +171,10 @@ def write_undecided(
     ]
     points = [np.concatenate([maps[p.a].xy, apply(a.transform, maps[p.b].xy)]) for p, _, a in laid]
     turns = [upright_rad(maps[p.a].paths) for p, _, _ in laid]
-    cells = arrange(points, turns, sheet_margin_m(points))
+    together = [pairs.index(pair) for pair, _, _ in laid]
+    cells = arrange(points, turns, sheet_margin_m(points), groups=together)
     recording.static((UNDECIDED,), UP)
-    titles = [f"{p.a} - {p.b}, {name}: {a.evidence_bits:.0f} bits" for p, name, a in laid]
+    titles = [f"{p.a} - {p.b}, {name}: {_agreement(a)}" for p, name, a in laid]
     write_cards(recording, UNDECIDED, cells, titles)
     pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
     for (pair, name, alignment), cell in zip(laid, cells, strict=True):
@@ -185,6 +186,13 @@ def write_undecided(
         matched = maps[pair.a].xy[alignment.matched[:, 0]]
         _matched(recording, (*here, "matched"), matched, pen)
     return cells
+
+
+def _agreement(a: Alignment) -> str:
+    """How many junctions speak for a placement, and how many things against it."""
+    count, against = len(a.matched), len(a.contradictions)
+    told = f"{count} junction{'s' * (count != 1)} agree{'s' * (count == 1)}"
+    return f"{told}, {against} against" if against else told
 
 
 def _matched(recording: Recording, path: PathParts, xy: NDArray[np.float64], pen: float) -> None:

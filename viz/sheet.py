@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..topology.se2 import apply, rotation
 
-ASPECT = 1.5
+ASPECT = 1.3
 """Width over height that a sheet aims at: that of a view in the viewer."""
 
 MIN_SIDE_M = 4.0
@@ -62,16 +62,20 @@ def arrange(
     turns_rad: Sequence[float],
     margin_m: float,
     legends_m: Sequence[float] | None = None,
+    *,
     aspect: float = ASPECT,
+    groups: Sequence[int] | None = None,
 ) -> list[Cell]:
     """A cell for each map, given its points (n, 2) and its turn; the order of reading is kept.
 
-    legends_m: room to leave at the right of each map. Cells fill rows from the left to the right,
+    legends_m: room to leave at the right of each map; groups: a number for each map, the same for
+    neighbours that are to stay in one row. Cells fill rows from the left to the right,
     the top row first (y points up); rows are as long as lets a sheet of the aspect, width
     over height, show them largest. O(points).
     """
     lows, sizes = [], []
     legends = [0.0] * len(point_sets) if legends_m is None else legends_m
+    groups = range(len(point_sets)) if groups is None else groups
     for points, turn, legend in zip(point_sets, turns_rad, legends, strict=True):
         turned = apply(np.array([0.0, 0.0, turn]), points) if len(points) else np.zeros((1, 2))
         low, high = turned.min(axis=0), turned.max(axis=0)
@@ -80,38 +84,53 @@ def arrange(
         sizes.append(high - low + 2 * spare + 2 * margin_m + np.array([legend, 0.0]))
     cells = []
     for corner, low, size, turn in zip(
-        _shelves(sizes, aspect), lows, sizes, turns_rad, strict=True
+        _shelves(sizes, aspect, groups), lows, sizes, turns_rad, strict=True
     ):
         shift = corner + margin_m - low
         cells.append(Cell(np.array([*shift, turn]), corner, corner + size))
     return cells
 
 
-def _shelves(sizes: Sequence[NDArray[np.float64]], aspect: float) -> list[NDArray[np.float64]]:
+def _shelves(
+    sizes: Sequence[NDArray[np.float64]], aspect: float, groups: Sequence[int]
+) -> list[NDArray[np.float64]]:
     """The low corner of every box, laid in rows; a row's boxes hang from its top.
 
     Of several widths for the rows, the one that lets the whole be drawn largest is taken.
     """
     if not sizes:
         return []
-    widest = max(float(w) for w, _ in sizes)
+    ahead = _group_widths(sizes, groups)
+    widest = max(ahead)
     widths = np.linspace(widest, max(widest, sum(float(w) for w, _ in sizes)), WIDTHS_TRIED)
     if len(sizes) > WIDTHS_TRIED:
         area = sum(float(w * h) for w, h in sizes)
         widths = np.maximum(widest, np.sqrt(area * aspect) * np.linspace(0.9, 1.4, WIDTHS_TRIED))
-    laid = [_rows(sizes, float(width)) for width in widths]
+    laid = [_rows(sizes, ahead, float(width)) for width in widths]
     best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / aspect, laid[i][2]), i))
     return laid[best][0]
 
 
+def _group_widths(sizes: Sequence[NDArray[np.float64]], groups: Sequence[int]) -> list[float]:
+    """For the first box of every group the width of all of it, for the others 0."""
+    starts = np.flatnonzero(np.diff(groups, prepend=-1))
+    totals = np.add.reduceat([float(w) for w, _ in sizes], starts)
+    ahead = np.zeros(len(sizes))
+    ahead[starts] = totals
+    return [float(width) for width in ahead]
+
+
 def _rows(
-    sizes: Sequence[NDArray[np.float64]], width: float
+    sizes: Sequence[NDArray[np.float64]], ahead: Sequence[float], width: float
 ) -> tuple[list[NDArray[np.float64]], float, float]:
-    """Low corners of the boxes in rows of at most the given width, and the sheet's size."""
+    """Low corners of the boxes in rows of at most the given width, and the sheet's size.
+
+    ahead: room that a box needs so that it starts in a row, 0 for those that follow another one.
+    """
     corners = []
     x = top = row = used = 0.0
-    for w, h in sizes:
-        if x > 0 and x + w > width * (1 + 1e-9):
+    for (w, h), needed in zip(sizes, ahead, strict=True):
+        if x > 0 and needed > 0 and x + needed > width * (1 + 1e-9):
             x, top, row = 0.0, top - row, 0.0
         corners.append(np.array([x, top - h]))
         x, row = x + w, max(row, h)

@@ -55,6 +55,16 @@ def test_cells_hold_their_maps_and_do_not_overlap(
             assert shared.min() <= 1e-6
 
 
+@given(st.lists(st.tuples(st.floats(1, 80), st.booleans()), min_size=1, max_size=20))
+def test_groups_stay_in_one_row(boxes: list[tuple[float, bool]]) -> None:
+    points = [np.array([(0.0, 0.0), (w, 10.0)]) for w, _ in boxes]
+    groups = np.cumsum([new for _, new in boxes]).tolist()
+    cells = arrange(points, [0.0] * len(points), 1.0, groups=groups)
+    for i in range(1, len(cells)):
+        if groups[i] == groups[i - 1]:
+            assert cells[i].high[1] == cells[i - 1].high[1]
+
+
 def test_a_map_of_no_vertex_gets_a_cell() -> None:
     (cell,) = arrange([np.zeros((0, 2))], [0.0], margin_m=1.0)
     assert np.all(cell.high - cell.low > 2.0)
