@@ -1,12 +1,13 @@
 """Vertices of different runs that lie on each other once their maps share a frame.
 
 No pair of maps need have matched them: a corner that only one run knew when it met the second, a
-match too small to count alone. They are fused when each is the other's nearest, near enough, and
-their branches fit; whatever is doubtful stays apart.
+match too small to count alone. They are fused when each is the other's nearest, near enough, their
+branches fit and the corridors around them bear it out; whatever is doubtful stays apart.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +16,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from ..topology.passes import NO_BRANCH
 from ..topology.se2 import wrap
 from .identity import Groups, Pool
-from .joint import branch_headings
+from .joint import pass_counts
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -39,47 +41,179 @@ class CoincidenceSettings:
     """Branches fit within this angle."""
     spare_branches: int = 1
     """Branches that either vertex may have and the other not."""
+    length_m: float = 0.5
+    """Corridors agree in length within this …"""
+    length_share: float = 0.06
+    """… plus this share of it."""
+    min_chain: int = 3
+    """Runs that were not matched with each other coincide in at least so many joined places."""
 
 
 DEFAULT_COINCIDENCE = CoincidenceSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """A corridor seen from one row: the row at its other end and its length."""
+
+    far: int
+    length: float
+
+
+class _Surroundings:
+    """Branches and corridors of every row of a pool, in the component's frame."""
+
+    def __init__(self, pool: Pool, pose: FloatArray, label: IntArray) -> None:
+        self.label = label
+        self.headings: list[FloatArray] = []
+        self.legs: list[dict[int, _Leg]] = [{} for _ in range(len(pool))]
+        for m in pool.maps:
+            first = pool.first[m.run]
+            self.headings += [m.branches[v] + pose[first + v, 2] for v in range(len(m))]
+            columns = (m.source, m.source_branch, m.target, m.target_branch, m.length)
+            for s, i, t, j, length in zip(*(c.tolist() for c in columns), strict=True):
+                if NO_BRANCH not in {i, j}:
+                    self.legs[first + s][i] = _Leg(first + t, length)
+                    self.legs[first + t][j] = _Leg(first + s, length)
+
+    def partners(self, u: int, v: int, gate_rad: float) -> list[tuple[int, int]]:
+        """Mutually nearest branches of two rows within a gate."""
+        off = np.abs(wrap(self.headings[u][:, None] - self.headings[v]))
+        if off.size == 0:
+            return []
+        nearest, back = off.argmin(axis=1), off.argmin(axis=0)
+        return [
+            (i, int(j)) for i, j in enumerate(nearest) if back[j] == i and off[i, j] <= gate_rad
+        ]
 
 
 def coincident(
     pool: Pool,
     groups: Groups,
     pose: FloatArray,
+    matched: Iterable[tuple[str, str]] = (),
     settings: CoincidenceSettings = DEFAULT_COINCIDENCE,
 ) -> list[tuple[int, int]]:
-    """Pairs of rows whose groups are one place, nearest pairs first; rows are groups' heads."""
+    """Pairs of rows whose groups are one place, nearest first.
+
+    pose: (n, 3) of every row in the component's frame; matched: pairs of runs with an accepted
+    match. Two runs that were matched need no further support than their position; others need a
+    corridor that leads both to a place they share, or several places joined alike. A corridor
+    that leaves both by the same branch and differs in length speaks against.
+    """
     label = groups.labels()
-    heads = np.unique([groups.head(r) for r in range(len(pool))])
-    if len(heads) < 2:
+    around = _Surroundings(pool, pose, label)
+    candidates = _candidates(pool, label, pose, around, settings)
+    direct = {frozenset(pair) for pair in matched}
+    runs = [frozenset(r) for r in _runs_of(pool, label)]
+    names = [m.run for m in pool.maps]
+    chains = _Chains(candidates, around, settings)
+    out = []
+    for u, v in candidates:
+        between = {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
+        support = chains.anchored(u, v) or chains.size(u, v) >= settings.min_chain
+        if not chains.contradicted(u, v) and (support or between & direct):
+            out.append((u, v))
+    return out
+
+
+class _Chains:
+    """Candidate pairs joined by corridors that agree, and what speaks for and against each."""
+
+    def __init__(
+        self,
+        candidates: list[tuple[int, int]],
+        around: _Surroundings,
+        settings: CoincidenceSettings,
+    ) -> None:
+        self._around, self._settings = around, settings
+        self._place = {}
+        for k, (u, v) in enumerate(candidates):
+            label = around.label
+            self._place[(int(label[u]), int(label[v]))] = k
+            self._place[(int(label[v]), int(label[u]))] = k
+        self._number = {pair: k for k, pair in enumerate(candidates)}
+        self._head = list(range(len(candidates)))
+        for pair, k in self._number.items():
+            for far in self._agreeing(*pair):
+                other = self._place.get(far)
+                if other is not None:
+                    low, high = sorted((self._find(k), self._find(other)))
+                    self._head[high] = low
+        roots = [self._find(k) for k in range(len(candidates))]
+        self._size = np.bincount(roots, minlength=len(candidates)) if candidates else np.zeros(0)
+
+    def size(self, u: int, v: int) -> int:
+        """Candidate pairs in the chain of this one."""
+        return int(self._size[self._find(self._number[u, v])])
+
+    def anchored(self, u: int, v: int) -> bool:
+        """Whether an agreeing corridor leads both to one place that is already shared."""
+        return any(x == y for x, y in self._agreeing(u, v))
+
+    def contradicted(self, u: int, v: int) -> bool:
+        """Whether more corridors disagree than agree."""
+        good = len(self._agreeing(u, v))
+        return len(self._both_driven(u, v)) - good > good
+
+    def _find(self, k: int) -> int:
+        while self._head[k] != k:
+            k = self._head[k]
+        return k
+
+    def _both_driven(self, u: int, v: int) -> list[tuple[_Leg, _Leg]]:
+        around = self._around
+        pairs = around.partners(u, v, self._settings.branch_gate_rad)
+        both = ((around.legs[u].get(i), around.legs[v].get(j)) for i, j in pairs)
+        return [(x, y) for x, y in both if x is not None and y is not None]
+
+    def _agreeing(self, u: int, v: int) -> list[tuple[int, int]]:
+        """Places at the far ends of corridors that leave both rows alike and agree in length."""
+        s, label = self._settings, self._around.label
+        return [
+            (int(label[x.far]), int(label[y.far]))
+            for x, y in self._both_driven(u, v)
+            if abs(x.length - y.length) <= s.length_m + s.length_share * min(x.length, y.length)
+        ]
+
+
+def _candidates(
+    pool: Pool,
+    label: IntArray,
+    pose: FloatArray,
+    around: _Surroundings,
+    settings: CoincidenceSettings,
+) -> list[tuple[int, int]]:
+    """Rows of places that no run has both of, clearly each other's nearest, branches fitting."""
+    visits = pass_counts(pool)
+    best = np.lexsort((np.arange(len(pool)), -visits, label))
+    speaker = best[np.searchsorted(label[best], np.arange(int(label.max(initial=-1)) + 1))]
+    if len(speaker) < 2:
         return []
-    centre = _means(label, pose[:, :2])[label[heads]]
-    gate = _gates(pool, label, settings)[label[heads]]
-    u, v = cKDTree(centre).query_pairs(settings.max_gate_m * settings.lead, output_type="ndarray").T
+    weight = np.bincount(label)
+    centre = np.stack([np.bincount(label, pose[:, k]) / weight for k in (0, 1)], axis=-1)
+    gate = _gates(pool, label, settings)
+    pairs = cKDTree(centre).query_pairs(settings.max_gate_m * settings.lead, output_type="ndarray")
     runs = _runs_of(pool, label)
-    apart = np.array(
-        [not (runs[label[heads[i]]] & runs[label[heads[j]]]) for i, j in zip(u, v, strict=True)],
-        bool,
-    )
-    u, v = u[apart], v[apart]
+    apart = np.array([runs[i].isdisjoint(runs[j]) for i, j in pairs.tolist()], bool)
+    u, v = pairs[apart].T if len(pairs) else (np.zeros(0, np.int64),) * 2
     distance = np.hypot(*(centre[u] - centre[v]).T)
-    clear = _clearly_nearest(u, v, distance, len(heads), settings.lead)
-    near = distance <= np.maximum(gate[u], gate[v])
-    fit = _branches_fit(pool, heads[u], heads[v], pose, settings)
-    keep = np.flatnonzero(clear & near & fit)
+    clear = _clearly_nearest(u, v, distance, len(centre), settings.lead)
+    keep = np.flatnonzero(clear & (distance <= np.maximum(gate[u], gate[v])))
     order = keep[np.lexsort((v[keep], u[keep], distance[keep]))]
-    return [(int(heads[u[k]]), int(heads[v[k]])) for k in order]
+    rows = [(int(speaker[u[k]]), int(speaker[v[k]])) for k in order]
+    return [(r, s) for r, s in rows if _branches_fit(around, r, s, settings)]
 
 
-def _means(label: IntArray, xy: FloatArray) -> FloatArray:
-    count = np.bincount(label)
-    return np.stack([np.bincount(label, xy[:, k]) / count for k in (0, 1)], axis=-1)
+def _branches_fit(around: _Surroundings, u: int, v: int, settings: CoincidenceSettings) -> bool:
+    """Whether all but a few branches of two rows point the same ways."""
+    pairs = len(around.partners(u, v, settings.branch_gate_rad))
+    lone = max(len(around.headings[u]), len(around.headings[v])) - pairs
+    return lone <= settings.spare_branches and (pairs > 0 or lone == 0)
 
 
 def _runs_of(pool: Pool, label: IntArray) -> list[set[int]]:
-    runs: list[set[int]] = [set() for _ in range(int(label.max()) + 1)]
+    runs: list[set[int]] = [set() for _ in range(int(label.max(initial=-1)) + 1)]
     for place, run in zip(label.tolist(), pool.run.tolist(), strict=True):
         runs[place].add(run)
     return runs
@@ -121,20 +255,3 @@ def _clearly_nearest(
     first = (distance <= best[u]) & (distance <= best[v])
     rival = np.minimum(second[u], second[v])
     return np.asarray(first & (rival >= lead * np.maximum(distance, 1e-9)))
-
-
-def _branches_fit(
-    pool: Pool, u: IntArray, v: IntArray, pose: FloatArray, settings: CoincidenceSettings
-) -> NDArray[np.bool_]:
-    """Whether the branches of two rows point the same ways in the component's frame."""
-    heading = branch_headings(pool)
-    if heading.shape[1] == 0 or len(u) == 0:
-        return np.ones(len(u), bool)
-    ha, hb = heading[u] + pose[u, 2:], heading[v] + pose[v, 2:]
-    off = np.abs(wrap(ha[:, :, None] - hb[:, None, :]))
-    off = np.where(np.isnan(off), np.inf, off)
-    hit = off <= settings.branch_gate_rad
-    lone_a = (~hit.any(axis=2) & ~np.isnan(ha)).sum(axis=1)
-    lone_b = (~hit.any(axis=1) & ~np.isnan(hb)).sum(axis=1)
-    spare = settings.spare_branches
-    return np.asarray(hit.any(axis=(1, 2)) & (lone_a <= spare) & (lone_b <= spare))

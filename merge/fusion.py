@@ -109,7 +109,8 @@ def _fuse_component(
     inside = [v for v in accepted if v.a in pool.first and v.b in pool.first]
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
-    pose = _settle(pool, groups, start, settings)
+    matched = [(v.a, v.b) for v in inside]
+    pose = _settle(pool, groups, start, matched, settings)
     label = groups.labels()
     xy = _place_positions(pool, label, pose)
     places = fused_places(pool, label, pose, settings.places)
@@ -126,14 +127,18 @@ def _fuse_component(
 
 
 def _settle(
-    pool: Pool, groups: Groups, start: Mapping[str, FloatArray], settings: FusionSettings
+    pool: Pool,
+    groups: Groups,
+    start: Mapping[str, FloatArray],
+    matched: Sequence[tuple[str, str]],
+    settings: FusionSettings,
 ) -> FloatArray:
     """Optimise, fuse what coincides, and again until nothing more does."""
     pose = optimise(pool, groups.labels(), start, settings.joint)
     if len(pool.maps) < 2:
         return pose
     for _ in range(settings.rounds):
-        pairs = coincident(pool, groups, pose, settings.coincidence)
+        pairs = coincident(pool, groups, pose, matched, settings.coincidence)
         joined = [groups.join(u, v) for u, v in pairs]
         if not any(joined):
             break

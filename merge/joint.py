@@ -16,9 +16,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..topology.embedding import corridor_measurements
-from ..topology.posegraph import PoseGraph, SolverSettings, solve
+from ..topology.posegraph import PoseGraph, Priors, SolverSettings, solve
 from ..topology.se2 import apply, compose, fit_rigid, inverse, wrap
-from ..topology.structure import padded_branches
+from ..topology.structure import grid_direction, padded_branches
 from ..topology.topomap import TopoMap
 from .identity import Pool
 from .result import PairVerdict
@@ -43,6 +43,10 @@ class JointSettings:
     """… and their directions to this."""
     kernel_sigmas: float = 3.0
     """Identities count by a Cauchy kernel of this width: a false one gives way."""
+    grid_rad: float = 0.035
+    """Where every map lies on one grid, corridors keep to it within this, 1 sigma."""
+    grid_gate_rad: float = 0.26
+    """Maps whose grids differ by more than this, as first laid out, do not share one."""
 
 
 DEFAULT_JOINT = JointSettings()
@@ -102,6 +106,7 @@ def optimise(
         measurement=factors.measurement,
         information=factors.information,
         kernel=kernel,
+        priors=_grid_priors(pool, guess, settings),
     )
     pose = solve(graph, SolverSettings(start="given")).pose
     first = pool.maps[0]
@@ -190,6 +195,31 @@ def _identity_factors(
     information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
     measured = np.column_stack([np.zeros((len(source), 2)), turn])
     return _Factors(source, target, measured.reshape(-1, 3), information)
+
+
+def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Priors:
+    """Headings of all rows where every map is rectilinear and their grids agree.
+
+    In a rectilinear building the directions of corridors are known up to quarter turns (§2.3), so
+    a heading does not drift from map to map.
+    """
+    grids = [grid_direction(m.branches.values) for m in pool.maps]
+    if any(g is None for g in grids):
+        return Priors.empty()
+    grid = np.array(grids, np.float64)[pool.run]
+    target = float(grid[0] + guess[0, 2])  # the grid of the first map gives the frame
+    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * settings.grid_gate_rad:
+        return Priors.empty()
+    heading, visits = branch_headings(pool), pass_counts(pool)
+    off = wrap(4 * (heading + guess[:, 2:] - target)) / 4
+    used = np.abs(off) <= settings.grid_gate_rad  # NaN, beyond the degree, is not
+    count = used.sum(axis=1)
+    rows = np.flatnonzero(count)
+    mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
+    spread = np.array([m.noise.branch_rad for m in pool.maps])[pool.run[rows]]
+    sigma = np.hypot(spread / np.sqrt(count[rows] * visits[rows]), settings.grid_rad)
+    kernel = np.full(len(rows), settings.kernel_sigmas)
+    return Priors.headings(rows, np.asarray(wrap(guess[rows, 2] - mean)), sigma, kernel)
 
 
 def measured_turn(
