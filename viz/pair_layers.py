@@ -178,11 +178,11 @@ def write_undecided(
     write_cards(recording, UNDECIDED, cells, titles)
     pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
     for (pair, name, alignment), cell in zip(laid, cells, strict=True):
-        here = (UNDECIDED, f"{pair.a} - {pair.b}", name)
+        here = (UNDECIDED, "pairs", pair.a, pair.b, name)
         recording.static(here, placed(cell.T_sheet_map))
-        write_own_map(recording, (*here, pair.a), maps[pair.a], colours[pair.a], pen)
-        recording.static((*here, pair.b), placed(alignment.transform))
-        write_own_map(recording, (*here, pair.b), maps[pair.b], colours[pair.b], pen)
+        write_own_map(recording, (*here, "a", pair.a), maps[pair.a], colours[pair.a], pen)
+        recording.static((*here, "b"), placed(alignment.transform))
+        write_own_map(recording, (*here, "b", pair.b), maps[pair.b], colours[pair.b], pen)
         matched = maps[pair.a].xy[alignment.matched[:, 0]]
         _matched(recording, (*here, "matched"), matched, pen)
     return cells
@@ -222,9 +222,9 @@ def write_steps(
     write_cards(recording, STEPS, cells, titles)
     pen = pen_m(list(maps.values()))
     for run, part in parted.items():
-        write_own_map(recording, (STEPS, run), maps[run], colours[run], pen)
+        write_own_map(recording, (STEPS, "runs", run), maps[run], colours[run], pen)
         if run not in moving:
-            recording.static((STEPS, run), placed(pose_on_sheet(part, run)))
+            recording.static((STEPS, "runs", run), placed(pose_on_sheet(part, run)))
     alone = {run: cell.T_sheet_map for run, cell in zip(moving, waiting, strict=True)}
     for number, step in enumerate(steps, start=1):
         for run in step.runs:
@@ -279,7 +279,7 @@ def _move(
             rr.RotationAxisAngle([0, 0, 1], radians=float(t)) for t in poses[:, 2]
         ],
     )
-    recording.over_steps((STEPS, run), JOIN, [0, number], columns)
+    recording.over_steps((STEPS, "runs", run), JOIN, [0, number], columns)
 
 
 def _story(recording: Recording, steps: list[Step]) -> None:

@@ -139,9 +139,14 @@ def _in_short(pair: PairVerdict) -> str:
 
 def _in_full(pair: PairVerdict) -> str:
     lines = [f"**{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
-    for name, alignment in (("best", pair.best), ("runner-up", pair.runner_up)):
-        if alignment is not None:
-            lines.append(f"{name}: {_placement(alignment)}")
+    if pair.best is not None:
+        lines.append(f"best: {pair.best.evidence_bits:.1f} bits, {_placement(pair.best)}")
+    if pair.runner_up is not None:
+        # The lead says more than the runner-up's own bits: it is what the verdict rests on.
+        bits = f"{pair.runner_up.evidence_bits:.1f} bits"
+        if pair.margin_bits is not None:
+            bits = f"{pair.margin_bits:.1f} bits behind"
+        lines.append(f"runner-up: {bits}, {_placement(pair.runner_up)}")
     if pair.advice:
         lines.append(f"to settle it: {plain(pair.advice)}")
     if pair.locked:
@@ -153,7 +158,7 @@ def _in_full(pair: PairVerdict) -> str:
 def _placement(a: Alignment) -> str:
     x, y, theta = a.transform
     told = (
-        f"{a.evidence_bits:.1f} bits, {len(a.matched)} junctions and {a.corridors} corridors "
+        f"{len(a.matched)} junctions and {a.corridors} corridors "
         f"matched, {a.rmse_m:.2f} m apart on average, at ({x:.2f}, {y:.2f}) m, "
         f"{np.degrees(theta):.1f}°"
     )

@@ -31,8 +31,8 @@ def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> No
         assert f"/runs/component_0/{run}/corridors" in got.entities
     assert got.value("/agreement/component_0/corridors", "driven_by") == ["a, b, c"] * 5
     assert got.value("/verdicts/evidence", "reason") == [p.reason for p in result.verdicts]
-    assert "/undecided/c\\ -\\ d/best/matched" in got.entities
-    assert "/undecided/c\\ -\\ d/runner-up/d/corridors" in got.entities
+    assert "/undecided/pairs/c/d/best/matched" in got.entities
+    assert "/undecided/pairs/c/d/runner-up/b/d/corridors" in got.entities
     assert "two ways" in got.value("/pairs", "TextDocument:text")[0]
 
 
@@ -53,8 +53,8 @@ def test_runs_come_together_step_by_step(tmp_path: Path, merge_of: Merge) -> Non
     result, maps = merge_of([["a", "b", "c"]])
     write_merged_recording(tmp_path / "merged.rrd", result, maps)
     got = Readback(tmp_path / "merged.rrd")
-    assert got.times("/steps/a", "join").tolist() == [0, 1]
-    assert got.times("/steps/c", "join").tolist() == [0, 2]
+    assert got.times("/steps/runs/a", "join").tolist() == [0, 1]
+    assert got.times("/steps/runs/c", "join").tolist() == [0, 2]
     assert len(got.rows("/story", "TextDocument:text")) == 3
 
 
@@ -79,6 +79,18 @@ def test_any_run_names_are_written(tmp_path: Path, merge_of: Merge, names: list[
     got = Readback(tmp_path / "merged.rrd")
     strands = [e for e in got.entities if e.startswith("/map/component_0/corridors/")]
     assert len(strands) == 2
+
+
+def test_run_names_do_not_meet_names_of_ours(tmp_path: Path, merge_of: Merge) -> None:
+    names = ["frames", "junctions", "matched", "titles"]
+    result, maps = merge_of([names[:2], names[2:]], ambiguous=[("frames", "matched")])
+    write_merged_recording(tmp_path / "merged.rrd", result, maps)
+    got = Readback(tmp_path / "merged.rrd")
+    for run in names:
+        assert len(got.value(f"/steps/runs/{run}/junctions", "Points2D:positions")) == 5
+    both = "/undecided/pairs/frames/matched/best"
+    assert len(got.value(f"{both}/matched", "Points2D:positions")) == 5
+    assert len(got.value(f"{both}/b/matched/junctions", "Points2D:positions")) == 5
 
 
 def test_a_single_run_and_no_run_are_written(

@@ -39,6 +39,7 @@ def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
     assert "all fits" in told
     assert "two ways" in told
     assert "to settle it: go on" in told
+    assert "runner-up: 1.0 bits behind, 2 junctions" in told
     assert "a - c" in told
     assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
 
