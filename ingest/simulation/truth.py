@@ -33,7 +33,7 @@ import numpy as np
 
 from ...topology.document import read_json, write_json
 from ...topology.errors import DocumentError
-from ...topology.se2 import between, fit_rigid
+from ...topology.se2 import apply, between, fit_rigid, wrap
 from ...topology.topomap import TopoMap
 from .detector import NO_VERTEX
 from .world import FloatArray, IntArray, World
@@ -166,12 +166,32 @@ def best_transform(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> FloatArray:
     What a perfect merge of these two maps, drifted as they are, would answer. ValueError if they
     have no common vertex.
     """
+    in_a, in_b = _common_nodes(truth, map_a, map_b)
+    return fit_rigid(map_a.xy[in_a], map_b.xy[in_b])
+
+
+def placement_error(
+    truth: Truth, map_a: TopoMap, map_b: TopoMap, T_a_b: FloatArray
+) -> tuple[float, float]:
+    """How far a transform is from the best one: (metres, radians).
+
+    The metres are the mean distance by which it misplaces the common vertices of b, so they do not
+    depend on where b's frame has its origin. ValueError if the maps have no common vertex.
+    """
+    _, in_b = _common_nodes(truth, map_a, map_b)
+    best = best_transform(truth, map_a, map_b)
+    off = apply(T_a_b, map_b.xy[in_b]) - apply(best, map_b.xy[in_b])
+    return float(np.mean(np.hypot(*off.T))), float(abs(wrap(T_a_b[2] - best[2])))
+
+
+def _common_nodes(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> tuple[IntArray, IntArray]:
+    """Nodes of a and nodes of b, pair by pair the same place; ValueError if there are none."""
     a, b = true_vertex_of_nodes(truth, map_a), true_vertex_of_nodes(truth, map_b)
     same_world = truth.runs[map_a.run].world == truth.runs[map_b.run].world
-    pairs = np.argwhere((a[:, None] == b[None, :]) & (a[:, None] >= 0) & same_world)
-    if len(pairs) == 0:
+    in_a, in_b = np.nonzero((a[:, None] == b[None, :]) & (a[:, None] >= 0) & same_world)
+    if len(in_a) == 0:
         raise ValueError(f"{map_a.run} and {map_b.run} have no common vertex")
-    return fit_rigid(map_a.xy[pairs[:, 0]], map_b.xy[pairs[:, 1]])
+    return in_a, in_b
 
 
 def truth_to_document(truth: Truth) -> dict[str, Any]:

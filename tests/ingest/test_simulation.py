@@ -26,6 +26,7 @@ from topobatch.ingest.simulation import (
     best_transform,
     joined,
     make_world,
+    placement_error,
     read_truth,
     simulate_run,
     simulate_scenario,
@@ -501,6 +502,10 @@ def test_the_best_transform_lays_perfect_maps_over_one_another() -> None:
     truth = simulate_scenario(ScenarioSettings("maze", 2, 0.5, 30, faults="none", seed=2)).truth
     pose_a, pose_b = np.array([3.0, -2.0, 1.0]), np.array([-7.0, 4.0, -2.5])
     map_a, map_b = _perfect_map(truth, "run1", pose_a), _perfect_map(truth, "run2", pose_b)
-    np.testing.assert_allclose(
-        best_transform(truth, map_a, map_b), compose(inverse(pose_a), pose_b), atol=1e-9
-    )
+    best = best_transform(truth, map_a, map_b)
+    np.testing.assert_allclose(best, compose(inverse(pose_a), pose_b), atol=1e-9)
+    assert placement_error(truth, map_a, map_b, best) == pytest.approx((0.0, 0.0), abs=1e-9)
+    moved = compose(np.array([0.3, 0.4, 0.0]), best)
+    assert placement_error(truth, map_a, map_b, moved) == pytest.approx((0.5, 0.0), abs=1e-9)
+    turned = best + np.array([0.0, 0.0, 0.1])
+    assert placement_error(truth, map_a, map_b, turned)[1] == pytest.approx(0.1)
