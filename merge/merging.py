@@ -6,15 +6,16 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
 from . import paper, robust
 from .fusion import DEFAULT_FUSION, FusionSettings, fuse
+from .layers import layers_to_document
 from .locks import Lock
 from .paper import DEFAULT_PAPER, PaperSettings
-from .result import MergeResult, PairVerdict
+from .result import Component, MergeResult, PairVerdict
 from .robust import DEFAULT_ROBUST, RobustSettings
 
 
@@ -50,9 +51,22 @@ def merge_maps(
             ordered, settings.robust, locks=locks, on_pair=on_pair, executor=executor
         )
     else:
-        verdicts = paper.decide(ordered, settings.paper, on_pair=on_pair, executor=executor)
+        verdicts = paper.decide(
+            ordered, settings.paper, locks=locks, on_pair=on_pair, executor=executor
+        )
     components, fused = fuse(ordered, verdicts, settings.fusion)
-    return MergeResult(components, fused, verdicts, info={"method": settings.method})
+    return MergeResult(components, fused, verdicts, info=_info(settings, components, verdicts))
+
+
+def _info(
+    settings: MergeSettings, components: Sequence[Component], verdicts: Sequence[PairVerdict]
+) -> dict[str, Any]:
+    """The method, and the layers (§4.1) around the first run of every component."""
+    firsts = [min(c.poses) for c in components if len(c.poses) > 1]
+    return {
+        "method": settings.method,
+        "layers": {own: layers_to_document(own, verdicts) for own in firsts},
+    }
 
 
 def _by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:

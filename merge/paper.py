@@ -16,11 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.association import DEFAULT_GROWTH, GrowthSettings
+from ..topology.errors import UsageError
 from ..topology.se2 import apply, between
 from ..topology.structure import Structure, prepare
 from ..topology.topomap import TopoMap
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
+from .locking import aligned_at, honour
+from .locks import Lock
 from .meeting import Meeting, near_vertices, seeded
 from .result import Alignment, PairVerdict, Verdict
 
@@ -103,18 +106,49 @@ def decide(
     maps: Sequence[TopoMap],
     settings: PaperSettings = DEFAULT_PAPER,
     *,
+    locks: Sequence[Lock] = (),
     on_pair: Callable[[int, int], None] | None = None,
     executor: Executor | None = None,
 ) -> tuple[PairVerdict, ...]:
-    """A verdict for every pair of maps, sorted by name. on_pair(done, total) after each pair."""
-    prepared = [prepare_map(m, settings) for m in sorted(maps, key=lambda m: m.run)]
+    """A verdict for every pair of maps, sorted by name. on_pair(done, total) after each pair.
+
+    Raises UsageError on locks that contradict each other or name a junction that does not exist,
+    and on a meeting of a run that is not there.
+    """
+    ordered = sorted(maps, key=lambda m: m.run)
+    by_run = {m.run: m for m in ordered}
+    _check_meetings(settings, by_run)
+    prepared = [prepare_map(m, settings) for m in ordered]
     pairs = list(combinations(prepared, 2))
     out = []
     for verdict in _judged(pairs, settings, executor):
         out.append(verdict)
         if on_pair is not None:
             on_pair(len(out), len(pairs))
-    return tuple(out)
+    return honour(out, locks, lambda lock: _forced(by_run, lock, settings))
+
+
+def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> None:
+    for m in settings.meetings:
+        for run in (m.run_a, m.run_b):
+            if run not in runs:
+                raise UsageError(f"a meeting names run {run!r}, which is not among the maps")
+
+
+def _forced(by_run: Mapping[str, TopoMap], lock: Lock, settings: PaperSettings) -> Alignment | None:
+    """The best cluster that honours a "same" lock; at given junctions failing all else."""
+    map_a, map_b = by_run[lock.a], by_run[lock.b]
+    a, b = prepare_map(map_a, settings), prepare_map(map_b, settings)
+    found = match(a, b, settings)
+    h, c = found.hypotheses, found.clusters
+    if lock.at is None:
+        return alignment(a, b, found, 0) if len(c) else None
+    alone = aligned_at(map_a, map_b, lock.at)
+    rows = np.flatnonzero((h.vertex_a == lock.at[0]) & (h.vertex_b == lock.at[1]))
+    numbers = c.of[h.of[rows]]
+    if np.any(numbers >= 0):
+        return alignment(a, b, found, int(numbers[numbers >= 0].min()))
+    return alone
 
 
 def _judged(

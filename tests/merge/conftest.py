@@ -31,7 +31,7 @@ def drawn(run, corners, corridors, stubs=(), *, T=(0.0, 0.0, 0.0), sigma=0.05, l
     (name, heading), moved by T. Corridors are straight. `lengths` overrides what was measured.
     """
     names = list(corners)
-    xy = np.array([corners[n] for n in names], float)
+    xy = np.array([corners[n] for n in names], float).reshape(-1, 2)
     rows = [[] for _ in names]
     ends = [(names.index(u), names.index(v)) for u, v in corridors]
 

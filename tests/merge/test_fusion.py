@@ -1,0 +1,329 @@
+"""Fusion by hand-drawn maps: identities, lengths, new portions, parallels, missed junctions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from topobatch.merge.fusion import fuse
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.topology.passes import NO_BRANCH
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import apply, compose, fit_rigid, inverse
+
+MOVED = (3.0, -7.0, 2.1)
+
+TOWN = {
+    "p": (0, 0), "q": (7, 0), "r": (7, 6), "s": (0, 6), "t": (15, 0), "u": (15, 6), "v": (-8, 6),
+}  # fmt: skip
+WEST = ("p", "q", "r", "s", "v")
+EAST = ("p", "q", "r", "s", "t", "u")
+STREETS = [
+    ("p", "q"), ("q", "r"), ("r", "s"), ("s", "p"), ("q", "t"), ("r", "u"), ("t", "u"), ("s", "v"),
+]  # fmt: skip
+HEADINGS = {"e": 0.0, "w": np.pi, "n": np.pi / 2, "s": -np.pi / 2}
+
+
+def part(draw, run, names, T=(0.0, 0.0, 0.0), streets=STREETS, **options):
+    """The map of the named corners of the town; streets that lead out are unexplored branches."""
+    inside = [(x, y) for x, y in streets if x in names and y in names]
+    out = [(x, y) for x, y in streets if (x in names) != (y in names)]
+    stubs = []
+    for x, y in out:
+        near, far = (x, y) if x in names else (y, x)
+        step = np.subtract(TOWN[far], TOWN[near])
+        stubs.append((near, float(np.arctan2(step[1], step[0]))))
+    return draw(run, {n: TOWN[n] for n in names}, inside, stubs, T=T, **options)
+
+
+def verdict(a, b, matched, bits=20.0):
+    pairs = np.array(matched)
+    T = fit_rigid(a.xy[pairs[:, 0]], b.xy[pairs[:, 1]])
+    best = Alignment(T, bits, pairs, 0.0)
+    return PairVerdict(a.run, b.run, Verdict.MERGED, True, bits, "", best=best)
+
+
+def common(names_a, names_b):
+    return [(names_a.index(n), names_b.index(n)) for n in names_a if n in names_b]
+
+
+def ends(fused):
+    return sorted(
+        tuple(sorted(p)) for p in zip(fused.source.tolist(), fused.target.tolist(), strict=True)
+    )
+
+
+@pytest.fixture(name="town")
+def _town(draw):
+    west, east = part(draw, "west", WEST), part(draw, "east", EAST, MOVED)
+    return west, east, verdict(east, west, common(EAST, WEST))
+
+
+def test_two_maps_become_one(town):
+    west, east, match = town
+    (component,), fused = fuse([west, east], [match])
+    assert len(fused) == len(TOWN)
+    assert len(fused.source) == len(STREETS)
+    # The frame is that of the first run by name; the other is placed in it.
+    assert component.poses["east"] == pytest.approx(np.zeros(3))
+    assert component.poses["west"] == pytest.approx(np.array(MOVED), abs=1e-6)
+    truth = apply(np.array(MOVED), np.array(list(TOWN.values()), float))
+    for xy, members in zip(fused.xy, fused.members, strict=True):
+        name = WEST[members["west"][0]] if "west" in members else EAST[members["east"][0]]
+        assert xy == pytest.approx(truth[list(TOWN).index(name)], abs=1e-3)
+    assert sorted(len(m) for m in fused.members) == [1, 1, 1, 2, 2, 2, 2]
+    assert sum(len(o) for o in fused.observations) == len(west) + len(east)
+    assert fused.kind.count("dead_end") == 1
+
+
+def test_lengths_are_combined_by_inverse_variance_with_provenance(draw):
+    west = part(draw, "west", WEST, sigma=0.1, lengths={("p", "q"): 7.2})
+    east = part(draw, "east", EAST, MOVED, sigma=0.05, lengths={("p", "q"): 6.95})
+    _, fused = fuse([west, east], [verdict(east, west, common(EAST, WEST))])
+    (k,) = [k for k, m in enumerate(fused.edge_members) if set(m) == {("east", 0), ("west", 0)}]
+    assert fused.length[k] == pytest.approx((7.2 * 100 + 6.95 * 400) / 500)
+    assert fused.length_sigma[k] == pytest.approx(500**-0.5)
+    assert fused.traversals[k] == 2
+    alone = [m for m in fused.edge_members if len(m) == 1]
+    assert len(alone) == 4
+
+
+def test_branches_are_averaged_on_the_circle_and_unexplored_ones_kept(town):
+    west, east, match = town
+    rows = [east.branches[v] + (0.06 if v == 0 else 0.0) for v in range(len(east))]
+    bent = replace(east, branches=Ragged.from_rows(rows))
+    _, fused = fuse([west, bent], [match])
+    at_p = next(k for k, m in enumerate(fused.members) if m == {"east": (0,), "west": (0,)})
+    straight = np.sort((west.branches[0] + MOVED[2] + np.pi) % (2 * np.pi) - np.pi)
+    # The turn of a vertex is seen by its corridors too, so the mean lies in between.
+    assert fused.branches[at_p] == pytest.approx(straight + 0.03, abs=0.02)
+    degree = {
+        WEST[m["west"][0]]: len(fused.branches[k])
+        for k, m in enumerate(fused.members)
+        if "west" in m
+    }
+    assert degree == {"p": 2, "q": 3, "r": 3, "s": 3, "v": 1}
+
+
+def test_paths_run_from_fused_vertex_to_fused_vertex(town):
+    west, east, match = town
+    _, fused = fuse([west, east], [match])
+    for path, u, v in zip(fused.paths, fused.source, fused.target, strict=True):
+        assert path[0] == pytest.approx(fused.xy[u], abs=1e-6)
+        assert path[-1] == pytest.approx(fused.xy[v], abs=1e-6)
+
+
+def test_moving_a_map_moves_nothing_but_its_pose(town):
+    west, east, match = town
+    _, before = fuse([west, east], [match])
+    T = np.array([-20.0, 5.0, -2.9])
+    moved = _moved(west, T)
+    again = replace(
+        match.best, transform=compose(match.best.transform, inverse(T)), matched=match.best.matched
+    )
+    (component,), after = fuse([moved, east], [replace(match, best=again)])
+    assert after.xy == pytest.approx(before.xy, abs=1e-6)
+    assert ends(after) == ends(before)
+    assert component.poses["west"] == pytest.approx(compose(np.array(MOVED), inverse(T)), abs=1e-6)
+
+
+def _moved(m, T):
+    rows, order = [], []
+    for v in range(len(m)):
+        turned = (m.branches[v] + T[2] + np.pi) % (2 * np.pi) - np.pi
+        order.append(np.argsort(np.argsort(turned)))
+        rows.append(np.sort(turned))
+    return replace(
+        m,
+        xy=apply(T, m.xy),
+        branches=Ragged.from_rows(rows),
+        source_branch=np.array(
+            [order[v][i] for v, i in zip(m.source, m.source_branch, strict=True)]
+        ),
+        target_branch=np.array(
+            [order[v][i] for v, i in zip(m.target, m.target_branch, strict=True)]
+        ),
+        paths=tuple(apply(T, p) for p in m.paths),
+    )
+
+
+def test_a_run_that_matched_nothing_is_a_component_of_its_own_unchanged(draw, town):
+    west, east, match = town
+    island = part(draw, "island", ("p", "q", "r"), (500.0, 2.0, 1.0))
+    refused = replace(match, accepted=False, verdict=Verdict.UNRELATED)
+    components, fused = fuse([island, west, east], [match])
+    assert [sorted(c.poses) for c in components] == [["east", "west"], ["island"]]
+    mine = np.flatnonzero(fused.component == 1)
+    assert fused.xy[mine] == pytest.approx(island.xy)
+    assert [fused.branches[v].tolist() for v in mine] == [
+        island.branches[v].tolist() for v in range(3)
+    ]
+    edges = np.flatnonzero(fused.component[fused.source] == 1)
+    assert fused.length[edges] == pytest.approx(island.length)
+    assert components[1].poses["island"].tolist() == [0.0, 0.0, 0.0]
+    apart, fused = fuse([west, east], [refused])
+    assert [len(c.poses) for c in apart] == [1, 1]
+    assert len(fused) == len(west) + len(east)
+
+
+def test_no_maps_and_empty_maps(draw):
+    assert fuse([], [])[0] == ()
+    empty = draw("empty", {}, [])
+    components, fused = fuse([empty], [])
+    assert len(fused) == 0
+    assert len(components) == 1
+
+
+def test_a_vertex_that_no_pair_matched_is_fused_where_it_coincides(town):
+    west, east, match = town
+    few = replace(match.best, matched=match.best.matched[:3])
+    _, fused = fuse([west, east], [replace(match, best=few)])
+    assert len(fused) == len(TOWN)
+
+
+def test_matches_are_transitive_but_never_put_two_vertices_of_a_run_together(draw):
+    a, b, c = (
+        part(draw, run, ("p", "q", "r", "s"), T)
+        for run, T in zip("abc", [(0, 0, 0.0), MOVED, (9, 9, -1.0)], strict=True)
+    )
+    ab, bc = verdict(a, b, [(k, k) for k in range(4)]), verdict(b, c, [(k, k) for k in range(4)])
+    wrong = verdict(a, c, [(0, 0), (1, 1), (2, 2), (3, 3)], bits=1.0)
+    wrong = replace(wrong, best=replace(wrong.best, matched=np.array([[0, 1], [1, 2]])))
+    _, fused = fuse([a, b, c], [ab, bc, wrong])
+    assert list(fused.members) == [{"a": (k,), "b": (k,), "c": (k,)} for k in range(4)]
+
+
+def test_a_long_corridor_is_replaced_by_the_two_past_a_junction_it_did_not_see(draw):
+    shape = {"p": (0, 0), "m": (6, 0), "q": (13, 0), "n": (6, 5)}
+    seen = draw(
+        "a", shape, [("p", "m"), ("m", "q"), ("m", "n")], [("p", np.pi / 2), ("q", np.pi / 2)]
+    )
+    blind = draw(
+        "b",
+        {k: shape[k] for k in ("p", "q")},
+        [("p", "q")],
+        [("p", np.pi / 2), ("q", np.pi / 2)],
+        T=MOVED,
+    )
+    _, fused = fuse([seen, blind], [verdict(seen, blind, [(0, 0), (2, 1)])])
+    assert len(fused) == 4
+    assert ends(fused) == [(0, 1), (1, 2), (1, 3)]
+    pairs = zip(fused.source.tolist(), fused.target.tolist(), strict=True)
+    members = dict(zip(pairs, fused.edge_members, strict=True))
+    assert members[0, 1] == (("a", 0), ("b", 0))
+    assert members[1, 2] == (("a", 1), ("b", 0))
+    assert sorted(fused.traversals.tolist()) == [1, 2, 2]
+
+
+def test_a_part_that_nobody_drove_alone_becomes_a_corridor(draw):
+    shape = {"p": (0, 0), "m": (6, 0), "q": (13, 0), "n": (6, 5)}
+    up = np.pi / 2
+    seen = draw(
+        "a", {k: shape[k] for k in "pmn"}, [("p", "m"), ("m", "n")], [("p", up), ("m", 0.0)]
+    )
+    blind = draw("b", {k: shape[k] for k in "pq"}, [("p", "q")], [("p", up), ("q", up)])
+    (_, fused) = fuse([seen, blind], [verdict(seen, blind, [(0, 0)])])
+    assert len(fused) == 4
+    assert len(fused.source) == 3
+    new = next(k for k, m in enumerate(fused.edge_members) if m == (("b", 0),))
+    assert fused.length[new] == pytest.approx(7.0, abs=0.3)
+
+
+def test_a_corridor_over_a_bridge_past_an_unconnected_junction_stays_whole(draw):
+    # m has no branches along the corridor: the two do not meet.
+    a = draw("a", {"p": (0, 0), "m": (6, 0.3), "n": (6, 8)}, [("m", "n"), ("p", "n")], [("p", 0.0)])
+    b = draw("b", {"p": (0, 0), "q": (13, 0)}, [("p", "q")], [("p", np.arctan2(8, 6))])
+    _, fused = fuse([a, b], [verdict(a, b, [(0, 0)])])
+    assert ("b", 0) in [m for row in fused.edge_members for m in row if len(row) == 1]
+    assert len(fused.source) == 3
+
+
+def with_edge(m, ends, length, path):
+    """The map with one more corridor, ends (vertex, branch, vertex, branch)."""
+    u, i, v, j = ends
+
+    def add(name, value):
+        return np.append(getattr(m, name), value)
+
+    return replace(
+        m,
+        source=add("source", u),
+        target=add("target", v),
+        source_branch=add("source_branch", i),
+        target_branch=add("target_branch", j),
+        length=add("length", length),
+        length_sigma=add("length_sigma", 0.1),
+        traversals=add("traversals", 1),
+        paths=(*m.paths, np.array(path, float)),
+    )
+
+
+def test_parallel_corridors_and_loops_stay_apart(draw):
+    up, back = np.pi / 2, np.pi
+    base = [
+        draw(
+            run,
+            {"p": (0, 0), "q": (8, 0)},
+            [("p", "q")],
+            [("p", up), ("q", up), ("p", back), ("p", -up)],
+        )
+        for run in "ab"
+    ]
+    arch = [(0, 0), (0, 4), (8, 4), (8, 0)]
+    ring = [(0, 0), (-5, 0), (-5, -5), (0, -5), (0, 0)]
+    maps = []
+    for m in base:
+        at = {h: int(np.abs(m.branches[0] - h).argmin()) for h in (up, -up)}
+        west = int(np.abs(np.abs(m.branches[0]) - np.pi).argmin())
+        arched = with_edge(m, (0, at[up], 1, int(np.abs(m.branches[1] - up).argmin())), 16.0, arch)
+        maps.append(with_edge(arched, (0, west, 0, at[-up]), 20.0, ring))
+    _, fused = fuse(maps, [verdict(maps[0], maps[1], [(0, 0), (1, 1)])])
+    assert sorted(fused.length.round(6).tolist()) == [8.0, 16.0, 20.0]
+    assert ends(fused) == [(0, 0), (0, 1), (0, 1)]
+    assert all(len(m) == 2 for m in fused.edge_members)
+    # The same branches but quite another length: kept apart, not averaged.
+    other = replace(maps[1], length=maps[1].length * [1, 1.5, 1])
+    _, fused = fuse([maps[0], other], [verdict(maps[0], other, [(0, 0), (1, 1)])])
+    assert sorted(fused.length.round(6).tolist()) == [8.0, 16.0, 20.0, 24.0]
+
+
+def test_a_corridor_of_unknown_branch_joins_the_one_that_fits(town):
+    west, east, match = town
+    lost = west.source_branch.copy()
+    lost[0] = NO_BRANCH
+    _, fused = fuse([replace(west, source_branch=lost), east], [match])
+    assert len(fused.source) == len(STREETS)
+    assert NO_BRANCH not in fused.source_branch.tolist()
+
+
+def test_a_false_match_among_right_ones_gives_way(draw):
+    # One pair is wrong by a whole street; the others hold the maps where they belong.
+    west, east = part(draw, "west", WEST), part(draw, "east", EAST, MOVED)
+    right = common(EAST, WEST)
+    match = verdict(east, west, right)
+    wrong = np.array([*right, (EAST.index("u"), WEST.index("v"))])
+    (component,), _ = fuse([west, east], [replace(match, best=replace(match.best, matched=wrong))])
+    off = np.abs(component.poses["west"] - np.array(MOVED))
+    assert off[:2].max() < 1.0
+    assert off[2] < 0.1
+
+
+def test_a_grid_keeps_a_chain_of_rectilinear_maps_from_bending(draw):
+    # Each map saw its neighbours at one junction only, with branches 6 degrees off.
+    chain = []
+    for k in range(4):
+        corners = {0: (20.0 * k, 0.0), 1: (20.0 * k + 20, 0.0), 2: (20.0 * k, 8.0)}
+        stubs = [(0, np.pi), (1, 0.0), (1, np.pi / 2), (2, np.pi / 2)]
+        chain.append(draw(f"r{k}", corners, [(0, 1), (0, 2)], stubs))
+    links = []
+    for a, b in pairwise(chain):
+        bent = np.array([0.0, 0.0, np.deg2rad(6.0)])
+        bent[:2] = a.xy[1] - apply(bent, b.xy[0])
+        best = Alignment(bent, 20.0, np.array([[1, 0]]), 0.0)
+        links.append(PairVerdict(a.run, b.run, Verdict.MERGED, True, 20.0, "", best=best))
+    _, fused = fuse(chain, links)
+    far = next(k for k, m in enumerate(fused.members) if m == {"r3": (1,)})
+    assert fused.xy[far] == pytest.approx([80.0, 0.0], abs=0.3)

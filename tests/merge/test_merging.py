@@ -1,0 +1,136 @@
+"""The driver: any order, same bytes; removing a run or a match; locks; errors."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.fusion import fuse
+from topobatch.merge.layers import discard_match
+from topobatch.merge.locks import Lock
+from topobatch.merge.meeting import Meeting
+from topobatch.merge.merging import MergeSettings, merge_maps
+from topobatch.merge.paper import PaperSettings
+from topobatch.merge.result import MergeResult, Verdict
+from topobatch.topology.association import GrowthSettings
+from topobatch.topology.errors import DataError, UsageError
+
+PAPER = MergeSettings(method="paper", paper=PaperSettings(GrowthSettings(length_bound_sigmas=4.0)))
+
+
+def text(result):
+    document = merged_to_document(result)
+    MergedDocument.model_validate(document)
+    return json.dumps(document)
+
+
+@pytest.fixture(name="fleet", scope="module")
+def _fleet(mazes):
+    """Three maps of one maze, the middle one overlapping both others, and one of another maze."""
+    rng = np.random.default_rng(5)
+    maze, other = mazes.random_maze(rng, 12, 12), mazes.random_maze(rng, 8, 8)
+    order = np.argsort(maze.xy[:, 0] + 0.01 * maze.xy[:, 1])
+    slices = [order[:55], order[25:95], order[60:]]
+    error = mazes.Noise(floor_m=0.02, share=0.0)
+    maps = [
+        mazes.explored_map(maze, sorted(s.tolist()), rng, f"r{k}", noise=error, turn=0.9 * k)
+        for k, s in enumerate(slices)
+    ]
+    far = mazes.explored_map(other, list(range(len(other.xy))), rng, "x", noise=error, turn=-1.0)
+    return [*maps, far]
+
+
+def runs(result):
+    return [sorted(c.poses) for c in result.components]
+
+
+def test_runs_are_merged_and_the_stranger_stays_alone(fleet):
+    result = merge_maps(fleet, PAPER)
+    assert runs(result) == [["r0", "r1", "r2"], ["x"]]
+    assert [(v.a, v.b) for v in result.verdicts] == sorted((v.a, v.b) for v in result.verdicts)
+    assert len(result.verdicts) == 6
+    layers = result.info["layers"]["r0"]
+    assert {m["run"]: m["layer"] for m in layers}["r1"] == 1
+
+
+def test_the_order_of_the_maps_changes_nothing(fleet):
+    expected = text(merge_maps(fleet, PAPER))
+    for order in list(permutations(fleet))[1::7]:
+        assert text(merge_maps(list(order), PAPER)) == expected
+
+
+def test_removing_a_run_and_merging_again_is_never_having_had_it(fleet):
+    without = merge_maps([m for m in fleet if m.run != "r1"], PAPER)
+    merge_maps(fleet, PAPER)
+    assert text(merge_maps([m for m in fleet if m.run != "r1"], PAPER)) == text(without)
+    assert all("r1" not in c.poses for c in without.components)
+
+
+def test_discarding_a_match_is_never_having_found_it(fleet):
+    whole = merge_maps(fleet, PAPER)
+    verdicts = discard_match(whole.verdicts, "r2", "r1")
+    left = MergeResult(*fuse(fleet, verdicts), verdicts)
+    kept = [v for v in verdicts if v.accepted]
+    never = MergeResult(*fuse(fleet, kept), verdicts)
+    assert text(left) == text(never)
+    one = merge_maps(fleet[:2], PAPER)
+    alone = [f for c, f in zip(left.components, _vertices(left), strict=True) if "r0" in c.poses]
+    if ["r0", "r1"] in runs(left):
+        assert alone[0] == _vertices(one)[0]
+
+
+def _vertices(result):
+    fused = result.fused
+    return [
+        [
+            (fused.xy[v].tolist(), dict(fused.members[v]))
+            for v in np.flatnonzero(fused.component == c.id)
+        ]
+        for c in result.components
+    ]
+
+
+def test_one_map_alone_is_one_component(fleet):
+    result = merge_maps(fleet[:1], PAPER)
+    assert runs(result) == [["r0"]]
+    assert result.verdicts == ()
+    assert result.fused.xy == pytest.approx(fleet[0].xy)
+    assert len(merge_maps([], PAPER).components) == 0
+
+
+def test_two_maps_of_one_run_are_refused(fleet):
+    with pytest.raises(DataError, match="run 'r0' is given 2 times"):
+        merge_maps([fleet[0], fleet[1], replace(fleet[2], run="r0")], PAPER)
+
+
+def test_locked_apart_not_even_through_other_runs(fleet):
+    result = merge_maps(fleet, PAPER, locks=[Lock("r0", "r2", "never")])
+    assert not any({"r0", "r2"} <= set(c.poses) for c in result.components)
+    assert any("r1" in c.poses and len(c.poses) == 2 for c in result.components)
+    told = next(v for v in result.verdicts if (v.a, v.b) == ("r0", "r2"))
+    assert told.locked == "never"
+    assert told.verdict is Verdict.UNRELATED
+    refused = [v for v in result.verdicts if "locked apart" in v.reason]
+    assert len(refused) == 2
+
+
+def test_locked_together_by_the_best_alignment_or_at_given_junctions(fleet):
+    result = merge_maps(fleet, PAPER, locks=[Lock("x", "r2", "same", at=(3, 4))])
+    told = next(v for v in result.verdicts if (v.a, v.b) == ("r2", "x"))
+    assert told.accepted
+    assert told.locked == "same"
+    assert [4, 3] in told.best.matched.tolist()
+    assert len(result.components) == 1
+    with pytest.raises(UsageError, match="names junction 999 of 'x'"):
+        merge_maps(fleet, PAPER, locks=[Lock("r2", "x", "same", at=(0, 999))])
+
+
+def test_a_meeting_of_a_run_that_is_not_there_is_refused(fleet):
+    met = replace(PAPER, paper=replace(PAPER.paper, meetings=(Meeting("r0", 0, "zz", 0),)))
+    with pytest.raises(UsageError, match="'zz'"):
+        merge_maps(fleet, met)
