@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.se2 import wrap
-from .conflicts import Conflicts, conflicts
+from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Match, grow
 from .links import Links, Seed, candidate_links, seeds
-from .prepare import FloatArray, IntArray, Prepared
-from .repetition import CopyModel, Sameness, sameness
+from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import RobustSettings
 from .support import support
 
@@ -20,40 +19,41 @@ SAME_PLACE_M = 3.0
 SAME_TURN_RAD = 0.35
 """Two alignments that differ by less are versions of one placement."""
 
-TELLING_BITS = 2.0
-"""Alignments with less are not worth the second question."""
+FAINT_SHARE = 0.15
+"""Seeds with less than this share of the bits of a match already found are not grown."""
+
+CHANCE_BITS = 4.0
+"""Matches with no more support than this beyond chance are not searched for contradictions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """A way to lay b over a.
 
-    transform: (3,) T_a_b; a, b: (k,) matched vertices; corridors: (c, 2) rows of the corridors
-    that agree; bits: log2 odds against chance, corrected for the hypotheses tested; same: the
-    answer to the second question, None where the first one failed.
+    transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a of each as
+    unit numbers; corridors: (c, 2) rows of the corridors that agree; bits: log2 odds against
+    chance, corrected for the hypotheses tested.
     """
 
     transform: FloatArray
     a: IntArray
     b: IntArray
+    turn: ComplexArray
     corridors: IntArray
     conflicts: Conflicts
     bits: float
     rmse_m: float
-    same: Sameness | None
 
     def __len__(self) -> int:
         return len(self.a)
 
     def move(self, z: complex) -> complex:
         """Where a point x + iy of b lands in a."""
-        x, y, theta = self.transform
+        x, y, theta = self.transform.tolist()
         return complex(x + 1j * y + np.exp(1j * theta) * z)
 
 
-def match(
-    a: Prepared, b: Prepared, settings: RobustSettings, copies: CopyModel | None = None
-) -> tuple[Candidate, ...]:
+def match(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
     """Candidate alignments of two maps, best first; versions of one placement appear once. Pure.
 
     The steps of the paper with its certainties replaced by odds: compatible corridors (§2.1),
@@ -61,7 +61,7 @@ def match(
     """
     links = candidate_links(a, b)
     found = seeds(a, b, links, settings.hypotheses)
-    return best_of(a, b, found, tested=len(links), settings=settings, copies=copies)
+    return best_of(a, b, found, tested=len(links), settings=settings)
 
 
 def best_of(
@@ -71,16 +71,16 @@ def best_of(
     *,
     tested: int,
     settings: RobustSettings,
-    copies: CopyModel | None = None,
 ) -> tuple[Candidate, ...]:
     """Grow and judge hypotheses; `tested` is the number of links they were chosen from."""
-    model = copies or CopyModel(settings.copy_variation, settings.copy_change_rate)
+    tested_bits = float(np.log2(tested + 1.0))
     found: list[Candidate] = []
     for seed in hypotheses:
-        grown = grow(a, b, seed, settings)
-        if len(grown) < 2:
+        if found and seed.bits < FAINT_SHARE * found[0].bits:
             continue
-        found.append(_judge(a, b, grown, float(np.log2(tested + 1.0)), model))
+        grown = grow(a, b, seed, settings)
+        if len(grown) > 1:
+            found.append(_judge(a, b, grown, tested_bits))
     found.sort(key=lambda c: (-c.bits, c.transform.tolist()))
     kept: list[Candidate] = []
     for candidate in found:
@@ -89,25 +89,27 @@ def best_of(
     return tuple(kept)
 
 
-def _judge(
-    a: Prepared, b: Prepared, grown: Match, tested_bits: float, copies: CopyModel
-) -> Candidate:
+def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candidate:
     """The evidence of a grown match."""
-    agree, against = support(a, b, grown), conflicts(a, b, grown)
-    bits = agree.bits - against.bits - tested_bits
+    agree = support(a, b, grown)
+    bits = agree.bits - tested_bits
+    against = conflicts(a, b, grown) if bits > CHANCE_BITS else NO_CONFLICTS
     pa, pb = a.z[grown.a], b.z[grown.b]
     mean_a, mean_b = pa.sum() / len(pa), pb.sum() / len(pb)
     turn = np.vdot(pb - mean_b, pa - mean_a)
     unit = turn / abs(turn) if abs(turn) > 1e-9 else grown.turn[grown.b[0]]
     shift = mean_a - unit * mean_b
-    rmse = float(np.sqrt(np.sum(np.abs(pa - unit * pb - shift) ** 2) / len(pa)))
-    transform = np.array([shift.real, shift.imag, float(np.angle(unit))])
-    same = (
-        sameness(a, b, grown, agree=agree, against=against, copies=copies)
-        if bits > TELLING_BITS
-        else None
+    rmse = float(np.sqrt((np.abs(pa - unit * pb - shift) ** 2).sum() / len(pa)))
+    return Candidate(
+        transform=np.array([shift.real, shift.imag, float(np.angle(unit))]),
+        a=grown.a,
+        b=grown.b,
+        turn=grown.turn[grown.b],
+        corridors=agree.corridors,
+        conflicts=against,
+        bits=float(bits - against.bits),
+        rmse_m=rmse,
     )
-    return Candidate(transform, grown.a, grown.b, agree.corridors, against, float(bits), rmse, same)
 
 
 def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:

@@ -43,6 +43,10 @@ class Conflicts:
         return len(self.extra_b) + len(self.extra_a) + len(self.crossing)
 
 
+_NONE = np.zeros(0, np.int64)
+NO_CONFLICTS = Conflicts(_NONE, _NONE, _NONE, _NONE, np.zeros((0, 2), np.int64), 0.0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:
     """Points of b laid into a. where: (k,) positions; vague: (k,) [m]; vertex, gap_v: nearest
@@ -69,8 +73,7 @@ def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
     half = len(b.tail) // 2
     rows = np.flatnonzero((near[b.tail[:half]] & near[b.head[:half]])[b.road_edge])
     if a.tree is None or a.road_tree is None or len(lone) + len(rows) == 0:
-        none = np.zeros(0, np.int64)
-        return Conflicts(none, none, none, none, np.zeros((0, 2), np.int64), 0.0)
+        return NO_CONFLICTS
     place, vague = _placed_road(b, match, rows)
     spots = _look(
         a,

@@ -21,7 +21,7 @@ from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import ODD_BITS, Bar, Opinion, bar, opinion, repetition_level
+from .verdict import ODD_BITS, Opinion, bar, opinion, repetition_level
 from .wording import contradictions, summary
 
 FLEET_SHARE = 0.75
@@ -52,16 +52,22 @@ def decide(
     runs = [m.run for m in maps]
     locked = _locked_pairs(runs, prepared, locks)
     copies, repetition = _repetition(prepared, settings)
-    candidates = match_all(prepared, settings, copies, on_pair, executor)
-    levels = _bars(candidates, repetition, settings)
-    opinions = {pair: opinion(found, levels[pair]) for pair, found in candidates.items()}
-    forced = _forced(prepared, candidates, locked, settings, copies)
+    candidates = match_all(prepared, settings, on_pair, executor)
+    levels = {
+        (i, j): bar(len(candidates), max(repetition[i], repetition[j]), copies, settings)
+        for i, j in candidates
+    }
+    opinions = {
+        (i, j): opinion(prepared[i], prepared[j], found, levels[i, j])
+        for (i, j), found in candidates.items()
+    }
+    forced = _forced(prepared, candidates, locked, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     best, order = _strongest_first(opinions, forced, never)
     refused = join_all(components, order, best, prepared, runs)
     kept = {pair: c for pair, c in best.items() if pair not in refused}
-    reunions = Rematcher(maps, components, opinions, levels, settings, copies).run(kept)
+    reunions = Rematcher(maps, components, opinions, levels, settings).run(kept)
     return tuple(
         _verdict(
             prepared[i],
@@ -124,27 +130,17 @@ def _repetition(
     return copy_model(samples, settings), [max(level, fleet) for level in levels]
 
 
-def _bars(
-    candidates: Candidates, repetition: Sequence[float], settings: RobustSettings
-) -> dict[Pair, Bar]:
-    n = len(candidates)
-    return {(i, j): bar(n, max(repetition[i], repetition[j]), settings) for i, j in candidates}
-
-
 def _forced(
     prepared: Sequence[Prepared],
     candidates: Candidates,
     locked: dict[Pair, Lock],
     settings: RobustSettings,
-    copies: CopyModel,
 ) -> dict[Pair, Candidate]:
     """Alignments of the pairs that are locked as the same."""
     out = {}
     for (i, j), lock in sorted(locked.items()):
         if lock.decision == "same":
-            found = forced_alignment(
-                prepared[i], prepared[j], candidates[i, j], lock, settings=settings, copies=copies
-            )
+            found = forced_alignment(prepared[i], prepared[j], candidates[i, j], lock, settings)
             if found is not None:
                 out[i, j] = found
     return out
@@ -219,7 +215,6 @@ def _accepted(a: Prepared, b: Prepared, case: _Case, best: Alignment, reason: st
 def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str) -> PairVerdict:
     """An entry for a pair that is not joined."""
     view, best, second = case.view, case.view.best, case.view.runner_up
-    same = best.same if best is not None else None
     return PairVerdict(
         a=a.run,
         b=b.run,
@@ -232,7 +227,7 @@ def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str)
         margin_bits=view.margin,
         advice=advice(a, b, view) if verdict is Verdict.AMBIGUOUS else None,
         locked=None if case.lock is None else case.lock.decision,
-        extra={} if same is None else {"same_place_bits": round(same.bits, 3)},
+        extra={} if view.same_bits is None else {"same_place_bits": round(view.same_bits, 3)},
     )
 
 

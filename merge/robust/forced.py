@@ -8,7 +8,6 @@ from ..locks import Lock
 from .alignment import Candidate, best_of
 from .links import Seed
 from .prepare import Prepared
-from .repetition import CopyModel
 from .settings import RobustSettings
 
 
@@ -17,9 +16,7 @@ def forced_alignment(
     b: Prepared,
     candidates: tuple[Candidate, ...],
     lock: Lock,
-    *,
     settings: RobustSettings,
-    copies: CopyModel,
 ) -> Candidate | None:
     """The best alignment that honours a "same" lock; None if there is none at all.
 
@@ -44,5 +41,5 @@ def forced_alignment(
         )
         for turn in turns.reshape(-1).tolist()
     ]
-    grown = best_of(a, b, seeds, tested=len(seeds), settings=settings, copies=copies)
+    grown = best_of(a, b, seeds, tested=len(seeds), settings=settings)
     return next((c for c in grown if np.any((c.a == va) & (c.b == vb))), None)

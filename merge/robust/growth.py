@@ -11,6 +11,20 @@ from .links import Seed
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import RobustSettings
 
+FEWEST = 3
+"""A match that does not reach this many junctions in a round is given up."""
+
+LEAST_SHARE = 0.4
+"""So is one in which fewer of the junctions that lie where the other run has been are found: chance
+alone finds about a fifth of them."""
+
+COVERED_M = 3.5
+"""A junction this near to one of the other map lies where that run has been."""
+
+ACTIVE_M = 15.0
+"""Predictions farther from a match than this are not looked at yet."""
+
+NONE = np.zeros(0, np.int64)
 FAR_M = 1e6
 MOST_GATE_M = 2.5
 WORST_BRANCH_BITS = -7.0
@@ -46,7 +60,10 @@ def grow(a: Prepared, b: Prepared, seed: Seed, settings: RobustSettings) -> Matc
     turn0 = complex(np.exp(1j * seed.theta))
     for _ in range(settings.growth_rounds):
         place, turn, support = predict(a, b, partner, turn0)
-        fresh = _rematch(a, b, place, support, settings)
+        fresh, expected = _rematch(a, b, place, support, settings)
+        found = np.count_nonzero(fresh >= 0)
+        if found < max(FEWEST, LEAST_SHARE * expected):
+            return Match(NONE, NONE, place, turn, support, np.zeros(0))
         if np.array_equal(fresh, partner):
             break
         partner = fresh
@@ -67,47 +84,52 @@ def predict(
     neighbours. The fit to all matches enters with a small weight, and alone where no neighbour
     is matched.
     """
-    matched = np.flatnonzero(partner >= 0)
+    has = partner >= 0
+    matched = np.flatnonzero(has)
     pa, pb = a.z[partner[matched]], b.z[matched]
     rows = np.zeros((len(b), 4), np.complex128)
-    rows[matched, 0] = 1.0
-    rows[matched, 1] = pa
-    rows[matched, 2] = pb
-    rows[matched, 3] = pb.conj() * pa
+    rows[matched] = np.stack([np.ones(len(matched)), pa, pb, pb.conj() * pa], axis=1)
     k = max(len(matched), 1)
     _, ma, mb, lever = (rows.sum(axis=0) / k).tolist()
     spread = float(np.vdot(pb, pb).real) - k * abs(mb) ** 2
     whole = k * (lever - mb.conjugate() * ma) + 4.0 * turn0
     whole = whole / abs(whole) if abs(whole) > 1e-9 else turn0
-    flat = rows.view(np.float64)[b.neighbour]
-    sums = np.matmul(b.near_weight[:, None, :], flat)[:, 0, :].view(np.complex128)
+    place = ma + whole * (b.z - mb)
+    turn = np.full(len(b), whole)
+    support = np.abs(b.z - mb)
+    beside = has[b.neighbour]
+    active = np.flatnonzero(beside.any(axis=1))
+    near = b.neighbour[active]
+    flat = rows.view(np.float64)[near]
+    sums = np.matmul(b.near_weight[active, None, :], flat)[:, 0, :].view(np.complex128)
     weight = sums[:, 0].real
-    some = weight > 0
-    weight = np.where(some, weight, 1.0)
     ca, cb = sums[:, 1] / weight, sums[:, 2] / weight
     # The whole match counts like a spread of 3 m and of a share of its own extent.
-    turn = sums[:, 3] - weight * cb.conj() * ca + (9.0 + 0.02 * min(spread, 2000.0)) * whole
-    turn /= np.maximum(np.abs(turn), 1e-12)
-    place = np.where(some, ca + turn * (b.z - cb), ma + whole * (b.z - mb))
-    near = np.where(rows[b.neighbour, 0].real > 0, b.near_m, FAR_M).min(axis=1)
-    return place, turn, np.where(some, near, np.abs(b.z - mb))
+    local = sums[:, 3] - sums[:, 1] * cb.conj() + (9.0 + 0.02 * min(spread, 2000.0)) * whole
+    local /= np.maximum(np.abs(local), 1e-12)
+    place[active] = ca + local * (b.z[active] - cb)
+    turn[active] = local
+    support[active] = np.where(beside[active], b.near_m[active], FAR_M).min(axis=1)
+    return place, turn, support
 
 
 def _rematch(
     a: Prepared, b: Prepared, place: ComplexArray, support: FloatArray, settings: RobustSettings
-) -> IntArray:
+) -> tuple[IntArray, int]:
     """(n_b,) the vertex of a nearest to each prediction, within the gate; where several choose the
-    same one, it goes to the nearest."""
+    same one, it goes to the nearest. And how many of b's junctions lie where a has been."""
     partner = np.full(len(b), -1)
-    if a.tree is None:
-        return partner
-    gate = np.minimum(settings.gate_m + settings.gate_per_m * support, MOST_GATE_M)
-    found = a.tree.query(place.view(np.float64).reshape(-1, 2))
-    gap, nearest = np.asarray(found[0]), np.asarray(found[1])
+    active = np.flatnonzero(support < ACTIVE_M)
+    if a.tree is None or len(active) == 0:
+        return partner, 0
+    gate = np.minimum(settings.gate_m + settings.gate_per_m * support[active], MOST_GATE_M)
+    where = place[active].view(np.float64).reshape(-1, 2)
+    query = a.tree.query(where, distance_upper_bound=COVERED_M)
+    gap, nearest = np.asarray(query[0]), np.asarray(query[1])
     near = np.flatnonzero(gap < gate)
     near = near[np.argsort(-gap[near], kind="stable")]
     owner = np.full(len(a), -1)
-    owner[nearest[near]] = near  # the last one written is the nearest
+    owner[nearest[near]] = active[near]  # the last one written is the nearest
     taken = np.flatnonzero(owner >= 0)
     partner[owner[taken]] = taken
-    return partner
+    return partner, int(np.count_nonzero(gap < COVERED_M))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.se2 import wrap
-from .prepare import LENGTH_SCALE, BoolArray, FloatArray, IntArray, Prepared
+from .prepare import LENGTH_SCALE, BoolArray, ComplexArray, FloatArray, IntArray, Prepared
 
 LENGTH_SIGMAS = 3.0
 SAG_M = 0.75
@@ -116,9 +116,13 @@ def seeds(a: Prepared, b: Prepared, links: Links, most: int) -> list[Seed]:
     best = np.argsort(-total, kind="stable")[:most]
     best = best[total[best] > WEAK_SHARE * total[best[0]]]
     crowd = np.bincount(label)[label] > 1
+    mid_a = (a.z[a.tail[links.a_row]] + a.z[a.head[links.a_row]]) / 2
+    mid_b = (b.z[b.tail[links.b_row]] + b.z[b.head[links.b_row]]) / 2
     found: list[Seed] = []
     for component in best.tolist():
-        seed = _vote(a, b, links, label == component, crowd)
+        mine = label == component
+        rows, turn = _agreeing(links, mid_a, mid_b, np.flatnonzero(mine))
+        seed = _seed(a, b, links, mid_a, mid_b, rows=rows, turn=turn, others=crowd & ~mine)
         if all(_differ(seed, other) for other in found):
             found.append(seed)
     found.sort(key=lambda s: -s.bits)
@@ -157,41 +161,55 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
         label = sunk
 
 
-def _vote(a: Prepared, b: Prepared, links: Links, mine: BoolArray, crowd: BoolArray) -> Seed:
-    """The alignment that most of a component's links agree on, by bits, joined by the links of
-    other components (`crowd`: those of two links or more) that drift may have torn from it (§5)."""
-    mid_a = (a.z[a.tail[links.a_row]] + a.z[a.head[links.a_row]]) / 2
-    mid_b = (b.z[b.tail[links.b_row]] + b.z[b.head[links.b_row]]) / 2
-    rows = np.flatnonzero(mine)
-    turn, at = float(links.theta[rows[0]]), 0
-    if len(rows) > 1:
-        if len(rows) > MOST_VOTES:
-            rows = rows[np.argsort(-links.bits[rows], kind="stable")[:MOST_VOTES]]
-        theta = links.theta[rows]
-        gap_b = mid_b[rows][None, :] - mid_b[rows][:, None]
-        apart = np.abs(mid_a[rows][:, None] + np.exp(1j * theta)[:, None] * gap_b - mid_a[rows])
-        votes = (apart < 0.6 + 0.12 * np.abs(gap_b)) & (
-            np.abs(wrap(theta[:, None] - theta)) < TURN_RAD
-        )
-        at = int((votes @ links.bits[rows]).argmax())
-        agree = rows[votes[at]]
-        turn = float(theta[at] + np.sum(wrap(links.theta[agree] - theta[at])) / len(agree))
-        rows = agree
+def _agreeing(
+    links: Links, mid_a: ComplexArray, mid_b: ComplexArray, rows: IntArray
+) -> tuple[IntArray, float]:
+    """Of a component's links those that share the transform with the most bits; its rotation."""
+    if len(rows) == 1:
+        return rows, float(links.theta[rows[0]])
+    if len(rows) > MOST_VOTES:
+        rows = rows[np.argsort(-links.bits[rows], kind="stable")[:MOST_VOTES]]
+    theta, za, zb = links.theta[rows], mid_a[rows], mid_b[rows]
+    gap_b = zb[None, :] - zb[:, None]
+    apart = np.abs(za[:, None] + np.exp(1j * theta)[:, None] * gap_b - za)
+    votes = (apart < 0.6 + 0.12 * np.abs(gap_b)) & (np.abs(wrap(theta[:, None] - theta)) < TURN_RAD)
+    at = int((votes @ links.bits[rows]).argmax())
+    agree = rows[votes[at]]
+    return agree, float(theta[at] + wrap(links.theta[agree] - theta[at]).sum() / len(agree))
+
+
+def _seed(
+    a: Prepared,
+    b: Prepared,
+    links: Links,
+    mid_a: ComplexArray,
+    mid_b: ComplexArray,
+    *,
+    rows: IntArray,
+    turn: float,
+    others: BoolArray,
+) -> Seed:
+    """The seed of some agreeing links, joined by those of the `others` that lie nearly alike:
+    drift may have torn one match into several components (§5)."""
     unit = complex(np.exp(1j * turn))
     k = len(rows)
     middle_a, middle_b = complex(mid_a[rows].sum() / k), complex(mid_b[rows].sum() / k)
-    strength = float(links.bits[rows].sum())
     shift = middle_a - unit * middle_b
-    torn = np.abs(unit * mid_b + shift - mid_a) < TORN_M + TORN_PER_M * np.abs(mid_b - middle_b)
-    joined = torn & crowd & ~mine & (np.abs(wrap(links.theta - turn)) < TURN_RAD)
-    rows = np.concatenate([rows, np.flatnonzero(joined)])
+    strength = float(links.bits[rows].sum())
+    if others.any():
+        torn = np.abs(unit * mid_b + shift - mid_a) < TORN_M + TORN_PER_M * np.abs(mid_b - middle_b)
+        near = others & torn & (np.abs(wrap(links.theta - turn)) < TURN_RAD)
+        rows = np.concatenate([rows, np.flatnonzero(near)])
     va = np.concatenate([a.tail[links.a_row[rows]], a.head[links.a_row[rows]]])
     vb = np.concatenate([b.tail[links.b_row[rows]], b.head[links.b_row[rows]]])
     # Of vertices claimed twice the one keeps its partner that came first: the component's own.
-    first = np.sort(np.unique(va, return_index=True)[1])
-    va, vb = va[first], vb[first]
-    first = np.sort(np.unique(vb, return_index=True)[1])
-    return Seed(va[first], vb[first], turn, shift, strength)
+    owner = np.full(len(a), -1)
+    owner[va[::-1]] = vb[::-1]
+    claimed = np.full(len(b), -1)
+    pa = np.flatnonzero(owner >= 0)
+    claimed[owner[pa]] = pa
+    pb = np.flatnonzero(claimed >= 0)
+    return Seed(claimed[pb], pb, turn, shift, strength)
 
 
 def _differ(x: Seed, y: Seed) -> bool:

@@ -7,7 +7,6 @@ from concurrent.futures import Executor, as_completed
 
 from .alignment import Candidate, match
 from .prepare import Prepared
-from .repetition import CopyModel
 from .settings import RobustSettings
 
 Pair = tuple[int, int]
@@ -20,7 +19,6 @@ BLOCK = 12
 def match_all(
     prepared: Sequence[Prepared],
     settings: RobustSettings,
-    copies: CopyModel,
     on_pair: Callable[[int, int], None] | None,
     executor: Executor | None,
 ) -> Candidates:
@@ -40,7 +38,7 @@ def match_all(
     if executor is None:
         for i in range(n):
             for j in range(i + 1, n):
-                keep({(i, j): match(prepared[i], prepared[j], settings, copies)})
+                keep({(i, j): match(prepared[i], prepared[j], settings)})
         return found
     starts = range(0, n, BLOCK)
     jobs = []
@@ -48,7 +46,7 @@ def match_all(
         for q in starts[p // BLOCK :]:
             rows = {i: prepared[i] for i in range(p, min(p + BLOCK, n))}
             columns = {j: prepared[j] for j in range(q, min(q + BLOCK, n))}
-            jobs.append(executor.submit(_match_block, rows, columns, settings, copies))
+            jobs.append(executor.submit(_match_block, rows, columns, settings))
     for job in as_completed(jobs):
         keep(job.result())
     return found
@@ -58,11 +56,7 @@ def _match_block(
     rows: dict[int, Prepared],
     columns: dict[int, Prepared],
     settings: RobustSettings,
-    copies: CopyModel,
 ) -> Candidates:
     return {
-        (i, j): match(a, b, settings, copies)
-        for i, a in rows.items()
-        for j, b in columns.items()
-        if i < j
+        (i, j): match(a, b, settings) for i, a in rows.items() for j, b in columns.items() if i < j
     }

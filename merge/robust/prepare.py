@@ -51,7 +51,9 @@ class Prepared:
     z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NO_HEADING behind the last;
     count: (n,) branches; looks: (n,) passes that saw the junction; surprise: (n,) bits that the
     branches of this junction tell, by how common such a pattern is in this map; turn_bits: (n, d)
-    -log2 density [1/rad] of finding a branch at its angle to the others.
+    -log2 density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
+    headings as unit numbers, 0 behind the last; branch_variance: (n,) [rad²] of one heading;
+    fault_rate: (n,) chance of a branch too many or too few.
     neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances;
     near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
     near_weight: (n, q) what their matches weigh in predicting this one.
@@ -74,6 +76,9 @@ class Prepared:
     looks: IntArray
     surprise: FloatArray
     turn_bits: FloatArray
+    branch_unit: ComplexArray
+    branch_variance: FloatArray
+    fault_rate: FloatArray
     neighbour: IntArray
     near_m: FloatArray
     near_rarity: FloatArray
@@ -144,6 +149,9 @@ def prepare(topomap: TopoMap) -> Prepared:
         looks=looks,
         surprise=surprise,
         turn_bits=turn_bits,
+        branch_unit=np.where(heading < NO_HEADING / 2, np.exp(1j * heading), 0.0),
+        branch_variance=m.noise.branch_rad**2 * (0.5 + 1 / looks) + 0.03**2,
+        fault_rate=_fault_rate(m.noise, looks),
         neighbour=neighbour,
         near_m=near_m,
         near_rarity=_rarity(near_m.reshape(-1)).reshape(near_m.shape),
@@ -172,6 +180,11 @@ def prepare(topomap: TopoMap) -> Prepared:
         road_tree=cKDTree(np.column_stack([road.real, road.imag])) if len(road) else None,
         tree=tree,
     )
+
+
+def _fault_rate(noise: RunNoise, looks: IntArray) -> FloatArray:
+    """Doors that stood otherwise all the run, and what single looks get wrong."""
+    return np.asarray(0.01 + (noise.branch_fault_rate + 0.005) / np.minimum(looks, 3))
 
 
 def _padded(m: TopoMap) -> tuple[FloatArray, IntArray]:

@@ -15,7 +15,6 @@ from ..result import Alignment, FusedMap, PairVerdict, Verdict
 from .alignment import Candidate, match
 from .components import Components
 from .prepare import Prepared, prepare
-from .repetition import CopyModel
 from .settings import RobustSettings
 from .verdict import ODD_BITS, Bar, Opinion, opinion
 from .wording import summary
@@ -58,7 +57,6 @@ class Rematcher:
     opinions: Mapping[Pair, Opinion]
     levels: Mapping[Pair, Bar]
     settings: RobustSettings
-    copies: CopyModel
     _cache: dict[Runs, _Fused] = field(default_factory=dict)
     _failed: set[tuple[Runs, Runs]] = field(default_factory=set)
 
@@ -99,7 +97,8 @@ class Rematcher:
         one, two = (_fused(runs, self.maps, accepted, self._cache) for runs in (x, y))
         across = [self.levels[min(i, j), max(i, j)] for i in x for j in y]
         level = max(across, key=lambda bar: (bar.need_bits, bar.repetition))
-        view = opinion(match(one.prepared, two.prepared, self.settings, self.copies), level)
+        candidates = match(one.prepared, two.prepared, self.settings)
+        view = opinion(one.prepared, two.prepared, candidates, level)
         sure = view.verdict is Verdict.MERGED and bool(_links(one, two, view))
         return (one, two, view) if sure else None
 

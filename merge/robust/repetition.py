@@ -13,12 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .branches import fault_rate, lonely_branches
-from .conflicts import Conflicts
-from .growth import Match
-from .prepare import FloatArray, Prepared
+from .branches import lonely_branches
+from .prepare import FloatArray, IntArray, Prepared
 from .settings import RobustSettings
-from .support import Support
 
 if TYPE_CHECKING:
     from .alignment import Candidate
@@ -27,6 +24,7 @@ NOISE_FACTORS = np.exp(np.linspace(np.log(0.5), np.log(2.0), 13))
 """The noise that a run reports may be wrong by such factors; both answers may choose."""
 
 PRIOR_SAMPLES = 40.0
+MOST_FAULTS = 0.3
 
 NOISE_DOUBT = 0.3
 """1 sigma of the logarithm of that factor."""
@@ -55,35 +53,31 @@ class CopyModel:
     change_rate: float
 
 
-def sameness(
-    a: Prepared,
-    b: Prepared,
-    match: Match,
-    *,
-    agree: Support,
-    against: Conflicts,
-    copies: CopyModel,
-) -> Sameness:
-    """Odds of the same place against a copy of it, by what copies differ in: shape and changes."""
-    shape = _shape_bits(a, b, agree, copies)
-    lonely = lonely_branches(a, b, match.a, match.b, match.turn[match.b])
-    changed = int(np.count_nonzero(lonely)) + len(against)
-    compared = len(match) + len(against)
-    fault = float(np.mean(fault_rate(a)[match.a]) + np.mean(fault_rate(b)[match.b]))
-    fault = min(fault, 0.3)
+def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sameness:
+    """Odds of the same place against a copy of it, by what copies differ in: shape and changes.
+
+    Shape: the lengths of common corridors. Changes: junctions that differ in their branches, or
+    that only one map has, come at the runs' fault rates in one place, more often between copies.
+    """
+    shape = _shape_bits(a, b, best.corridors, copies)
+    lonely = lonely_branches(a, b, best.a, best.b, best.turn)
+    changed = int(np.count_nonzero(lonely)) + len(best.conflicts)
+    compared = len(best) + len(best.conflicts)
+    fault = float((a.fault_rate[best.a] + b.fault_rate[best.b]).sum() / len(best))
+    fault = min(fault, MOST_FAULTS)
     copy = fault + (1 - fault) * copies.change_rate
     changes = (compared - changed) * np.log2((1 - fault) / (1 - copy))
     changes += changed * np.log2(fault / copy)
-    return Sameness(shape + changes, shape, float(changes), compared, changed)
+    return Sameness(shape + float(changes), shape, float(changes), compared, changed)
 
 
-def _shape_bits(a: Prepared, b: Prepared, agree: Support, copies: CopyModel) -> float:
+def _shape_bits(a: Prepared, b: Prepared, corridors: IntArray, copies: CopyModel) -> float:
     """log2 likelihood ratio of the differences of the lengths of all common corridors.
 
     Same place: measurement noise, scaled by a factor that is unknown within a prior. Copy: on top
     of it what two copies were built unlike. Both integrate over the factor.
     """
-    i, j = agree.corridors[:, 0], agree.corridors[:, 1]
+    i, j = corridors[:, 0], corridors[:, 1]
     d2 = (a.length[i] - b.length[j]) ** 2
     noise = (a.variance[i] + b.variance[j]) * NOISE_FACTORS[:, None] ** 2
     built = 2 * (copies.variation * np.maximum(a.length[i], b.length[j])) ** 2
@@ -105,6 +99,7 @@ def copy_model(
     wings were built to the millimetre must raise the bar, a loose self-match must not lower it.
     Both estimates are shrunk towards the settings as by `PRIOR_SAMPLES` more samples.
     """
+    prior = CopyModel(settings.copy_variation, settings.copy_change_rate)
     excess = settings.copy_variation**2 * PRIOR_SAMPLES
     changed = settings.copy_change_rate * PRIOR_SAMPLES
     lengths = places = PRIOR_SAMPLES
@@ -114,10 +109,10 @@ def copy_model(
         relative = d2 / (2 * np.maximum(m.length[i], m.length[j]) ** 2)
         excess += float(np.clip(relative, 0.0, settings.copy_variation**2).sum())
         lengths += len(i)
-        if c.same is not None:
-            fault = 2 * float(np.mean(fault_rate(m)))
-            changed += max(c.same.changed - fault * c.same.compared, 0.0)
-            places += c.same.compared
+        same = sameness(m, m, c, prior)
+        fault = 2 * float(np.mean(m.fault_rate))
+        changed += max(same.changed - fault * same.compared, 0.0)
+        places += same.compared
     return CopyModel(
         min(settings.copy_variation, float(np.sqrt(excess / lengths))),
         min(settings.copy_change_rate, changed / places),

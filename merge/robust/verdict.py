@@ -9,6 +9,8 @@ import numpy as np
 
 from ..result import Verdict
 from .alignment import Candidate
+from .prepare import Prepared
+from .repetition import CopyModel, sameness
 from .settings import RobustSettings
 
 ODD_BITS = 4.0
@@ -27,35 +29,37 @@ repeat itself, from the second on the second question is asked in full."""
 @dataclass(frozen=True, slots=True)
 class Bar:
     """What a pair must reach. need_bits: against chance; repetition: 0 (the building does not
-    repeat itself) to 1; settings' limits on matches and lead."""
+    repeat itself) to 1; copies: how copies differ there."""
 
     need_bits: float
     repetition: float
+    copies: CopyModel
     settings: RobustSettings
 
     @property
     def need_same_bits(self) -> float:
-        """What the second question must yield; minus infinity where it is not asked."""
-        if self.repetition <= 0:
-            return -np.inf
+        """What the second question must yield, where it is asked."""
         return self.repetition * max(self.need_bits - COPY_MARGIN_BITS, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Opinion:
-    """A verdict on two maps, alone. `why` tells in a clause what was missing, "" where merged."""
+    """A verdict on two maps, alone. bits: the evidence of the question answered worst; same_bits:
+    of the second one, None where it was not asked; why: what was missing, "" where merged."""
 
     verdict: Verdict
     best: Candidate | None
     runner_up: Candidate | None
     bits: float
     margin: float | None
+    same_bits: float | None
     why: str
 
 
-def bar(pairs: int, repetition: float, settings: RobustSettings) -> Bar:
+def bar(pairs: int, repetition: float, copies: CopyModel, settings: RobustSettings) -> Bar:
     """The bar for a batch of so many pairs: each may err at its share of the false-merge rate."""
-    return Bar(float(np.log2(max(pairs, 1) / settings.false_merge_rate)), repetition, settings)
+    need = float(np.log2(max(pairs, 1) / settings.false_merge_rate))
+    return Bar(need, repetition, copies, settings)
 
 
 def repetition_level(self_bits: float) -> float:
@@ -64,52 +68,45 @@ def repetition_level(self_bits: float) -> float:
     return float(np.clip(level, 0.0, 1.0))
 
 
-def opinion(candidates: Sequence[Candidate], level: Bar) -> Opinion:
+def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Bar) -> Opinion:
     """The verdict on a pair from its candidate alignments.
 
     merged: enough evidence against chance, the same place rather than a copy of it, and a lead
     over every other placement. ambiguous: an alignment that chance hardly offers, but one of the
     three is missing. unrelated: no such alignment.
+
+    The second question is asked where the building is known to repeat itself, and where a second
+    placement, too, is beyond chance.
     """
-    settings = level.settings
-    odd = [c for c in candidates if c.bits > ODD_BITS and len(c) >= settings.min_matches]
+    odd = [c for c in candidates if c.bits > ODD_BITS and len(c) >= level.settings.min_matches]
     if not odd:
-        first = candidates[0] if candidates else None
-        bits = first.bits if first else 0.0
-        return Opinion(
-            Verdict.UNRELATED, None, None, min(bits, 0.0) if not first else bits, None, ""
-        )
-    asked = level.repetition > 0 or any(_rivals(odd, level))
-    ranked = sorted(odd, key=lambda c: -_score(c, asked))
-    best = ranked[0]
-    second = ranked[1] if len(ranked) > 1 else None
-    bits = _score(best, asked)
-    margin = bits - max(_score(second, asked), 0.0 if not asked else -np.inf) if second else None
-    need_same = level.need_same_bits
-    if asked and not np.isfinite(need_same):
-        need_same = 0.0
-    why = ""
-    if best.bits < level.need_bits:
-        why = f"chance offers as much too often ({best.bits:.0f} of {level.need_bits:.0f} bits)"
-    elif asked and _same(best) < need_same:
-        why = "the building repeats itself and this may be another copy of the place"
-    elif margin is not None and margin < settings.lead_bits:
-        why = "another placement fits nearly as well"
-    verdict = Verdict.AMBIGUOUS if why else Verdict.MERGED
-    return Opinion(verdict, best, second, bits, margin, why)
+        bits = candidates[0].bits if candidates else 0.0
+        return Opinion(Verdict.UNRELATED, None, None, bits, None, None, "")
+    asked = level.repetition > 0 or any(c.bits > 0.75 * level.need_bits for c in odd[1:])
+    same = [sameness(a, b, c, level.copies).bits if asked else np.inf for c in odd]
+    score = [min(c.bits, s) for c, s in zip(odd, same, strict=True)]
+    ranking = sorted(range(len(odd)), key=lambda i: -score[i])
+    first = ranking[0]
+    second = ranking[1] if len(ranking) > 1 else None
+    margin = None if second is None else score[first] - score[second]
+    why = _missing(odd[first].bits, same[first], margin, level)
+    return Opinion(
+        verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
+        best=odd[first],
+        runner_up=None if second is None else odd[second],
+        bits=score[first],
+        margin=margin,
+        same_bits=same[first] if asked else None,
+        why=why,
+    )
 
 
-def _rivals(odd: Sequence[Candidate], level: Bar) -> list[Candidate]:
-    """Alignments other than the best that are significant: a building where these exist repeats."""
-    return [c for c in sorted(odd, key=lambda c: -c.bits)[1:] if c.bits > 0.75 * level.need_bits]
-
-
-def _same(c: Candidate) -> float:
-    return c.same.bits if c.same is not None else -np.inf
-
-
-def _score(c: Candidate | None, asked: bool) -> float:
-    """Bits by which candidates are ranked: of the questions asked the one answered worst."""
-    if c is None:
-        return -np.inf
-    return min(c.bits, _same(c)) if asked else c.bits
+def _missing(bits: float, same_bits: float, margin: float | None, level: Bar) -> str:
+    """What an alignment lacks for being merged, as a clause; "" if nothing."""
+    if bits < level.need_bits:
+        return f"chance offers as much too often ({bits:.0f} bits, {level.need_bits:.0f} needed)"
+    if same_bits < level.need_same_bits:
+        return "the building repeats itself and this may be another copy of the place"
+    if margin is not None and margin < level.settings.lead_bits:
+        return "another placement fits nearly as well"
+    return ""
