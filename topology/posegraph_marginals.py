@@ -70,7 +70,7 @@ class Marginals:
         detected: they are independent there.
         """
         var_a, var_b, cross = self.joint(a, b)
-        J_a, J_b = _relative_jacobians(self.pose[a], self.pose[b])
+        J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
         mixed = J_a @ cross @ J_b.transpose(0, 2, 1)
         out = J_a @ var_a @ J_a.transpose(0, 2, 1) + J_b @ var_b @ J_b.transpose(0, 2, 1)
         out = out + mixed + mixed.transpose(0, 2, 1)
@@ -97,7 +97,7 @@ class Marginals:
         return np.where(variable[:, :, None] >= 0, at, 0.0)
 
 
-def _relative_jacobians(pose_a: FloatArray, pose_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def relative_jacobians(pose_a: FloatArray, pose_b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(k, 3, 3) derivatives of between(a, b) by a and by b."""
     k = len(pose_a)
     c, s = np.cos(pose_a[:, 2]), np.sin(pose_a[:, 2])

@@ -6,13 +6,13 @@ run is worth little.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chndtr
 
-from ..se2 import wrap
 from ..topomap import RunNoise
 from .places import Places
 from .walk import Walk
@@ -22,6 +22,9 @@ IntArray = NDArray[np.int64]
 
 MATCH_RAD = 0.61
 """Branches farther apart than this are never the same."""
+
+SAME_TURN_RAD = 0.3
+"""Turns nearer to each other than this pair the same branches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +112,15 @@ def position_odds(
     return odds, d2
 
 
+def best_position_odds(
+    common: Background, shift: FloatArray, settings: EvidenceSettings
+) -> FloatArray:
+    """(k,) what `position_odds` could be at most, whatever the covariance."""
+    s2 = np.maximum(0.5 * (shift**2).sum(axis=1), 2 * common.centre_sigma**2)
+    odds, _ = position_odds(common, shift, s2[:, None, None] * np.eye(2), settings)
+    return odds
+
+
 def length_odds(common: Background, a: FloatArray, b: FloatArray, var: FloatArray) -> FloatArray:
     """(k,) log odds that two legs of lengths a and b are one corridor."""
     at = np.searchsorted(common.length_edges, 0.5 * (a + b)) - 1
@@ -148,26 +160,44 @@ def align(
     ha, hb = places.heading[a], places.heading[b]
     k, s = ha.shape
     mean = np.zeros(k) if turn_mean is None else turn_mean
-    off = wrap(ha[:, :, None] - hb[:, None, :] - mean[:, None, None])  # (k, s, s)
-    best = Alignment(np.full(k, -np.inf), np.zeros(k), np.full((k, s), -1, np.int64), np.zeros(k))
-    found = (best.score.copy(), best.turn.copy(), best.partner.copy(), best.extra.copy())
-    trials = off.reshape(k, s * s)
-    order = np.argsort(np.where(np.isfinite(trials), np.abs(trials), np.inf), axis=1)
     sigma = np.maximum(turn_sigma, 1e-3)
-    for rank in range(min(trials.shape[1], 7)):
-        t = np.take_along_axis(trials, order[:, rank : rank + 1], axis=1)[:, 0]
-        usable = np.isfinite(t) & (np.abs(t) < 3.5 * np.hypot(sigma, 1.5 * common.branch_sigma))
-        rows = np.flatnonzero(usable)
-        if len(rows) == 0:
-            break
+    off = _wrapped(ha[:, :, None] - hb[:, None, :] - mean[:, None, None])  # (k, s, s)
+    found = (np.full(k, -np.inf), np.zeros(k), np.full((k, s), -1, np.int64), np.zeros(k))
+    for rows, trial in _trials(off.reshape(k, s * s), np.hypot(sigma, 1.5 * common.branch_sigma)):
         score, turn, partner, extra = _match(
-            places, common, a[rows], b[rows], off=off[rows], trial=t[rows], sigma=sigma[rows]
+            places, common, a[rows], b[rows], off=off[rows], trial=trial, sigma=sigma[rows]
         )
         better = score > found[0][rows]
         hit = rows[better]
         found[0][hit], found[1][hit] = score[better], turn[better] + mean[hit]
         found[2][hit], found[3][hit] = partner[better], extra[better]
     return Alignment(*found)
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """Angles in [-pi, pi]; twice as fast as `wrap`, which this module would spend its time in."""
+    turns: FloatArray = angle - 2 * np.pi * np.rint(angle * (0.5 / np.pi))
+    return turns
+
+
+def _trials(off: FloatArray, sigma: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
+    """Turns to try: (rows, turn of each row), the smallest turns first, no two of a row alike.
+
+    off: (k, m) differences of branches, NaN where there is none; sigma: (k,) of the turn.
+    """
+    size = np.where(np.isfinite(off), np.abs(off), np.inf)
+    rows = np.flatnonzero(size.min(axis=1) < 3.5 * sigma)
+    off, size, limit = off[rows], size[rows], 3.5 * sigma[rows]
+    for _ in range(6):
+        if len(rows) == 0:
+            return
+        at = size.argmin(axis=1)
+        trial = off[np.arange(len(rows)), at]
+        yield rows, trial
+        # Differences near this one lead to the same pairs.
+        size = np.where(np.abs(off - trial[:, None]) < SAME_TURN_RAD, np.inf, size)
+        keep = size.min(axis=1) < limit
+        rows, off, size, limit = rows[keep], off[keep], size[keep], limit[keep]
 
 
 def _match(
@@ -181,26 +211,30 @@ def _match(
     sigma: FloatArray,
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
     """Mutual nearest branches after a trial turn, then the turn and score that they say."""
-    rest = np.abs(wrap(off - trial[:, None, None]))
+    residual = _wrapped(off - trial[:, None, None])
+    rest = np.abs(residual)
     rest = np.where(np.isfinite(rest), rest, np.inf)
-    near = (rest == rest.min(axis=2, keepdims=True)) & (rest == rest.min(axis=1, keepdims=True))
     tolerance = min(max(3.5 * 1.5 * common.branch_sigma, 0.2), MATCH_RAD)
-    near &= rest < tolerance
-    partner = np.where(near.any(axis=2), near.argmax(axis=2), -1)
-    residual = np.where(near, wrap(off - trial[:, None, None]), 0.0)
+    near = rest < tolerance
+    near &= (rest == rest.min(axis=2, keepdims=True)) & (rest == rest.min(axis=1, keepdims=True))
+    has_a, has_b = near.any(axis=2), near.any(axis=1)
+    partner = np.where(has_a, near.argmax(axis=2), -1)
+    residual = np.where(near, residual, 0.0)
     pairs = near.sum(axis=(1, 2))
     # Turn: mean of what the pairs say, held towards 0 by its own sigma.
     var_pair = 2 * common.branch_sigma**2
     mean = residual.sum(axis=(1, 2)) / np.maximum(pairs, 1) + trial
     weight = pairs / var_pair
     turn = mean * weight / (weight + sigma**-2)
-    off_turn = np.where(near, wrap(off - turn[:, None, None]), 0.0)
-    spread = (off_turn**2).sum(axis=(1, 2))
+    # Σ (residual + trial - turn)² over the pairs, without another pass over the table.
+    rest_turn = trial - turn
+    spread = (residual**2).sum(axis=(1, 2)) + 2 * rest_turn * residual.sum(axis=(1, 2))
+    spread += pairs * rest_turn**2
     score = -0.5 * spread / var_pair - 0.5 * turn**2 / sigma**2
     score -= 0.5 * pairs * np.log(var_pair / (2 * np.pi))  # against uniform headings
     # A branch that one place has and the other not: a fault, unless it is itself uncertain.
-    lone_a = np.where(near.any(axis=2), 0.0, _sureness(places, a))
-    lone_b = np.where(near.any(axis=1), 0.0, _sureness(places, b))
+    lone_a = np.where(has_a, 0.0, _sureness(places, a))
+    lone_b = np.where(has_b, 0.0, _sureness(places, b))
     extra = lone_a.sum(axis=1) + lone_b.sum(axis=1)
     score += extra * np.log(common.fault_rate)
     return score, turn, partner, extra
@@ -226,9 +260,8 @@ def rarity(places: Places, common: Background, settings: EvidenceSettings) -> Fl
     wide = settings.bandwidth_rad**2 + 2 * common.branch_sigma**2
     for begin in range(0, n, 512):
         rows = np.arange(begin, min(begin + 512, n))
-        off = np.abs(
-            wrap(places.heading[rows][:, None, :, None] - places.heading[sample][None, :, None, :])
-        )
+        here, there = places.heading[rows], places.heading[sample]
+        off = np.abs(_wrapped(here[:, None, :, None] - there[None, :, None, :]))
         off = np.where(np.isfinite(off), off, np.inf)
         near = off.min(axis=3)
         paired = near < MATCH_RAD

@@ -17,12 +17,17 @@ from ..posegraph import (
     SolverSettings,
     solve,
 )
+from ..posegraph_samples import SampledMarginals
 from ..se2 import wrap
 from .rectilinear import GridHeadings
 from .walk import Walk, relative_covariance, systematic_modes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+_SAMPLES = 64
+_CAUTION = 1.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +60,13 @@ class Layout:
     graph: PoseGraph
     solution: Solution
 
-    def marginals(self) -> Marginals:
-        """Covariances at this layout."""
-        return Marginals.of(self.graph, self.solution)
+    def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
+        """(k, 3, 3) of nodes b seen from nodes a, axes of a: exact for few, sampled for many."""
+        if len(np.unique(np.concatenate([a, b]))) * 3 <= 2 * _SAMPLES:
+            return Marginals.of(self.graph, self.solution).relative(a, b)
+        sampled = SampledMarginals.of(self.graph, self.solution, _SAMPLES)
+        # What the samples may have missed.
+        return _CAUTION * sampled.relative(a, b)
 
 
 def lay_out(

@@ -11,27 +11,33 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from .evidence import (
     EvidenceSettings,
     align,
     background,
+    best_position_odds,
     position_odds,
     rarity,
 )
 from .gated import Identification
 from .growth import GrowthSettings, Scene, grow
 from .layout import Layout, LayoutSettings, lay_out
-from .places import Places, tabulate
+from .places import NOWHERE, Places, tabulate
 from .rates import RateSettings, measured_rates
 from .rectilinear import RectilinearSettings, grid_headings
 from .walk import Walk, dead_reckoning_covariance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+_FAR_M = 80.0
+"""Longest way that `nearby_variance` looks at."""
+_STRIP = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +52,8 @@ class RoundSettings:
     """Largest squared Mahalanobis distance (2 d.o.f.)."""
     reach_m: float = 20.0
     """Places farther apart than this in the layout are not asked about."""
+    least_hope: float = 0.0
+    """Candidates that could not reach these log odds wherever they lay are not looked at."""
     support_cap: float = 12.0
     """Most that growth may add."""
     conflict_price: float = 0.25
@@ -98,23 +106,18 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     stage, found = 0, _no_candidates()
     for number in range(settings.most_rounds):
         places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
-        common = background(
-            walk, measured_rates(places, walk.noise, settings.rates), settings.evidence
-        )
+        noise = measured_rates(places, walk.noise, settings.rates)
+        common = background(walk, noise, settings.evidence)
         rare = rarity(places, common, settings.evidence)
         scene = Scene(walk, places, layout.xy, common, rare)
         found = _candidates(scene, place, layout, settings, exact=number > 0)
-        barred = {
-            frozenset((int(place[i]), int(place[j])))
-            for (i, j), count in strikes.items()
-            if count > stage
-        }
-        new = _certain(places, found, settings.thresholds[stage], barred, settings)
+        new: list[Identification] = []
+        while not new and stage < len(settings.thresholds):
+            barred = _barred(strikes, stage, place)
+            new = _certain(places, found, settings.thresholds[stage], barred, settings)
+            stage += not new
         if not new:
-            stage += 1
-            if stage == len(settings.thresholds):
-                break
-            continue
+            break
         links += new
         place = _partition(len(walk), links)
         layout = lay_out(walk, place, layout.pose, grid, settings.layout)
@@ -130,6 +133,15 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
 def _no_candidates() -> Candidates:
     none, zero = np.zeros(0, np.int64), np.zeros(0)
     return Candidates(none, none, zero, zero, zero, zero)
+
+
+def _barred(strikes: Counter[tuple[int, int]], stage: int, place: IntArray) -> set[frozenset[int]]:
+    """Pairs of places whose identification was taken back more often than stages have passed."""
+    return {
+        frozenset((int(place[i]), int(place[j])))
+        for (i, j), count in strikes.items()
+        if count > stage
+    }
 
 
 def _partition(count: int, links: list[Identification]) -> IntArray:
@@ -148,33 +160,106 @@ def _partition(count: int, links: list[Identification]) -> IntArray:
 def _candidates(
     scene: Scene, place: IntArray, layout: Layout, settings: RoundSettings, *, exact: bool
 ) -> Candidates:
-    """All pairs of places that position and branches allow, with their evidence."""
-    walk, places, common, rare = scene.walk, scene.places, scene.common, scene.rare
+    """All pairs of places that position and branches allow, with their evidence.
+
+    Bounds that are cheap come first: dead reckoning, the shortest known way, then what branches and
+    corridors could make of the best position. Only what is left needs covariances of the solved
+    graph (`exact`); the bounds stand for them otherwise.
+    """
+    walk, places, common = scene.walk, scene.places, scene.common
     pairs = cKDTree(layout.xy).query_pairs(settings.reach_m, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     a, b = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
     i, j = _nearest_in_time(places, place, a, b)
     same = walk.chain[i] == walk.chain[j]
     a, b, i, j = a[same], b[same], i[same], j[same]
-    cov = dead_reckoning_covariance(walk, i, j)
     # What dead reckoning alone excludes stays excluded: closures only make it more certain.
+    cov = dead_reckoning_covariance(walk, i, j)
     sigma2 = 2 * common.centre_sigma**2
     shift = layout.xy[a] - layout.xy[b]
-    bound = cov[:, 0, 0] + cov[:, 1, 1] + 2 * sigma2
-    near = (shift**2).sum(axis=1) < settings.gate * bound
-    a, b, i, j, cov, shift = (x[near] for x in (a, b, i, j, cov, shift))
+    far2 = (shift**2).sum(axis=1)
+    near = far2 < settings.gate * (cov[:, 0, 0] + cov[:, 1, 1] + 2 * sigma2)
+    a, b, cov, shift, far2 = a[near], b[near], cov[near], shift[near], far2[near]
+    cov = _tighter(cov, *known_way_variance(walk, places, a, b))
+    near = far2 < settings.gate * (cov[:, 0, 0] + cov[:, 1, 1] + 2 * sigma2)
+    a, b, cov, shift = a[near], b[near], cov[near], shift[near]
     if exact:
+        best = best_position_odds(common, shift, settings.evidence)
+        hopeful = best + _surroundings(scene, a, b, cov, settings).sum() > settings.least_hope
+        a, b, shift = a[hopeful], b[hopeful], shift[hopeful]
         cov = _exact_covariance(layout, a, b)
     s = cov[:, :2, :2] + sigma2 * np.eye(2)
     odds, d2 = position_odds(common, shift, s, settings.evidence)
-    fine = (d2 < settings.gate) & (odds > -6.0)
+    # The first round takes what is plain; the rest is easier once that is settled.
+    fine = (d2 < settings.gate) & (odds > (-6.0 if exact else 0.0))
     a, b, odds, cov = a[fine], b[fine], odds[fine], cov[fine]
+    found = _surroundings(scene, a, b, cov, settings)
+    return Candidates(a, b, odds, found.branches, found.support, found.conflict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surroundings:
+    """Evidence of branches and corridors (log odds)."""
+
+    branches: FloatArray
+    support: FloatArray
+    conflict: FloatArray
+
+    def sum(self) -> FloatArray:
+        out: FloatArray = self.branches + self.support - self.conflict
+        return out
+
+
+def _surroundings(
+    scene: Scene, a: IntArray, b: IntArray, cov: FloatArray, settings: RoundSettings
+) -> _Surroundings:
     turn_sigma = np.sqrt(np.maximum(cov[:, 2, 2], 0.0)) + 0.02
-    aligned = align(places, common, a, b, turn_sigma=turn_sigma)
-    branches = aligned.score - np.maximum(rare[a], rare[b])
-    support = grow(scene, a, b, aligned, settings.growth)
-    gain = np.minimum(support.gain, settings.support_cap)
-    return Candidates(a, b, odds, branches, gain, support.loss)
+    aligned = align(scene.places, scene.common, a, b, turn_sigma=turn_sigma)
+    branches = aligned.score - np.maximum(scene.rare[a], scene.rare[b])
+    grown = grow(scene, a, b, aligned, settings.growth)
+    gain = np.minimum(grown.gain, settings.support_cap)
+    return _Surroundings(branches, gain, grown.loss)
+
+
+def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:
+    """`cov` (k, 3, 3), or the round one of the given variances where that is smaller."""
+    other = np.zeros_like(cov)
+    other[:, 0, 0] = other[:, 1, 1] = np.where(np.isfinite(position), 0.5 * position, 0.0)
+    other[:, 2, 2] = np.where(np.isfinite(turn), turn, 0.0)
+    better = position < cov[:, 0, 0] + cov[:, 1, 1]
+    out: FloatArray = np.where(better[:, None, None], other, cov)
+    return out
+
+
+def known_way_variance(
+    walk: Walk, places: Places, a: IntArray, b: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) bounds on the squared error [m²] and turn [rad²] of b seen from a.
+
+    Those of dead reckoning along the shortest known way: corridors bound the error of a solved
+    graph from above, and cheaply, by one Dijkstra over all places, in strips. Ways longer than
+    `_FAR_M` bound nothing (inf).
+    """
+    source, slot = np.nonzero(places.next_place != NOWHERE)
+    n = len(places)
+    way = np.maximum(places.length[source, slot], 0.1)
+    graph = csr_matrix((way, (source, places.next_place[source, slot])), shape=(n, n))
+    length = np.full(len(a), np.inf)
+    order = np.argsort(a, kind="stable")
+    heads = np.unique(a)
+    cuts = np.searchsorted(a[order], np.append(heads, n))
+    for begin in range(0, len(heads), _STRIP):
+        end = min(begin + _STRIP, len(heads))
+        rows = order[cuts[begin] : cuts[end]]
+        reach = dijkstra(graph, directed=False, indices=heads[begin:end], limit=_FAR_M)
+        length[rows] = reach[np.searchsorted(heads[begin:end], a[rows]), b[rows]]
+    noise, extra = walk.noise, walk.systematic
+    # As if every metre of the way lay as far off as the middle of it, with a corner every 4 m.
+    corners = np.pi / 2 * (1.0 + length / 4.0)
+    turn = noise.heading_rad_per_sqrt_m**2 * length + noise.heading_rad_per_sqrt_rad**2 * corners
+    turn = turn + (extra.turn_rad_per_m * length) ** 2 + (extra.turn_rad_per_rad * corners) ** 2
+    position = 2 * noise.along_m_per_sqrt_m**2 * length + turn * (0.5 * length) ** 2
+    return 2.0 * position, 2.0 * turn
 
 
 def _nearest_in_time(
@@ -194,7 +279,7 @@ def _exact_covariance(layout: Layout, a: IntArray, b: IntArray) -> FloatArray:
     if len(a) == 0:
         return np.zeros((0, 3, 3))
     na, nb = layout.node[a], layout.node[b]
-    cov = layout.marginals().relative(na, nb)
+    cov = layout.relative_covariance(na, nb)
     theta = layout.solution.pose[na, 2]
     c, s = np.cos(theta), np.sin(theta)
     R = np.zeros((len(a), 3, 3))
