@@ -20,10 +20,10 @@ from .corridors import (
     CorridorSettings,
     corridors_of,
     fuse_corridors,
-    split_at_places,
 )
 from .identity import Groups, Pool, identify
 from .joint import DEFAULT_JOINT, JointSettings, fitted_poses, optimise, pass_counts, run_poses
+from .passages import DEFAULT_PASSAGE, PassageSettings, split_at_places
 from .places import DEFAULT_PLACE, Place, PlaceSettings, fused_places
 from .result import Component, FusedMap, PairVerdict
 
@@ -38,6 +38,7 @@ class FusionSettings:
     joint: JointSettings = DEFAULT_JOINT
     coincidence: CoincidenceSettings = DEFAULT_COINCIDENCE
     corridors: CorridorSettings = DEFAULT_CORRIDOR
+    passages: PassageSettings = DEFAULT_PASSAGE
     rounds: int = 4
     """Rounds of "fuse what coincides, optimise again"."""
     places: PlaceSettings = DEFAULT_PLACE
@@ -122,7 +123,7 @@ def _fuse_component(
     if len(pool.maps) > 1:
         corridors = fuse_corridors(corridors, settings.corridors)
         headings = [p.headings for p in places]
-        corridors = split_at_places(corridors, xy, headings, settings.corridors)
+        corridors = split_at_places(corridors, xy, headings, settings.passages, settings.corridors)
     return _Fused(pool, xy, places, corridors, fitted_poses(pool, pose))
 
 

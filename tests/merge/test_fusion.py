@@ -327,3 +327,22 @@ def test_a_grid_keeps_a_chain_of_rectilinear_maps_from_bending(draw):
     _, fused = fuse(chain, links)
     far = next(k for k, m in enumerate(fused.members) if m == {"r3": (1,)})
     assert fused.xy[far] == pytest.approx([80.0, 0.0], abs=0.3)
+
+
+def test_a_phantom_in_one_run_splits_the_other_runs_corridor_by_their_branches(draw):
+    # The path of b cuts the corner, so only the branches at both ends tell that it passed m.
+    up = np.pi / 2
+    shape = {"p": (0, 0), "m": (6, 0), "q": (6, 6), "n": (-5, 0)}
+    a = draw("a", shape, [("p", "m"), ("m", "q"), ("n", "p")], [("p", up), ("q", up), ("q", np.pi)])
+    b = draw(
+        "b",
+        {k: shape[k] for k in "pqn"},
+        [("n", "p")],
+        [("p", 0.0), ("p", up), ("q", up), ("q", np.pi), ("q", -up)],
+    )
+    at = [int(np.abs(b.branches[v] - h).argmin()) for v, h in ((0, 0.0), (1, -up))]
+    b = with_edge(b, (0, at[0], 1, at[1]), 12.2, [(0, 0), (3, 3), (6, 6)])
+    _, fused = fuse([a, b], [verdict(a, b, [(0, 0), (2, 1), (3, 2)])])
+    assert len(fused.source) == 3
+    assert sorted(len(m) for m in fused.edge_members) == [2, 2, 2]
+    assert fused.length.max() < 6.1
