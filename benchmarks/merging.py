@@ -11,13 +11,13 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from mazes import Noise
 from paper import cpu_ms, pair_of_maps, right
 
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import CopyModel
 from topobatch.merge.robust.verdict import bar, opinion
-from mazes import Noise
 
 SIZES = (50, 126, 300, 800)
 CELL_M = 0.5
@@ -80,7 +80,9 @@ def main():
     parser.add_argument("--overlap", type=float, default=0.3)
     options = parser.parse_args()
     print(f"{options.pairs} pairs per size, {options.overlap:.0%} overlap; ms, one thread")
-    print("junctions  prepare/map   pair  unrelated  Hough  merged right  Hough right  false merges")
+    print(
+        "junctions  prepare/map   pair  unrelated  Hough  merged right  Hough right  false merges"
+    )
     for size, (made, ours, apart, votes), good, good_votes, wrong in rows(
         options.pairs, options.overlap
     ):

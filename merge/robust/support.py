@@ -13,6 +13,9 @@ from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 LINK_BITS = 8.0
 """No single corridor or neighbourhood tells more."""
 
+WORST_LINK_BITS = -5.0
+"""No single corridor speaks louder against a match: one of the runs may have measured it badly."""
+
 REPEAT_BITS = 0.5
 BEARING_RAD = np.pi / 8
 LINE_M = 0.8
@@ -36,7 +39,8 @@ def support(a: Prepared, b: Prepared, match: Match) -> Support:
 
     A link is a corridor that both maps have (its length is compared), or two matched junctions
     near each other (their relative position is compared: the corridor between them may have been
-    split by a junction that one run missed). A forest counts every place once.
+    split by a junction that one run missed). A forest counts every place once; a corridor of both
+    maps whose lengths do not fit counts against the match.
     """
     k = len(match)
     order = np.full(len(b), -1)
@@ -48,7 +52,8 @@ def support(a: Prepared, b: Prepared, match: Match) -> Support:
     chosen = _forest(source, target, value, np.abs(b.z[match.b] - b.z[match.b].sum() / k))
     source, target, value = source[chosen], target[chosen], value[chosen]
     total = _without_repeats(a.z[match.a[source]], a.z[match.a[target]], value)
-    return Support(total + float(match.branch.sum()), rows)
+    misfit = float(np.maximum(bits[bits < 0], WORST_LINK_BITS).sum())
+    return Support(total + misfit + float(match.branch.sum()), rows)
 
 
 def _corridor_links(
