@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from .posegraph_marginals import relative_jacobians
-from .posegraph_model import PoseGraph
+from .posegraph_model import PoseGraph, corrected_measurement, edge_errors
 from .posegraph_start import skeleton
-from .posegraph_system import Pattern, Point, build_pattern, edge_jacobians, linearise
+from .posegraph_system import Pattern, Point, build_pattern, linearise
 from .se2 import FloatArray
 
 
@@ -38,7 +38,7 @@ class SampledMarginals:
         pattern = build_pattern(graph, skeleton(graph))
         system = linearise(graph, pattern, solution)
         factor = system.factorise()
-        J_i, J_j, J_m = edge_jacobians(graph, solution.pose, solution.shared)
+        J_i, J_j, J_m = _jacobians(graph, solution.pose, solution.shared)
         root = _square_root(graph.information * solution.edge_weight[:, None, None])
         known = _square_root(graph.priors.information * solution.prior_weight[:, None, None])
         z = rng.standard_normal((3 * len(root), count))
@@ -66,6 +66,34 @@ class SampledMarginals:
         off = J_a @ self.error[a] + J_b @ self.error[b]
         out: FloatArray = off @ off.transpose(0, 2, 1) / self.error.shape[2]
         return out
+
+
+def _jacobians(
+    graph: PoseGraph, pose: FloatArray, shared: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(m, 3, 3) each: derivatives of the edge errors by source pose, target pose, measurement.
+
+    With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij and E = [I, J(t_j - t_i); 0, 1]: J_j = B, J_i = -B E;
+    by the measurement -diag(R_ijᵀ, 1) with -J e_xy in the last column.
+    """
+    T_i_j, error = corrected_measurement(graph, shared), edge_errors(graph, pose, shared)
+    x, y, _ = (pose[graph.target] - pose[graph.source]).T
+    J_j = _back_rotation(pose[graph.source, 2] + T_i_j[:, 2])
+    J_i = -J_j
+    J_i[:, :2, 2] = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
+    J_m = -_back_rotation(T_i_j[:, 2])
+    J_m[:, 0, 2], J_m[:, 1, 2] = error[:, 1], -error[:, 0]
+    return J_i, J_j, J_m
+
+
+def _back_rotation(theta: FloatArray) -> FloatArray:
+    """(k, 3, 3) diag(R(θ)ᵀ, 1)."""
+    out = np.zeros((len(theta), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = np.cos(theta)
+    out[:, 0, 1] = np.sin(theta)
+    out[:, 1, 0] = -out[:, 0, 1]
+    out[:, 2, 2] = 1.0
+    return out
 
 
 def _square_root(information: FloatArray) -> FloatArray:
