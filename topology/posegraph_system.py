@@ -22,7 +22,7 @@ from .posegraph_model import PoseGraph, corrected_measurement, edge_errors, prio
 from .posegraph_start import Skeleton, summed
 from .se2 import FloatArray
 
-_NONE = -1
+_FIXED = -1
 
 
 class Point(Protocol):
@@ -43,15 +43,14 @@ class Pattern:
     """Where every product of the linearisation lands in the matrix: computed once per graph.
 
     variable: (n, 3) column of each pose component, -1 where it is fixed; indices, indptr: pattern
-    of A (CSC); kept: which of the flat block entries land in A; slot: where those land;
-    diagonal: (size,) slots of the diagonal.
+    of A (CSC); slot: (4 m + u, 9) where the entries of each block land, one behind the last for
+    fixed components; diagonal: (size,) slots of the diagonal.
     """
 
     variable: NDArray[np.int64]
     size: int
     indices: NDArray[np.int32]
     indptr: NDArray[np.int32]
-    kept: NDArray[np.int64]
     slot: NDArray[np.int64]
     diagonal: NDArray[np.int64]
 
@@ -59,34 +58,49 @@ class Pattern:
 def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
     """Pattern of the normal matrix. O(m log m).
 
-    Vectorised over block entries: all (row, column) pairs of the four 3 × 3 blocks of every edge
-    (and the one of every prior) in one flat array; `np.unique` of the column-major key makes the
-    sorted pattern and, as its inverse, the slot of each entry.
+    The 3 × 3 blocks are sorted, not their entries: `np.unique` of the (column, row) keys of blocks,
+    renumbered in elimination order, gives the block pattern and the block that each contribution
+    falls in; entries of a block column of height h lie h apart, so their places follow. Fixed
+    components are cut out of the finished pattern.
     """
-    free = ~frame.fixed[frame.order]
-    variable = np.full((len(graph), 3), _NONE, np.int64)
-    size = int(free.sum())
-    ordered = np.full(free.shape, _NONE, np.int64)
-    ordered[free] = np.arange(size)
-    variable[frame.order] = ordered
-    i, j, u = variable[graph.source], variable[graph.target], variable[graph.priors.node]
-    blocks = ((i, i), (i, j), (j, i), (j, j), (u, u))
-    rows = np.concatenate([np.repeat(a, 3, axis=1).ravel() for a, _ in blocks])
-    columns = np.concatenate([np.tile(b, (1, 3)).ravel() for _, b in blocks])
-    kept = np.flatnonzero((rows >= 0) & (columns >= 0))
+    n, m = len(graph), len(graph.source)
+    rank = np.empty(n, np.int64)
+    rank[frame.order] = np.arange(n)
+    i, j, u = rank[graph.source], rank[graph.target], rank[graph.priors.node]
+    nodes = np.arange(n)
     # The whole diagonal belongs to the pattern, so that damping always has a place to go.
-    everywhere = np.arange(size)
-    key = np.concatenate([columns[kept] * size + rows[kept], everywhere * (size + 1)])
-    entries, slot = np.unique(key, return_inverse=True)
-    indptr = np.searchsorted(entries, np.arange(size + 1) * size)
+    rows = np.concatenate([i, i, j, j, u, nodes])
+    columns = np.concatenate([i, j, i, j, u, nodes])
+    blocks, which = np.unique(columns * n + rows, return_inverse=True)
+    block_row, block_column = blocks % max(n, 1), blocks // max(n, 1)
+    height = np.bincount(block_column, minlength=n)
+    first = np.concatenate([[0], np.cumsum(height)[:-1]]).astype(np.int64)
+    # Entry (r, c) of a block: column c of its block column, then the blocks above it, then r.
+    base = 9 * first[block_column] + 3 * (np.arange(len(blocks)) - first[block_column])
+    stride = 3 * height[block_column]
+    r, c = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
+    place = base[:, None] + c * stride[:, None] + r
+    free = (~frame.fixed[frame.order]).ravel()
+    number = np.where(free, np.cumsum(free) - 1, _FIXED)
+    row_of, column_of = np.empty((2, 9 * len(blocks)), np.int64)
+    row_of[place] = 3 * block_row[:, None] + r
+    column_of[place] = 3 * block_column[:, None] + c
+    kept = free[row_of] & free[column_of]
+    new_place = np.cumsum(kept) - 1
+    size = int(free.sum())
+    per_column = np.bincount(number[column_of[kept]], minlength=size)
+    # Contributions to fixed components go to one slot behind the last, which is dropped.
+    slot = np.where(kept, new_place, int(kept.sum()))[place]
+    variable = np.empty((n, 3), np.int64)
+    variable[frame.order] = number.reshape(n, 3)
+    diagonal = slot[which[4 * m + len(u) :]][:, [0, 4, 8]].ravel()
     return Pattern(
         variable,
         size,
-        (entries % max(size, 1)).astype(np.int32),
-        indptr.astype(np.int32),
-        kept,
-        slot[: len(kept)],
-        slot[len(kept) :],
+        number[row_of[kept]].astype(np.int32),
+        np.concatenate([[0], np.cumsum(per_column)]).astype(np.int32),
+        slot[which[: 4 * m + len(u)]],
+        diagonal[free],
     )
 
 
@@ -160,48 +174,79 @@ class Factor:
 
 
 def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
-    """Normal equations at a point, with information scaled by its weights.
+    """Normal equations at a point, with information scaled by its weights. O(m).
 
-    Vectorised over edges: Jacobians (m, 3, 3) by both ends, their products by stacked matmul,
-    scattered with one `bincount` into the slots of the pattern. O(m).
+    Vectorised over edges, one array per matrix entry. With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij, and
+    E = [I, J(t_j − t_i); 0, 1] the Jacobians are J_j = B and J_i = −B E, so that all blocks follow
+    from G = Bᵀ Ω B, the information turned into the frame of the graph: H_jj = G, H_ij = −Eᵀ G,
+    H_ii = Eᵀ G E. One `bincount` scatters them into the slots of the pattern.
     """
-    pose, shared = at.pose, at.shared
+    pose, shared, m = at.pose, at.shared, len(graph.source)
+    T_i_j = corrected_measurement(graph, shared)
     error = edge_errors(graph, pose, shared)
-    J_i, J_j, J_m = edge_jacobians(graph, pose, shared)
-    omega = graph.information * at.edge_weight[:, None, None]
-    i_omega, j_omega = np.matmul(J_i.transpose(0, 2, 1), omega), J_j.transpose(0, 2, 1) @ omega
-    cross = np.matmul(i_omega, J_j)
-    information = graph.priors.information * at.prior_weight[:, None, None]
-    blocks = (
-        np.matmul(i_omega, J_i),
-        cross,
-        cross.transpose(0, 2, 1),
-        np.matmul(j_omega, J_j),
-        information,
-    )
-    flat = np.concatenate([block.reshape(-1) for block in blocks])
-    data = summed(pattern.slot, flat[pattern.kept], len(pattern.indices))
+    phi = pose[graph.source, 2] + T_i_j[:, 2]
+    c, s = np.cos(phi), np.sin(phi)
+    x, y = (pose[graph.target, :2] - pose[graph.source, :2]).T
+    G = _turned(graph.information, c, s) * at.edge_weight
+    blocks = np.empty((4 * m + len(graph.priors), 3, 3))
+    H_ii, H_ij, H_ji, H_jj = (blocks[k * m : (k + 1) * m].transpose(1, 2, 0) for k in range(4))
+    H_jj[:] = G
+    H_ij[:2] = -G[:2]
+    H_ij[2] = y * G[0] - x * G[1] - G[2]
+    H_ji[:] = H_ij.transpose(1, 0, 2)
+    H_ii[:, :2] = -H_ij[:, :2]
+    H_ii[:, 2] = y * H_ij[:, 0] - x * H_ij[:, 1] - H_ij[:, 2]
+    blocks[4 * m :] = graph.priors.information * at.prior_weight[:, None, None]
+    data = summed(pattern.slot.ravel(), blocks.ravel(), len(pattern.indices) + 1)[:-1]
 
     ends = (graph.source, graph.target, graph.priors.node)
-    pull = (
-        _times(i_omega, error),
-        _times(j_omega, error),
-        _times(information, prior_errors(graph, pose)),
-    )
-    gradient = _scatter(pattern, ends, pull)
+    pull_j = _pulled(G, _turned_back(error, c, s))
+    pull_i = _through(pull_j, x, y)
+    known = _times(blocks[4 * m :], prior_errors(graph, pose))
+    gradient = _scatter(pattern, ends, (pull_i, pull_j, known))
     k = len(graph.shared)
     border, corner, slope = np.zeros((pattern.size, k)), np.zeros((k, k)), np.zeros(k)
     if k:
-        J_b = np.matmul(J_m, graph.shared.sensitivity)
+        J_b = np.matmul(measurement_jacobian(graph, pose, shared), graph.shared.sensitivity)
         for column in range(k):
-            slope_b = J_b[:, :, column]
-            parts = (_times(i_omega, slope_b), _times(j_omega, slope_b))
-            border[:, column] = -_scatter(pattern, ends[:2], parts)
-        weighted = np.matmul(omega, J_b)
+            G_b = _pulled(G, _turned_back(J_b[:, :, column], c, s))
+            border[:, column] = -_scatter(pattern, ends[:2], (_through(G_b, x, y), G_b))
+        weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
         belief = 1.0 / np.square(graph.shared.sigma)
         corner = np.einsum("eik,eil->kl", J_b, weighted) + np.diag(belief)
         slope = -np.einsum("eik,ei->k", weighted, error) - belief * (shared - graph.shared.mean)
     return NormalEquations(pattern, data, gradient, border, slope, corner)
+
+
+def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+    """(3, 3, m) Bᵀ Ω B for B = diag([[c, s], [-s, c]], 1)."""
+    xx, xy, xt = information[:, 0, 0], information[:, 0, 1], information[:, 0, 2]
+    yy, yt, tt = information[:, 1, 1], information[:, 1, 2], information[:, 2, 2]
+    cc, cs, ss = c * c, c * s, s * s
+    G = np.empty((3, 3, len(c)))
+    G[0, 0] = cc * xx - 2 * cs * xy + ss * yy
+    G[1, 1] = ss * xx + 2 * cs * xy + cc * yy
+    G[0, 1] = G[1, 0] = cs * (xx - yy) + (cc - ss) * xy
+    G[0, 2] = G[2, 0] = c * xt - s * yt
+    G[1, 2] = G[2, 1] = s * xt + c * yt
+    G[2, 2] = tt
+    return G
+
+
+def _turned_back(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+    """(3, m) Bᵀ v of (m, 3): from the frame of the measurement to that of the graph."""
+    x, y, theta = vector.T
+    return np.stack([c * x - s * y, s * x + c * y, theta])
+
+
+def _pulled(G: FloatArray, vector: FloatArray) -> FloatArray:
+    """(m, 3) G v of (3, m): what an error pulls at the target pose."""
+    return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in G], 1)
+
+
+def _through(pull: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """(m, 3) −Eᵀ of a pull at the target pose: the pull at the source pose."""
+    return np.stack([-pull[:, 0], -pull[:, 1], y * pull[:, 0] - x * pull[:, 1] - pull[:, 2]], 1)
 
 
 def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
@@ -220,31 +265,14 @@ def _scatter(
     return -summed(where[free], flat[free], pattern.size)
 
 
-def edge_jacobians(
-    graph: PoseGraph, pose: FloatArray, shared: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(m, 3, 3) each: derivatives of the edge errors by source pose, target pose, measurement.
-
-    With φ = θ_i + θ_ij and Δ = R_iᵀ (t_j − t_i): ∂e/∂t_j = R(φ)ᵀ, ∂e/∂θ_i = −J R_ijᵀ Δ, where J is
-    the quarter turn.
-    """
-    m = len(graph.source)
+def measurement_jacobian(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:
+    """(m, 3, 3) derivative of the edge errors by the measurement: −diag(R_ijᵀ, 1), −J e_xy."""
     T_i_j = corrected_measurement(graph, shared)
-    theta = pose[graph.source, 2]
-    phi = theta + T_i_j[:, 2]
-    c, s = np.cos(phi), np.sin(phi)
-    step = pose[graph.target] - pose[graph.source]
-    J_i, J_j, J_m = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
-    J_j[:, 0, 0], J_j[:, 0, 1] = c, s
-    J_j[:, 1, 0], J_j[:, 1, 1] = -s, c
-    J_i[:, :2, :2] = -J_j[:, :2, :2]
-    J_i[:, 0, 2] = c * step[:, 1] - s * step[:, 0]
-    J_i[:, 1, 2] = -c * step[:, 0] - s * step[:, 1]
-    J_i[:, 2, 2], J_j[:, 2, 2], J_m[:, 2, 2] = -1.0, 1.0, -1.0
+    error = edge_errors(graph, pose, shared)
     c, s = np.cos(T_i_j[:, 2]), np.sin(T_i_j[:, 2])
-    J_m[:, 0, 0], J_m[:, 0, 1] = -c, -s
-    J_m[:, 1, 0], J_m[:, 1, 1] = s, -c
-    # ∂e/∂θ_ij = −J R_ijᵀ (Δ − t_ij): the turned error itself.
-    J_m[:, 0, 2] = J_i[:, 0, 2] - (c * T_i_j[:, 1] - s * T_i_j[:, 0])
-    J_m[:, 1, 2] = J_i[:, 1, 2] + (c * T_i_j[:, 0] + s * T_i_j[:, 1])
-    return J_i, J_j, J_m
+    out = np.zeros((len(c), 3, 3))
+    out[:, 0, 0], out[:, 0, 1] = -c, -s
+    out[:, 1, 0], out[:, 1, 1] = s, -c
+    out[:, 0, 2], out[:, 1, 2] = error[:, 1], -error[:, 0]
+    out[:, 2, 2] = -1.0
+    return out

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.sparse import csc_array
 
 from topobatch.topology.g2o import read_g2o
 from topobatch.topology.posegraph import (
@@ -16,6 +17,7 @@ from topobatch.topology.posegraph import (
     PoseGraph,
     Priors,
     SharedErrors,
+    Solution,
     SolverSettings,
     solve,
     solve_robust,
@@ -23,7 +25,7 @@ from topobatch.topology.posegraph import (
 )
 from topobatch.topology.posegraph_model import edge_errors, prior_errors
 from topobatch.topology.posegraph_start import chordal_start, skeleton
-from topobatch.topology.posegraph_system import edge_jacobians
+from topobatch.topology.posegraph_system import build_pattern, linearise
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, wrap
 
 SHARED = Path(os.environ.get("TOPOBATCH_SHARED", Path(__file__).parents[2].parent / "shared"))
@@ -90,40 +92,53 @@ def first_fixed(n: int) -> np.ndarray:
     return fixed
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_jacobians_match_differences(seed: int) -> None:
-    graph, _ = loop_graph(seed)
-    pose = graph.pose + np.random.default_rng(seed).normal(0, 0.3, graph.pose.shape)
-    J_i, J_j, J_m = edge_jacobians(graph, pose, np.zeros(0))
-    h = 1e-6
-    for axis in range(3):
-        for jacobian, ends in ((J_i, graph.source), (J_j, graph.target)):
-            # One edge at a time would be slow: every edge gets poses of its own instead.
-            loose = np.concatenate([pose[graph.source], pose[graph.target]])
-            m = len(graph.source)
-            apart = replace(
-                graph,
-                pose=loose,
-                source=np.arange(m),
-                target=np.arange(m, 2 * m),
-                held=np.zeros((0, 3), bool),
-            )
-            move = np.zeros_like(loose)
-            move[:m, axis] = h if ends is graph.source else 0
-            move[m:, axis] = h if ends is graph.target else 0
-            diff = (
-                edge_errors(apart, loose + move, np.zeros(0))
-                - edge_errors(apart, loose - move, np.zeros(0))
-            ) / (2 * h)
-            np.testing.assert_allclose(jacobian[:, :, axis], diff, atol=1e-7)
-        shift = np.zeros(3)
-        shift[axis] = h
-        up, down = (
-            replace(graph, measurement=graph.measurement + shift),
-            replace(graph, measurement=graph.measurement - shift),
-        )
-        diff = (edge_errors(up, pose, np.zeros(0)) - edge_errors(down, pose, np.zeros(0))) / (2 * h)
-        np.testing.assert_allclose(J_m[:, :, axis], diff, atol=1e-7)
+@pytest.mark.parametrize("seed", range(3))
+def test_normal_equations_match_differences(seed: int) -> None:
+    """JᵀΩJ and JᵀΩe against numeric Jacobians, with priors, shared errors, held parts, weights."""
+    rng = np.random.default_rng(seed)
+    graph, _ = loop_graph(seed, n=9, loops=6)
+    n, m = len(graph), len(graph.source)
+    held = rng.random((n, 3)) < 0.1
+    graph = replace(
+        graph,
+        pose=graph.pose + rng.normal(0, 0.3, (n, 3)),
+        held=held,
+        priors=Priors.headings(np.array([3, 5, 3]), rng.normal(0, 1, 3), 0.2),
+        shared=SharedErrors(rng.normal(0, 1, (m, 3, 2)), np.array([0.5, 2.0])),
+    )
+    weight, prior_weight = rng.uniform(0.1, 1, m), rng.uniform(0.1, 1, 3)
+    shared = rng.normal(0, 0.1, 2)
+    frame = skeleton(graph)
+    pattern = build_pattern(graph, frame)
+    at = Solution(graph.pose, shared, 0.0, 0.0, weight, weight, prior_weight, 0, False)
+    system = linearise(graph, pattern, at)
+    root = np.linalg.cholesky(graph.information * weight[:, None, None]).transpose(0, 2, 1)
+    k = pattern.size
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        pose = graph.pose.copy()
+        free = pattern.variable >= 0
+        pose[free] += x[pattern.variable[free]]
+        b = shared + x[k:]
+        heading = prior_errors(graph, pose)[:, 2] * np.sqrt(prior_weight) / 0.2
+        whole = (root @ edge_errors(graph, pose, b)[:, :, None]).ravel()
+        return np.concatenate([whole, heading, b / graph.shared.sigma])
+
+    zero = np.zeros(k + 2)
+    jacobian = np.column_stack(
+        [(residuals(d) - residuals(-d)) / 2e-6 for d in 1e-6 * np.eye(k + 2)]
+    )
+    dense = jacobian.T @ jacobian
+    matrix = csc_array((system.data, pattern.indices, pattern.indptr), shape=(k, k)).toarray()
+    tolerance = {"rtol": 1e-5, "atol": 1e-5 * np.abs(dense).max()}
+    np.testing.assert_allclose(matrix, dense[:k, :k], **tolerance)
+    np.testing.assert_allclose(system.border, dense[:k, k:], **tolerance)
+    np.testing.assert_allclose(system.corner, dense[k:, k:], **tolerance)
+    gradient = -jacobian.T @ residuals(zero)
+    tolerance["atol"] = 1e-5 * np.abs(gradient).max()
+    np.testing.assert_allclose(system.gradient, gradient[:k], **tolerance)
+    np.testing.assert_allclose(system.border_gradient, gradient[k:], **tolerance)
+    np.testing.assert_array_equal(matrix.diagonal(), system.data[pattern.diagonal])
 
 
 @pytest.mark.parametrize("seed", range(6))
