@@ -29,7 +29,7 @@ from .posegraph_model import (
     straight_sensitivity,
 )
 from .posegraph_start import chained_start, chordal_start, skeleton
-from .posegraph_system import NormalEquations, build_pattern, linearise
+from .posegraph_system import Factor, NormalEquations, build_pattern, linearise
 from .se2 import FloatArray, wrap
 
 __all__ = [
@@ -60,6 +60,8 @@ class SolverSettings:
     """… or by less than this, in units of χ²."""
     first_damping: float = 1e-4
     """Damping relative to the diagonal that a rejected step brings in; tenfold at each further."""
+    chord_share: float = 0.01
+    """A step that promises to lower the cost by no more than this share uses the last factors."""
     patience: int = 2
     """Full steps that may raise the cost before the solver goes back to the best point."""
 
@@ -148,6 +150,10 @@ def _truncated_weight(chi2: FloatArray, mu: float, limit: float) -> FloatArray:
     return np.where(chi2 <= mu / (mu + 1) * limit, 1.0, np.clip(out, 0.0, 1.0))
 
 
+_MOST_CHORDS = 4
+"""Steps with the same factors: they converge linearly, so that some are enough."""
+
+
 class _Problem:
     """A graph with everything that stays the same from one iteration to the next."""
 
@@ -173,11 +179,23 @@ class _Problem:
         """
         best = here = self._evaluate(pose, shared, weight)
         damping, leaps, iterations, converged = 0.0, 0, 0, False
+        factor: Factor | None = None
+        chords = 0
         while iterations < settings.max_iterations and not converged:
             system = linearise(self.graph, self.pattern, here)
-            there, promised = self._step(system, damping, here, weight)
-            iterations += 1
             enough = settings.relative_tolerance * best.cost + settings.absolute_tolerance
+            if factor is not None and here is best and damping == 0 and chords < _MOST_CHORDS:
+                chords += 1
+                # Near the minimum the last factors still serve: a step for a tenth of the price.
+                there, promised = self._moved(system, factor, here, weight)
+                worth = promised > settings.chord_share * best.cost
+                if promised <= enough or (not worth and there.cost <= best.cost):
+                    converged = best.cost - there.cost <= enough
+                    here = best = min(there, best, key=lambda point: point.cost)
+                    continue
+            iterations += 1
+            factor, chords = self._factor(system, damping), 0
+            there, promised = self._moved(system, factor, here, weight)
             if there.cost <= best.cost:
                 converged = best.cost - there.cost <= enough
                 here = best = there
@@ -192,19 +210,22 @@ class _Problem:
                 damping = max(settings.first_damping, 10 * damping)
         return replace(best, iterations=iterations, converged=converged)
 
-    def _step(
-        self, system: NormalEquations, damping: float, here: Solution, weight: FloatArray
-    ) -> tuple[Solution, float]:
-        """Where a damped step leads, and by how much the cost would fall were it quadratic."""
+    def _factor(self, system: NormalEquations, damping: float) -> Factor:
+        """Factors of the damped system; more damping where it is exactly singular."""
         try:
-            move, shift = system.step(system.factorise(damping))
+            return system.factorise(damping)
         except RuntimeError:
-            # Exactly singular: something is undetermined; damping determines it.
-            move, shift = system.step(system.factorise(max(damping, 1e-6)))
+            return system.factorise(max(damping, 1e-6))
+
+    def _moved(
+        self, system: NormalEquations, factor: Factor, here: Solution, weight: FloatArray
+    ) -> tuple[Solution, float]:
+        """Where a step leads, and by how much the cost would fall were it quadratic."""
+        move, shift = system.step(factor)
         pose = here.pose + move
         pose[:, 2] = wrap(pose[:, 2])
-        promised = system.promise(move, shift)
-        return self._evaluate(pose, here.shared + shift, weight), promised
+        there = self._evaluate(pose, here.shared + shift, weight)
+        return there, system.promise(move, shift)
 
     def _evaluate(self, pose: FloatArray, shared: FloatArray, weight: FloatArray) -> Solution:
         graph = self.graph

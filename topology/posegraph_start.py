@@ -10,7 +10,7 @@ odometry ends in a local minimum. With headings known, positions are linear.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,8 @@ def skeleton(graph: PoseGraph) -> Skeleton:
     order = np.arange(n, dtype=np.int64)
     if n > 1:
         # The fill of the 3n × 3n system follows that of the n × n graph: order the small one.
-        perm_c = _factor(_laplacian(graph, np.ones(len(graph.source)), np.ones(n))).perm_c
-        order = np.argsort(perm_c).astype(np.int64)
+        links = _connection(graph, np.ones(len(graph.source)), np.ones(n), order)
+        order = np.argsort(_factor(links, "MMD_AT_PLUS_A").perm_c).astype(np.int64)
     return Skeleton(component, order, _gauge(graph, component))
 
 
@@ -60,34 +60,38 @@ def _groups(graph: PoseGraph, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
     return connected_components(links, directed=False)[1].astype(np.int64)
 
 
-def _factor(matrix: sparse.csc_array) -> SuperLU:
+def _factor(
+    matrix: sparse.csc_array, ordering: Literal["NATURAL", "MMD_AT_PLUS_A"] = "NATURAL"
+) -> SuperLU:
     """Factors of a Hermitian positive definite matrix, pivots taken from its diagonal."""
-    return splu(
-        matrix,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-
-
-def _laplacian(
-    graph: PoseGraph, weight: NDArray[np.float64], anchor: FloatArray
-) -> sparse.csc_array:
-    """Weighted graph Laplacian with `anchor` (n,) added to its diagonal."""
-    return _connection(graph, weight.astype(np.float64), anchor)
+    return splu(matrix, permc_spec=ordering, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _connection(
-    graph: PoseGraph, coupling: NDArray[np.inexact], anchor: FloatArray
+    graph: PoseGraph, coupling: NDArray[Any], anchor: FloatArray, order: NDArray[np.int64]
 ) -> sparse.csc_array:
-    """Connection Laplacian: −coupling at (source, target), its conjugate opposite, Σ|coupling|."""
+    """Connection Laplacian, rows and columns in the given order of the poses.
+
+    −coupling at (source, target), its conjugate opposite, Σ|coupling| + anchor on the diagonal.
+    """
     n, i, j = len(graph), graph.source, graph.target
     size = np.abs(coupling)
     diagonal = anchor + summed(i, size, n) + summed(j, size, n)
-    nodes = np.arange(n)
+    rank = np.empty(n, np.int64)
+    rank[order] = np.arange(n)
     data = np.concatenate([-coupling, -np.conj(coupling), diagonal.astype(coupling.dtype)])
-    rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
+    rows = np.concatenate([rank[i], rank[j], rank])
+    columns = np.concatenate([rank[j], rank[i], rank])
     return sparse.csc_array((data, (rows, columns)), shape=(n, n))
+
+
+def _solved(
+    matrix: sparse.csc_array, right: NDArray[Any], order: NDArray[np.int64]
+) -> NDArray[Any]:
+    """Solution for a right side by pose, of a matrix in elimination order."""
+    out = np.empty_like(right)
+    out[order] = _factor(matrix).solve(np.ascontiguousarray(right[order]))
+    return out
 
 
 def _gauge(graph: PoseGraph, component: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -142,7 +146,7 @@ def _chordal_headings(graph: PoseGraph, frame: Skeleton, measured: FloatArray) -
     anchor = known + np.where(pinned, scale or 1.0, 0.0)
     target += np.where(pinned, (scale or 1.0) * np.exp(1j * graph.pose[:, 2]), 0.0)
     coupling = weight * np.exp(-1j * measured[:, 2])
-    z = _factor(_connection(graph, coupling, anchor)).solve(target)
+    z = _solved(_connection(graph, coupling, anchor, frame.order), target, frame.order)
     return np.asarray(np.where(frame.fixed[:, 2], graph.pose[:, 2], np.angle(z)))
 
 
@@ -162,7 +166,8 @@ def _positions(
     held = frame.fixed[:, 0] & frame.fixed[:, 1]
     anchor = summed(prior.node, known, n) + np.where(held, 1e6 * weight.max(initial=1.0), 0.0)
     pull += np.where(held, anchor * (graph.pose[:, 0] + 1j * graph.pose[:, 1]), 0.0)
-    z = _factor(_laplacian(graph, weight, anchor)).solve(np.column_stack([pull.real, pull.imag]))
+    links = _connection(graph, weight, anchor, frame.order)
+    z = _solved(links, np.column_stack([pull.real, pull.imag]), frame.order)
     return np.where(held[:, None], graph.pose[:, :2], z)
 
 
