@@ -36,8 +36,7 @@ def unrelated_pairs(kind, pairs, first):
         own = [(a, b) for k, (a, sa) in enumerate(maps) for b, sb in maps[k + 1 :] if not sa & sb]
         others = [p for p, _ in ready]
         mixed = [(a, others[rng.integers(len(others))]) for a, _ in maps * 6 if others]
-        for pair in (own + mixed)[:pairs]:
-            yield pair
+        yield from (own + mixed)[:pairs]
         pairs -= len(own) + len(mixed)
         ready = (ready + maps)[-8 * RUNS :]
         seed += 1

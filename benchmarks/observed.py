@@ -1,4 +1,4 @@
-"""Maps as runs leave them, made without logs: parts of a world, seen with noise, drift and faults."""
+"""Maps as runs leave them, made without logs: parts of a world, seen with noise and faults."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Drawing:
         self.world, self.rng, self.seeing = world, rng, seeing
         inside = set(region)
         ends = list(zip(world.source.tolist(), world.target.tolist(), strict=True))
-        # Every piece of way: (vertex, vertex, polyline); pieces are joined where a vertex is missed.
+        # Pieces of way (vertex, vertex, polyline), to be joined where a vertex is missed.
         self.pieces = [
             (u, v, np.asarray(world.paths[e]))
             for e, (u, v) in enumerate(ends)
@@ -53,7 +53,9 @@ class Drawing:
         self.vertices = sorted({w for u, v, _ in self.pieces for w in (u, v)})
         self.turn = rng.uniform(-np.pi, np.pi)
         self.shift = rng.uniform(-30, 30, 2)
-        waves = rng.normal(size=(4, 2, 2)) * (2 * np.pi / 60)
+        # A few waves of 60 to 150 m in random directions, for each coordinate.
+        away = rng.uniform(-np.pi, np.pi, (4, 2))
+        waves = np.stack([np.cos(away), np.sin(away)]) * 2 * np.pi / rng.uniform(60, 150, (4, 2))
         self.waves = waves, rng.uniform(0, 2 * np.pi, (4, 2)), rng.normal(size=(4, 2))
 
     def _miss(self, v):
@@ -77,8 +79,8 @@ class Drawing:
     def moved(self, points):
         """World points in the map's frame: bent by drift, turned, shifted."""
         frequency, phase, size = self.waves
-        angle = np.einsum("pk,mck->pmc", points, frequency) + phase
-        bend = self.seeing.bend_m * np.einsum("pmc,mc->pc", np.sin(angle), size) / np.sqrt(2)
+        angle = np.einsum("pk,kmc->pmc", points, frequency) + phase
+        bend = self.seeing.bend_m * np.einsum("pmc,mc->pc", np.sin(angle), size) / 2
         c, s = np.cos(self.turn), np.sin(self.turn)
         return (points + bend) @ np.array([[c, s], [-s, c]]) + self.shift
 

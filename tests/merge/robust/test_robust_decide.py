@@ -1,0 +1,228 @@
+"""Verdicts on maps of simulated worlds, whose truth is known."""
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.simulation import make_world
+from topobatch.merge.document import merged_to_document
+from topobatch.merge.locks import Lock
+from topobatch.merge.merging import merge_maps
+from topobatch.merge.result import Verdict
+from topobatch.merge.robust import RobustSettings, decide, match, prepare
+from topobatch.topology.errors import UsageError
+from topobatch.topology.se2 import apply, compose, wrap
+
+
+def only(maps, **options):
+    (verdict,) = decide(sorted(maps, key=lambda m: m.run), **options)
+    return verdict
+
+
+def test_overlapping_maps_are_merged_where_they_belong(halves, right_matches):
+    a, b = halves
+    v = only(halves)
+    assert v.verdict is Verdict.MERGED
+    assert v.accepted
+    common = set(a.info["truth"]) & set(b.info["truth"])
+    assert len(v.best.matched) >= 0.8 * len(common)
+    assert right_matches(v.best.matched, a, b) == 1.0
+    off = apply(v.best.transform, b.xy[v.best.matched[:, 1]]) - a.xy[v.best.matched[:, 0]]
+    assert np.median(np.hypot(*off.T)) < 0.5
+    assert v.evidence_bits > 30
+    assert v.reason.startswith(f"{len(v.best.matched)} junctions and {v.best.corridors} corridors")
+
+
+def test_maps_of_different_buildings_stay_apart(halves, other_maze, see):
+    stranger = see(other_maze, list(range(60)), 5, "stranger")
+    verdicts = decide(sorted([*halves, stranger], key=lambda m: m.run))
+    joined = {(v.a, v.b) for v in verdicts if v.accepted}
+    assert joined == {("left", "right")}
+    assert all(v.verdict is Verdict.UNRELATED for v in verdicts if "stranger" in (v.a, v.b))
+    assert all(v.reason for v in verdicts)
+
+
+@pytest.mark.parametrize("kind", ["maze", "organic"])
+@pytest.mark.parametrize("seed", range(3))
+def test_faults_and_drift_do_not_mislead(kind, seed, see, right_matches):
+    world = make_world(kind, 100, 40 + seed)
+    across = world.xy[:, 0]
+    a = see(
+        world,
+        np.flatnonzero(across < np.quantile(across, 0.65)).tolist(),
+        seed,
+        "a",
+        missed=0.06,
+        branch_fault=0.1,
+        bend_m=0.5,
+        centre_m=0.08,
+    )
+    b = see(
+        world,
+        np.flatnonzero(across > np.quantile(across, 0.35)).tolist(),
+        seed + 9,
+        "b",
+        missed=0.06,
+        branch_fault=0.1,
+        bend_m=0.5,
+        centre_m=0.08,
+    )
+    v = only([a, b])
+    assert v.accepted
+    assert right_matches(v.best.matched, a, b) > 0.97
+
+
+def test_the_frame_of_a_map_does_not_matter(halves, moved):
+    a, b = halves
+    T = np.array([12.0, -7.0, 2.1])
+    before, after = only(halves), only([a, moved(b, T)])
+    assert np.array_equal(before.best.matched, after.best.matched)
+    assert after.evidence_bits == pytest.approx(before.evidence_bits, abs=1e-3)
+    back = compose(after.best.transform, T)
+    assert np.allclose(back[:2], before.best.transform[:2], atol=1e-6)
+    assert abs(wrap(back[2] - before.best.transform[2])) < 1e-9
+
+
+def test_the_order_of_the_maps_does_not_matter(halves, other_maze, see):
+    maps = [*halves, see(other_maze, list(range(50)), 6, "other")]
+    documents = [merged_to_document(merge_maps(order)) for order in (maps, maps[::-1])]
+    assert documents[0] == documents[1]
+
+
+def test_an_executor_changes_nothing_but_the_time(halves, other_maze, see):
+    maps = sorted([*halves, see(other_maze, list(range(40)), 6, "other")], key=lambda m: m.run)
+    heard = []
+    with ThreadPoolExecutor(2) as executor:
+        there = decide(maps, executor=executor, on_pair=lambda done, of: heard.append((done, of)))
+    here = decide(maps)
+    assert [(v.a, v.b, v.verdict, v.evidence_bits) for v in here] == [
+        (v.a, v.b, v.verdict, v.evidence_bits) for v in there
+    ]
+    assert heard == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_prepared_maps_and_candidates_travel(halves):
+    a, b = (prepare(m) for m in halves)
+    a2, b2 = pickle.loads(pickle.dumps((a, b)))
+    here = match(a, b, RobustSettings())
+    there = pickle.loads(pickle.dumps(match(a2, b2, RobustSettings())))
+    assert [c.bits for c in here] == [c.bits for c in there]
+    assert np.array_equal(here[0].a, there[0].a)
+
+
+def test_a_stricter_rate_asks_for_more_evidence(halves):
+    bits = only(halves).evidence_bits
+    strict = RobustSettings(false_merge_rate=2.0 ** -(bits + 5))
+    v = only(halves, settings=strict)
+    assert v.verdict is Verdict.AMBIGUOUS
+    assert not v.accepted
+    assert "chance offers as much" in v.reason
+    assert v.advice
+
+
+def test_maps_with_nothing_in_them(halves, drawn):
+    lone = drawn("lone", [(0, 0)], [], stubs=[(0, 0.0)])
+    pair = drawn("pair", [(0, 0), (5, 0)], [(0, 1)])
+    verdicts = decide(sorted([lone, pair, halves[0]], key=lambda m: m.run))
+    assert {v.verdict for v in verdicts} == {Verdict.UNRELATED}
+    assert decide([]) == ()
+    assert decide([lone]) == ()
+
+
+def test_never_keeps_two_runs_apart(halves):
+    v = only(halves, locks=[Lock("left", "right", "never")])
+    assert v.verdict is Verdict.UNRELATED
+    assert not v.accepted
+    assert v.locked == "never"
+    assert "locked apart" in v.reason
+
+
+def test_never_holds_through_other_runs(maze, see):
+    across = maze.xy[:, 0]
+    edges = np.quantile(across, [0.0, 0.45, 0.25, 0.75, 0.55, 1.0])
+    parts = [
+        np.flatnonzero((across >= low) & (across <= high)).tolist()
+        for low, high in edges.reshape(3, 2)
+    ]
+    maps = [
+        see(maze, part, k, name) for k, (part, name) in enumerate(zip(parts, "abc", strict=True))
+    ]
+    free = {(v.a, v.b): v for v in decide(maps)}
+    assert free["a", "b"].accepted
+    assert free["b", "c"].accepted
+    held = {(v.a, v.b): v for v in decide(maps, locks=[Lock("a", "c", "never")])}
+    assert [held["a", "b"].accepted, held["b", "c"].accepted].count(True) == 1
+    refused = held["a", "b"] if held["b", "c"].accepted else held["b", "c"]
+    assert refused.verdict is Verdict.AMBIGUOUS
+    assert "locked apart" in refused.reason
+
+
+def test_same_joins_what_the_evidence_would_not(maze, see, right_matches):
+    across = maze.xy[:, 0]
+    a = see(maze, np.flatnonzero(across < np.quantile(across, 0.5)).tolist(), 1, "a", missed=0.0)
+    shared = sorted(a.info["truth"], key=lambda v: -across[v])[:3]
+    beyond = np.flatnonzero(across > np.quantile(across, 0.5)).tolist()
+    b = see(maze, sorted({*shared, *beyond}), 2, "b", missed=0.0)
+    vertex = next(v for v in shared if v in b.info["truth"])
+    at = (a.info["truth"].index(vertex), b.info["truth"].index(vertex))
+    v = only([a, b], locks=[Lock("a", "b", "same", at)])
+    assert v.accepted
+    assert v.verdict is Verdict.MERGED
+    assert v.locked == "same"
+    assert list(at) in v.best.matched.tolist()
+    assert "locked as the same" in v.reason
+
+
+def test_locks_that_cannot_be(halves):
+    with pytest.raises(UsageError, match="names junction 999"):
+        only(halves, locks=[Lock("left", "right", "same", (999, 0))])
+    with pytest.raises(UsageError, match="two ways"):
+        only(halves, locks=[Lock("left", "right", "same"), Lock("left", "right", "never")])
+    assert only(halves, locks=[Lock("left", "elsewhere", "never")]).accepted
+
+
+def test_wings_built_alike_are_not_taken_for_each_other(see):
+    """One run in each of two wings of one plan: beyond chance, but perhaps another copy."""
+    world = make_world("office", 200, 8)
+    verdicts = []
+    for seed in range(3):
+        regions = _apart(world, 34, seed)
+        maps = [see(world, r, seed + k, "ab"[k]) for k, r in enumerate(regions)]
+        verdicts.append(only(maps))
+    assert not any(v.accepted for v in verdicts)
+    doubtful = [v for v in verdicts if v.verdict is Verdict.AMBIGUOUS]
+    assert doubtful
+    assert all(v.best is not None and v.advice for v in doubtful)
+    assert any("another copy" in v.reason or "another placement" in v.reason for v in doubtful)
+
+
+def _apart(world, size, seed):
+    """Two regions of a world without a common vertex: around far vertices."""
+    rng = np.random.default_rng(seed)
+    centre = int(rng.integers(len(world)))
+    away = np.hypot(*(world.xy - world.xy[centre]).T)
+    other = int(away.argmax())
+    back = np.hypot(*(world.xy - world.xy[other]).T)
+    first = np.argsort(away, kind="stable")[:size].tolist()
+    second = np.argsort(back, kind="stable")[:size].tolist()
+    assert not set(first) & set(second)
+    return first, second
+
+
+def test_components_say_together_what_no_pair_can(maze, see):
+    """A run that shares too little with each of two others, but enough with both."""
+    across = maze.xy[:, 0]
+    order = np.argsort(across, kind="stable")
+    a = see(maze, order[:52].tolist(), 1, "a", missed=0.0)
+    b = see(maze, order[42:].tolist(), 2, "b", missed=0.0)
+    c = see(maze, order[30:66].tolist(), 3, "c", missed=0.0)
+    most = max(only([a, c]).evidence_bits, only([b, c]).evidence_bits)
+    strict = RobustSettings(false_merge_rate=3 * 2.0 ** -(most + 3))
+    known = [Lock("a", "b", "same")]
+    verdicts = {(v.a, v.b): v for v in decide([a, b, c], strict, locks=known)}
+    assert verdicts["a", "c"].accepted
+    assert verdicts["b", "c"].accepted
+    assert "together with b" in verdicts["a", "c"].reason
+    assert verdicts["a", "c"].evidence_bits > most + 3

@@ -1,0 +1,63 @@
+"""What a person decided about pairs of runs."""
+
+import json
+
+import pytest
+
+from topobatch.merge.locks import (
+    Lock,
+    lock_table,
+    locks_from_document,
+    locks_to_document,
+    with_lock,
+    without_lock,
+)
+from topobatch.topology.errors import DocumentError, UsageError
+
+
+def test_runs_are_ordered_and_their_vertices_with_them():
+    assert Lock("z", "a", "same", (7, 3)) == Lock("a", "z", "same", (3, 7))
+    assert Lock("z", "a", "never") == Lock("a", "z", "never")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("a", "a", "same"), "two runs"),
+        (("a", "b", "maybe"), "'same' or 'never'"),
+        (("a", "b", "same", (1, -2)), "one vertex of each"),
+        (("a", "b", "never", (1, 2)), "whole runs"),
+    ],
+)
+def test_what_no_lock_can_be(arguments, message):
+    with pytest.raises(UsageError, match=message):
+        Lock(*arguments)
+
+
+def test_two_locks_of_a_pair_must_agree():
+    lock = Lock("a", "b", "same")
+    assert lock_table([lock, Lock("b", "a", "same")]) == {("a", "b"): lock}
+    with pytest.raises(UsageError, match="locked in two ways"):
+        lock_table([lock, Lock("b", "a", "never")])
+
+
+def test_a_new_lock_replaces_the_old_one_of_its_pair():
+    locks = with_lock(with_lock((), Lock("b", "c", "never")), Lock("a", "b", "same"))
+    assert [(k.a, k.b, k.decision) for k in locks] == [("a", "b", "same"), ("b", "c", "never")]
+    locks = with_lock(locks, Lock("b", "a", "never"))
+    assert [(k.a, k.b, k.decision) for k in locks] == [("a", "b", "never"), ("b", "c", "never")]
+    assert without_lock(locks, "c", "b") == (Lock("a", "b", "never"),)
+    assert without_lock(locks, "x", "y") == locks
+
+
+def test_documents_come_back_as_they_were():
+    locks = (Lock("a", "b", "same", (3, 4)), Lock("a", "c", "same"), Lock("b", "c", "never"))
+    doc = locks_to_document(locks[::-1])
+    assert doc["schema"] == "topobatch.locks/1"
+    assert locks_from_document(json.loads(json.dumps(doc))) == locks
+
+
+@pytest.mark.parametrize("doc", [{}, {"locks": [{"a": "x"}]}, {"locks": [{"a": 1, "b": 2}]}, []])
+def test_what_is_no_locks_document(doc):
+    with pytest.raises(DocumentError, match=r"locks\.json"):
+        locks_from_document(doc, "locks.json")
