@@ -189,11 +189,9 @@ def outcomes_of(
     context = _context()
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
-        futures: dict[Future[IngestOutcome], IngestJob] = {
-            pool.submit(_counted, job): job for job in jobs
-        }
-        waiting = set(futures)
         try:
+            futures = {pool.submit(_counted, job): job for job in jobs}
+            waiting = set(futures)
             while waiting:
                 finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
                 advance(counter.value)
@@ -202,6 +200,7 @@ def outcomes_of(
         except BaseException:  # Ctrl-C: nobody waits for half-read logs
             for process in multiprocessing.active_children():
                 process.terminate()
+                process.join()
             pool.shutdown(wait=True, cancel_futures=True)
             raise
 
