@@ -131,7 +131,7 @@ def solve_robust(
     if worst <= limit:
         return here
     mu, iterations = limit / (2 * worst - limit), here.iterations
-    coarse = SolverSettings(start="given", max_iterations=2)
+    coarse = SolverSettings(start="given", max_iterations=12)
     for _ in range(settings.max_rounds):
         weight = np.where(doubtful, _truncated_weight(here.edge_chi2, mu, limit), 1.0)
         if np.all((weight < 1e-6) | (weight > 1 - 1e-6)):
