@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -190,7 +191,8 @@ def outcomes_of(
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
         try:
-            futures = {pool.submit(_counted, job): job for job in jobs}
+            with _interrupts_deferred():  # a worker stopped half-started would complain
+                futures = {pool.submit(_counted, job): job for job in jobs}
             waiting = set(futures)
             while waiting:
                 finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
@@ -203,6 +205,24 @@ def outcomes_of(
                 process.join()
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+@contextmanager
+def _interrupts_deferred() -> Iterator[None]:
+    """Ctrl-C within the body takes effect at its end."""
+    interrupted = False
+
+    def note(*_: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if interrupted:
+        raise KeyboardInterrupt
 
 
 def _result(future: Future[IngestOutcome], job: IngestJob) -> IngestOutcome:
