@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+_FEW = 200
 _SAMPLES = 64
 _CAUTION = 1.1
 
@@ -62,7 +63,7 @@ class Layout:
 
     def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) of nodes b seen from nodes a, axes of a: exact for few, sampled for many."""
-        if len(np.unique(np.concatenate([a, b]))) * 3 <= 2 * _SAMPLES:
+        if len(np.unique(np.concatenate([a, b]))) <= _FEW:
             return Marginals.of(self.graph, self.solution).relative(a, b)
         sampled = SampledMarginals.of(self.graph, self.solution, _SAMPLES)
         # What the samples may have missed.
@@ -101,19 +102,16 @@ def lay_out(
     sensitivity = np.zeros((len(legs.row) + len(shared.row), 3, 2))
     sensitivity[: len(legs.row)] = systematic_modes(walk, legs.row, legs.row + 1)
     s = walk.systematic
-    width = np.full(len(sensitivity), np.inf)
-    width[len(legs.row) :] = settings.sighting_kernel
     graph = PoseGraph(
         pose=np.vstack([start, guess]),
         source=np.concatenate([legs.row, shared.row]),
         target=np.concatenate([legs.row + 1, node[place[shared.row]]]),
         measurement=np.vstack([legs.measurement, shared.measurement]),
         information=np.concatenate([legs.information, shared.information]),
-        kernel=width,
         priors=_priors(grid, settings),
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
     )
-    solution = solve(graph, SolverSettings(start="given"))
+    graph, solution = _solved(graph, len(legs.row), settings)
     return Layout(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
@@ -123,6 +121,19 @@ def lay_out(
         graph=graph,
         solution=solution,
     )
+
+
+def _solved(graph: PoseGraph, legs: int, settings: LayoutSettings) -> tuple[PoseGraph, Solution]:
+    """Believe every sighting at first: a new identification may pull places together from afar,
+    where a robust kernel would let go of it. Then let go of those that do not fit."""
+    given = SolverSettings(start="given")
+    solution = solve(graph, given)
+    if np.all(solution.edge_chi2[legs:] < settings.sighting_kernel**2):
+        return graph, solution
+    width = np.full(len(graph.source), np.inf)
+    width[legs:] = settings.sighting_kernel
+    graph = replace(graph, pose=solution.pose, kernel=width)
+    return graph, solve(graph, given)
 
 
 def _priors(grid: GridHeadings | None, settings: LayoutSettings) -> Priors:
