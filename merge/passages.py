@@ -187,7 +187,7 @@ def _chains(
             if (step.place, step.branch) == (c.v, c.branch_v):
                 if len(longer) > 1:
                     yield longer
-            elif len(longer) <= settings.deepest and step.branch != NO_BRANCH:
+            elif len(longer) <= settings.deepest:
                 stack.append((step.place, step.branch, total, longer))
 
 
