@@ -234,7 +234,7 @@ class _Problem:
         edge_cost, edge_weight = _cauchy(edge_chi2, graph.kernel)
         prior_cost, prior_weight = _cauchy(prior_chi2, graph.priors.kernel)
         belief = np.square((shared - graph.shared.mean) / graph.shared.sigma).sum()
-        cost = float(weight @ edge_cost + prior_cost.sum() + belief)
+        cost = float((weight * edge_cost).sum() + prior_cost.sum() + belief)
         return Solution(
             pose,
             shared,
