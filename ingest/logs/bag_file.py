@@ -50,6 +50,7 @@ _CONNECTIONS = 1 << 16
 SLAB_BYTES = 1 << 20
 
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
+_INDEX_MARK = b"\x04\x00\x00\x00op=\x04"
 _CHUNK_HEADER_BYTES = 128
 
 
@@ -127,12 +128,14 @@ class _Walk:
                     position = self._after(position)
                     continue
                 position = yield from self._chunk(record)
+                if not self._after_damage:
+                    position = self._behind_index(position)
             else:
                 if record.op == INDEX and self._after_damage:
                     self._count_lost(record)
                 position = record.end
-                if position > window.size:
-                    self._findings.truncated = True
+            if position > window.size:
+                self._findings.truncated = True
             window.passed(min(position, window.size))
         self._finish()
 
@@ -225,6 +228,17 @@ class _Walk:
             data = np.frombuffer(inflate_part(compression, data, size), np.uint8)
         yield from self._messages(data)
         return self._window.size
+
+    def _behind_index(self, position: int) -> int:
+        """Place behind the index records at `position`: of no use, so they are not parsed."""
+        while True:
+            head = self._window.view(position, 128).tobytes()
+            if len(head) < 128:
+                return position
+            size = U32(head)[0]
+            if size > 100 or _INDEX_MARK not in head[4 : 4 + size]:
+                return position
+            position += 8 + size + int(U32(head, 4 + size)[0])
 
     def _count_lost(self, record: Record) -> None:
         try:

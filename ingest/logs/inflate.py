@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import bz2
+import functools
 import threading
 from typing import Any
+
+import numpy as np
 
 from .messages import DamageError
 
@@ -19,14 +22,15 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _local = threading.local()
 
 
+@functools.cache
 def keep_freed_memory() -> None:
     """Let the C library keep the memory of one chunk for the next.
 
     glibc maps every block above a threshold anew, and the page faults cost more than lz4 itself.
-    Freeing one large block raises that threshold to its size, here to its upper limit, 32 MiB;
-    elsewhere this does nothing.
+    Freeing one large block, here an untouched one, raises that threshold to its size, which may be
+    32 MiB at most; with another C library this does nothing. Once per process is enough.
     """
-    bytearray(31 << 20)
+    np.empty(31 << 20, np.uint8)
 
 
 def inflate(compression: str, data: Any, size: int) -> bytes:

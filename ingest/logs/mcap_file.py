@@ -65,7 +65,7 @@ _NOT_MESSAGES = frozenset(range(256)) - {MESSAGE, SCHEMA, CHANNEL}
 SLAB_BYTES = 1 << 20
 """How much of an unchunked file is walked at a time."""
 
-THREADS = 1
+THREADS = 2
 """Inflating and checking leave the interpreter's lock, so they run beside the decoding."""
 
 AHEAD_BYTES = 1 << 23

@@ -20,24 +20,27 @@ LEAST_REACH = 64
 
 
 class _Places:
-    """Collects single places and runs of equally spaced ones."""
+    """Collects runs of equally spaced places; a single place is a run of one."""
 
     def __init__(self) -> None:
-        self.single: list[int] = []
-        self._pieces: list[Ints] = []
+        self.first: list[int] = []
+        self.step: list[int] = []
+        self.count: list[int] = []
 
-    def run(self, first: int, step: int, count: int) -> None:
+    def add(self, first: int, step: int, count: int) -> None:
         """Add `count` places."""
-        if self.single:
-            self._pieces.append(np.array(self.single, np.int64))
-            self.single.clear()
-        self._pieces.append(np.arange(first, first + step * count, step, dtype=np.int64))
+        self.first.append(first)
+        self.step.append(step)
+        self.count.append(count)
 
     def all(self) -> Ints:
         """All places in their order."""
-        if not self._pieces:
-            return np.array(self.single, np.int64)
-        return np.concatenate([*self._pieces, np.array(self.single, np.int64)])
+        first, step, count = (
+            np.array(column, np.int64) for column in (self.first, self.step, self.count)
+        )
+        # All runs are unrolled at once: the number within its run, times the run's step.
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        return np.asarray(np.repeat(first, count) + np.repeat(step, count) * within)
 
 
 def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[Ints, int]:
@@ -48,7 +51,7 @@ def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[In
     """
     raw, size = data.data, len(data)
     places = _Places()
-    single = places.single
+    add = places.add
     position, before, last, reach = 0, -1, size - 9, LEAST_REACH
     while position <= last:
         # Opcode and the lower 56 bits of the length in one word; the top byte is checked apart.
@@ -60,13 +63,13 @@ def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[In
             most = min((size - position) // step, reach)
             column = np.ndarray((most,), "<u8", raw, position, (step,))
             count = _leading(column == word)
-            places.run(position, step, count)
+            add(position, step, count)
             # How far to look next time: runs between two other messages are much alike.
             reach = 4 * reach if count == most else max(LEAST_REACH, 2 * count)
             position += step * count
             before = word if count == most else -1
         else:
-            single.append(position)
+            add(position, step, 1)
             position, before = position + step, word
     return places.all(), position
 
@@ -78,7 +81,7 @@ def bag_records(data: Bytes) -> tuple[Ints, int]:
     """
     raw, size = data.data, len(data)
     places = _Places()
-    single = places.single
+    add = places.add
     position, before, last, reach = 0, (-1, -1), size - 8, LEAST_REACH
     while position <= last:
         header = _U32(raw, position)[0]
@@ -94,12 +97,12 @@ def bag_records(data: Bytes) -> tuple[Ints, int]:
             headers = np.ndarray((count,), "<u4", raw, position, (step,))
             bodies = np.ndarray((count,), "<u4", raw, body, (step,))
             count = _leading((headers == header) & (bodies == shape[1]))
-            places.run(position, step, count)
+            add(position, step, count)
             reach = 4 * reach if count == most else max(LEAST_REACH, 2 * count)
             position += step * count
             before = shape if count == most else (-1, -1)
         else:
-            single.append(position)
+            add(position, step, 1)
             position, before = position + step, shape
     return places.all(), position
 
