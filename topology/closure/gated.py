@@ -35,13 +35,18 @@ class GatedSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
-    """Passes `first` and `second` were asked to be one place."""
+    """Passes `first` and `second` were asked to be one place.
+
+    turn_rad: by how much the branches around `second` had to be turned to meet those around
+    `first`, on top of the layout at that time.
+    """
 
     first: int
     second: int
     accepted: bool
     bits: float
     reason: str
+    turn_rad: float = 0.0
 
 
 def gated_closure(

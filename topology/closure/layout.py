@@ -74,15 +74,20 @@ def lay_out(
     walk: Walk,
     place: IntArray,
     start: FloatArray | None = None,
+    *,
+    turn: FloatArray | None = None,
     grid: GridHeadings | None = None,
     settings: LayoutSettings = LayoutSettings(),
 ) -> Layout:
     """Most likely poses of passes and places, from odometry and identifications.
 
     place: (p,) place of each pass, numbered from 0; negative: none. start: (p, 3) poses to begin
-    with. Nodes of the pose graph are the passes (at their centre, turned like the odometry's
-    frame) and the places of several passes; legs join passes, sightings join passes to places,
-    the systematic errors of the odometry are variables shared by all legs.
+    with; turn: (p,) turns at which the branches of the passes of one place meet, where these are
+    not (nearly) those of `start` yet.
+
+    Nodes of the pose graph are the passes (at their centre, turned like the odometry's frame) and
+    the places of several passes; legs join passes, sightings join passes to places, the systematic
+    errors of the odometry are variables shared by all legs.
     """
     count = len(walk)
     if start is None:
@@ -94,7 +99,10 @@ def lay_out(
     alone = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] == 1))
     node[place[alone]] = alone
     node[several] = count + np.arange(len(several))
-    legs, shared = _legs(walk), _sightings(walk, place, visits, start, settings)
+    legs, shared = (
+        _legs(walk),
+        _sightings(walk, place, visits, start[:, 2] if turn is None else turn, settings),
+    )
     guess = np.zeros((len(several), 3))
     for k in (0, 1):
         total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
@@ -161,19 +169,19 @@ def _legs(walk: Walk) -> _Factors:
 
 
 def _sightings(
-    walk: Walk, place: IntArray, visits: IntArray, pose: FloatArray, settings: LayoutSettings
+    walk: Walk, place: IntArray, visits: IntArray, turn: FloatArray, settings: LayoutSettings
 ) -> _Factors:
     """Passes of places with several: the centre coincides, the branches fix the direction."""
     row = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] > 1))
     branches = walk.passes.branches
     home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(walk)), place)
     slots = cluster_angles(
-        branches.values + pose[branches.owner, 2], home[branches.owner], settings.slot_gap_rad
+        branches.values + turn[branches.owner], home[branches.owner], settings.slot_gap_rad
     )
     # How each pass would have to be turned for its branches to meet the places' mean branches.
-    off = wrap(slots.mean[slots.of] - branches.values - pose[branches.owner, 2])
+    off = wrap(slots.mean[slots.of] - branches.values - turn[branches.owner])
     counts = np.maximum(branches.counts, 1)
-    turn = pose[:, 2] + np.bincount(branches.owner, off, minlength=len(walk)) / counts
+    turn = turn + np.bincount(branches.owner, off, minlength=len(walk)) / counts
     measurement = np.column_stack([np.zeros((len(row), 2)), wrap(-turn[row])])
     information = np.zeros((len(row), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = walk.noise.centre_m**-2

@@ -88,6 +88,8 @@ class Candidates:
     branches: FloatArray
     support: FloatArray
     conflict: FloatArray
+    turn: FloatArray
+    """Added to the branches of b to meet those of a [rad]."""
 
     @property
     def total(self) -> FloatArray:
@@ -102,7 +104,7 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     links: list[Identification] = []
     strikes: Counter[tuple[int, int]] = Counter()
     place = np.arange(len(walk), dtype=np.int64)
-    layout = lay_out(walk, place, None, grid, settings.layout)
+    layout = lay_out(walk, place, grid=grid, settings=settings.layout)
     stage, found = 0, _no_candidates()
     for number in range(settings.most_rounds):
         places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
@@ -119,20 +121,21 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
         if not new:
             break
         links += new
+        turn = layout.pose[:, 2] + _turns(place, new)
         place = _partition(len(walk), links)
-        layout = lay_out(walk, place, layout.pose, grid, settings.layout)
+        layout = lay_out(walk, place, layout.pose, turn=turn, grid=grid, settings=settings.layout)
         bad = _strained(place, layout, links, settings)
         if bad:
             strikes.update((q.first, q.second) for q in bad)
             links = [q for q in links if q not in bad]
             place = _partition(len(walk), links)
-            layout = lay_out(walk, place, layout.pose, grid, settings.layout)
+            layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
     return Closed(place, layout, links + _refused(walk, place, found))
 
 
 def _no_candidates() -> Candidates:
     none, zero = np.zeros(0, np.int64), np.zeros(0)
-    return Candidates(none, none, zero, zero, zero, zero)
+    return Candidates(none, none, zero, zero, zero, zero, zero)
 
 
 def _barred(strikes: Counter[tuple[int, int]], stage: int, place: IntArray) -> set[frozenset[int]]:
@@ -154,6 +157,34 @@ def _partition(count: int, links: list[Identification]) -> IntArray:
     rank = np.empty(len(first), np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
     out: IntArray = rank[inverse]
+    return out
+
+
+def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
+    """(p,) turns that bring the branches of newly joined places into agreement.
+
+    place: (p,) before they were joined. Turns are handed on from place to place along the links.
+    """
+    beside: dict[int, list[tuple[int, float]]] = {}
+    for q in new:
+        a, b = int(place[q.first]), int(place[q.second])
+        beside.setdefault(a, []).append((b, q.turn_rad))
+        beside.setdefault(b, []).append((a, -q.turn_rad))
+    turn = np.zeros(int(place.max(initial=-1)) + 1)
+    known: set[int] = set()
+    for root in sorted(beside):
+        if root in known:
+            continue
+        known.add(root)
+        front = [root]
+        while front:
+            a = front.pop()
+            for b, more in beside[a]:
+                if b not in known:
+                    known.add(b)
+                    turn[b] = turn[a] + more
+                    front.append(b)
+    out: FloatArray = turn[place]
     return out
 
 
@@ -194,7 +225,7 @@ def _candidates(
     fine = (d2 < settings.gate) & (odds > (-6.0 if exact else 0.0))
     a, b, odds, cov = a[fine], b[fine], odds[fine], cov[fine]
     found = _surroundings(scene, a, b, cov, settings)
-    return Candidates(a, b, odds, found.branches, found.support, found.conflict)
+    return Candidates(a, b, odds, found.branches, found.support, found.conflict, found.turn)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,6 +235,7 @@ class _Surroundings:
     branches: FloatArray
     support: FloatArray
     conflict: FloatArray
+    turn: FloatArray
 
     def sum(self) -> FloatArray:
         out: FloatArray = self.branches + self.support - self.conflict
@@ -218,7 +250,7 @@ def _surroundings(
     branches = aligned.score - np.maximum(scene.rare[a], scene.rare[b])
     grown = grow(scene, a, b, aligned, settings.growth)
     gain = np.minimum(grown.gain, settings.support_cap)
-    return _Surroundings(branches, gain, grown.loss)
+    return _Surroundings(branches, gain, grown.loss, aligned.turn)
 
 
 def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:
@@ -321,9 +353,11 @@ def _certain(
                     rival = max(rival, total[r])
         if total[k] - rival < settings.lead:
             continue
-        i, j = sorted((int(places.first[a]), int(places.first[b])))
+        i, j, turn = int(places.first[a]), int(places.first[b]), float(found.turn[k])
+        if i > j:
+            i, j, turn = j, i, -turn
         bits = float(total[k] / np.log(2))
-        out.append(Identification(i, j, True, bits, "position, branches and corridors agree"))
+        out.append(Identification(i, j, True, bits, "position, branches and corridors agree", turn))
     return out
 
 
