@@ -1,0 +1,254 @@
+"""The parts of trusted merging on maps drawn by hand, and against brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.robust.alignment import match, same_placement, self_matches
+from topobatch.merge.robust.branches import branch_bits
+from topobatch.merge.robust.components import Components, join_all
+from topobatch.merge.robust.conflicts import conflicts
+from topobatch.merge.robust.growth import grow
+from topobatch.merge.robust.links import (
+    LENGTH_SIGMAS,
+    SAG_M,
+    Seed,
+    candidate_links,
+    length_bits,
+    windows,
+)
+from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.repetition import CopyModel, copy_model, sameness
+from topobatch.merge.robust.settings import RobustSettings
+from topobatch.merge.robust.support import _forest
+from topobatch.merge.robust.verdict import bar, opinion, repetition_level
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import compose, inverse, wrap
+
+SETTINGS = RobustSettings()
+COPIES = CopyModel(0.02, 0.09)
+
+#   5 --- 6 --- 7
+#   |     |
+#   0 --- 1 ------- 2
+#         |         |
+#         3 ------- 4
+POINTS = [(0, 0), (5, 0), (12, 0), (5, -6), (12, -6), (0, 4), (5, 4), (9, 4)]
+EDGES = [(0, 1), (1, 2), (1, 3), (3, 4), (2, 4), (0, 5), (5, 6), (6, 7), (1, 6)]
+
+
+def laid(a, b, dx=0.0, dy=0.0):
+    """b over a without a turn, grown from its first vertex that lies on one of a's."""
+    gap = np.abs(a.z[:, None] - (b.z + dx + 1j * dy)[None])
+    i, j = np.unravel_index(gap.argmin(), gap.shape)
+    return grow(a, b, Seed(np.array([i]), np.array([j]), 0.0, complex(dx, dy), 1.0), SETTINGS)
+
+
+def test_windows_are_all_pairs_of_ranges():
+    left, right = windows(np.array([0, 2, 5]), np.array([2, 2, 7]))
+    assert left.tolist() == [0, 0, 2, 2]
+    assert right.tolist() == [0, 1, 5, 6]
+
+
+def test_candidate_links_are_those_of_brute_force(halves):
+    a, b = (prepare(m) for m in halves)
+    links = candidate_links(a, b)
+    found = set(zip(links.a_row.tolist(), links.b_row.tolist(), strict=True))
+    assert len(found) == len(links)
+    expected = set()
+    for i in range(len(a.tail) // 2):
+        for j in range(len(b.tail)):
+            sigma = np.sqrt(a.variance[i] + b.variance[j])
+            if (
+                a.pattern[i] == b.pattern[j]
+                and abs(a.length[i] - b.length[j]) < LENGTH_SIGMAS * sigma
+                and abs(a.sag[i] - b.sag[j]) < SAG_M
+            ):
+                expected.add((i, j))
+    # Branches near the border of two sectors are looked up in both: more may be found, none fewer.
+    assert expected <= found
+    softened = found - expected
+    assert all(a.pattern[i] != b.pattern[j] for i, j in softened)
+
+
+def test_length_evidence_is_a_density_with_heavy_tails():
+    d = np.linspace(-20, 20, 400_001)
+    variance = np.full(len(d), 0.04)
+    density = 2.0 ** length_bits(d, variance)
+    assert np.trapezoid(density, d) == pytest.approx(1.0, abs=1e-6)
+    normal = -0.5 * 2.0**2 / 0.04 / np.log(2)
+    assert length_bits(np.array([2.0]), np.array([0.04]))[0] > normal + 20
+
+
+def test_equal_branches_speak_for_a_junction_and_different_ones_against(drawn):
+    a = prepare(drawn("a", POINTS, EDGES))
+    b = prepare(drawn("b", POINTS, EDGES, stubs=[(2, 0.0)]))
+    k = np.arange(len(a))
+    straight = branch_bits(a, b, k, k, np.ones(len(a), complex))
+    turned = branch_bits(a, b, k, k, np.full(len(a), np.exp(0.8j)))
+    assert (np.delete(straight, 2) > 0).all()
+    assert straight[2] < 0
+    assert (turned < straight).all()
+
+
+def test_what_both_saw_agrees_and_nothing_contradicts(drawn):
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    grown = laid(a, b)
+    assert grown.a.tolist() == grown.b.tolist() == list(range(len(POINTS)))
+    assert len(conflicts(a, b, grown)) == 0
+
+
+def test_a_junction_in_the_others_corridor_contradicts(drawn):
+    more = [*POINTS, (8.5, -6)]
+    split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", more, split, stubs=[(8, -1.57)]))
+    for one, two, extra in ((a, b, "extra_b"), (b, a, "extra_a")):
+        found = conflicts(one, two, laid(one, two))
+        assert len(found) == 1
+        assert getattr(found, extra).tolist() == [8]
+        row = getattr(found, extra + "_in")[0]
+        assert {int(a.tail[row]), int(a.head[row])} == {3, 4}
+        assert found.bits > 3
+
+
+def test_corridors_that_cross_contradict(drawn):
+    a = prepare(drawn("a", POINTS, EDGES, stubs=[(6, 1.57)]))
+    over = [*[p for p in POINTS if p not in ((12, 0), (12, -6))], (8.5, 7), (8.5, -6)]
+    edges = [(0, 1), (1, 2), (0, 3), (3, 4), (4, 5), (1, 4), (2, 7), (6, 7)]
+    b = prepare(drawn("b", over, edges))
+    found = conflicts(a, b, laid(a, b))
+    crossed = [{int(a.tail[r]), int(a.head[r])} for r in found.crossing[:, 0]]
+    assert {1, 2} in crossed
+
+
+def test_a_forest_has_no_cycle_and_the_best_links():
+    rng = np.random.default_rng(0)
+    k = 30
+    i, j = np.triu_indices(k, 1)
+    bits = rng.normal(2, 2, len(i))
+    chosen = _forest(i, j, bits, rng.uniform(0, 1, k))
+    assert len(chosen) <= k - 1
+    assert (bits[chosen] > 0).all()
+    head = list(range(k))
+
+    def root(v):
+        while head[v] != v:
+            v = head[v]
+        return v
+
+    for u, v in zip(i[chosen].tolist(), j[chosen].tolist(), strict=True):
+        assert root(u) != root(v)
+        head[root(u)] = root(v)
+
+
+def test_the_same_place_and_a_copy_of_it_are_told_apart(maze, see):
+    """A copy is the same plan with every length off by 2 % and some junctions changed."""
+    part = list(range(60))
+    quiet = {"centre_m": 0.02, "branch_rad": 0.02, "bend_m": 0.0, "missed": 0.0}
+    a, again = (prepare(see(maze, part, s, f"s{s}", **quiet, branch_fault=0.0)) for s in (1, 2))
+    copy = see(maze, part, 3, "copy", **quiet, branch_fault=0.0)
+    rng = np.random.default_rng(4)
+    stretched = copy.xy.copy()
+    for axis in (0, 1):
+        lines, line = np.unique(
+            np.round(maze.xy[copy.info["truth"]][:, axis], 1), return_inverse=True
+        )
+        gaps = np.diff(lines, prepend=lines[0]) * (1 + rng.normal(0, 0.03, len(lines)))
+        stretched[:, axis] = np.cumsum(gaps)[line]
+    other = prepare(_redrawn(copy, stretched))
+    same = [sameness(a, m, match(a, m, SETTINGS)[0], COPIES) for m in (again, other)]
+    assert same[0].bits > 10
+    assert same[1].bits < 0
+    assert same[0].shape > same[1].shape
+
+
+def _redrawn(topomap, xy):
+    length = np.hypot(*(xy[topomap.target] - xy[topomap.source]).T)
+    paths = tuple(xy[[u, v]] for u, v in zip(topomap.source, topomap.target, strict=True))
+    rows = [np.sort(r) for r in (topomap.branches[v] for v in range(len(topomap)))]
+    assert all(len(r) for r in rows)
+    turn = _turn(topomap)
+    moved = [wrap(r - turn) for r in rows]
+    order = [np.argsort(r) for r in moved]
+    rank = [np.argsort(o) for o in order]
+
+    def branch(vertex, index):
+        pairs = zip(vertex, index, strict=True)
+        return np.array([-1 if k < 0 else rank[v][k] for v, k in pairs], np.int64)
+
+    return replace(
+        topomap,
+        xy=xy,
+        length=length,
+        paths=paths,
+        branches=Ragged.from_rows(r[o] for r, o in zip(moved, order, strict=True)),
+        source_branch=branch(topomap.source, topomap.source_branch),
+        target_branch=branch(topomap.target, topomap.target_branch),
+    )
+
+
+def _turn(topomap):
+    """How far the map's grid is turned."""
+    angle = topomap.branches.values
+    return float(np.angle(np.exp(4j * angle).mean()) / 4)
+
+
+def test_a_building_that_repeats_itself_is_found_out(drawn):
+    twice = [*POINTS, *[(x + 40.0, y + 0.03 * x) for x, y in POINTS]]
+    n = len(POINTS)
+    edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (2, n)]
+    repeated = self_matches(prepare(drawn("wings", twice, edges)), SETTINGS)
+    assert repeated[0].bits > 15
+    assert len(repeated[0]) >= n - 2
+    assert repetition_level(repeated[0].bits) == 1.0
+    plain = self_matches(prepare(drawn("plain", POINTS, EDGES)), SETTINGS)
+    assert all(repetition_level(c.bits) == 0.0 for c in plain)
+    learned = copy_model([(prepare(drawn("wings", twice, edges)), repeated[0])], SETTINGS)
+    assert learned.variation < SETTINGS.copy_variation
+    assert learned.change_rate < SETTINGS.copy_change_rate
+
+
+def test_two_placements_that_fit_alike_are_ambiguous(drawn):
+    """One wing, and a building that has it twice: there is no telling which."""
+    n = len(POINTS)
+    twice = [*POINTS, *[(x + 40.0, y) for x, y in POINTS]]
+    edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (2, n)]
+    a, b = prepare(drawn("both", twice, edges)), prepare(drawn("one", POINTS, EDGES))
+    found = match(a, b, SETTINGS)
+    assert len(found) >= 2
+    assert not same_placement(found[0], found[1], b)
+    view = opinion(a, b, found, bar(1, 0.0, COPIES, SETTINGS))
+    assert view.verdict == "ambiguous"
+    assert view.runner_up is not None
+    assert view.margin < SETTINGS.lead_bits
+
+
+def test_cycles_that_contradict_give_way_at_their_weakest_link(halves):
+    a, b = (prepare(m) for m in halves)
+    found = match(a, b, SETTINGS)[0]
+    straight = {(0, 1): found, (1, 2): found, (0, 2): found}
+    groups = Components(3, [])
+    refused = join_all(groups, [(0, 1), (1, 2), (0, 2)], straight, [a, b, b], ["x", "y", "z"])
+    assert set(refused) == {(0, 2)}
+    assert "place the two differently" in refused[0, 2]
+    assert groups.together(0, 2)
+
+
+def test_poses_of_components_follow_when_they_join():
+    groups = Components(4, [(0, 3)])
+    T01, T23, T12 = np.array([1.0, 2.0, 0.3]), np.array([-4.0, 1.0, 1.2]), np.array([5.0, 0, -2.0])
+    groups.join(0, 1, T01)
+    assert groups.forbidden(1, 3) == (0, 3)
+    assert groups.forbidden(1, 2) is None
+    groups.join(2, 3, T23)
+    groups.join(1, 2, T12)
+    assert np.allclose(groups.relative(0, 3), compose(compose(T01, T12), T23))
+    assert np.allclose(groups.relative(3, 0), inverse(groups.relative(0, 3)))
+
+
+def test_settings_are_checked():
+    with pytest.raises(ValueError, match="false_merge_rate"):
+        RobustSettings(false_merge_rate=0.0)
+    with pytest.raises(ValueError, match="min_matches"):
+        RobustSettings(min_matches=1)
