@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from ..topology.closure.drivenby import DrivenBySettings, settle
 from ..topology.closure.gated import GatedSettings, Identification, gated_closure
 from ..topology.closure.layout import lay_out
+from ..topology.closure.pieces import set_apart
 from ..topology.closure.rounds import RoundSettings, full_closure
-from ..topology.closure.walk import SystematicErrors, make_walk
+from ..topology.closure.walk import SystematicErrors, Walk, make_walk
 from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.passes import Passes
 from ..topology.topomap import Closure, TopoMap
 from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
-from .noise import NoiseSettings, estimate_noise
+from .noise import NoiseSettings, estimate_noise, refine_noise
 from .passes import PassSettings, fuse_passes
 from .run import Run
 
@@ -79,7 +80,16 @@ def build_map(
     else:
         layout = lay_out(walk, place)
     step("map")
+    layout = set_apart(walk, place, layout)
     settled = settle(walk, odometry, place, layout, settings.driven_by)
+    noise = refine_noise(
+        passes,
+        settled.place,
+        layout.pose[:, 2],
+        noise,
+        drive_bys=int(np.sum(~settled.visits.seen)),
+        settings=settings.noise,
+    )
     topomap = build_topomap(
         run.name,
         odometry,
@@ -92,7 +102,7 @@ def build_map(
         closures=_closures(asked, passes, settings.most_refusals),
         settings=settings.drawing,
     )
-    return replace(topomap, info=_info(run, settings, calibration))
+    return replace(topomap, info=_info(run, settings, calibration, walk))
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
@@ -132,12 +142,21 @@ def _closures(
     )
 
 
-def _info(run: Run, settings: MappingSettings, calibration: Calibration) -> dict[str, Any]:
+def _info(
+    run: Run, settings: MappingSettings, calibration: Calibration, walk: Walk
+) -> dict[str, Any]:
     """What the document says about the making of the map."""
+    warnings = list(run.warnings)
+    pieces = len(np.unique(walk.chain))
+    if pieces > 1:
+        warnings.append(
+            f"the odometry broke: the map is in {pieces} pieces, drawn side by side; how they lie "
+            "to each other is unknown"
+        )
     return {
         "source": dict(run.source),
         "settings": asdict(settings),
-        "warnings": list(run.warnings),
+        "warnings": warnings,
         "calibration": {
             name: {
                 "applied": calibration.applied[k],
