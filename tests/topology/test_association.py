@@ -13,13 +13,11 @@ from topobatch.topology.association import (
     Growth,
     GrowthSettings,
     candidate_nodes,
-    find_links,
     grow,
-    join_links,
+    grow_split,
     partners,
     single_matches,
 )
-from topobatch.topology.association import assemble as assemble_links
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
@@ -329,7 +327,7 @@ def test_growth_agrees_with_plain_recursion(rectilinear, degree):
 
 
 def test_candidates_are_all_compatible_pairs():
-    for seed, rectilinear in product(range(60), (True, False)):
+    for seed, rectilinear in product(range(30), (True, False)):
         settings = GrowthSettings(world="auto" if rectilinear else "general", degree="inexact")
         a, b = random_pair(seed, rectilinear)
         sa, sb = prepare(a), prepare(b)
@@ -444,11 +442,8 @@ def test_links_found_in_parts_give_the_same_growth():
         settings = GrowthSettings(world="auto" if rectilinear else "general")
         a, b = (prepare(m) for m in random_pair(seed, rectilinear))
         whole = grow(a, b, settings)
-        forward = np.arange(0, len(a.start), 2)
-        jobs = [(a, b, settings, forward[k::3]) for k in range(3)]
         with ThreadPoolExecutor(2) as pool:
-            parts = [f.result() for f in [pool.submit(find_links, *job) for job in jobs]]
-        split = assemble_links(a, b, join_links(parts), settings)
+            split = grow_split(a, b, settings, pool, 3)
         for name in ("vertex_a", "vertex_b", "correspondence"):
             assert np.array_equal(getattr(split.nodes, name), getattr(whole.nodes, name))
         assert survivors(split) == survivors(whole)
