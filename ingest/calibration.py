@@ -42,7 +42,10 @@ class CalibrationSettings:
     floor_bias_rad_per_m: float = 0.0005
     floor_turn_scale: float = 0.001
     floor_lag_s: float = 0.01
-    """No estimate is believed to better than this (1 sigma, added in quadrature)."""
+    """No estimate is believed to better than this (1 sigma, added in quadrature) …"""
+    floor_turn_scale_per_s: float = 0.01
+    floor_lag_per_s: float = 0.05
+    """… and more with the seconds between two rows of the odometry: what turns it missed."""
     scan_bias_rad_per_m: float = 0.14
     """Biases up to this are looked at."""
     scan_step_rad_per_m: float = 0.0044
@@ -105,14 +108,32 @@ def calibrate(
             return result
         nominal = _shifted(odometry, result.lag_s)
         evidence = heading_evidence(track, nominal, detections, passes, settings.evidence)
-        before, result = result, _fit(evidence, np.array(result.applied), settings)
+        before, result = (
+            result,
+            _fit(evidence, np.array(result.applied), _floor(odometry, settings), settings),
+        )
         if np.allclose(before.applied, result.applied, rtol=0, atol=1e-4):
             break
     return result
 
 
+def _floor(odometry: Odometry, settings: CalibrationSettings) -> FloatArray:
+    """(3,) 1 sigma that no estimate goes below."""
+    spacing_s = float(np.median(np.diff(odometry.time_ns))) * 1e-9
+    return np.array(
+        [
+            settings.floor_bias_rad_per_m,
+            np.hypot(settings.floor_turn_scale, settings.floor_turn_scale_per_s * spacing_s),
+            np.hypot(settings.floor_lag_s, settings.floor_lag_per_s * spacing_s),
+        ]
+    )
+
+
 def _fit(
-    evidence: HeadingEvidence, already: FloatArray, settings: CalibrationSettings
+    evidence: HeadingEvidence,
+    already: FloatArray,
+    floor: FloatArray,
+    settings: CalibrationSettings,
 ) -> Calibration:
     """Total errors under evidence that was corrected by `already`."""
     sigma = (settings.prior_bias_rad_per_m, settings.prior_turn_scale, settings.prior_lag_s)
@@ -123,7 +144,6 @@ def _fit(
     starts = _scan(model, already, settings)
     every = np.ones(TERMS, bool)
     fitted, x = _best(model, starts, every)
-    floor = (settings.floor_bias_rad_per_m, settings.floor_turn_scale, settings.floor_lag_s)
     plain, shown_spread = fitted.sigma(x)
     spread = np.hypot(shown_spread, floor)
     gain = [

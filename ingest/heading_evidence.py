@@ -37,6 +37,8 @@ class EvidenceSettings:
 
     match_rad: float = 0.35
     """A reading farther than this from every fused branch of its pass is noise."""
+    interpolated_rad: float = 0.03
+    """Readings farther in angle from the next row of the odometry are not used."""
     rate_window_s: float = 0.25
     """The turning rate is taken over twice this time."""
     parts: int = 6
@@ -107,7 +109,9 @@ def heading_evidence(
     expressed; nominal: the same rows and times uncorrected, which the regressors are taken from.
     O(readings + branches · grid_reach).
     """
-    reading = assign_readings(odometry, detections, passes, settings.match_rad)
+    reading = assign_readings(
+        odometry, detections, passes, settings.match_rad, settings.interpolated_rad
+    )
     time_ns = detections.time_ns[detections.branches.owner[reading.row]]
     regressor = regressors(nominal, time_ns, settings.rate_window_s)
     count = len(passes.branches.values)
@@ -173,17 +177,24 @@ class Readings:
 
 
 def assign_readings(
-    odometry: Odometry, detections: Detections, passes: Passes, match_rad: float
+    odometry: Odometry,
+    detections: Detections,
+    passes: Passes,
+    match_rad: float,
+    interpolated_rad: float = np.inf,
 ) -> Readings:
     """The fused branch (flat index) of every reading, where one is near.
 
-    All readings at once: each is paired with every branch of its pass, and the nearest pair kept.
+    Readings whose heading would be interpolated over more than `interpolated_rad` are left out. All
+    readings at once: each is paired with every branch of its pass, and the nearest pair kept.
     """
     message = detections.branches.owner
     time_ns = detections.time_ns[message]
     heading = detections.branches.values + odometry.at(time_ns)[:, 2]
     home = np.searchsorted(passes.start_ns, time_ns, side="right") - 1
     inside = (home >= 0) & (time_ns <= passes.end_ns[np.maximum(home, 0)])
+    if np.isfinite(interpolated_rad):
+        inside &= _interpolated(odometry, time_ns) <= interpolated_rad
     rows = np.flatnonzero(inside)
     counts = passes.branches.counts[home[rows]]
     rows, counts = rows[counts > 0], counts[counts > 0]
@@ -198,6 +209,18 @@ def assign_readings(
     nearest = np.lexsort((off, pair_row))[starts]
     near = off[nearest] <= match_rad
     return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
+
+
+def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
+    """(m,) angle turned [rad] between each time and the nearer one of the rows around it.
+
+    What happens between two rows is unknown: a turn within one second is no even turning, and taken
+    for one it looks like a wrong scale of turns.
+    """
+    after = np.clip(np.searchsorted(odometry.time_ns, time_ns), 1, len(odometry) - 1)
+    t0, t1 = odometry.time_ns[after - 1], odometry.time_ns[after]
+    share = np.clip((time_ns - t0) / (t1 - t0), 0.0, 1.0)
+    return np.asarray(np.minimum(share, 1 - share) * np.abs(odometry.turn_rad[after]))
 
 
 def _mean(group: IntArray, values: FloatArray, n: IntArray) -> FloatArray:

@@ -15,6 +15,7 @@ from topobatch.ingest.calibration import (
     calibrate,
 )
 from topobatch.ingest.run import Detections
+from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, fit_rigid, inverse, wrap
@@ -162,3 +163,26 @@ def test_poor_data_change_nothing() -> None:
     )
     assert calibrate(truth, few).applied == (0, 0, 0)
     assert calibrate(truth, detections, CalibrationSettings(rounds=0)) == Calibration()
+
+
+@pytest.mark.parametrize("world", ["maze", "organic", "office"])
+def test_sparse_odometry_is_not_mistaken_for_a_wrong_scale_of_turns(world: str) -> None:
+    scenario = simulate_scenario(
+        ScenarioSettings(world, 1, junctions_per_run=60, drift="low", faults="mild", seed=4)
+    )
+    run = scenario.runs["run1"]
+    dense = run.odometry
+    sparse = Odometry(dense.time_ns[::20], dense.pose[::20], np.zeros(0, np.int64))
+    found = calibrate(sparse, run.detections)
+    assert found.applied == (0, 0, 0)
+
+
+def test_a_real_robot_is_straightened() -> None:
+    scenario = simulate_scenario(
+        ScenarioSettings("maze", 1, junctions_per_run=50, drift="real", faults="mild", seed=1)
+    )
+    run, truth = scenario.runs["run1"], scenario.truth.runs["run1"]
+    true = Odometry(truth.path_ns, truth.path, np.zeros(0, np.int64))
+    found = calibrate(run.odometry, run.detections)
+    assert found.bias_rad_per_m == pytest.approx(np.radians(1.5), abs=np.radians(0.25))
+    assert off(apply_calibration(run.odometry, found), true) < 0.4 * off(run.odometry, true)
