@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..topology.errors import LogError, UsageError
 from .logs.fields import JunctionFields, fields_decoder
-from .logs.intake import Intake, decoder_for
+from .logs.intake import Intake, decoder_for, no_columns
 from .logs.messages import Channel, Findings, Survey
 from .logs.poses import PoseDecoder
 from .logs.recording import (
@@ -362,7 +360,9 @@ def _track(
         warnings.append(f"{choice.topic}: {zero} messages carry no header time; left out")
         source.keep(time_ns != 0)
         time_ns = source.time_ns(clock)
-    pose = np.column_stack([source.columns.xy, source.columns.yaw])
+    pose = source.columns.pose
+    # Nothing else is needed of the columns: with a million poses they take 48 MB.
+    source.columns = no_columns()
     track = sane_track(time_ns, pose, frames[0] or "odom", frames[1] or "base_link", settings.track)
     return replace(track, warnings=(*warnings, *track.warnings))
 

@@ -65,8 +65,8 @@ def robot_frame_sightings(
     new[1:] |= np.diff(columns.part.astype(np.int64)) != 0
     first = np.flatnonzero(new)
     counts = np.diff(np.append(first, len(columns.message)))
-    rows = Ragged(np.append(first, len(columns.message)).astype(np.int64), columns.yaw)
-    centre = _centres(columns.xy, first, counts, settings, warnings)
+    rows = Ragged(np.append(first, len(columns.message)).astype(np.int64), columns.pose[:, 2])
+    centre = _centres(columns.pose[:, :2], first, counts, settings, warnings)
     time = time_ns[first]
     sides = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
     foreign = [frame for frame, side in zip(frames, sides, strict=True) if side == "foreign"]

@@ -61,7 +61,7 @@ class Source:
         )
 
     def __len__(self) -> int:
-        return len(self.columns.yaw)
+        return len(self.columns.pose)
 
     def keep(self, rows: NDArray[np.bool_]) -> None:
         """Leave out the poses that are not marked."""

@@ -27,10 +27,10 @@ def keep_freed_memory() -> None:
     """Let the C library keep the memory of one chunk for the next.
 
     glibc maps every block above a threshold anew, and the page faults cost more than lz4 itself.
-    Freeing one large block, here an untouched one, raises that threshold to its size, which may be
-    32 MiB at most; with another C library this does nothing. Once per process is enough.
+    Freeing one large block, here an untouched one, raises that threshold to its size; with another
+    C library this does nothing. Once per process is enough.
     """
-    np.empty(31 << 20, np.uint8)
+    np.empty(8 << 20, np.uint8)
 
 
 def inflate(compression: str, data: Any, size: int) -> bytes:

@@ -51,7 +51,7 @@ class PoseColumns:
     """Poses of one channel: one row per pose, in the order of the log.
 
     message: number of the message; part: of the junction in it; log_ns, stamp_ns: its times;
-    frame: number of the frames; xy: [m]; yaw: [rad].
+    frame: number of the frames; pose: x, y [m], theta [rad].
     """
 
     message: Ints
@@ -59,14 +59,13 @@ class PoseColumns:
     log_ns: Ints
     stamp_ns: Ints
     frame: Ints
-    xy: NDArray[np.float64]
-    yaw: NDArray[np.float64]
+    pose: NDArray[np.float64]
 
 
 def no_columns() -> PoseColumns:
     """Columns without a row."""
     none = np.zeros(0, np.int64)
-    return PoseColumns(none, none, none, none, none, np.zeros((0, 2)), np.zeros(0))
+    return PoseColumns(none, none, none, none, none, np.zeros((0, 3)))
 
 
 @dataclass(slots=True)
@@ -172,8 +171,7 @@ class Sink:
                 log_ns[poses.message],
                 poses.stamp_ns,
                 poses.frame.astype(np.int16),
-                np.stack([x, y], axis=1),
-                yaw_from_quaternion(qx, qy, qz, qw),
+                np.stack([x, y, yaw_from_quaternion(qx, qy, qz, qw)], axis=1),
             )
         )
         self.messages += len(start)

@@ -33,6 +33,9 @@ from .sqlite_pages import Pages, Rows
 
 MAGIC = b"SQLite format 3\x00"
 ROWS = 2048
+_ERRORS = (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError)
+"""What the library raises on a damaged database: its own errors, and those of converting values."""
+
 _TOPICS = 1 << 15
 _UNKNOWN = -2
 
@@ -61,7 +64,7 @@ class SqliteFile:
                         counts[channels[key]] += count
                 span = base.execute("SELECT min(timestamp), max(timestamp) FROM messages")
                 first, last = span.fetchone()
-        except (sqlite3.Error, ValueError, TypeError, OverflowError):
+        except _ERRORS:
             return None
         return Survey(counts, first or 0, last or 0)
 
@@ -83,7 +86,7 @@ class SqliteFile:
                         yield from reader.by_library()
                     else:
                         yield from reader.by_pages(Pages(window), root)
-            except (sqlite3.Error, DamageError) as error:
+            except (*_ERRORS, DamageError) as error:
                 findings.note(f"the database is damaged ({one_line(error)})")
                 # The tree of pages is read before any row: what fails later has given its rows.
                 if findings.messages == before:
@@ -101,7 +104,7 @@ class SqliteFile:
                 base.execute("PRAGMA writable_schema = ON")
                 reader = _Reader(base, want, findings)
             yield from reader.by_every_page(pages)
-        except (sqlite3.Error, DamageError) as error:
+        except (*_ERRORS, DamageError) as error:
             findings.note(f"its topics cannot be read ({one_line(error)})")
 
 
@@ -164,7 +167,7 @@ class _Reader:
             query = f"SELECT topic_id, timestamp, data FROM messages WHERE id IN ({marks})"
             try:
                 found = self._base.execute(query, some).fetchall()
-            except sqlite3.Error:
+            except _ERRORS:
                 self._findings.broken_rows += len(some)
                 continue
             self._findings.broken_rows += len(some) - len(found)
@@ -200,9 +203,11 @@ class _Reader:
 def _connect(path: Path) -> sqlite3.Connection:
     """Open read-only; unlike `immutable`, this sees what is still in the write-ahead log."""
     try:
-        return sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)
+        base = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)
     except sqlite3.Error as error:
         raise LogError(f"{path}: cannot be opened as a database ({one_line(error)})") from error
+    base.text_factory = lambda raw: raw.decode("utf-8", "replace")
+    return base
 
 
 def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
