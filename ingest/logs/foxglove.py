@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .messages import Bytes, DamageError, Ints, text
+from .messages import LATEST_NS, Bytes, DamageError, Ints, text
 from .poses import Frames, Poses, Row, join, no_poses
 
 MESSAGE_BYTES = 1 << 24
@@ -127,8 +127,8 @@ def _varint(raw: bytes, position: int) -> tuple[int, int]:
 
 
 def _bounded(ns: int) -> int:
-    """A time that fits 64 bits; raises DamageError."""
-    if not -(1 << 63) <= ns < 1 << 63:
+    """A time between 1970 and 2116; raises DamageError."""
+    if not 0 <= ns < LATEST_NS:
         raise DamageError("a time is out of range")
     return ns
 

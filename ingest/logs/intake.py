@@ -13,7 +13,7 @@ from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
 from .foxglove import RowDecoder, json_rows, object_rows, protobuf_rows
 from .inflate import ZSTD_MAGIC, inflate_message
-from .messages import UNWANTED, Block, Bytes, Channel, DamageError, Ints
+from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError, Ints
 from .poses import PoseDecoder, Poses
 from .schema import as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
@@ -224,15 +224,14 @@ class Intake:
 
     def take(self, block: Block) -> None:
         """Take in the messages of a block."""
+        log_ns = np.clip(block.log_time_ns, 0, LATEST_NS - 1)
         first = int(block.sink[0])
         if (block.sink == first).all():
-            self.sinks[first].add(block.data, block.log_time_ns, block.start, block.size)
+            self.sinks[first].add(block.data, log_ns, block.start, block.size)
             return
         for number in np.flatnonzero(np.bincount(block.sink)).tolist():
             rows = np.flatnonzero(block.sink == number)
-            self.sinks[number].add(
-                block.data, block.log_time_ns[rows], block.start[rows], block.size[rows]
-            )
+            self.sinks[number].add(block.data, log_ns[rows], block.start[rows], block.size[rows])
 
     def of_topic(self, topic: str) -> list[Sink]:
         """The sinks that hold messages of a topic."""

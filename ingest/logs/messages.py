@@ -19,6 +19,9 @@ Ints = NDArray[np.int64]
 UNWANTED = -1
 """Sink number of a channel whose messages nobody asked for."""
 
+LATEST_NS = 1 << 62
+"""No time is later (the year 2116): differences of times must not leave 64 bits."""
+
 NAME_BYTES = 4096
 """Longest topic or type name that is believed."""
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
+import tempfile
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -55,7 +57,7 @@ class SqliteFile:
         every row's page, which takes as long as reading the run.
         """
         try:
-            with closing(_connect(self.path)) as base:
+            with _connected(self.path) as base:
                 channels = _channels(base)
                 present = _counts(base) if exact else _present(base, list(channels))
                 counts = dict.fromkeys(channels.values(), 0)
@@ -79,7 +81,7 @@ class SqliteFile:
         with FileWindow(self.path, progress) as window:
             before = findings.messages
             try:
-                with closing(_connect(self.path)) as base:
+                with _connected(self.path) as base:
                     reader = _Reader(base, want, findings)
                     root = None if _unmerged(self.path) else _root(base)
                     if root is None:
@@ -99,7 +101,7 @@ class SqliteFile:
             pages = Pages(window)
             declared = int.from_bytes(window.view(28, 4).tobytes(), "big")
             findings.truncated |= declared > pages.count
-            with closing(_connect(self.path)) as base:
+            with _connected(self.path) as base:
                 # Lets the library open a file that is shorter than its header says.
                 base.execute("PRAGMA writable_schema = ON")
                 reader = _Reader(base, want, findings)
@@ -200,10 +202,50 @@ class _Reader:
             self._findings.span(int(time_ns.min()), int(time_ns.max()))
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    """Open read-only; unlike `immutable`, this sees what is still in the write-ahead log."""
+@contextmanager
+def _connected(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a database for reading, without leaving anything beside it.
+
+    With nothing unmerged the file alone is opened (`immutable`); this would overlook what is still
+    in a write-ahead log, so that with one the library is given both. Where it may not write the
+    index that it needs then, it gets a copy.
+    """
+    name = quote(str(path.resolve()))
+    if not _unmerged(path):
+        with closing(_opened(f"file:{name}?immutable=1", path)) as base:
+            yield base
+        return
+    index = path.with_name(path.name + "-shm")
+    existed = index.exists()
     try:
-        base = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)
+        with closing(_opened(f"file:{name}?mode=ro", path)) as base:
+            try:
+                base.execute("SELECT 1 FROM sqlite_master").fetchone()
+            except sqlite3.OperationalError:
+                with _copied(path) as copy:
+                    yield copy
+                return
+            yield base
+    finally:
+        if not existed:
+            index.unlink(missing_ok=True)
+
+
+@contextmanager
+def _copied(path: Path) -> Iterator[sqlite3.Connection]:
+    with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
+        target = Path(folder) / "copy.db3"
+        for suffix in ("", "-wal", "-journal"):
+            source = path.with_name(path.name + suffix)
+            if source.is_file():
+                shutil.copyfile(source, target.with_name(target.name + suffix))
+        with closing(_opened(f"file:{quote(str(target))}", path)) as base:
+            yield base
+
+
+def _opened(uri: str, path: Path) -> sqlite3.Connection:
+    try:
+        base = sqlite3.connect(uri, uri=True)
     except sqlite3.Error as error:
         raise LogError(f"{path}: cannot be opened as a database ({one_line(error)})") from error
     base.text_factory = lambda raw: raw.decode("utf-8", "replace")
