@@ -11,10 +11,10 @@ from pydantic import ConfigDict, Field
 from ..topology.document import (
     Finite,
     Index,
+    MapEdge,
     Model,
     Multigraph,
     Observation,
-    Positive,
     Undirected,
     edges_to_document,
     read_json,
@@ -60,18 +60,9 @@ class MergedNode(Model):
     observations: list[Observation]
 
 
-class MergedEdge(Model):
+class MergedEdge(MapEdge):
     """A fused corridor."""
 
-    source: Index
-    target: Index
-    key: Index
-    length: Positive
-    length_sigma: Positive
-    source_branch: Index | None
-    target_branch: Index | None
-    path: list[tuple[Finite, Finite]] = Field(min_length=2)
-    traversals: Index
     members: dict[str, list[Index]]
 
 
