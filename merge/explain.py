@@ -21,6 +21,7 @@ from .clustering import Clusters
 from .document import pose_to_document
 from .hypotheses import Hypotheses
 from .paper import DEFAULT_PAPER, PaperSettings, PreparedMap, match, prepare_map
+from .robust.wording import counted
 
 IntArray = NDArray[np.int64]
 
@@ -96,15 +97,18 @@ def lines(e: Explanation, most: int = 20) -> list[str]:
 def _table_lines(e: Explanation, most: int) -> Iterator[str]:
     pairs = len(np.unique(e.candidate_a * len(e.degree_b) + e.candidate_b))
     yield (
-        f"{e.a} ({len(e.degree_a)} junctions) and {e.b} ({len(e.degree_b)} junctions): {pairs} "
-        f"compatible pairs, {len(e.candidate_a)} with their rotations, {len(e.hypotheses)} "
-        f"hypotheses, {len(e.clusters)} clusters"
+        f"{e.a} ({counted(len(e.degree_a), 'junction')}) and "
+        f"{e.b} ({counted(len(e.degree_b), 'junction')}): {counted(pairs, 'compatible pair')}, "
+        f"{len(e.candidate_a)} with their rotations; "
+        f"{len(e.hypotheses)} hypotheses in "
+        f"{counted(len(e.clusters), 'cluster')}"
     )
     for degree in np.unique(e.degree_a[e.candidate_a]).tolist():
         rows, columns = (np.flatnonzero(d == degree) for d in (e.degree_a, e.degree_b))
-        if len(rows) > most or len(columns) > most:
-            continue
         yield ""
+        if len(rows) > most or len(columns) > most:
+            yield f"{degree} branches: a table of {len(rows)} by {len(columns)}, left out"
+            continue
         yield f"{degree} branches; rows {e.a}, columns {e.b}; H of each rotation, {NONE}: none"
         cells = [[_cell(e, int(u), int(v)) for v in columns] for u in rows]
         width = max((len(c) for row in cells for c in row), default=1)

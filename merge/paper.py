@@ -26,6 +26,7 @@ from .locking import aligned_at, honour
 from .locks import Lock
 from .meeting import Meeting, near_vertices, seeded
 from .result import Alignment, PairVerdict, Verdict
+from .robust.wording import counted
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -212,15 +213,15 @@ def _verdict(count: int, rest: int, settings: PaperSettings) -> Verdict:
 
 
 def _reason(verdict: Verdict, best: Alignment, second: Alignment | None, found: Matching) -> str:
-    size, corridors = len(best.matched), best.corridors
     what = (
-        f"the best of {len(found.clusters)} clusters matches {size} "
-        f"junction{'s' * (size != 1)} and {corridors} corridor{'s' * (corridors != 1)}"
+        f"the best of {counted(len(found.clusters), 'cluster')} matches "
+        f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}"
     )
     if verdict is Verdict.UNRELATED:
         return f"{what}: too few"
-    rest = "nothing" if second is None else f"{len(second.matched)} junctions"
-    return f"{what}, the next best elsewhere {rest}"
+    if second is None:
+        return f"{what}, none places the runs otherwise"
+    return f"{what}, the next that places the runs otherwise {len(second.matched)}"
 
 
 def _rival(found: Matching, a: PreparedMap, b: PreparedMap, settings: PaperSettings) -> int | None:
