@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..topology.errors import LogError, UsageError
+from .carried import split_where_carried
 from .logs.fields import JunctionFields, fields_decoder
 from .logs.intake import Intake, decoder_for, no_columns
 from .logs.messages import Channel, Findings, Survey
@@ -135,8 +136,14 @@ def read_run(
     )
     source = {"odometry": described[0], "junctions": described[1], "time": clock}
     warnings += [*track.warnings, *sightings.warnings]
+    odometry_split, carried = split_where_carried(track.odometry, sightings.detections)
+    if carried:
+        warnings.append(
+            f"the wheels stand while the junction in view changes {carried} times: the robot was "
+            "carried; the chain is split there"
+        )
     return Run(
-        run_name(recording.path), track.odometry, sightings.detections, source, tuple(warnings)
+        run_name(recording.path), odometry_split, sightings.detections, source, tuple(warnings)
     )
 
 

@@ -32,8 +32,9 @@ WHOLE_BYTES = 1 << 26
 SAMPLE_BYTES = 1 << 16
 SAMPLES = 256
 
-UNPACKED_BYTES = 1 << 40
-"""Most that a file compressed as a whole may inflate to."""
+UNPACKED_RATIO = 1000
+UNPACKED_BYTES = 1 << 30
+"""Most that a file compressed as a whole may inflate to: 1 GiB, or 1000 times its size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,14 +240,14 @@ def opened(path: Path) -> Iterator[Container]:
 def _unpack(path: Path, target: Path) -> Path:
     import zstandard
 
-    written = 0
+    written, most = 0, max(UNPACKED_BYTES, UNPACKED_RATIO * path.stat().st_size)
     with path.open("rb") as source, target.open("wb") as sink:
         reader = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(source)
         try:
             while piece := reader.read(1 << 20):
                 written += len(piece)
-                if written > UNPACKED_BYTES:
-                    raise LogError(f"{path}: inflates to more than {UNPACKED_BYTES >> 40} TiB")
+                if written > most:
+                    raise LogError(f"{path}: inflates to more than {most >> 30} GiB")
                 sink.write(piece)
         except zstandard.ZstdError:
             # What came before the broken place is read; the walk reports that it is cut short.

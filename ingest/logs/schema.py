@@ -7,6 +7,9 @@ from typing import Any
 
 from .messages import Channel, DamageError
 
+LINES = 4000
+"""Longest definition that is parsed; the largest in use have about a thousand lines."""
+
 DEPTH = 32
 """Deepest nesting of types that is followed."""
 
@@ -157,5 +160,5 @@ def _types(channel: Channel) -> Any:
 
 def _check_depth(definition: str) -> None:
     """Refuse definitions that are far larger than any real one before they are parsed."""
-    if definition.count("\n") > 20_000:
+    if definition.count("\n") > LINES:
         raise DamageError("a message definition is implausibly long")

@@ -159,7 +159,10 @@ def test_poses_that_are_none_are_left_out(logs, tmp_path):
         read_run(logs.bag(tmp_path / "a.bag", disturbed(logs, change))),
     ):
         assert len(run.odometry) == 295
-        assert "/odom: 3 poses hold numbers that are not finite or absurdly large; left out" in run.warnings
+        assert (
+            "/odom: 3 poses hold numbers that are not finite or absurdly large; left out"
+            in run.warnings
+        )
         assert "/odom: 2 poses have a quaternion of zero length; left out" in run.warnings
 
 
@@ -207,3 +210,41 @@ def test_detections_outside_the_odometry_are_left_out(logs, tmp_path):
 def test_a_clock_must_be_known():
     with pytest.raises(Exception, match="--time"):
         ReadSettings(time="sundial")
+
+
+def carried_run(logs, noise=0.0):
+    """The robot stands from message 100 to 200 and, from 150 on, sees a junction elsewhere."""
+    rng = np.random.default_rng(3)
+    out = []
+    for k, message in enumerate(logs.drive(300, 2)):
+        if message.topic == "/odom":
+            number = k * 2 // 3
+            still = number if number < 100 else max(100, number - 100)
+            pose = logs.yaw_pose(0.02 * still, 0.0, 0.0)
+            out.append(replace(message, poses=(pose,)))
+        else:
+            x, y = (0.5, 0.1) if k * 2 // 3 < 150 else (-1.5, 0.8)
+            x, y = x + rng.normal(0, noise), y + rng.normal(0, noise)
+            poses = tuple(logs.yaw_pose(x, y, 1.0 * b) for b in range(3))
+            out.append(replace(message, poses=poses))
+    return out
+
+
+def test_a_robot_that_was_carried_while_its_wheels_stood(logs, tmp_path):
+    run = read_run(logs.mcap(tmp_path / "a.mcap", carried_run(logs, 0.05)))
+    assert len(run.odometry.breaks) == 1
+    assert abs(int(run.odometry.breaks[0]) - 150) <= 2
+    assert any("carried" in text for text in run.warnings)
+
+
+def test_one_wrong_sighting_is_no_journey(logs, tmp_path):
+    messages = [
+        replace(m, poses=tuple(logs.yaw_pose(0.5, 0.1, b) for b in range(3)))
+        if m.topic == "/junctions"
+        else m
+        for m in carried_run(logs)
+    ]
+    wrong = next(k for k in range(220, 240) if messages[k].topic == "/junctions")
+    messages[wrong] = replace(messages[wrong], poses=(logs.yaw_pose(-3.0, 2.0, 0.0),))
+    run = read_run(logs.mcap(tmp_path / "a.mcap", messages))
+    assert len(run.odometry.breaks) == 0
