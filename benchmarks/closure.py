@@ -1,0 +1,206 @@
+"""How often loop closure is right: python benchmarks/closure.py [--seeds 5] [--growth]
+
+Runs of the project's own simulator in three kinds of world, by drift and faults. A run is
+*consistent* if no junction stands twice in its map and no vertex holds two. `false` are passes in a
+vertex that is mostly another junction, per 100 passes. Edges are right if their vertices are joined
+in the world, and wanted if driven between two reported passes. `rmse` is of the vertices after the
+best rigid fit. `--growth` measures CPU time against the length of a run instead. `--wrong-noise F`
+gives the closure a noise that is F times what the run shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from topobatch.ingest import mapping
+from topobatch.ingest.calibration import apply_calibration, calibrate
+from topobatch.ingest.noise import estimate_noise
+from topobatch.ingest.passes import fuse_passes
+from topobatch.ingest.simulation import (
+    ScenarioSettings,
+    simulate_scenario,
+    true_vertex_of_passes,
+)
+from topobatch.topology.closure.drivenby import settle
+from topobatch.topology.closure.rounds import full_closure
+from topobatch.topology.closure.walk import make_walk
+from topobatch.topology.se2 import apply, fit_rigid
+
+WORLDS = ("maze", "office", "organic")
+CELLS = (
+    ("low", "none"),
+    ("low", "mild"),
+    ("mid", "mild"),
+    ("high", "none"),
+    ("high", "mild"),
+    ("low", "harsh"),
+    ("mid", "harsh"),
+    ("high", "harsh"),
+    ("real", "mild"),
+)
+
+
+def simulated(world, drift, faults, seed, junctions):
+    """One run, alone in its world."""
+    scenario = simulate_scenario(
+        ScenarioSettings(
+            world=world,
+            runs=1,
+            junctions_per_run=junctions,
+            drift=drift,
+            faults=faults,
+            seed=seed,
+        )
+    )
+    (name,) = scenario.runs
+    return scenario, scenario.runs[name]
+
+
+def judge(scenario, run, topomap):
+    """Counts for one map."""
+    truth = scenario.truth
+    of_pass = true_vertex_of_passes(truth, run.name, topomap.observation_time_ns)
+    node = topomap.observation_vertex
+    real = of_pass >= 0
+    homes = Counter(zip(of_pass[real].tolist(), node[real].tolist(), strict=True))
+    holders = Counter(v for v, _ in homes)
+    label, misplaced, mixed = {}, 0, 0
+    for n in range(len(topomap)):
+        held = {v: k for (v, m), k in homes.items() if m == n}
+        if held:
+            label[n] = max(sorted(held), key=held.__getitem__)
+            misplaced += sum(held.values()) - held[label[n]]
+            mixed += len(held) > 1
+    duplicates = sum(k - 1 for k in holders.values())
+    right, wrong, missing = judge_edges(truth, run.name, topomap, label)
+    world = truth.worlds[truth.runs[run.name].world]
+    nodes = sorted(label)
+    there = world.xy[[label[n] for n in nodes]]
+    T = fit_rigid(there, topomap.xy[nodes])
+    off = apply(T, topomap.xy[nodes]) - there
+    return {
+        "passes": int(real.sum()),
+        "misplaced": misplaced,
+        "mixed": mixed,
+        "duplicates": duplicates,
+        "edges_right": right,
+        "edges_wrong": wrong,
+        "edges_missing": missing,
+        "rmse": float(np.sqrt((off**2).sum(axis=1).mean())),
+    }
+
+
+def judge_edges(truth, name, topomap, label):
+    """Edges right, wrong, missing; vertices that stand for no junction are passed over."""
+    of_run = truth.runs[name]
+    world = truth.worlds[of_run.world]
+    pairs = [tuple(sorted(pair)) for pair in zip(world.source, world.target, strict=True)]
+    between = Counter(pairs)
+    ends = zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)
+    known = [(label.get(u), label.get(v)) for u, v in ends]
+    drawn = Counter(tuple(sorted(pair)) for pair in known if None not in pair)
+    right = sum(min(k, between[pair]) for pair, k in drawn.items())
+    seen = of_run.messages > 0
+    wanted = set()
+    for edge, start, end in zip(
+        of_run.drive_edge.tolist(),
+        of_run.drive_start_ns.tolist(),
+        of_run.drive_end_ns.tolist(),
+        strict=True,
+    ):
+        met = {
+            int(v)
+            for v, s, e, ok in zip(of_run.vertex, of_run.start_ns, of_run.end_ns, seen, strict=True)
+            if ok and v in pairs[edge] and s <= end and e >= start
+        }
+        if met == set(pairs[edge]):
+            wanted.add(pairs[edge])
+    return right, sum(drawn.values()) - right, sum(drawn[pair] == 0 for pair in wanted)
+
+
+def table(seeds, junctions, first, wrong_noise):
+    """One line per drift and faults."""
+    if wrong_noise != 1.0:
+        spoil(wrong_noise)
+    print(
+        f"{'drift-faults':<14} {'runs':>4} {'consistent':>10} {'false/100':>9} {'mixed':>5}"
+        f" {'double':>6} {'edge P':>7} {'edge R':>7} {'rmse m':>7} {'s/run':>6}"
+    )
+    for drift, faults in CELLS:
+        rows, spent = [], 0.0
+        for world in WORLDS:
+            for seed in range(first, first + seeds):
+                scenario, run = simulated(world, drift, faults, seed, junctions)
+                begin = time.process_time()
+                topomap = mapping.build_map(run)
+                spent += time.process_time() - begin
+                rows.append(judge(scenario, run, topomap))
+        total = {key: sum(row[key] for row in rows) for key in rows[0]}
+        good = sum(row["duplicates"] == 0 and row["mixed"] == 0 for row in rows)
+        right = total["edges_right"]
+        print(
+            f"{drift + '-' + faults:<14} {len(rows):>4} {good / len(rows):>10.3f}"
+            f" {100 * total['misplaced'] / max(total['passes'], 1):>9.3f} {total['mixed']:>5}"
+            f" {total['duplicates']:>6} {right / max(right + total['edges_wrong'], 1):>7.4f}"
+            f" {right / max(right + total['edges_missing'], 1):>7.4f}"
+            f" {total['rmse'] / len(rows):>7.3f} {spent / len(rows):>6.2f}",
+            flush=True,
+        )
+
+
+def spoil(factor):
+    """Let the mapping believe in a noise and in fault rates that are `factor` times as large."""
+
+    def wrong(*args, **more):
+        noise = estimate_noise(*args, **more)
+        names = noise.__dataclass_fields__
+        return replace(noise, **{name: getattr(noise, name) * factor for name in names})
+
+    mapping.estimate_noise = wrong
+
+
+def growth(first):
+    """CPU seconds of the steps against the number of passes."""
+    steps = ("calibration", "noise", "closure", "settling")
+    print(f"{'passes':>7} {'places':>7} " + " ".join(f"{s:>12}" for s in steps))
+    for junctions in (100, 300, 750, 3000):
+        _, run = simulated("maze", "mid", "mild", first, junctions)
+        clock = [time.process_time()]
+        odometry = apply_calibration(run.odometry, calibrate(run.odometry, run.detections))
+        clock.append(time.process_time())
+        passes = fuse_passes(odometry, run.detections)
+        noise = estimate_noise(odometry, run.detections, passes)
+        clock.append(time.process_time())
+        walk = make_walk(odometry, passes, noise)
+        closed = full_closure(walk)
+        clock.append(time.process_time())
+        settled = settle(walk, odometry, closed.place, closed.layout)
+        clock.append(time.process_time())
+        print(
+            f"{len(passes):>7} {len(settled.xy):>7} "
+            + " ".join(f"{s:>12.2f}" for s in np.diff(clock)),
+            flush=True,
+        )
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=5, help="runs per world and cell")
+    parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument("--junctions", type=int, default=60, help="junctions per run")
+    parser.add_argument("--wrong-noise", type=float, default=1.0)
+    parser.add_argument("--growth", action="store_true")
+    args = parser.parse_args()
+    if args.growth:
+        growth(args.first)
+    else:
+        table(args.seeds, args.junctions, args.first, args.wrong_noise)
+
+
+if __name__ == "__main__":
+    main()
