@@ -43,6 +43,8 @@ class EvidenceSettings:
     """The turning rate is taken over twice this time."""
     parts: int = 6
     """The readings of one branch in one pass are averaged over so many stretches of time."""
+    most_passes: int = 600
+    """More passes are thinned out evenly: they tell the errors well enough."""
     grid_reach: int = 3
     """Branches are compared with those of so many passes before …"""
     grid_reach_m: float = 40.0
@@ -75,6 +77,12 @@ class Rows:
     def visits(self) -> int:
         """One more than the last visit."""
         return int(self.visit.max(initial=-1)) + 1
+
+    def of_every(self, stride: int) -> Rows:
+        """The rows of every `stride`-th visit."""
+        kept = np.flatnonzero(self.visit % stride == 0)
+        owner = np.cumsum(np.diff(self.owner[kept], prepend=-1) != 0) - 1
+        return Rows(self.y[kept], self.a[kept], owner, self.share[kept], self.visit[kept] // stride)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +143,9 @@ def heading_evidence(
         settings.parts,
     )
     chain = chain_of(odometry, passes.time_ns)
-    return HeadingEvidence(within, _legs(passes, looks, chain), _grid(looks, chain, settings))
+    parts = (within, _legs(passes, looks, chain), _grid(looks, chain, settings))
+    stride = -(-len(passes) // settings.most_passes)
+    return HeadingEvidence(*(rows.of_every(stride) if stride > 1 else rows for rows in parts))
 
 
 def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray, parts: int) -> Rows:
@@ -206,7 +216,10 @@ def assign_readings(
     if len(rows) == 0:
         none = np.zeros(0, np.int64)
         return Readings(none, none, np.zeros(0))
-    nearest = np.lexsort((off, pair_row))[starts]
+    # Least of each contiguous block, and where it is; backwards, so that the first of equals stays.
+    hit = np.flatnonzero(off == np.repeat(np.minimum.reduceat(off, starts), counts))[::-1]
+    nearest = np.empty(len(rows), np.int64)
+    nearest[np.repeat(np.arange(len(rows)), counts)[hit]] = hit
     near = off[nearest] <= match_rad
     return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
 

@@ -23,6 +23,12 @@ _FINEST = 0.025
 """No two corridors are more exactly parallel than this [rad]; keeps a share of one from a spike."""
 
 
+def _residual(rows: Rows, x: FloatArray) -> FloatArray:
+    """(r,) y + a·x, without the matrix product that would wake threads for so little."""
+    out: FloatArray = rows.y + rows.a[:, 0] * x[0] + rows.a[:, 1] * x[1] + rows.a[:, 2] * x[2]
+    return out
+
+
 @dataclass(frozen=True, slots=True)
 class _Mixture:
     """Rows that are near zero with probability `share` (sigma), or anything within the period."""
@@ -34,7 +40,7 @@ class _Mixture:
     share: float = 0.5
 
     def residual(self, x: FloatArray) -> FloatArray:
-        r = self.rows.y + self.rows.a @ x
+        r = _residual(self.rows, x)
         return np.asarray(r - self.period * np.round(r / self.period))
 
     def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
@@ -51,7 +57,7 @@ class _Mixture:
     def refit(self, r: FloatArray, holds: FloatArray) -> _Mixture:
         """Scale and share that fit best, with one inlier and one outlier of 6° for a prior."""
         total, guess = float(holds.sum()), 0.1
-        sigma = float(np.sqrt((float(holds @ r**2) + 2 * guess**2) / (total + 2)))
+        sigma = float(np.sqrt((float((holds * r**2).sum()) + 2 * guess**2) / (total + 2)))
         share = (total + 1) / (self.rows.owners + 2)
         sigma = min(max(sigma, _FINEST), self.widest)
         return _Mixture(self.rows, self.period, self.widest, sigma, share)
@@ -67,15 +73,15 @@ class _Scatter:
 
     def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Log-likelihood, residuals, weights of the equivalent least-squares problem."""
-        r = self.rows.y + self.rows.a @ x
+        r = _residual(self.rows, x)
         nu, ratio = _DEGREES_OF_FREEDOM, (r / self.sigma) ** 2
         weight = self.worth * self.rows.share
-        value = -weight @ (np.log(self.sigma) + 0.5 * (nu + 1) * np.log1p(ratio / nu))
-        return float(value), r, weight * (nu + 1) / (nu + ratio)
+        value = weight * (np.log(self.sigma) + 0.5 * (nu + 1) * np.log1p(ratio / nu))
+        return -float(value.sum()), r, weight * (nu + 1) / (nu + ratio)
 
     def refit(self, r: FloatArray, weight: FloatArray) -> _Scatter:
         total = self.worth * float(self.rows.share.sum())
-        sigma = np.sqrt((float(weight @ r**2) + 2 * 0.05**2) / (total + 2))
+        sigma = np.sqrt((float((weight * r**2).sum()) + 2 * 0.05**2) / (total + 2))
         return _Scatter(self.rows, self.worth, float(max(sigma, 0.005)))
 
 
@@ -142,8 +148,8 @@ class HeadingLikelihood:
         )
         for part, (r, weight) in zip(fitted._parts, expected, strict=True):
             a = part.rows.a * (weight / part.sigma**2)[:, None]
-            gradient = gradient - a.T @ r
-            curvature = curvature + a.T @ part.rows.a
+            gradient = gradient - (a * r[:, None]).sum(axis=0)
+            curvature = curvature + np.einsum("rk,rl->kl", a, part.rows.a)
         move, index = np.zeros(TERMS), np.flatnonzero(free)
         if len(index):
             move[index] = np.linalg.solve(curvature[np.ix_(index, index)], gradient[index])
@@ -191,5 +197,5 @@ class HeadingLikelihood:
         curvature = 1.0 / np.square(self.prior_sigma)
         for part in self._parts:
             _, _, weight = part.expect(x)
-            curvature = curvature + (weight / part.sigma**2) @ part.rows.a**2
+            curvature = curvature + np.einsum("r,rk->k", weight / part.sigma**2, part.rows.a**2)
         return np.asarray(0.3 / np.sqrt(curvature))

@@ -53,7 +53,7 @@ class NoiseSettings:
     reach_passes: int = 6
     reach_m: float = 60.0
     """Branches are compared with those of so many passes before, not farther back than this."""
-    most_passes: int = 1500
+    most_passes: int = 500
     """Passes compared with those before; more are thinned out evenly."""
 
 
@@ -81,8 +81,8 @@ def estimate_noise(
         heading_rad_per_sqrt_m=walk_m,
         heading_rad_per_sqrt_rad=walk_rad,
         scale=scale,
-        centre_m=thirds.centre_sigma * np.sqrt(1 + 1 / thirds.messages),
-        branch_rad=thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages),
+        centre_m=float(thirds.centre_sigma * np.sqrt(1 + 1 / thirds.messages)),
+        branch_rad=float(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages)),
     )
 
 
@@ -322,7 +322,7 @@ class _Pairs:
             for shift in (-quarter, 0, quarter)
         ) / np.sqrt(2 * np.pi * variance)
         inlier = np.bincount(self.owner, self.share * density, len(self.worth))
-        return -float(self.worth @ np.log((1 - square) + square * quarter * inlier))
+        return -float((self.worth * np.log((1 - square) + square * quarter * inlier)).sum())
 
 
 def _grid_pairs(odometry: Odometry, passes: Passes, settings: NoiseSettings) -> _Pairs:

@@ -38,7 +38,7 @@ def estimated(scenario: Scenario) -> RunNoise:
 @pytest.mark.parametrize("world", ["maze", "organic"])
 @pytest.mark.parametrize(("drift", "faults"), [("low", "none"), ("mid", "mild"), ("high", "harsh")])
 def test_noise_is_found_within_a_factor(world: str, drift: str, faults: str) -> None:
-    found = [estimated(simulated(world, drift, faults, seed)) for seed in range(3)]
+    found = [estimated(simulated(world, drift, faults, seed)) for seed in range(2)]
     real, detector = DRIFTS[drift], FAULTS[faults]
     # Half of the detector's variance is common to a pass, the rest averages out.
     half = np.sqrt(0.5)
