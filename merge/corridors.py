@@ -138,11 +138,16 @@ def _order(c: Corridor) -> tuple[object, ...]:
 
 
 def same_corridor(bundle: list[Corridor], c: Corridor, settings: CorridorSettings) -> bool:
-    """Whether a corridor between the same places is that of a bundle: branches and length."""
+    """Whether a corridor between the same places is that of a bundle: branches and length.
+
+    A branch leads into one corridor only: one that is the same is enough if the other end was seen
+    differently. Where branches are unknown the length decides.
+    """
     lead = bundle[0]
-    for ours, theirs in ((lead.branch_u, c.branch_u), (lead.branch_v, c.branch_v)):
-        if ours != theirs and NO_BRANCH not in (ours, theirs):
-            return False
+    ends = ((lead.branch_u, c.branch_u), (lead.branch_v, c.branch_v))
+    known = [x == y for x, y in ends if NO_BRANCH not in (x, y)]
+    if known and not any(known):
+        return False
     return _agree(_mean_length(bundle), lead.sigma, c.length, c.sigma, settings)
 
 

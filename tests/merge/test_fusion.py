@@ -346,3 +346,15 @@ def test_a_phantom_in_one_run_splits_the_other_runs_corridor_by_their_branches(d
     assert len(fused.source) == 3
     assert sorted(len(m) for m in fused.edge_members) == [2, 2, 2]
     assert fused.length.max() < 6.1
+
+
+def test_one_common_branch_makes_corridors_one_if_the_other_end_was_seen_otherwise(draw):
+    # b saw the branch at q 40 degrees off; the branch at p and the length say it is one corridor.
+    shape = {"p": (0, 0), "q": (8, 0)}
+    others = [("p", 2.0), ("p", -2.0), ("q", 1.0), ("q", -1.0)]
+    a = draw("a", shape, [("p", "q")], others)
+    b = draw("b", shape, [("p", "q")], others)
+    rows = [b.branches[0], np.sort([-1.0, 1.0, np.pi - 0.7])]
+    b = replace(b, branches=Ragged.from_rows(rows), target_branch=np.array([2]))
+    _, fused = fuse([a, b], [verdict(a, b, [(0, 0), (1, 1)])])
+    assert fused.edge_members == ((("a", 0), ("b", 0)),)
