@@ -71,6 +71,8 @@ THREADS = 2
 AHEAD_BYTES = 1 << 23
 """How much is read and inflated ahead of the decoding."""
 
+AHEAD_CHUNKS = 64
+
 LARGEST_RECORD = 1 << 32
 """A record outside a chunk that claims more is taken for damage, not for a record."""
 
@@ -157,6 +159,7 @@ class _Walk:
         self._lost = np.zeros(1 << 16, np.int64)
         self._ahead: deque[_Pending] = deque()
         self._ahead_bytes = 0
+        self._outside_chunks = False
         if summary is not None:
             for number, channel in summary.channels.items():
                 self._describe(number, channel)
@@ -177,7 +180,7 @@ class _Walk:
         while position + RECORD_HEAD <= window.size:
             op, length = _HEAD(window.view(position, RECORD_HEAD).data)
             end = position + RECORD_HEAD + length
-            if op == FOOTER and length == 20 and end <= window.size:
+            if op == FOOTER and length == 20 and end + len(MAGIC) == window.size:
                 complete = 1
                 break
             if op == CHUNK and end <= window.size and _plausible(op, length):
@@ -193,6 +196,8 @@ class _Walk:
                 if op in (MESSAGE, SCHEMA, CHANNEL):
                     position = yield from self._slab(position)
                     continue
+                if op == DATA_END:
+                    self._check_data(position, length)
             position = end
             window.passed(position)
         yield from self._caught_up(0)
@@ -206,8 +211,22 @@ class _Walk:
         data = self._window.view(position, max(SLAB_BYTES, RECORD_HEAD + length))
         _, stop = mcap_records(data, _NOT_MESSAGES)
         yield from self._messages(data[:stop])
+        self._outside_chunks = True
         self._window.passed(position + stop)
         return position + stop
+
+    def _check_data(self, position: int, length: int) -> None:
+        """Compare the checksum of all data, which is all that messages outside chunks have."""
+        crc = Cursor(self._window.view(position + RECORD_HEAD, min(length, 4)))
+        expected = crc.u32() if length >= 4 else 0
+        if not expected or not self._outside_chunks:
+            return
+        found = 0
+        for at in range(0, position, SLAB_BYTES):
+            data = self._window.view(at, min(SLAB_BYTES, position - at))
+            found = zlib.crc32(data.data, found)
+        if found != expected:
+            self._findings.note("the checksum (CRC) of the messages outside chunks is wrong")
 
     def _around_damage(self, position: int, op: int, end: int) -> Walking:
         """Save what a cut chunk holds, or find the next readable record; returns its place."""
@@ -292,7 +311,9 @@ class _Walk:
         """Read a chunk and have it inflated and checked on another thread."""
         head = self._chunk_head(position, length)
         if head is None:
-            self._damaged("a chunk header contradicts itself", {})
+            failed: Future[bytes] = Future()
+            failed.set_exception(DamageError("a chunk header contradicts itself"))
+            self._ahead.append(_Pending(_ChunkHead(0, 0, 0, 0, "", 0, 0), failed, {}))
         elif not self._needed(position):
             self._ahead.append(_Pending(head, None, {}))
         else:
@@ -316,8 +337,14 @@ class _Walk:
                 self._ahead[-1].counts[number] = size // 16
 
     def _caught_up(self, most_bytes: int) -> Iterator[Block]:
-        """Messages of the chunks read ahead, until at most `most_bytes` are left of them."""
-        while self._ahead and (self._ahead_bytes > most_bytes or not most_bytes):
+        """Messages of the chunks read ahead, until at most `most_bytes` are left of them.
+
+        The last chunk stays unless `most_bytes` is 0: its index records are still to come.
+        """
+        least = 1 if most_bytes else 0
+        while len(self._ahead) > least and (
+            self._ahead_bytes > most_bytes or len(self._ahead) > AHEAD_CHUNKS or not least
+        ):
             head, inflating, counts = self._ahead.popleft()
             if inflating is None:
                 for number, count in counts.items():

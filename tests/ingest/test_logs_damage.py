@@ -304,3 +304,62 @@ def test_a_destroyed_page_costs_its_rows_alone(logs, tmp_path):
     run = read_run(path)
     assert "1 damaged pages of the database skipped" in run.warnings
     assert 320 <= len(run.odometry) + len(run.detections) < 330
+
+
+def test_the_checksum_of_unchunked_data_is_checked(logs, tmp_path):
+    options = {"use_chunking": False, "enable_data_crcs": True}
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive(), **options)
+    assert read_run(path).warnings == ()
+    raw = bytearray(path.read_bytes())
+    payload = logs.payload(logs.drive()[100], "cdr", logs.store_of(False))
+    raw[raw.index(payload) + len(payload) - 20] ^= 1
+    path.write_bytes(raw)
+    run = read_run(path)
+    assert any("checksum (CRC) of the messages outside chunks" in text for text in run.warnings)
+
+
+def test_a_chunk_head_that_contradicts_itself_is_counted(logs, tmp_path):
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive())
+    raw = path.read_bytes()
+    at = raw.index(b"\x04\x00\x00\x00zstd", len(raw) // 2)
+    path.write_bytes(raw[: at - 28] + struct.pack("<Q", (1 << 64) - 1) + raw[at - 20 :])
+    run = read_run(path)
+    lost = [re.match(r"(\d+) messages of (\S+) are lost", text) for text in run.warnings]
+    assert any("contradicts itself" in text for text in run.warnings)
+    assert sum(int(m[1]) for m in lost if m) == 330 - said(run) > 0
+
+
+def test_chunks_of_images_alone_are_not_read(logs, tmp_path):
+    """The index says what a chunk holds; one without anything wanted is stepped over."""
+    from mcap.writer import Writer
+
+    from topobatch.ingest.logs import mcap_file
+
+    path = tmp_path / "run.mcap"
+    store = logs.store_of(False)
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=100_000)
+        writer.start("ros2", "test")
+        channels = {}
+        for message in logs.drive():
+            if message.topic not in channels:
+                text, _ = store.generate_msgdef(message.type_name, ros_version=2)
+                schema = writer.register_schema(message.type_name, "ros2msg", text.encode())
+                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+            raw = logs.payload(message, "cdr", store)
+            writer.add_message(channels[message.topic], message.log_ns, raw, message.log_ns)
+        schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+        camera = writer.register_channel("/camera", "cdr", schema)
+        for number in range(9):
+            writer.add_message(camera, logs.START_NS + number, bytes(120_000), logs.START_NS)
+        writer.finish()
+    inflated = []
+    original = mcap_file._inflated
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            mcap_file, "_inflated", lambda head, raw: inflated.append(head) or original(head, raw)
+        )
+        run = read_run(path)
+    assert (len(run.odometry), len(run.detections), run.warnings) == (300, 30, ())
+    assert len(inflated) <= 4
+    assert {t.topic: t.messages for t in inspect_log(path).topics}["/camera"] == 9
