@@ -1,0 +1,179 @@
+"""Sightings fused to passes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.passes import PassSettings, fuse_passes
+from topobatch.ingest.run import Detections
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.passes import NO_BRANCH
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import apply, compose, inverse, wrap
+
+T0 = 1_700_000_000 * 10**9
+STEP_NS = 50_000_000
+
+
+def straight(length_m: float = 20.0, speed: float = 1.0) -> Odometry:
+    """Along x at constant speed, 20 rows a second."""
+    x = np.arange(0.0, length_m, speed * STEP_NS * 1e-9)
+    pose = np.column_stack([x, np.zeros((len(x), 2))])
+    return Odometry(T0 + np.arange(len(x)) * STEP_NS, pose, np.zeros(0, np.int64))
+
+
+def sight(odometry, centre, branches, rows):
+    """What an exact detector says of one junction at some rows of the odometry."""
+    pose = odometry.pose[rows]
+    xy = apply(inverse(pose), np.asarray(centre, float))
+    return [
+        (int(t), p, [wrap(b - theta) for b in branches])
+        for t, p, theta in zip(odometry.time_ns[rows], xy, pose[:, 2], strict=True)
+    ]
+
+
+def detections(messages):
+    messages = sorted(messages, key=lambda m: m[0])
+    return Detections(
+        np.array([m[0] for m in messages], np.int64),
+        np.array([m[1] for m in messages]).reshape(-1, 2),
+        Ragged.from_rows([m[2] for m in messages]),
+    )
+
+
+def near(odometry, x, reach=1.0):
+    return np.flatnonzero(np.abs(odometry.pose[:, 0] - x) <= reach)[::3]
+
+
+def test_two_junctions_on_a_straight_track():
+    odometry = straight()
+    seen = detections(
+        sight(odometry, (5, 0), [0, np.pi, 1.5], near(odometry, 5))
+        + sight(odometry, (12, 0.1), [0, np.pi], near(odometry, 12))
+    )
+    passes = fuse_passes(odometry, seen)
+    assert len(passes) == 2
+    np.testing.assert_allclose(passes.centre, [[5, 0], [12, 0.1]], atol=1e-9)
+    np.testing.assert_allclose(passes.branches[0], [-np.pi, 0, 1.5], atol=1e-9)
+    # Came from behind, left ahead.
+    assert passes.branches[0][passes.entry[0]] == pytest.approx(-np.pi)
+    assert passes.branches[0][passes.exit[0]] == pytest.approx(0)
+    assert np.all(passes.confidence == 1)
+    assert np.all(np.abs(passes.time_ns - T0 - [5 * 10**9, 12 * 10**9]) < 0.2e9)
+    assert np.all((passes.start_ns <= passes.time_ns) & (passes.time_ns <= passes.end_ns))
+
+
+def test_the_frame_of_the_odometry_moves_everything_along():
+    odometry = straight()
+    messages = sight(odometry, (5, 0), [0, np.pi, 1.5], near(odometry, 5))
+    T = np.array([3.0, -7.0, 2.5])
+    moved = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
+    here, there = (
+        fuse_passes(odometry, detections(messages)),
+        fuse_passes(moved, detections(messages)),
+    )
+    np.testing.assert_allclose(there.centre, apply(T, here.centre), atol=1e-9)
+    np.testing.assert_allclose(np.sort(wrap(here.branches[0] + T[2])), there.branches[0], atol=1e-9)
+
+
+def test_a_branch_must_be_seen_by_half_of_the_messages():
+    odometry = straight()
+    messages = sight(odometry, (5, 0), [0, np.pi], near(odometry, 5))
+    messages[2] = (messages[2][0], messages[2][1], [0, np.pi, 1.0])
+    messages[4] = (messages[4][0], messages[4][1], [0.0])
+    passes = fuse_passes(odometry, detections(messages))
+    np.testing.assert_allclose(passes.branches[0], [-np.pi, 0], atol=1e-9)
+    assert passes.support[0].max() == 1.0
+    assert passes.support[0].min() == pytest.approx(1 - 1 / len(messages))
+
+
+def test_readings_on_both_sides_of_the_seam_are_one_branch():
+    odometry = straight()
+    rows = near(odometry, 5)
+    messages = sight(odometry, (5, 0), [0.0], rows)
+    messages = [
+        (t, xy, [0.0, np.pi - 0.05 if k % 2 else -np.pi + 0.05])
+        for k, (t, xy, _) in enumerate(messages)
+    ]
+    passes = fuse_passes(odometry, detections(messages))
+    assert passes.branches.counts.tolist() == [2]
+    assert np.abs(passes.branches[0]).max() > 3.05
+
+
+def test_silence_ends_a_pass_only_if_the_robot_moved():
+    odometry = straight()
+    pose = odometry.pose.copy()
+    pose[100:160] = pose[100]
+    pose[160:, 0] -= pose[160, 0] - pose[100, 0]
+    halted = Odometry(odometry.time_ns, pose, odometry.breaks)
+    still = sight(halted, (5, 0), [0, np.pi], np.r_[90:100:2, 158:170:2])
+    assert len(fuse_passes(halted, detections(still))) == 1
+    # Out of sight and back again: two passes of one place.
+    there = np.concatenate([np.linspace(0, 8, 160), np.linspace(8, 0, 160)])
+    pose = np.column_stack([there, np.zeros(320), np.repeat([0.0, -np.pi], 160)])
+    back = Odometry(T0 + np.arange(320) * STEP_NS, pose, np.zeros(0, np.int64))
+    both = sight(back, (5, 0), [0, np.pi], np.r_[80:120:3, 200:240:3])
+    assert len(fuse_passes(back, detections(both))) == 2
+
+
+def test_a_turn_back_leaves_by_the_branch_it_came_by():
+    there = np.concatenate([np.linspace(0, 5, 100), np.linspace(5, 0, 100)])
+    pose = np.column_stack([there, np.zeros(200), np.repeat([0.0, -np.pi], 100)])
+    odometry = Odometry(T0 + np.arange(200) * STEP_NS, pose, np.zeros(0, np.int64))
+    passes = fuse_passes(odometry, detections(sight(odometry, (5, 0), [np.pi], np.r_[82:118:3])))
+    assert len(passes) == 1
+    assert passes.entry[0] == passes.exit[0] == 0
+
+
+def test_close_junctions_are_told_apart_by_the_jump():
+    odometry = straight()
+    a = sight(odometry, (5, 0), [0, np.pi], np.flatnonzero(np.abs(odometry.pose[:, 0] - 5) < 0.6))
+    b = sight(
+        odometry, (6.3, 0), [0, np.pi], np.flatnonzero(np.abs(odometry.pose[:, 0] - 6.3) < 0.6)
+    )
+    assert len(fuse_passes(odometry, detections(a + b))) == 2
+
+
+def test_stray_single_messages_are_flicker():
+    odometry = straight()
+    messages = sight(odometry, (5, 0), [0, np.pi], np.r_[80:120:2])
+    messages += sight(odometry, (12, 0), [0, np.pi], np.r_[220:260:2])
+    messages += sight(odometry, (9, 3), [0.0], np.array([171]))
+    assert len(fuse_passes(odometry, detections(messages))) == 2
+    # A slow detector has nothing but single messages: there they count.
+    slow = sight(odometry, (5, 0), [0, np.pi], np.array([100]))
+    slow += sight(odometry, (12, 0), [0, np.pi], np.array([240]))
+    assert len(fuse_passes(odometry, detections(slow))) == 2
+
+
+def test_nothing_usable_gives_no_passes():
+    odometry = straight()
+    none = detections([])
+    nowhere = Odometry(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
+    late = detections([(T0 + 10**12, (1.0, 0.0), [0.0])])
+    bare = detections([(T0 + 10**9, (1.0, 0.0), [])])
+    for given in ((odometry, none), (nowhere, late), (odometry, late), (odometry, bare)):
+        assert len(fuse_passes(*given)) == 0
+
+
+def test_a_break_cuts_passes_and_hides_sightings_within_it():
+    whole = straight()
+    keep = np.r_[0:100, 104 : len(whole)]
+    broken = Odometry(whole.time_ns[keep], whole.pose[keep], np.array([100]))
+    seen = detections(sight(whole, (5, 0), [0, np.pi], np.r_[84:118:2]))
+    passes = fuse_passes(broken, seen)
+    assert len(passes) == 2
+    assert passes.exit[0] == NO_BRANCH
+    assert passes.entry[1] == NO_BRANCH
+    assert passes.messages.sum() == len(seen) - 2
+
+
+def test_settings_reach_the_grouping():
+    odometry = straight()
+    seen = detections(
+        sight(odometry, (5, 0), [0, np.pi], near(odometry, 5))
+        + sight(odometry, (5.5, 0), [0, np.pi], near(odometry, 8))
+    )
+    assert len(fuse_passes(odometry, seen)) == 1
+    assert len(fuse_passes(odometry, seen, PassSettings(jump_m=0.3))) == 2
