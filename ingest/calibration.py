@@ -101,6 +101,8 @@ def calibrate(
     applied. O(readings) a few dozen times.
     """
     result = Calibration()
+    if len(odometry) < 2:
+        return result
     for _ in range(settings.rounds):
         track = apply_calibration(odometry, result)
         passes = fuse_passes(track, detections, pass_settings or PassSettings())

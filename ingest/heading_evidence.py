@@ -208,14 +208,14 @@ def assign_readings(
     rows = np.flatnonzero(inside)
     counts = passes.branches.counts[home[rows]]
     rows, counts = rows[counts > 0], counts[counts > 0]
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
+    if len(rows) == 0:
+        none = np.zeros(0, np.int64)
+        return Readings(none, none, np.zeros(0))
+    starts = np.cumsum(counts) - counts
     local = np.arange(int(counts.sum())) - np.repeat(starts, counts)
     candidate = np.repeat(passes.branches.offsets[home[rows]], counts) + local
     pair_row = np.repeat(rows, counts)
     off = np.abs(wrap(heading[pair_row] - passes.branches.values[candidate]))
-    if len(rows) == 0:
-        none = np.zeros(0, np.int64)
-        return Readings(none, none, np.zeros(0))
     # Least of each contiguous block, and where it is; backwards, so that the first of equals stays.
     hit = np.flatnonzero(off == np.repeat(np.minimum.reduceat(off, starts), counts))[::-1]
     nearest = np.empty(len(rows), np.int64)
@@ -232,7 +232,7 @@ def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """
     after = np.clip(np.searchsorted(odometry.time_ns, time_ns), 1, len(odometry) - 1)
     t0, t1 = odometry.time_ns[after - 1], odometry.time_ns[after]
-    share = np.clip((time_ns - t0) / (t1 - t0), 0.0, 1.0)
+    share = np.clip((time_ns - t0) / np.maximum(t1 - t0, 1), 0.0, 1.0)
     return np.asarray(np.minimum(share, 1 - share) * np.abs(odometry.turn_rad[after]))
 
 

@@ -113,6 +113,8 @@ class _Thirds:
         cls, odometry: Odometry, detections: Detections, passes: Passes, settings: NoiseSettings
     ) -> _Thirds | None:
         """None if no message belongs to a pass."""
+        if len(passes) == 0:
+            return None
         message_pass, order = _messages(detections, passes)
         rows = np.flatnonzero(message_pass >= 0)
         if len(rows) == 0:
@@ -212,7 +214,7 @@ def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArra
     inside = (home >= 0) & (detections.time_ns <= passes.end_ns[np.maximum(home, 0)])
     home = np.where(inside, home, -1)
     first = np.searchsorted(detections.time_ns, passes.start_ns)
-    return home, np.arange(len(home)) - first[home] if len(passes) else np.arange(len(home))
+    return home, np.arange(len(home)) - first[home]
 
 
 def _scatter(values: FloatArray, group: IntArray, prior: float, settings: NoiseSettings) -> float:

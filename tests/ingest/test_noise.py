@@ -6,7 +6,10 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from topobatch.ingest.calibration import apply_calibration, calibrate
 from topobatch.ingest.noise import NoiseSettings, estimate_noise, refine_noise
 from topobatch.ingest.passes import fuse_passes, no_passes
 from topobatch.ingest.run import Detections
@@ -18,6 +21,7 @@ from topobatch.ingest.simulation import (
     simulate_scenario,
     true_vertex_of_passes,
 )
+from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import Passes
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
@@ -120,3 +124,37 @@ def test_single_message_passes_are_no_obstacle() -> None:
     noise = estimate_noise(run.odometry, few, fuse_passes(run.odometry, few))
     assert 0 < noise.branch_rad < 0.2
     assert 0 < noise.centre_m < 0.3
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(1, 12),
+    st.lists(
+        st.tuples(
+            st.integers(0, 12),
+            st.floats(-3, 3),
+            st.floats(-3, 3),
+            st.lists(st.floats(-3.1, 3.1), max_size=3),
+        ),
+        max_size=25,
+    ),
+    st.integers(0, 2**16),
+)
+def test_any_short_run_has_some_noise_and_some_calibration(
+    rows: int, sightings: list[tuple[int, float, float, list[float]]], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    pose = np.cumsum(rng.normal(0, 0.5, (rows, 3)), axis=0)
+    breaks = np.flatnonzero(rng.random(rows) < 0.1)
+    odometry = Odometry(np.arange(rows) * 500_000_000, pose, breaks[breaks > 0])
+    sightings.sort(key=lambda sighting: sighting[0])
+    detections = Detections(
+        np.array([s[0] for s in sightings], np.int64) * 400_000_000,
+        np.array([s[1:3] for s in sightings]).reshape(-1, 2),
+        Ragged.from_rows([s[3] for s in sightings]),
+    )
+    calibration = calibrate(odometry, detections)
+    assert np.isfinite(calibration.estimate).all()
+    track = apply_calibration(odometry, calibration)
+    noise = estimate_noise(track, detections, fuse_passes(track, detections))
+    assert all(0 < value < np.inf for value in asdict(noise).values())
