@@ -123,13 +123,8 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     Falls back on the definitions bundled with rosbags. Raises DamageError where neither serves; the
     function raises DamageError on a payload that does not decode.
     """
-    from rosbags.typesys import Stores, get_typestore
-
     ros1 = channel.encoding == "ros1"
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
-    if channel.schema:
-        store = get_typestore(Stores.EMPTY)
-        store.register(_types(channel))
+    store = _store(channel)
     if channel.type_name not in store.types:
         raise DamageError(f"no definition of {channel.type_name} is known")
     read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
@@ -144,21 +139,28 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     return decode
 
 
-def _types(channel: Channel) -> Any:
-    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+def _store(channel: Channel) -> Any:
+    """rosbags' typestore with the embedded definition, or with ROS's own where there is none."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
+    if not channel.schema:
+        ros1 = channel.encoding == "ros1"
+        return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
     definition = channel.schema.decode("utf-8", "replace")
-    _check_depth(definition)
+    _check_length(definition)
+    store = get_typestore(Stores.EMPTY)
     try:
         if channel.schema_encoding == "ros2idl":
-            return get_types_from_idl(definition)
-        return get_types_from_msg(definition, channel.type_name)
+            store.register(get_types_from_idl(definition))
+        else:
+            store.register(get_types_from_msg(definition, channel.type_name))
     # The grammar meets hostile text with its own errors and with Python's.
     except (Exception, RecursionError) as error:
         raise DamageError(f"the definition of {channel.type_name} cannot be read") from error
+    return store
 
 
-def _check_depth(definition: str) -> None:
+def _check_length(definition: str) -> None:
     """Refuse definitions that are far larger than any real one before they are parsed."""
     if definition.count("\n") > LINES:
         raise DamageError("a message definition is implausibly long")
