@@ -17,10 +17,10 @@ from observed import scattered_maps
 
 from topobatch.ingest.simulation import make_world
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
-from topobatch.merge.robust.repetition import CopyModel, sameness
+from topobatch.merge.robust.repetition import default_copies, sameness
 from topobatch.merge.robust.verdict import COPY_MARGIN_BITS
 
-COPIES = CopyModel(DEFAULT_ROBUST.copy_variation, DEFAULT_ROBUST.copy_change_rate)
+COPIES = default_copies(DEFAULT_ROBUST)
 WORLD_SIZE, MAP_SIZE, RUNS = 320, 28, 16
 MOST_BITS = 20
 

@@ -27,6 +27,7 @@ FAR_WEIGHT = 0.005
 SAMPLE_M = 1.0
 """Spacing of the points that stand for a corridor."""
 
+FLOOR_M = 0.01
 CLEAR_M = 1.3
 """Points of a corridor nearer to its ends than this belong to the junctions there."""
 
@@ -202,11 +203,11 @@ def _length_variance(
 ) -> FloatArray:
     """Variance [m²] of a corridor's chord: centres at both ends, odometry along it, its scale.
 
-    The floor of 3 cm stands for what no estimate holds: detectors that shift with the view.
+    `FLOOR_M` stands for what no estimate holds: detectors that shift with the view.
     """
     centres = noise.centre_m**2 * (1 / np.minimum(looks_u, 4) + 1 / np.minimum(looks_v, 4))
     along = noise.along_m_per_sqrt_m**2 * length / np.minimum(traversals, 4)
-    return np.asarray(0.03**2 + centres + along + (noise.scale * length) ** 2)
+    return np.asarray(FLOOR_M**2 + centres + along + (noise.scale * length) ** 2)
 
 
 def _corridor_shapes(

@@ -20,14 +20,31 @@ from .settings import RobustSettings
 if TYPE_CHECKING:
     from .alignment import Candidate
 
-NOISE_FACTORS = np.exp(np.linspace(np.log(0.5), np.log(2.0), 13))
-"""The noise that a run reports may be wrong by such factors; both answers may choose."""
+NOISE_FACTORS = (0.75, 0.87, 1.0, 1.15, 1.33)
+NOISE_ODDS = (0.03, 0.2, 0.54, 0.2, 0.03)
+"""The noise [m] that a run reports may be wrong by such factors, with these odds."""
 
-PRIOR_SAMPLES = 40.0
+EXACT_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0)
+"""Of the corridors of two copies so many may be built exactly alike, the others as the settings
+say …"""
+
+EXACT_PRIOR = (0.15, 0.25, 0.26, 0.22, 0.1, 0.019, 0.001)
+"""… with these odds, as long as no map has shown how exactly it repeats itself."""
+
+TEMPER = 0.5
+"""Weight of a repeated corridor in learning: neighbours share a junction, and every pair may be
+found twice."""
+
+PRIOR_PLACES = 40.0
+"""The change rate is shrunk towards the settings as by so many more junctions."""
+
 MOST_FAULTS = 0.3
 
-NOISE_DOUBT = 0.3
-"""1 sigma of the logarithm of that factor."""
+TILTS = np.concatenate([np.linspace(0.0, 1.0, 6), [1.25, 1.6, 2.0, 2.5, 3.2, 4.0]])
+"""Exponents tried in bounding how often a copy looks the same."""
+
+NODES, NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(17)
+NODE_WEIGHTS = NODE_WEIGHTS / NODE_WEIGHTS.sum()
 
 WORST_NATS = 8.0
 """No single corridor decides: it may have been measured past a junction."""
@@ -35,59 +52,115 @@ WORST_NATS = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Sameness:
-    """bits: log2 odds of "the same place" against "another copy"; its parts: shape, changes;
-    compared: junctions compared, changed: how many of them differ."""
+    """bits: -log2 of how often, at most, a copy looks so much the same; negative where a typical
+    copy looks more so. odds_bits: log2 odds of "the same place" against "a copy". compared:
+    junctions compared, changed: how many of them differ."""
 
     bits: float
-    shape: float
-    changes: float
+    odds_bits: float
     compared: int
     changed: int
 
 
 @dataclass(frozen=True, slots=True)
 class CopyModel:
-    """How copies of one design differ: relative 1 sigma of lengths, share of changed junctions."""
+    """How copies of one design differ. variation: relative 1 sigma of lengths not built exactly
+    alike; exact_odds: odds of each of EXACT_SHARES, adding up to 1; change_rate: share of junctions
+    that differ."""
 
     variation: float
+    exact_odds: tuple[float, ...]
     change_rate: float
 
 
+def default_copies(settings: RobustSettings) -> CopyModel:
+    """What is assumed of copies before any was seen."""
+    return CopyModel(settings.copy_variation, EXACT_PRIOR, settings.copy_change_rate)
+
+
 def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sameness:
-    """Odds of the same place against a copy of it, by what copies differ in: shape and changes.
+    """How surely an alignment is the place itself, by what copies differ in: shape and changes.
 
     Shape: the lengths of common corridors. Changes: junctions that differ in their branches, or
     that only one map has, come at the runs' fault rates in one place, more often between copies.
+    The statistic is the log odds T of the two, a sum over corridors and junctions; what is promised
+    is how often a copy reaches it, bounded after Chernoff by min over x of E[exp(x (T' - T))] with
+    T' the statistic of a copy (at x = 1 this is the odds themselves: the bound is never worse).
     """
-    shape = _shape_bits(a, b, best.corridors, copies)
     lonely = lonely_branches(a, b, best.a, best.b, best.turn)
     changed = int(np.count_nonzero(lonely)) + len(best.conflicts)
     compared = len(best) + len(best.conflicts)
     fault = float((a.fault_rate[best.a] + b.fault_rate[best.b]).sum() / len(best))
     fault = min(fault, MOST_FAULTS)
-    copy = fault + (1 - fault) * copies.change_rate
-    changes = (compared - changed) * np.log2((1 - fault) / (1 - copy))
-    changes += changed * np.log2(fault / copy)
-    return Sameness(shape + float(changes), shape, float(changes), compared, changed)
+    change = fault + (1 - fault) * copies.change_rate
+    kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
+    shape = _Lengths.of(a, b, best.corridors, copies.variation)
+    share = float(np.dot(copies.exact_odds, EXACT_SHARES))
+    nats = shape.odds(shape.d2, share).sum()
+    nats += (compared - changed) * kept_nats + changed * changed_nats
+    spread = compared * np.log(
+        (1 - change) * np.exp(TILTS * kept_nats) + change * np.exp(TILTS * changed_nats)
+    )
+    tilted = [
+        TILTS * nats - spread - shape.tilted(exact, factor, share)
+        for factor in NOISE_FACTORS
+        for exact in EXACT_SHARES
+    ]
+    weight = np.log(np.outer(NOISE_ODDS, copies.exact_odds).reshape(-1))
+    bound = -np.logaddexp.reduce(weight - np.max(tilted, axis=1))
+    if bound <= 0.0:
+        # Below what is typical of copies: how far below, to rank by.
+        bound = min(float(nats), 0.0)
+    return Sameness(float(bound / np.log(2)), float(nats / np.log(2)), compared, changed)
 
 
-def _shape_bits(a: Prepared, b: Prepared, corridors: IntArray, copies: CopyModel) -> float:
-    """log2 likelihood ratio of the differences of the lengths of all common corridors.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lengths:
+    """Length differences of c corridors. d2: (c,) squared; noise: (c,) variance by measurement;
+    built: (c,) variance on top of it between copies not built exactly alike [m²]."""
 
-    Same place: measurement noise, scaled by a factor that is unknown within a prior. Copy: on top
-    of it what two copies were built unlike. Both integrate over the factor.
-    """
-    i, j = corridors[:, 0], corridors[:, 1]
-    d2 = (a.length[i] - b.length[j]) ** 2
-    noise = (a.variance[i] + b.variance[j]) * NOISE_FACTORS[:, None] ** 2
-    built = 2 * (copies.variation * np.maximum(a.length[i], b.length[j])) ** 2
-    prior = -0.5 * (np.log(NOISE_FACTORS) / NOISE_DOUBT) ** 2
+    d2: FloatArray
+    noise: FloatArray
+    built: FloatArray
 
-    def likelihood(variance: FloatArray) -> float:
-        terms = -0.5 * np.log(variance) - np.minimum(0.5 * d2 / variance, WORST_NATS)
-        return float(np.logaddexp.reduce(terms.sum(axis=1) + prior))
+    @classmethod
+    def of(cls, a: Prepared, b: Prepared, corridors: IntArray, variation: float) -> _Lengths:
+        i, j = corridors[:, 0], corridors[:, 1]
+        longer = np.maximum(a.length[i], b.length[j])
+        return cls(
+            d2=(a.length[i] - b.length[j]) ** 2,
+            noise=a.variance[i] + b.variance[j],
+            built=2 * (variation * longer) ** 2,
+        )
 
-    return (likelihood(noise) - likelihood(noise + built)) / float(np.log(2))
+    def odds(self, d2: FloatArray, share: float) -> FloatArray:
+        """log odds [nats] of the same place against a copy of which `share` is exactly alike."""
+        exact, varied = _normal(d2, self.noise), _normal(d2, self.noise + self.built)
+        return np.asarray(exact - np.logaddexp(np.log(share) + exact, np.log(1 - share) + varied))
+
+    def averaged(self, share: float) -> float:
+        """log likelihood [nats] of the differences between copies, over factors of the noise."""
+        noise = self.noise * np.array(NOISE_FACTORS)[:, None] ** 2
+        exact = np.exp(_normal(self.d2, noise))
+        varied = np.exp(_normal(self.d2, noise + self.built))
+        each = np.log(share * exact + (1 - share) * varied).sum(axis=1)
+        return float(np.logaddexp.reduce(each + np.log(NOISE_ODDS)))
+
+    def tilted(self, exact: float, factor: float, share: float) -> FloatArray:
+        """(tilts,) log E[exp(tilt · odds)] over copies of which `exact` is exactly alike, if the
+        noise is wrong by `factor`; by Gaussian quadrature over each difference."""
+        noise = self.noise * factor**2
+        total: FloatArray = np.zeros((len(TILTS), len(self.d2)))
+        for variance, weight in ((noise, exact), (noise + self.built, 1 - exact)):
+            odds = self.odds(NODES[:, None] ** 2 * variance, share)
+            moment = np.exp(TILTS[:, None, None] * odds)
+            total = total + weight * np.einsum("n,tnc->tc", NODE_WEIGHTS, moment)
+        return np.asarray(np.log(total).sum(axis=1))
+
+
+def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:
+    """log of the normal density, but for a constant; what one corridor says is bounded."""
+    return np.asarray(-0.5 * np.log(variance) - np.minimum(0.5 * d2 / variance, WORST_NATS))
 
 
 def copy_model(
@@ -95,25 +168,19 @@ def copy_model(
 ) -> CopyModel:
     """How copies differ, learned from maps that match themselves elsewhere.
 
-    Learning only ever makes copies more alike than the settings say, never less: a building whose
-    wings were built to the millimetre must raise the bar, a loose self-match must not lower it.
-    Both estimates are shrunk towards the settings as by `PRIOR_SAMPLES` more samples.
+    A building that repeats itself to the centimetre within one map will do so across maps: then
+    equal lengths tell nothing, and only changes can tell a place from its copy.
     """
-    prior = CopyModel(settings.copy_variation, settings.copy_change_rate)
-    excess = settings.copy_variation**2 * PRIOR_SAMPLES
-    changed = settings.copy_change_rate * PRIOR_SAMPLES
-    lengths = places = PRIOR_SAMPLES
+    prior = default_copies(settings)
+    odds = np.log(prior.exact_odds)
+    changed, places = settings.copy_change_rate * PRIOR_PLACES, PRIOR_PLACES
     for m, c in samples:
-        i, j = c.corridors[:, 0], c.corridors[:, 1]
-        d2 = (m.length[i] - m.length[j]) ** 2 - m.variance[i] - m.variance[j]
-        relative = d2 / (2 * np.maximum(m.length[i], m.length[j]) ** 2)
-        excess += float(np.clip(relative, 0.0, settings.copy_variation**2).sum())
-        lengths += len(i)
+        shape = _Lengths.of(m, m, c.corridors, prior.variation)
+        odds = odds + TEMPER * np.array([shape.averaged(share) for share in EXACT_SHARES])
         same = sameness(m, m, c, prior)
         fault = 2 * float(np.mean(m.fault_rate))
         changed += max(same.changed - fault * same.compared, 0.0)
         places += same.compared
-    return CopyModel(
-        min(settings.copy_variation, float(np.sqrt(excess / lengths))),
-        min(settings.copy_change_rate, changed / places),
-    )
+    odds = np.exp(odds - np.logaddexp.reduce(odds))
+    change_rate = min(prior.change_rate, changed / places)
+    return CopyModel(prior.variation, tuple(odds.tolist()), change_rate)

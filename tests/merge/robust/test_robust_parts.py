@@ -19,7 +19,12 @@ from topobatch.merge.robust.links import (
     windows,
 )
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.repetition import CopyModel, copy_model, sameness
+from topobatch.merge.robust.repetition import (
+    EXACT_SHARES,
+    copy_model,
+    default_copies,
+    sameness,
+)
 from topobatch.merge.robust.settings import RobustSettings
 from topobatch.merge.robust.support import _forest
 from topobatch.merge.robust.verdict import bar, opinion, repetition_level
@@ -27,7 +32,7 @@ from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import compose, inverse, wrap
 
 SETTINGS = RobustSettings()
-COPIES = CopyModel(0.02, 0.09)
+COPIES = default_copies(SETTINGS)
 
 #   5 --- 6 --- 7
 #   |     |
@@ -159,8 +164,8 @@ def test_the_same_place_and_a_copy_of_it_are_told_apart(maze, see):
     other = prepare(_redrawn(copy, stretched))
     same = [sameness(a, m, match(a, m, SETTINGS)[0], COPIES) for m in (again, other)]
     assert same[0].bits > 10
-    assert same[1].bits < 0
-    assert same[0].shape > same[1].shape
+    assert same[1].bits < 2
+    assert same[0].odds_bits > 5 > -5 > same[1].odds_bits
 
 
 def _redrawn(topomap, xy):
@@ -205,8 +210,9 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
     plain = self_matches(prepare(drawn("plain", POINTS, EDGES)), SETTINGS)
     assert all(repetition_level(c.bits) == 0.0 for c in plain)
     learned = copy_model([(prepare(drawn("wings", twice, edges)), repeated[0])], SETTINGS)
-    assert learned.variation < SETTINGS.copy_variation
-    assert learned.change_rate < SETTINGS.copy_change_rate
+    assert np.dot(learned.exact_odds, EXACT_SHARES) > np.dot(COPIES.exact_odds, EXACT_SHARES)
+    assert sum(learned.exact_odds) == pytest.approx(1.0)
+    assert learned.change_rate <= SETTINGS.copy_change_rate
 
 
 def test_two_placements_that_fit_alike_are_ambiguous(drawn):
