@@ -14,7 +14,7 @@ from .settings import RobustSettings
 FEWEST = 3
 """A match that does not reach this many junctions in a round is given up."""
 
-LEAST_SHARE = 0.4
+LEAST_SHARE = 0.5
 """So is one in which fewer of the junctions that lie where the other run has been are found: chance
 alone finds about a fifth of them."""
 
