@@ -16,7 +16,7 @@ from .settings import RobustSettings
 ODD_BITS = 4.0
 """Alignments with less evidence are what chance offers to every pair."""
 
-COPY_MARGIN_BITS = 4.5
+COPY_MARGIN_BITS = 4.0
 """The second question is asked with cautious rates: of copies, fewer than promised pass it by this
 many bits (measured by `benchmarks/calibration.py`)."""
 
