@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from topobatch.merge.registration import register
-from topobatch.topology.association import candidate_nodes, node_rotations
+from topobatch.topology.correspondence import candidate_nodes, node_rotations
 from topobatch.topology.se2 import apply, wrap
 from topobatch.topology.structure import prepare
 

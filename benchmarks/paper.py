@@ -14,7 +14,8 @@ from baselines import icp_from_many_starts, largest_common_subgraph, single_vert
 from mazes import Noise, explored_map, overlapping_regions, random_maze
 
 from topobatch.merge.paper import PaperSettings, match, prepare_map
-from topobatch.topology.association import GrowthSettings, grow, single_matches
+from topobatch.topology.association import grow, single_matches
+from topobatch.topology.correspondence import GrowthSettings
 from topobatch.topology.se2 import apply, wrap
 
 SIZES = (50, 126, 300, 800)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import candidate_nodes, node_rotations
+from ..topology.correspondence import candidate_nodes, node_rotations
 from ..topology.document import rounded
 from ..topology.topomap import TopoMap
 from .clustering import Clusters

@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import (
+from ..topology.association import Growth, grow, single_matches
+from ..topology.correspondence import (
     DEFAULT_GROWTH,
-    Growth,
     GrowthSettings,
     Nodes,
-    grow,
     is_rectilinear,
     node_rotations,
-    single_matches,
 )
 from ..topology.se2 import apply
 from ..topology.structure import Structure

@@ -13,15 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import (
-    DEFAULT_GROWTH,
-    Growth,
-    GrowthSettings,
-    assemble,
-    confirm_links,
-    find_links,
-    join_links,
-)
+from ..topology.association import Growth, assemble, confirm_links, find_links, join_links
+from ..topology.correspondence import DEFAULT_GROWTH, GrowthSettings
 from ..topology.structure import Structure, prepare
 from ..topology.topomap import TopoMap
 

@@ -15,7 +15,7 @@ from itertools import combinations, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import DEFAULT_GROWTH, GrowthSettings
+from ..topology.correspondence import DEFAULT_GROWTH, GrowthSettings
 from ..topology.errors import UsageError
 from ..topology.se2 import apply, between
 from ..topology.structure import Structure, prepare

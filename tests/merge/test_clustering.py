@@ -8,7 +8,7 @@ import pytest
 from topobatch.merge.clustering import ClusterSettings, cluster, transform_distances
 from topobatch.merge.hypotheses import Hypotheses
 from topobatch.merge.registration import register, register_groups
-from topobatch.topology.association import Nodes
+from topobatch.topology.correspondence import Nodes
 from topobatch.topology.se2 import apply, fit_rigid
 
 

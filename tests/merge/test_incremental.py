@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.incremental import grow_again, grow_pair
-from topobatch.topology.association import GrowthSettings
+from topobatch.topology.correspondence import GrowthSettings
 
 
 def state(pair):

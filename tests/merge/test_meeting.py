@@ -7,7 +7,7 @@ import pytest
 
 from topobatch.merge.meeting import Meeting, near_vertices, parse_meeting
 from topobatch.merge.paper import PaperSettings, match, prepare_map
-from topobatch.topology.association import GrowthSettings
+from topobatch.topology.correspondence import GrowthSettings
 from topobatch.topology.errors import DataError, UsageError
 
 GROWTH = GrowthSettings(length_bound_sigmas=4.0)

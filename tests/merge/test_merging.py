@@ -17,7 +17,7 @@ from topobatch.merge.meeting import Meeting
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.paper import PaperSettings
 from topobatch.merge.result import MergeResult, Verdict
-from topobatch.topology.association import GrowthSettings
+from topobatch.topology.correspondence import GrowthSettings
 from topobatch.topology.errors import DataError, UsageError
 
 PAPER = MergeSettings(method="paper", paper=PaperSettings(GrowthSettings(length_bound_sigmas=4.0)))

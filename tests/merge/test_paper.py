@@ -12,7 +12,8 @@ from topobatch.merge.explain import explain, lines, to_document
 from topobatch.merge.hypotheses import hypothesise
 from topobatch.merge.paper import PaperSettings, decide, judge, match, prepare_map
 from topobatch.merge.result import Verdict
-from topobatch.topology.association import GrowthSettings, candidate_nodes, grow
+from topobatch.topology.association import grow
+from topobatch.topology.correspondence import GrowthSettings, candidate_nodes
 from topobatch.topology.se2 import wrap
 
 E, N, W, S = 0.0, np.pi / 2, np.pi, -np.pi / 2

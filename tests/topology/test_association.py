@@ -9,15 +9,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from topobatch.topology.association import (
-    Growth,
-    GrowthSettings,
-    candidate_nodes,
-    grow,
-    grow_split,
-    partners,
-    single_matches,
-)
+from topobatch.topology.association import Growth, grow, grow_split, single_matches
+from topobatch.topology.correspondence import GrowthSettings, candidate_nodes, partners
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
