@@ -101,8 +101,10 @@ class Sink:
             self.flush()
             self._decode(data, log_ns, start, size)
         else:
-            for at, length in zip(start.tolist(), size.tolist(), strict=True):
-                self._keep(data[at : at + length].tobytes())
+            raw = data.data
+            ends = (start + size).tolist()
+            self._pending += [bytes(raw[a:b]) for a, b in zip(start.tolist(), ends, strict=True)]
+            self._pending_bytes += int(size.sum())
             self._pending_ns += log_ns.tolist()
         if self._pending_bytes >= PENDING_BYTES:
             self.flush()
@@ -160,7 +162,8 @@ class Sink:
         decoded = self.decoder.decode(data, start, size)
         failed = self.decoder.failed - failed
         # Messages are numbered in their order, so that each change of the number is a message.
-        told = int(np.count_nonzero(np.diff(decoded.message, prepend=-1)))
+        changes = np.count_nonzero(decoded.message[1:] != decoded.message[:-1])
+        told = int(changes) + (len(decoded.message) > 0)
         self.empty += len(start) - failed - told
         poses = self._usable(decoded)
         x, y, _, qx, qy, qz, qw = poses.value.T

@@ -19,28 +19,8 @@ LEAST_REACH = 64
 """How many records are looked at together at least, once two equal ones were met."""
 
 
-class _Places:
-    """Collects runs of equally spaced places; a single place is a run of one."""
-
-    def __init__(self) -> None:
-        self.first: list[int] = []
-        self.step: list[int] = []
-        self.count: list[int] = []
-
-    def add(self, first: int, step: int, count: int) -> None:
-        """Add `count` places."""
-        self.first.append(first)
-        self.step.append(step)
-        self.count.append(count)
-
-    def all(self) -> Ints:
-        """All places in their order."""
-        first, step, count = (
-            np.array(column, np.int64) for column in (self.first, self.step, self.count)
-        )
-        # All runs are unrolled at once: the number within its run, times the run's step.
-        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        return np.asarray(np.repeat(first, count) + np.repeat(step, count) * within)
+FREQUENT = 8
+"""A run of so many records makes it worth while to look for the next one at once."""
 
 
 def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[Ints, int]:
@@ -50,28 +30,29 @@ def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[In
     the data and, with `end_ops`, in front of the first record whose opcode is in it.
     """
     raw, size = data.data, len(data)
-    places = _Places()
-    add = places.add
-    position, before, last, reach = 0, -1, size - 9, LEAST_REACH
+    firsts: list[int] = []
+    steps: list[int] = []
+    counts: list[int] = []
+    position, before, frequent, last, reach = 0, -1, -1, size - 9, LEAST_REACH
     while position <= last:
         # Opcode and the lower 56 bits of the length in one word; the top byte is checked apart.
         word = _U64(raw, position)[0]
         step = 9 + (word >> 8)
         if position + step > size or raw[position + 8] or (word & 0xFF) in end_ops:
             break
-        if word == before:
+        firsts.append(position)
+        steps.append(step)
+        if word in (before, frequent):
             most = min((size - position) // step, reach)
-            column = np.ndarray((most,), "<u8", raw, position, (step,))
-            count = _leading(column == word)
-            add(position, step, count)
-            # How far to look next time: runs between two other messages are much alike.
-            reach = 4 * reach if count == most else max(LEAST_REACH, 2 * count)
-            position += step * count
-            before = word if count == most else -1
+            count = _leading(np.ndarray((most,), "<u8", raw, position, (step,)) == word)
+            reach = _next_reach(reach, count, most)
+            frequent = word if count >= FREQUENT else -1
         else:
-            add(position, step, 1)
-            position, before = position + step, word
-    return places.all(), position
+            count = 1
+        counts.append(count)
+        position += step * count
+        before = word
+    return _unrolled(firsts, steps, counts), position
 
 
 def bag_records(data: Bytes) -> tuple[Ints, int]:
@@ -80,9 +61,11 @@ def bag_records(data: Bytes) -> tuple[Ints, int]:
     A record is a header and data, each with a 32-bit length in front.
     """
     raw, size = data.data, len(data)
-    places = _Places()
-    add = places.add
-    position, before, last, reach = 0, (-1, -1), size - 8, LEAST_REACH
+    firsts: list[int] = []
+    steps: list[int] = []
+    counts: list[int] = []
+    before, frequent = (-1, -1), (-1, -1)
+    position, last, reach = 0, size - 8, LEAST_REACH
     while position <= last:
         header = _U32(raw, position)[0]
         body = position + 4 + header
@@ -92,22 +75,38 @@ def bag_records(data: Bytes) -> tuple[Ints, int]:
         step = 8 + header + shape[1]
         if position + step > size:
             break
-        if shape == before:
-            most = count = min((size - position) // step, reach)
-            headers = np.ndarray((count,), "<u4", raw, position, (step,))
-            bodies = np.ndarray((count,), "<u4", raw, body, (step,))
+        firsts.append(position)
+        steps.append(step)
+        if shape in (before, frequent):
+            most = min((size - position) // step, reach)
+            headers = np.ndarray((most,), "<u4", raw, position, (step,))
+            bodies = np.ndarray((most,), "<u4", raw, body, (step,))
             count = _leading((headers == header) & (bodies == shape[1]))
-            add(position, step, count)
-            reach = 4 * reach if count == most else max(LEAST_REACH, 2 * count)
-            position += step * count
-            before = shape if count == most else (-1, -1)
+            reach = _next_reach(reach, count, most)
+            frequent = shape if count >= FREQUENT else (-1, -1)
         else:
-            add(position, step, 1)
-            position, before = position + step, shape
-    return places.all(), position
+            count = 1
+        counts.append(count)
+        position += step * count
+        before = shape
+    return _unrolled(firsts, steps, counts), position
 
 
 def _leading(same: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
     """How many entries are true before the first false one."""
     first = int(same.argmin())
     return len(same) if same[first] else first
+
+
+def _next_reach(reach: int, count: int, most: int) -> int:
+    """How far to look next time: runs between two other messages are much alike."""
+    if count == most:
+        return 4 * reach
+    return 2 * count if 2 * count > LEAST_REACH else LEAST_REACH
+
+
+def _unrolled(firsts: list[int], steps: list[int], counts: list[int]) -> Ints:
+    """Every place of runs that begin at `firsts`: its number in the run, times the run's step."""
+    first, step, count = (np.array(column, np.int64) for column in (firsts, steps, counts))
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    return np.asarray(np.repeat(first, count) + np.repeat(step, count) * within)
