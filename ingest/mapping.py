@@ -76,7 +76,7 @@ def build_map(
         place, asked = gated_closure(walk, settings.gated)
     if settings.closure == "full":
         closed = full_closure(walk, settings.rounds)
-        place, layout, asked = closed.place, closed.layout, closed.asked
+        walk, place, layout, asked = closed.walk, closed.place, closed.layout, closed.asked
     else:
         layout = lay_out(walk, place)
     step("map")
@@ -86,7 +86,7 @@ def build_map(
         passes,
         settled.place,
         layout.pose[:, 2],
-        noise,
+        walk.noise,
         drive_bys=int(np.sum(~settled.visits.seen)),
         settings=settings.noise,
     )

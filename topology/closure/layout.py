@@ -50,7 +50,8 @@ class Layout:
     pose: (p, 3) of every pass in the map frame: its centre, and the turn from odometry to map.
     xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: a vertex of its own
     if it has several passes, else its pass. sighting: (k,) pass of each sighting edge;
-    sighting_chi2: (k,) its squared error in sigmas.
+    sighting_chi2: (k,) its squared error in sigmas. misfit: mean squared error in sigmas per
+    degree of freedom, 1 if the noise of the walk is right.
     """
 
     pose: FloatArray
@@ -58,6 +59,7 @@ class Layout:
     node: IntArray
     sighting: IntArray
     sighting_chi2: FloatArray
+    misfit: float
     graph: PoseGraph
     solution: Solution
 
@@ -119,29 +121,42 @@ def lay_out(
         priors=_priors(grid, settings),
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
     )
-    graph, solution = _solved(graph, len(legs.row), settings)
+    graph, solution, chi2 = _solved(graph, len(legs.row), settings)
     return Layout(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
         node=node,
         sighting=shared.row,
         sighting_chi2=solution.edge_chi2[len(legs.row) :],
+        misfit=_misfit(chi2, 3 * (len(shared.row) - len(several))),
         graph=graph,
         solution=solution,
     )
 
 
-def _solved(graph: PoseGraph, legs: int, settings: LayoutSettings) -> tuple[PoseGraph, Solution]:
+def _solved(
+    graph: PoseGraph, legs: int, settings: LayoutSettings
+) -> tuple[PoseGraph, Solution, FloatArray]:
     """Believe every sighting at first: a new identification may pull places together from afar,
     where a robust kernel would let go of it. Then let go of those that do not fit."""
     given = SolverSettings(start="given")
     solution = solve(graph, given)
     if np.all(solution.edge_chi2[legs:] < settings.sighting_kernel**2):
-        return graph, solution
+        return graph, solution, solution.edge_chi2
     width = np.full(len(graph.source), np.inf)
     width[legs:] = settings.sighting_kernel
-    graph = replace(graph, pose=solution.pose, kernel=width)
-    return graph, solve(graph, given)
+    robust = replace(graph, pose=solution.pose, kernel=width)
+    return robust, solve(robust, given), solution.edge_chi2
+
+
+def _misfit(chi2: FloatArray, freedom: int) -> float:
+    """Σ χ² per degree of freedom, edges beyond 4 sigmas of it counted as 4; 1 if there are few."""
+    if freedom < 12:
+        return 1.0
+    value = float(chi2.sum()) / freedom
+    for _ in range(20):
+        value = float(np.minimum(chi2, 16.0 * value).sum()) / freedom
+    return value
 
 
 def _priors(grid: GridHeadings | None, settings: LayoutSettings) -> Priors:

@@ -32,9 +32,10 @@ class RectilinearSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridHeadings:
-    """Passes whose branches tell the turn from the odometry's frame to the grid's.
+    """Passes whose branches tell the turn from the odometry's frame to the map's.
 
-    row: (k,) pass; turn: (k,) [rad], continuous along the run; sigma: (k,) [rad].
+    The map's frame is that of the odometry at the first of them. row: (k,) pass; turn: (k,) [rad],
+    continuous along the run; sigma: (k,) [rad].
     """
 
     row: IntArray
@@ -68,7 +69,7 @@ def grid_headings(
         return None
     grid = np.angle(z[row]) / 4
     # The grid seems to turn as the odometry drifts; between two passes by little.
-    turn = -(grid[0] + np.concatenate([[0.0], np.cumsum(_from_quarter(np.diff(grid)))]))
+    turn = -np.concatenate([[0.0], np.cumsum(_from_quarter(np.diff(grid)))])
     # A break in the odometry starts anew: which quarter is unknown then.
     fresh = walk.chain[row] == walk.chain[0]
     sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + settings.own_spread_rad**2)

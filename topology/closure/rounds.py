@@ -29,7 +29,7 @@ from .layout import Layout, LayoutSettings, lay_out
 from .places import NOWHERE, Places, tabulate
 from .rates import RateSettings, measured_rates
 from .rectilinear import RectilinearSettings, grid_headings
-from .walk import Walk, dead_reckoning_covariance
+from .walk import Walk, dead_reckoning_covariance, louder
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -59,6 +59,10 @@ class RoundSettings:
     conflict_price: float = 0.25
     """Added to the threshold for each unit of disagreement."""
     most_rounds: int = 40
+    loud: float = 1.5
+    """Mean squared error, in units of what the noise allows, at which the noise is raised …"""
+    loudest: float = 4.0
+    """… to at most this many times what was estimated."""
     strain: float = 30.0
     """Squared error [3 d.o.f.] of a sighting from which its identification is taken back."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
@@ -71,8 +75,10 @@ class RoundSettings:
 @dataclass(frozen=True, slots=True, eq=False)
 class Closed:
     """place: (p,) of each pass, numbered by first visit; layout: of these places; asked: evidence
-    for every identification made, and for those refused that had some."""
+    for every identification made, and for those refused that had some; walk: the one given, its
+    noise raised if the layout asked for it."""
 
+    walk: Walk
     place: IntArray
     layout: Layout
     asked: list[Identification]
@@ -100,6 +106,7 @@ class Candidates:
 
 def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
     """Identify the passes of a walk."""
+    quiet, loudness = walk, 1.0
     grid = grid_headings(walk, settings.grid)
     links: list[Identification] = []
     strikes: Counter[tuple[int, int]] = Counter()
@@ -124,13 +131,18 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
         turn = layout.pose[:, 2] + _turns(place, new)
         place = _partition(len(walk), links)
         layout = lay_out(walk, place, layout.pose, turn=turn, grid=grid, settings=settings.layout)
+        if layout.misfit > settings.loud and loudness < settings.loudest:
+            # The noise is worse than it seemed before anything was identified.
+            loudness = min(loudness * layout.misfit**0.5, settings.loudest)
+            walk = louder(quiet, loudness)
+            layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
         bad = _strained(place, layout, links, settings)
         if bad:
             strikes.update((q.first, q.second) for q in bad)
             links = [q for q in links if q not in bad]
             place = _partition(len(walk), links)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
-    return Closed(place, layout, links + _refused(walk, place, found))
+    return Closed(walk, place, layout, links + _refused(walk, place, found))
 
 
 def _no_candidates() -> Candidates:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,10 @@ from ..track import chain_of, track_directions, way_at
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+_RANDOM = 7
+"""Columns of `Walk.sums` that are variances."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +83,22 @@ def make_walk(
         origin=origin,
         sums=_prefix_sums(odometry, passes, noise, origin),
     )
+
+
+def louder(walk: Walk, factor: float) -> Walk:
+    """The walk as if its random errors were `factor` times as large."""
+    n = walk.noise
+    noise = replace(
+        n,
+        along_m_per_sqrt_m=factor * n.along_m_per_sqrt_m,
+        heading_rad_per_sqrt_m=factor * n.heading_rad_per_sqrt_m,
+        heading_rad_per_sqrt_rad=factor * n.heading_rad_per_sqrt_rad,
+        centre_m=factor * n.centre_m,
+        branch_rad=factor * n.branch_rad,
+    )
+    sums = walk.sums.copy()
+    sums[:, :_RANDOM] *= factor**2
+    return replace(walk, noise=noise, sums=sums)
 
 
 def _prefix_sums(

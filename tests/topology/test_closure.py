@@ -1,0 +1,404 @@
+"""Loop closure on walks through a street grid, drawn by hand or at random, with known truth."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+from topobatch.topology.closure.drivenby import phantoms, settle
+from topobatch.topology.closure.gated import gated_closure
+from topobatch.topology.closure.layout import lay_out
+from topobatch.topology.closure.pieces import set_apart
+from topobatch.topology.closure.places import NOWHERE, tabulate
+from topobatch.topology.closure.rates import measured_rates
+from topobatch.topology.closure.rectilinear import grid_headings
+from topobatch.topology.closure.rounds import RoundSettings, full_closure
+from topobatch.topology.closure.walk import (
+    dead_reckoning_covariance,
+    make_walk,
+    relative_covariance,
+)
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.passes import NO_BRANCH, Passes
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import apply, compose, fit_rigid, wrap
+from topobatch.topology.topomap import RunNoise
+
+T0 = 10**18
+STEP_M = 0.1
+NOISE = RunNoise(
+    along_m_per_sqrt_m=0.01,
+    heading_rad_per_sqrt_m=0.008,
+    heading_rad_per_sqrt_rad=0.01,
+    centre_m=0.05,
+    branch_rad=0.04,
+)
+
+
+def grid_world(rows, columns, rng=None):
+    """Junctions of a street grid, and for each its neighbours."""
+    gaps = (rng.uniform(3.5, 8.0, 40) if rng is not None else np.full(40, 5.0)).reshape(2, 20)
+    x, y = np.cumsum(gaps[0][:columns]), np.cumsum(gaps[1][:rows])
+    xy = {(r, c): np.array([x[c], y[r]]) for r in range(rows) for c in range(columns)}
+    beside = {
+        (r, c): [
+            (r + dr, c + dc)
+            for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0))
+            if (r + dr, c + dc) in xy
+        ]
+        for r, c in xy
+    }
+    return xy, beside
+
+
+def wander(beside, steps, rng):
+    """A random route that seldom turns back."""
+    route = [(0, 0)]
+    while len(route) < steps:
+        options = [v for v in beside[route[-1]] if len(route) < 2 or v != route[-2]]
+        route.append(options[rng.integers(len(options))] if options else route[-2])
+    return route
+
+
+def record(world, route, rng=None, *, noise=NOISE, unseen=(), breaks_before=()):
+    """Odometry and passes of a drive through the junctions of a route.
+
+    With an rng, the odometry drifts and the passes are off by `noise`. unseen: steps of the route
+    at which the detector is blind; breaks_before: steps before which the odometry jumps.
+    Returns odometry, passes, and the junction of each pass.
+    """
+    xy, beside = world
+    points, at = [xy[route[0]]], [0]
+    for a, b in itertools.pairwise(route):
+        n = max(round(float(np.hypot(*(xy[b] - xy[a])) / STEP_M)), 1)
+        points += [xy[a] + (xy[b] - xy[a]) * k / n for k in range(1, n + 1)]
+        at.append(len(points) - 1)
+    if len(points) == 1:
+        points.append(points[0] + [STEP_M, 0.0])
+    true = np.array(points)
+    step = np.diff(true, axis=0)
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    heading = np.append(heading, heading[-1])
+    pose = np.column_stack([true, heading])
+    if rng is not None:
+        ds = np.hypot(*step.T)
+        turn = wrap(np.diff(heading))
+        turn = turn + rng.normal(size=len(ds)) * np.hypot(
+            noise.heading_rad_per_sqrt_m * np.sqrt(ds),
+            noise.heading_rad_per_sqrt_rad * np.sqrt(np.abs(turn)),
+        )
+        ds = ds + rng.normal(size=len(ds)) * noise.along_m_per_sqrt_m * np.sqrt(ds)
+        theta = heading[0] + np.concatenate([[0.0], np.cumsum(turn)])
+        move = ds[:, None] * np.column_stack([np.cos(theta[:-1]), np.sin(theta[:-1])])
+        pose = np.column_stack(
+            [true[0] + np.concatenate([[[0.0, 0.0]], np.cumsum(move, axis=0)]), theta]
+        )
+    breaks = []
+    for k in breaks_before:
+        row = at[k] - 15
+        breaks.append(row)
+        pose[row:] = compose(np.array([50.0, 3.0, 1.0]), pose[row:])
+    time_ns = T0 + np.arange(len(pose)) * 100_000_000
+    odometry = Odometry(time_ns, pose * [1, 1, 0] + [0, 0, 1] * wrap(pose), np.array(breaks, int))
+    rows = [k for k in range(len(route)) if k not in set(unseen)]
+    centre, branches, entry, exit_ = [], [], [], []
+    for k in rows:
+        here, turned = route[k], pose[at[k], 2] - heading[at[k]]
+        out = [xy[v] - xy[here] for v in beside[here]]
+        angle = np.array([np.arctan2(d[1], d[0]) for d in out])
+        seen = wrap(angle + turned + (rng.normal(0, noise.branch_rad, len(angle)) if rng else 0))
+        order = np.argsort(seen)
+        ends = [beside[here][j] for j in order]
+        offset = rng.normal(0, noise.centre_m, 2) if rng is not None else 0.0
+        centre.append(pose[at[k], :2] + offset)
+        branches.append(seen[order])
+        # An unseen neighbour does not change the branch that was driven.
+        entry.append(ends.index(route[k - 1]) if k > 0 else NO_BRANCH)
+        exit_.append(ends.index(route[k + 1]) if k + 1 < len(route) else NO_BRANCH)
+    when = time_ns[[at[k] for k in rows]]
+    rows_of_branches = Ragged.from_rows(branches)
+    passes = Passes(
+        time_ns=when,
+        start_ns=when,
+        end_ns=when,
+        centre=np.array(centre),
+        branches=rows_of_branches,
+        support=Ragged(rows_of_branches.offsets, np.ones(len(rows_of_branches.values))),
+        entry=np.array(entry),
+        exit=np.array(exit_),
+        messages=np.full(len(rows), 9),
+        confidence=np.ones(len(rows)),
+    )
+    return odometry, passes, [route[k] for k in rows]
+
+
+def partition(labels):
+    """Labels as numbers by first appearance: equal partitions give equal arrays."""
+    seen: dict = {}
+    return np.array([seen.setdefault(v, len(seen)) for v in labels])
+
+
+def test_a_perfect_walk_is_closed_completely():
+    world = grid_world(3, 3)
+    route = [(0, 0), (0, 1), (0, 2), (1, 2), (1, 1), (0, 1), (0, 0), (1, 0), (1, 1), (1, 2)]
+    odometry, passes, truth = record(world, route)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    assert closed.place.tolist() == partition(truth).tolist()
+    xy = np.array([world[0][v] for v in dict.fromkeys(truth)])
+    np.testing.assert_allclose(closed.layout.xy, xy, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_drifting_walks_are_closed_without_a_false_identification(seed):
+    rng = np.random.default_rng(seed)
+    world = grid_world(5, 5, rng)
+    route = wander(world[1], 90, rng)
+    odometry, passes, truth = record(world, route, rng)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    names = list(dict.fromkeys(truth))
+    assert closed.place.tolist() == partition(truth).tolist()
+    there = np.array([world[0][v] for v in names])
+    off = apply(fit_rigid(there, closed.layout.xy), closed.layout.xy) - there
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.25
+    # The odometry alone ends far off.
+    raw = np.hypot(*(passes.centre[-1] - world[0][truth[-1]]))
+    assert np.hypot(*(closed.layout.pose[-1, :2] - closed.layout.xy[closed.place[-1]])) < 0.3
+    assert raw > 0.3
+
+
+def test_the_result_does_not_depend_on_the_frame_of_the_odometry():
+    rng = np.random.default_rng(7)
+    world = grid_world(4, 4, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    T = np.array([12.0, -30.0, 2.2])
+    turned = [np.sort(wrap(row + T[2])) for row in (passes.branches[i] for i in range(len(passes)))]
+    shift = [int(np.argsort(wrap(passes.branches[i] + T[2]))[0]) for i in range(len(passes))]
+    count = passes.branches.counts
+
+    def renumbered(index):
+        moved = (index - np.array(shift)) % count
+        return np.where(index == NO_BRANCH, NO_BRANCH, moved)
+
+    moved = replace(
+        passes,
+        centre=apply(T, passes.centre),
+        branches=Ragged.from_rows(turned),
+        entry=renumbered(passes.entry),
+        exit=renumbered(passes.exit),
+    )
+    there = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
+    a = full_closure(make_walk(odometry, passes, NOISE))
+    b = full_closure(make_walk(there, moved, NOISE))
+    assert a.place.tolist() == b.place.tolist()
+    np.testing.assert_allclose(apply(T, a.layout.xy), b.layout.xy, atol=1e-4)
+
+
+def test_twice_the_same_gives_the_same():
+    rng = np.random.default_rng(8)
+    world = grid_world(4, 4, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    a, b = (full_closure(make_walk(odometry, passes, NOISE)) for _ in range(2))
+    assert a.layout.xy.tobytes() == b.layout.xy.tobytes()
+    assert [astuple(q) for q in a.asked] == [astuple(q) for q in b.asked]
+
+
+def test_a_wrong_noise_costs_recall_at_most():
+    rng = np.random.default_rng(9)
+    world = grid_world(5, 5, rng)
+    odometry, passes, truth = record(world, wander(world[1], 80, rng), rng)
+    for factor in (0.4, 2.5):
+        names = NOISE.__dataclass_fields__
+        wrong = replace(NOISE, **{name: getattr(NOISE, name) * factor for name in names})
+        closed = full_closure(make_walk(odometry, passes, wrong))
+        for place in range(closed.place.max() + 1):
+            members = {truth[i] for i in np.flatnonzero(closed.place == place)}
+            assert len(members) == 1
+
+
+def test_every_identification_keeps_its_evidence():
+    rng = np.random.default_rng(10)
+    world = grid_world(4, 4, rng)
+    odometry, passes, truth = record(world, wander(world[1], 50, rng), rng)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    made = [q for q in closed.asked if q.accepted]
+    # A tree of links joins the passes of every place.
+    assert len(made) >= len(truth) - (closed.place.max() + 1)
+    assert all(truth[q.first] == truth[q.second] and q.first < q.second for q in made)
+    assert all(q.bits > 4 and q.reason for q in made)
+
+
+def test_the_gated_closure_is_honest_and_finds_less():
+    rng = np.random.default_rng(11)
+    world = grid_world(5, 5, rng)
+    odometry, passes, truth = record(world, wander(world[1], 80, rng), rng)
+    place, asked = gated_closure(make_walk(odometry, passes, NOISE))
+    groups = [{truth[i] for i in np.flatnonzero(place == k)} for k in range(place.max() + 1)]
+    assert all(len(group) == 1 for group in groups)
+    assert len(set(truth)) <= len(groups) < len(truth)
+    assert any(q.accepted for q in asked)
+
+
+def test_pieces_of_a_broken_odometry_stay_apart():
+    rng = np.random.default_rng(12)
+    world = grid_world(3, 3, rng)
+    route = [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0), (0, 1), (1, 1), (1, 0), (0, 0)]
+    odometry, passes, _ = record(world, route, rng, breaks_before=(5,))
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk)
+    assert set(closed.place[:5]).isdisjoint(closed.place[5:])
+    assert closed.place[0] == closed.place[4]
+    layout = set_apart(walk, closed.place, closed.layout)
+    left, right = layout.xy[closed.place[:5]], layout.xy[closed.place[5:]]
+    assert left[:, 0].max() < right[:, 0].min()
+    # Moved, not bent.
+    np.testing.assert_allclose(
+        np.diff(layout.xy[closed.place[5:]], axis=0),
+        np.diff(closed.layout.xy[closed.place[5:]], axis=0),
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize(
+    "route",
+    [[(0, 0)], [(0, 0), (0, 1)], [(0, 0), (0, 1), (0, 0)], [(0, 0), (0, 1), (0, 0), (0, 1)]],
+)
+def test_tiny_walks(route):
+    odometry, passes, truth = record(grid_world(2, 2), route)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    assert closed.place.tolist() == partition(truth).tolist()
+
+
+def test_a_loop_of_one_junction_to_itself():
+    xy = {
+        "a": np.zeros(2),
+        "p": np.array([6.0, 0]),
+        "q": np.array([6.0, 6.0]),
+        "r": np.array([0, 6.0]),
+    }
+    beside = {"a": ["p", "r"], "p": ["a", "q"], "q": ["p", "r"], "r": ["q", "a"]}
+    odometry, passes, truth = record((xy, beside), ["a", "p", "q", "r", "a"], unseen=(1, 2, 3))
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk)
+    assert truth == ["a", "a"]
+    assert closed.place.tolist() == [0, 0]
+    places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
+    assert places.next_place[0][:2].tolist() == [0, 0]
+
+
+def test_a_missed_junction_becomes_an_unseen_visit():
+    world = grid_world(2, 4)
+    there = [(0, 0), (0, 1), (0, 2), (0, 3)]
+    route = [*there, *there[-2::-1], *there[1:]]
+    odometry, passes, truth = record(world, route, unseen=(5,))
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk)
+    assert closed.place.tolist() == partition(truth).tolist()
+    settled = settle(walk, odometry, closed.place, closed.layout)
+    assert int((~settled.visits.seen).sum()) == 1
+    again = settled.visits.vertex.tolist()
+    assert again == partition(route).tolist()
+
+
+def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
+    world = grid_world(1, 4)
+    xy, beside = world
+    xy["ghost"] = np.array([7.5, 5.0])
+    beside["ghost"] = [(0, 0), (0, 1)]
+    beside[0, 0], beside[0, 1] = [(0, 1), "ghost"], [(0, 0), (0, 2), "ghost"]
+    first = [(0, 0), "ghost", (0, 1), (0, 2)]
+    back = [(0, 1), (0, 0), (0, 1), (0, 2), (0, 1), (0, 0)]
+    odometry, passes, truth = record(world, first + back)
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk)
+    settled = settle(walk, odometry, closed.place, closed.layout)
+    assert settled.place[truth.index("ghost")] == -1
+    assert len(settled.xy) == 3
+    # Once is not enough for a place with a side branch.
+    places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
+    assert not phantoms(walk, places, np.zeros(len(places), int)).any()
+
+
+def test_dead_reckoning_covariance_is_that_of_many_drives():
+    world = grid_world(4, 4)
+    route = [(0, 0), (0, 1), (1, 1), (1, 2), (2, 2), (2, 1)]
+    ends = []
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        _, passes, _ = record(world, route, rng, noise=replace(NOISE, centre_m=0.0))
+        ends.append(passes.centre[-1] - passes.centre[0])
+    odometry, passes, _ = record(world, route)
+    quiet = make_walk(odometry, passes, NOISE)
+    expected = relative_covariance(quiet, np.array([0]), np.array([5]))[0]
+    # The model lets positions walk sideways as much as along; the drive does not.
+    slack = NOISE.along_m_per_sqrt_m**2 * quiet.way[-1]
+    found = np.cov(np.array(ends).T)
+    assert np.all(np.abs(found - expected[:2, :2]) < 0.25 * np.trace(expected[:2, :2]) + slack)
+    more = dead_reckoning_covariance(quiet, np.array([0]), np.array([5]))[0]
+    assert np.all(np.linalg.eigvalsh(more - expected) > -1e-12)
+
+
+def test_grid_headings_follow_the_drift():
+    rng = np.random.default_rng(13)
+    world = grid_world(5, 5, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    grid = grid_headings(walk)
+    assert grid is not None
+    seen = [passes.branches[i] for i in range(len(passes))]
+    aligned = [wrap(4 * (seen[i] + t)) / 4 for i, t in zip(grid.row, grid.turn, strict=True)]
+    spread = np.concatenate([a - aligned[0].mean() for a in aligned])
+    assert np.abs(np.asarray(wrap(4 * spread)) / 4).max() < 0.2
+    # Streets at any angle are no grid.
+    fork = np.array([-2.0, 0.1, 2.2])
+    bent = replace(
+        passes,
+        branches=Ragged.from_rows([fork] * len(passes)),
+        support=Ragged.from_rows([np.ones(3)] * len(passes)),
+        entry=np.zeros(len(passes), int),
+        exit=np.ones(len(passes), int),
+    )
+    assert grid_headings(replace(walk, passes=bent)) is None
+
+
+def test_layout_of_a_square_spreads_the_error():
+    world = grid_world(2, 2)
+    odometry, passes, _ = record(world, [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0)])
+    bent = replace(passes, centre=passes.centre + np.linspace(0, 1, 5)[:, None] * [0.4, 0.0])
+    walk = make_walk(odometry, bent, NOISE)
+    layout = lay_out(walk, np.array([0, 1, 2, 3, 0]))
+    apart = np.hypot(*(layout.pose[4, :2] - layout.pose[0, :2]))
+    assert apart < 0.15
+    assert len(layout.xy) == 4
+    side = np.hypot(*np.diff(layout.xy[[0, 1, 2, 3, 0]], axis=0).T)
+    assert np.all(np.abs(side - 5.0) < 0.3)
+
+
+def test_tables_of_places():
+    world = grid_world(2, 2)
+    route = [(0, 0), (0, 1), (0, 0), (0, 1), (1, 1)]
+    odometry, passes, truth = record(world, route)
+    walk = make_walk(odometry, passes, NOISE)
+    place = partition(truth)
+    places = tabulate(walk, place, np.zeros(len(passes)), 0.35)
+    assert places.visits.tolist() == [2, 2, 1]
+    east = int(np.nanargmin(np.abs(places.heading[0])))
+    assert places.next_place[0, east] == 1
+    assert places.driven[0, east] == places.tried[0, east] == 3
+    assert places.length[0, east] == pytest.approx(5.0)
+    assert (places.next_place[0] == NOWHERE).sum() == places.heading.shape[1] - 1
+    rates = measured_rates(places, NOISE)
+    assert rates.miss_rate < NOISE.miss_rate
+    assert rates.branch_fault_rate == pytest.approx(NOISE.branch_fault_rate)
+
+
+def test_settings_are_the_gate_keeper():
+    rng = np.random.default_rng(14)
+    world = grid_world(4, 4, rng)
+    odometry, passes, truth = record(world, wander(world[1], 40, rng), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk, RoundSettings(thresholds=(1000.0,)))
+    assert closed.place.tolist() == list(range(len(truth)))
+    assert any(not q.accepted and q.bits > 0 for q in closed.asked)
