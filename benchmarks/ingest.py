@@ -3,10 +3,10 @@
     python benchmarks/ingest.py [--full] [--out DIR] [--keep] [--only NAME]
 
 Writes one log per container (odometry, detections, images of one camera), reads each of them in a
-process of its own and prints the medians of the wall time,
-and the same ratios of CPU time, which a busy machine disturbs less. The limit is reading every byte
-and decompressing every chunk with the library as it is. `--full`: a million odometry messages, 20,000 detections
-and 1 GB of images per log, which needs about 8 GB in DIR.
+process of its own and prints the medians of the wall time, and the same ratios of CPU time, which
+a busy machine disturbs less. The limit is reading every byte and decompressing every chunk, without
+checksums; "peak MB" is memory above what the interpreter and the imports take. `--full`: a million
+odometry messages, 20,000 detections and 1 GB of images per log, which needs about 8 GB in DIR.
 """
 
 from __future__ import annotations
@@ -382,7 +382,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     print(
         f"{'log':14s} {'MB':>8s} {'rosbags s':>9s} {'ours s':>9s} {'limit s':>8s} "
-        f"{'× rosbags':>9s} {'CPU':>6s} {'× limit':>8s} {'CPU':>6s} {'peak MB':>8s} {'l. MB':>6s}"
+        f"{'x rosbags':>9s} {'CPU':>6s} {'x limit':>8s} {'CPU':>6s} {'peak MB':>8s} {'l. MB':>6s}"
     )
     try:
         for name, file, write in (
