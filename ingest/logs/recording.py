@@ -89,6 +89,10 @@ def recording_at(path: Path) -> Recording:
         raise LogError(f"{path}: is neither a file nor a folder")
     if path.stat().st_size == 0:
         raise LogError(f"{path}: the file is empty; was the recorder stopped before it wrote?")
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
     if sniff(path) is None:
         raise LogError(
             f"{path}: is no log; an MCAP file, a ROS 1 bag (format 2.0) or a ROS 2 bag is needed"
