@@ -63,6 +63,10 @@ class RoundSettings:
     """Mean squared error, in units of what the noise allows, at which the noise is raised …"""
     loudest: float = 4.0
     """… to at most this many times what was estimated."""
+    low: float = 0.35
+    """Mean squared error at which the noise is lowered …"""
+    lowest: float = 0.35
+    """… to at least this share of what was estimated."""
     strain: float = 30.0
     """Squared error [3 d.o.f.] of a sighting from which its identification is taken back."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
@@ -131,10 +135,10 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
         turn = layout.pose[:, 2] + _turns(place, new)
         place = _partition(len(walk), links)
         layout = lay_out(walk, place, layout.pose, turn=turn, grid=grid, settings=settings.layout)
-        if layout.misfit > settings.loud and loudness < settings.loudest:
-            # The noise is worse than it seemed before anything was identified.
-            loudness = min(loudness * layout.misfit**0.5, settings.loudest)
-            walk = louder(quiet, loudness)
+        better = _loudness(loudness, layout.misfit, settings)
+        if better != loudness:
+            # The noise is not what it seemed before anything was identified.
+            loudness, walk = better, louder(quiet, better)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
         bad = _strained(place, layout, links, settings)
         if bad:
@@ -143,6 +147,15 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
             place = _partition(len(walk), links)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
     return Closed(walk, place, layout, links + _refused(walk, place, found))
+
+
+def _loudness(now: float, misfit: float, settings: RoundSettings) -> float:
+    """Factor on the estimated noise: raised to fit, lowered with reserve."""
+    if misfit > settings.loud:
+        return min(now * misfit**0.5, settings.loudest)
+    if misfit < settings.low:
+        return max(now * (1.5 * misfit) ** 0.5, settings.lowest)
+    return now
 
 
 def _no_candidates() -> Candidates:
