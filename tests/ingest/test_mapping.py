@@ -1,0 +1,173 @@
+"""The whole chain from a run to its map, on simulated runs with their truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.mapping import MappingSettings, build_map
+from topobatch.ingest.run import Detections, Run
+from topobatch.ingest.simulation import (
+    MIXED,
+    ScenarioSettings,
+    simulate_scenario,
+    true_vertex_of_nodes,
+)
+from topobatch.topology.document import map_from_document, map_to_document
+from topobatch.topology.errors import DataError
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import apply, compose, fit_rigid
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return simulate_scenario(
+        ScenarioSettings("maze", runs=1, junctions_per_run=25, drift="mid", faults="mild", seed=3)
+    )
+
+
+@pytest.fixture(scope="module")
+def run(scenario):
+    (name,) = scenario.runs
+    return scenario.runs[name]
+
+
+@pytest.fixture(scope="module")
+def topomap(run):
+    return build_map(run)
+
+
+@pytest.mark.parametrize("world", ["office", "organic"])
+def test_maps_of_other_worlds_are_consistent(world):
+    scenario = simulate_scenario(
+        ScenarioSettings(world, runs=1, junctions_per_run=25, drift="high", faults="mild", seed=5)
+    )
+    (name,) = scenario.runs
+    topomap = build_map(scenario.runs[name])
+    label = true_vertex_of_nodes(scenario.truth, topomap)
+    real = label[label >= 0]
+    assert MIXED not in label
+    assert len(set(real.tolist())) == len(real)
+
+
+def test_the_map_is_that_of_the_world(scenario, run, topomap):
+    label = true_vertex_of_nodes(scenario.truth, topomap)
+    assert MIXED not in label
+    real = np.flatnonzero(label >= 0)
+    assert len(set(label[real].tolist())) == len(real)
+    assert set(label[real].tolist()) == scenario.truth.runs[run.name].detected
+    world = scenario.truth.worlds[scenario.truth.runs[run.name].world]
+    there = world.xy[label[real]]
+    T = fit_rigid(there, topomap.xy[real])
+    assert np.hypot(*(apply(T, topomap.xy[real]) - there).T).max() < 0.8
+    joined = {frozenset(pair) for pair in zip(world.source.tolist(), world.target.tolist())}  # noqa: B905
+    ends = np.column_stack([label[topomap.source], label[topomap.target]])
+    inner = ends[(ends >= 0).all(axis=1)]
+    assert len(inner) > 20
+    assert np.mean([frozenset(pair) in joined for pair in inner.tolist()]) > 0.95
+
+
+def test_edges_are_drawn_from_vertex_to_vertex(topomap):
+    for e in range(len(topomap.source)):
+        path = topomap.paths[e]
+        np.testing.assert_allclose(path[0], topomap.xy[topomap.source[e]], atol=1e-6)
+        np.testing.assert_allclose(path[-1], topomap.xy[topomap.target[e]], atol=1e-6)
+        driven = np.hypot(*np.diff(path, axis=0).T).sum()
+        assert driven == pytest.approx(topomap.length[e], abs=0.6, rel=0.1)
+        # The path leaves by the branch that the edge names.
+        b = topomap.source_branch[e]
+        if b >= 0 and driven > 2:
+            step = np.diff(path, axis=0)
+            far = path[np.argmax(np.cumsum(np.hypot(*step.T)) > 0.8) + 1] - path[0]
+            heading = topomap.branches[int(topomap.source[e])][b]
+            off = np.arctan2(far[1], far[0]) - heading
+            assert np.cos(off) > 0.6
+
+
+def test_the_document_tells_how_the_map_was_made(run, topomap):
+    document = map_to_document(topomap)
+    graph = json.loads(json.dumps(document, allow_nan=False))["graph"]
+    assert graph["settings"]["closure"] == "full"
+    assert set(graph["calibration"]) == {"bias_rad_per_m", "turn_scale", "lag_s"}
+    assert graph["warnings"] == list(run.warnings)
+    assert graph["noise"]["centre_m"] > 0
+    assert any(c["accepted"] for c in graph["closures"])
+    assert all(c["reason"] and np.isfinite(c["bits"]) for c in graph["closures"])
+    assert map_to_document(map_from_document(document)) == document
+
+
+def test_the_same_run_gives_the_same_bytes(run, topomap):
+    again = build_map(run)
+    assert json.dumps(map_to_document(again)) == json.dumps(map_to_document(topomap))
+
+
+def test_the_frame_of_the_odometry_does_not_matter(run, topomap):
+    T = np.array([40.0, -12.0, -2.0])
+    odometry = replace(run.odometry, pose=compose(T, run.odometry.pose))
+    moved = build_map(replace(run, odometry=odometry))
+    assert moved.observation_vertex.tolist() == topomap.observation_vertex.tolist()
+    # Medians are taken per axis of the odometry's frame: centres differ by millimetres.
+    np.testing.assert_allclose(apply(T, topomap.xy), moved.xy, atol=0.05)
+    np.testing.assert_allclose(np.sort(topomap.length), np.sort(moved.length), atol=0.02)
+
+
+def test_without_closure_every_pass_is_a_vertex(run, topomap):
+    open_map = build_map(run, MappingSettings(closure="none"))
+    gated = build_map(run, MappingSettings(closure="gated"))
+    assert len(open_map) > len(gated) > len(topomap)
+    assert not open_map.closures
+    assert np.bincount(open_map.observation_vertex).max() == 1
+
+
+def test_steps_are_announced_in_order(run):
+    heard: list[str] = []
+    build_map(run, MappingSettings(closure="gated"), on_step=heard.append)
+    assert heard == ["calibration", "passes", "noise", "loop closure", "map"]
+
+
+def test_a_run_without_passes_is_named():
+    nothing = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
+    none = Odometry(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
+    track = Odometry(np.arange(5) * 10**9, np.zeros((5, 3)), np.zeros(0, np.int64))
+    late = Detections(np.array([10**12]), np.zeros((1, 2)), Ragged.from_rows([[0.0]]))
+    for odometry, detections, word in (
+        (none, late, "odometry"),
+        (track, nothing, "no junction"),
+        (track, late, "clocks"),
+    ):
+        with pytest.raises(DataError, match=f"run lost: .*{word}"):
+            build_map(Run("lost", odometry, detections))
+
+
+def test_a_broken_odometry_gives_pieces_and_says_so(run):
+    middle = len(run.odometry) // 2
+    pose = run.odometry.pose.copy()
+    pose[middle:] = compose(np.array([5.0, 5.0, 1.0]), pose[middle:])
+    broken = replace(run, odometry=replace(run.odometry, pose=pose, breaks=np.array([middle])))
+    topomap = build_map(broken)
+    assert "2 pieces" in topomap.info["warnings"][-1]
+    early = topomap.observation_time_ns < run.odometry.time_ns[middle]
+    vertex = topomap.observation_vertex
+    assert set(vertex[early].tolist()).isdisjoint(vertex[~early].tolist())
+    assert not np.any(
+        np.isin(topomap.source, vertex[early]) != np.isin(topomap.target, vertex[early])
+    )
+
+
+def test_the_least_of_runs():
+    odometry = Odometry(
+        np.arange(100) * 10**8, np.tile([1.0, 2.0, 0.3], (100, 1)), np.zeros(0, np.int64)
+    )
+    seen = Detections(
+        np.arange(20) * 10**8 + 10**9, np.zeros((20, 2)), Ragged.from_rows([[0.0, 2.0]] * 20)
+    )
+    topomap = build_map(Run("still", odometry, seen))
+    assert len(topomap) == 1
+    assert len(topomap.source) == 0
+    assert topomap.kind == ("bend",)
+    np.testing.assert_allclose(topomap.xy, [[1.0, 2.0]], atol=1e-9)
+    np.testing.assert_allclose(topomap.branches[0], [0.3, 2.3], atol=1e-9)
