@@ -123,6 +123,16 @@ def _median_by(values: FloatArray, group: IntArray, offsets: IntArray) -> FloatA
     return middle
 
 
+def _middle(xy: FloatArray, group: IntArray, offsets: IntArray) -> FloatArray:
+    """Mean of each group's points without its outliers: those far from the median, as others go."""
+    median = np.column_stack([_median_by(xy[:, k], group, offsets) for k in (0, 1)])
+    away = np.hypot(*(xy - median[group]).T)
+    usual = _median_by(away, group, offsets)
+    weight = (away <= 3.0 * usual[group] + 1e-9).astype(np.float64)
+    total = np.bincount(group, weight)
+    return np.column_stack([np.bincount(group, weight * xy[:, k]) / total for k in (0, 1)])
+
+
 def _fuse(
     odometry: Odometry,
     seen: Ragged,
@@ -135,7 +145,7 @@ def _fuse(
 ) -> Passes:
     counts = np.bincount(group)
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    fused = np.column_stack([_median_by(centre[:, k], group, offsets) for k in (0, 1)])
+    fused = _middle(centre, group, offsets)
     # When nearest: the first row of each group in the order of distance.
     distance = np.hypot(*(pose[:, :2] - fused[group]).T)
     nearest = time_ns[np.lexsort((distance, group))[offsets[:-1]]]

@@ -110,7 +110,7 @@ def test_the_frame_of_the_odometry_does_not_matter(run, topomap):
     odometry = replace(run.odometry, pose=compose(T, run.odometry.pose))
     moved = build_map(replace(run, odometry=odometry))
     assert moved.observation_vertex.tolist() == topomap.observation_vertex.tolist()
-    # Medians are taken per axis of the odometry's frame: centres differ by millimetres.
+    # Outliers are told by medians per axis of the odometry's frame: centres differ a little.
     np.testing.assert_allclose(apply(T, topomap.xy), moved.xy, atol=0.05)
     np.testing.assert_allclose(np.sort(topomap.length), np.sort(moved.length), atol=0.02)
 
