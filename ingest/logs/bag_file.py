@@ -255,7 +255,8 @@ class _Walk:
             self._findings.truncated = True
             return self._window.size
         data = self._window.view(position, max(SLAB_BYTES, need))
-        stop = _whole_records(data, only=(MESSAGE, CONNECTION))
+        # The first record is whole and of a right kind: it always gets on.
+        stop = max(_whole_records(data, only=(MESSAGE, CONNECTION)), need)
         yield from self._messages(data[:stop])
         self._window.passed(position + stop)
         return position + stop

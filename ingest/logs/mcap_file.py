@@ -209,7 +209,8 @@ class _Walk:
         """Messages outside chunks, up to the next record of another kind; returns its place."""
         _, length = _HEAD(self._window.view(position, RECORD_HEAD).data)
         data = self._window.view(position, max(SLAB_BYTES, RECORD_HEAD + length))
-        _, stop = mcap_records(data, _NOT_MESSAGES)
+        # The first record is whole and of a right kind: it always gets on.
+        stop = max(mcap_records(data, _NOT_MESSAGES)[1], RECORD_HEAD + length)
         yield from self._messages(data[:stop])
         self._outside_chunks = True
         self._window.passed(position + stop)
@@ -245,7 +246,7 @@ class _Walk:
                 yield from self._messages(part[:whole])
                 return window.size
         found = self._next_record(position + 1)
-        if found is None:
+        if found is None or found <= position:
             if _plausible(op, end - position - RECORD_HEAD):
                 self._findings.truncated = True
             else:
@@ -261,7 +262,7 @@ class _Walk:
             at = int(np.searchsorted(starts, position))
             if at < len(starts):
                 return int(starts[at])
-            if len(starts):
+            if len(starts) and position <= self._summary.start:
                 return self._summary.start
         window = self._window
         while position < window.size:

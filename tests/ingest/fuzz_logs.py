@@ -15,6 +15,7 @@ import importlib.util
 import json
 import resource
 import shutil
+import signal
 import struct
 import sys
 import tempfile
@@ -30,6 +31,7 @@ from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, read_
 from topobatch.topology.errors import TopobatchError
 
 SLOW_S = 5.0
+HANG_S = 30.0
 MEMORY_MB = 1500
 RECORD = Path(__file__).with_name("fuzz_record.json")
 MESSAGES = 66
@@ -130,10 +132,16 @@ SETTINGS = (
 )
 
 
+def _hangs(*_: object) -> None:
+    raise TimeoutError(f"no end after {HANG_S} s")
+
+
 def problem_of(path: Path, settings: ReadSettings) -> str | None:
     """What is wrong with the way a file is read, None if nothing is."""
     started = time.process_time()
     found = None
+    signal.signal(signal.SIGVTALRM, _hangs)
+    signal.setitimer(signal.ITIMER_VIRTUAL, HANG_S)
     try:
         run = read_run(path, settings)
         if len(run.odometry) + len(run.detections) < MESSAGES and not run.warnings:
@@ -144,6 +152,8 @@ def problem_of(path: Path, settings: ReadSettings) -> str | None:
     # Anything else that leaves the library is exactly what is looked for.
     except Exception as error:
         found = f"{type(error).__name__}: {error}"
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
     if time.process_time() - started > SLOW_S:
         found = f"slow: {time.process_time() - started:.1f} s"
     return found
