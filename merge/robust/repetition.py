@@ -101,13 +101,9 @@ def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sa
     spread = compared * np.log(
         (1 - change) * np.exp(TILTS * kept_nats) + change * np.exp(TILTS * changed_nats)
     )
-    tilted = [
-        TILTS * nats - spread - shape.tilted(exact, factor, share)
-        for factor in NOISE_FACTORS
-        for exact in EXACT_SHARES
-    ]
-    weight = np.log(np.outer(NOISE_ODDS, copies.exact_odds).reshape(-1))
-    bound = -np.logaddexp.reduce(weight - np.max(tilted, axis=1))
+    tilted = TILTS * nats - spread - shape.tilted(share)  # (factor, exact share, tilt)
+    weight = np.log(np.outer(NOISE_ODDS, copies.exact_odds))
+    bound = -float(np.logaddexp.reduce(weight - tilted.max(axis=2), axis=None))
     if bound <= 0.0:
         # Below what is typical of copies: how far below, to rank by.
         bound = min(float(nats), 0.0)
@@ -146,16 +142,19 @@ class _Lengths:
         each = np.log(share * exact + (1 - share) * varied).sum(axis=1)
         return float(np.logaddexp.reduce(each + np.log(NOISE_ODDS)))
 
-    def tilted(self, exact: float, factor: float, share: float) -> FloatArray:
-        """(tilts,) log E[exp(tilt · odds)] over copies of which `exact` is exactly alike, if the
-        noise is wrong by `factor`; by Gaussian quadrature over each difference."""
-        noise = self.noise * factor**2
-        total: FloatArray = np.zeros((len(TILTS), len(self.d2)))
-        for variance, weight in ((noise, exact), (noise + self.built, 1 - exact)):
-            odds = self.odds(NODES[:, None] ** 2 * variance, share)
-            moment = np.exp(TILTS[:, None, None] * odds)
-            total = total + weight * np.einsum("n,tnc->tc", NODE_WEIGHTS, moment)
-        return np.asarray(np.log(total).sum(axis=1))
+    def tilted(self, share: float) -> FloatArray:
+        """(factor, exact share, tilt) log E[exp(tilt · odds)] over copies, for all NOISE_FACTORS,
+        EXACT_SHARES and TILTS; by Gaussian quadrature over each difference."""
+        factor = np.array(NOISE_FACTORS)[:, None, None]
+        exact = np.array(EXACT_SHARES)[:, None, None]
+        noise = self.noise * factor**2  # (factor, 1, corridor)
+        moments = []
+        for variance in (noise, noise + self.built):
+            odds = self.odds(NODES[:, None] ** 2 * variance, share)  # (factor, node, corridor)
+            moment = np.exp(TILTS[:, None, None, None] * odds)
+            moments.append(np.einsum("n,tfnc->ftc", NODE_WEIGHTS, moment)[:, None])
+        mixed = exact * moments[0] + (1 - exact) * moments[1]  # (factor, share, tilt, corridor)
+        return np.asarray(np.log(mixed).sum(axis=3))
 
 
 def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:

@@ -26,6 +26,16 @@ REPETITIVE_SELF_BITS = 15.0
 repeat itself, from the second on the second question is asked in full."""
 
 
+THIN_BITS = 1.5
+SOLID_BITS = 1.8
+"""Net bits per matched junction: where many junctions match and each tells little, the building is
+regular or much contradicts. Below the first value that counts as repetition, above the second not.
+"""
+
+RIVAL_SHARE = 0.75
+"""A second placement with this share of the bits needed shows that the building repeats itself."""
+
+
 @dataclass(frozen=True, slots=True)
 class Bar:
     """What a pair must reach. need_bits: against chance; repetition: 0 (the building does not
@@ -36,10 +46,10 @@ class Bar:
     copies: CopyModel
     settings: RobustSettings
 
-    @property
-    def need_same_bits(self) -> float:
+    def need_same_bits(self, thinness: float) -> float:
         """What the second question must yield, where it is asked."""
-        return self.repetition * max(self.need_bits - COPY_MARGIN_BITS, 0.0)
+        weight = max(self.repetition, thinness)
+        return weight * max(self.need_bits - COPY_MARGIN_BITS, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +78,11 @@ def repetition_level(self_bits: float) -> float:
     return float(np.clip(level, 0.0, 1.0))
 
 
+def _thinness(c: Candidate) -> float:
+    """0 to 1: how little each matched junction of an alignment tells."""
+    return float(np.clip((SOLID_BITS - c.bits / len(c)) / (SOLID_BITS - THIN_BITS), 0.0, 1.0))
+
+
 def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Bar) -> Opinion:
     """The verdict on a pair from its candidate alignments.
 
@@ -75,21 +90,24 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     over every other placement. ambiguous: an alignment that chance hardly offers, but one of the
     three is missing. unrelated: no such alignment.
 
-    The second question is asked where the building is known to repeat itself, and where a second
-    placement, too, is beyond chance.
+    The second question is asked where the building is known to repeat itself, where a second
+    placement, too, is beyond chance, and where matched junctions tell little each.
     """
     odd = [c for c in candidates if c.bits > ODD_BITS and len(c) >= level.settings.min_matches]
     if not odd:
         bits = candidates[0].bits if candidates else 0.0
         return Opinion(Verdict.UNRELATED, None, None, bits, None, None, "")
-    asked = level.repetition > 0 or any(c.bits > 0.75 * level.need_bits for c in odd[1:])
+    thinness = _thinness(odd[0])
+    rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])
+    asked = level.repetition > 0 or thinness > 0 or rivals
     same = [sameness(a, b, c, level.copies).bits if asked else np.inf for c in odd]
     score = [min(c.bits, s) for c, s in zip(odd, same, strict=True)]
     ranking = sorted(range(len(odd)), key=lambda i: -score[i])
     first = ranking[0]
     second = ranking[1] if len(ranking) > 1 else None
     margin = None if second is None else score[first] - score[second]
-    why = _missing(odd[first].bits, same[first], margin, level)
+    need_same = level.need_same_bits(max(thinness, _thinness(odd[first])))
+    why = _missing(odd[first].bits, same[first], margin, need_same, level)
     return Opinion(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         best=odd[first],
@@ -101,11 +119,13 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     )
 
 
-def _missing(bits: float, same_bits: float, margin: float | None, level: Bar) -> str:
+def _missing(
+    bits: float, same_bits: float, margin: float | None, need_same: float, level: Bar
+) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
     if bits < level.need_bits:
         return f"chance offers as much too often ({bits:.0f} bits, {level.need_bits:.0f} needed)"
-    if same_bits < level.need_same_bits:
+    if same_bits < need_same:
         return "the building repeats itself and this may be another copy of the place"
     if margin is not None and margin < level.settings.lead_bits:
         return "another placement fits nearly as well"

@@ -51,21 +51,21 @@ def test_faults_and_drift_do_not_mislead(kind, seed, see, right_matches):
     across = world.xy[:, 0]
     a = see(
         world,
-        np.flatnonzero(across < np.quantile(across, 0.65)).tolist(),
+        np.flatnonzero(across < np.quantile(across, 0.7)).tolist(),
         seed,
         "a",
-        missed=0.06,
-        branch_fault=0.1,
+        missed=0.04,
+        branch_fault=0.08,
         bend_m=0.5,
         centre_m=0.08,
     )
     b = see(
         world,
-        np.flatnonzero(across > np.quantile(across, 0.35)).tolist(),
+        np.flatnonzero(across > np.quantile(across, 0.3)).tolist(),
         seed + 9,
         "b",
-        missed=0.06,
-        branch_fault=0.1,
+        missed=0.04,
+        branch_fault=0.08,
         bend_m=0.5,
         centre_m=0.08,
     )
