@@ -133,6 +133,8 @@ class _Walk:
             else:
                 if record.op == INDEX and self._after_damage:
                     self._count_lost(record)
+                elif record.op == BAG_HEADER:
+                    self._closed(record)
                 position = record.end
             if position > window.size:
                 self._findings.truncated = True
@@ -228,6 +230,17 @@ class _Walk:
             data = np.frombuffer(inflate_part(compression, data, size), np.uint8)
         yield from self._messages(data)
         return self._window.size
+
+    def _closed(self, record: Record) -> None:
+        """A bag whose header names the place of its index was closed: it must have one."""
+        try:
+            index_at = number(record.fields, b"index_pos", 8)
+        except DamageError:
+            index_at = 0
+        if self._index is None and index_at >= self._window.size:
+            self._findings.truncated = True
+        elif self._index is None and index_at:
+            self._findings.note("the index is damaged")
 
     def _behind_index(self, position: int) -> int:
         """Place behind the index records at `position`: of no use, so they are not parsed."""
@@ -365,8 +378,6 @@ class _Walk:
                 key: count - int(met[key]) if key < _CONNECTIONS else count
                 for key, count in self._index.counts.items()
             }
-        else:
-            findings.unindexed = True
         for key, count in lost.items():
             if count > 0:
                 channel = self._channels.get(key)

@@ -214,7 +214,7 @@ class _Walk:
         yield from self._messages(data[:stop])
         self._outside_chunks = True
         self._window.passed(position + stop)
-        return position + stop
+        return int(position + stop)
 
     def _check_data(self, position: int, length: int) -> None:
         """Compare the checksum of all data, which is all that messages outside chunks have."""

@@ -115,7 +115,6 @@ class Findings:
     lost: Counter[str] = field(default_factory=Counter)
     unknown: int = 0
     truncated: bool = False
-    unindexed: bool = False
     unreadable_bytes: int = 0
     broken_rows: int = 0
     damaged_pages: int = 0
