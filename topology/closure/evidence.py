@@ -43,7 +43,7 @@ class EvidenceSettings:
     """Widths of the noise are taken this much larger than estimated."""
     bandwidth_rad: float = 0.12
     """Width of the kernels that say how common a set of branches is in this run."""
-    references: int = 150
+    references: int = 100
     """Places that stand for the run when asking how common a set of branches is."""
 
 

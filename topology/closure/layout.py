@@ -139,7 +139,7 @@ def _solved(
 ) -> tuple[PoseGraph, Solution, FloatArray]:
     """Believe every sighting at first: a new identification may pull places together from afar,
     where a robust kernel would let go of it. Then let go of those that do not fit."""
-    given = SolverSettings(start="given")
+    given = SolverSettings(start="given", relative_tolerance=1e-6)
     solution = solve(graph, given)
     if np.all(solution.edge_chi2[legs:] < settings.sighting_kernel**2):
         return graph, solution, solution.edge_chi2

@@ -52,6 +52,8 @@ class RoundSettings:
     """Largest squared Mahalanobis distance (2 d.o.f.)."""
     reach_m: float = 20.0
     """Places farther apart than this in the layout are not asked about."""
+    most_pairs: int = 5000
+    """In long runs no more pairs are looked at in one round, the nearest (or six per place)."""
     least_hope: float = 0.0
     """Candidates that could not reach these log odds wherever they lay are not looked at."""
     support_cap: float = 12.0
@@ -152,9 +154,9 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
 def _loudness(now: float, misfit: float, settings: RoundSettings) -> float:
     """Factor on the estimated noise: raised to fit, lowered with reserve."""
     if misfit > settings.loud:
-        return min(now * misfit**0.5, settings.loudest)
+        return min(now * float(np.sqrt(misfit)), settings.loudest)
     if misfit < settings.low:
-        return max(now * (1.5 * misfit) ** 0.5, settings.lowest)
+        return max(now * float(np.sqrt(1.5 * misfit)), settings.lowest)
     return now
 
 
@@ -239,6 +241,7 @@ def _candidates(
     cov = _tighter(cov, *known_way_variance(walk, places, a, b))
     near = far2 < settings.gate * (cov[:, 0, 0] + cov[:, 1, 1] + 2 * sigma2)
     a, b, cov, shift = a[near], b[near], cov[near], shift[near]
+    a, b, cov, shift = _nearest(a, b, cov, shift, max(settings.most_pairs, 6 * len(places)))
     if exact:
         best = best_position_odds(common, shift, settings.evidence)
         hopeful = best + _surroundings(scene, a, b, cov, settings).sum() > settings.least_hope
@@ -251,6 +254,16 @@ def _candidates(
     a, b, odds, cov = a[fine], b[fine], odds[fine], cov[fine]
     found = _surroundings(scene, a, b, cov, settings)
     return Candidates(a, b, odds, found.branches, found.support, found.conflict, found.turn)
+
+
+def _nearest(
+    a: IntArray, b: IntArray, cov: FloatArray, shift: FloatArray, most: int
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """The pairs that lie nearest to each other: the others' turn comes when these are settled."""
+    if len(a) <= most:
+        return a, b, cov, shift
+    rows = np.sort(np.argsort((shift**2).sum(axis=1), kind="stable")[:most])
+    return a[rows], b[rows], cov[rows], shift[rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
