@@ -182,6 +182,8 @@ class _Walk:
             end = position + RECORD_HEAD + length
             if op == FOOTER and length == 20 and end + len(MAGIC) == window.size:
                 complete = 1
+                if self._summary is None and Cursor(window.view(position + RECORD_HEAD, 8)).u64():
+                    self._findings.note("the summary is damaged")
                 break
             if op == CHUNK and end <= window.size and _plausible(op, length):
                 self._read_ahead(pool, position, length)
