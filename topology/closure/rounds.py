@@ -38,6 +38,8 @@ IntArray = NDArray[np.int64]
 _FAR_M = 80.0
 """Longest way that `nearby_variance` looks at."""
 _STRIP = 256
+_MOST_TABLED = 1_000_000
+"""Pairs of places in one table: some 200 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,9 +227,8 @@ def _candidates(
     graph (`exact`); the bounds stand for them otherwise.
     """
     walk, places, common = scene.walk, scene.places, scene.common
-    pairs = cKDTree(layout.xy).query_pairs(settings.reach_m, output_type="ndarray")
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    a, b = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
+    pairs = _pairs_within(layout.xy, settings.reach_m)
+    a, b = pairs.T
     i, j = _nearest_in_time(places, place, a, b)
     same = walk.chain[i] == walk.chain[j]
     a, b, i, j = a[same], b[same], i[same], j[same]
@@ -254,6 +255,16 @@ def _candidates(
     a, b, odds, cov = a[fine], b[fine], odds[fine], cov[fine]
     found = _surroundings(scene, a, b, cov, settings)
     return Candidates(a, b, odds, found.branches, found.support, found.conflict, found.turn)
+
+
+def _pairs_within(xy: FloatArray, reach_m: float) -> IntArray:
+    """(k, 2) pairs a < b of points that near, sorted; nearer ones only where that are too many."""
+    tree = cKDTree(xy)
+    while int(tree.count_neighbors(tree, reach_m)) > 2 * _MOST_TABLED:
+        reach_m *= 0.7
+    pairs = tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
+    out: IntArray = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return out
 
 
 def _nearest(
