@@ -298,6 +298,10 @@ def _walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Fin
 def _damage(recording: Recording, findings: Findings, settings: ReadSettings) -> list[str]:
     """What is wrong with the log; raises LogError if nothing is left, or if it is to be strict."""
     damage = [*recording.notes, *findings.damage]
+    if recording.declared is not None and findings.messages < recording.declared:
+        damage.append(
+            f"metadata.yaml counts {recording.declared} messages, {findings.messages} were found"
+        )
     if findings.messages == 0:
         reason = "; ".join(damage) or "it holds no messages"
         raise LogError(f"{recording.path}: nothing can be read: {reason}")

@@ -232,15 +232,16 @@ class _Walk:
         return self._window.size
 
     def _closed(self, record: Record) -> None:
-        """A bag whose header names the place of its index was closed: it must have one."""
+        """Report a bag without index; one whose header names its place was closed and had one."""
         try:
             index_at = number(record.fields, b"index_pos", 8)
         except DamageError:
             index_at = 0
         if self._index is None and index_at >= self._window.size:
             self._findings.truncated = True
-        elif self._index is None and index_at:
-            self._findings.note("the index is damaged")
+        elif self._index is None:
+            reason = "is damaged" if index_at else "was never written"
+            self._findings.note(f"the index {reason}")
 
     def _behind_index(self, position: int) -> int:
         """Place behind the index records at `position`: of no use, so they are not parsed."""

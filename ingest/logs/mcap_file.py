@@ -381,6 +381,8 @@ class _Walk:
         ]
         if heads["length"].min() < MESSAGE_HEAD:
             positions, heads = self._long_enough(positions, heads)
+            if len(positions) == 0:
+                return
         number = heads["channel"].astype(np.int64)
         counts = np.bincount(number, minlength=1)
         self._met[: len(counts)] += counts

@@ -39,11 +39,15 @@ UNPACKED_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """The files of one run in their order, and what is wrong with their number."""
+    """The files of one run in their order, and what is wrong with their number.
+
+    declared: how many messages the bag's metadata counts, None where there is none.
+    """
 
     path: Path
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
+    declared: int | None = None
 
     @property
     def bytes(self) -> int:
@@ -264,8 +268,10 @@ def _folder(path: Path) -> Recording:
     notes: list[str] = []
     entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
     files = [entry for entry in entries if sniff(entry) is not None]
+    declared = None
     if (path / METADATA).is_file():
-        for name in _named_files(path / METADATA, notes):
+        named, declared = _metadata(path / METADATA, notes)
+        for name in named:
             if name not in {file.name for file in files} and name + ".zstd" not in {
                 file.name for file in files
             }:
@@ -279,7 +285,7 @@ def _folder(path: Path) -> Recording:
     ]
     if not files:
         raise LogError(f"{path}: the folder holds no log files; a bag folder or a file is needed")
-    return Recording(path, tuple(files), tuple(notes))
+    return Recording(path, tuple(files), tuple(notes), declared)
 
 
 _SUFFIX_ZSTD = re.compile(r"\.(zstd|zst)$")
@@ -291,8 +297,11 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (-1, p) for p in pieces], path.name
 
 
-def _named_files(path: Path, notes: list[str]) -> list[str]:
-    """The files that metadata.yaml lists; an unreadable one is noted and the folder believed."""
+def _metadata(path: Path, notes: list[str]) -> tuple[list[str], int | None]:
+    """The files that metadata.yaml lists, and how many messages it counts.
+
+    An unreadable one is noted, and the folder believed.
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -300,8 +309,18 @@ def _named_files(path: Path, notes: list[str]) -> list[str]:
         if path.stat().st_size > METADATA_BYTES:
             raise ValueError("it is implausibly long")
         document = YAML(typ="safe", pure=True).load(path.read_text("utf-8", "replace"))
-        names = document["rosbag2_bagfile_information"]["relative_file_paths"]
-        return [os.path.basename(str(name)) for name in names]
-    except (YAMLError, KeyError, TypeError, ValueError, RecursionError, OSError) as error:
+        information = document["rosbag2_bagfile_information"]
+        names = [os.path.basename(str(name)) for name in information["relative_file_paths"]]
+        count = information.get("message_count")
+        return names, count if isinstance(count, int) and count > 0 else None
+    except (
+        YAMLError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        ValueError,
+        RecursionError,
+        OSError,
+    ) as error:
         notes.append(f"{METADATA} cannot be read ({type(error).__name__}); all files are used")
-        return []
+        return [], None

@@ -131,11 +131,21 @@ class _Reader:
 
     def by_pages(self, pages: Pages, root: int) -> Iterator[Block]:
         """All rows from the leaf pages of the table; large ones from the library."""
+        gaps = short = last = 0
         for data in pages.batches(pages.leaves(root)):
             rows = pages.rows(data)
             self._findings.damaged_pages += rows.broken
+            short += rows.short
+            if len(rows.number):
+                # A recorder numbers its rows from 1 on, one after the other.
+                gaps += int((np.diff(rows.number, prepend=last) != 1).sum())
+                last = int(rows.number[-1])
             yield from self._columns(rows)
             yield from self._large(rows)
+        if gaps:
+            self._findings.note(f"the numbers of the rows have {gaps} gaps: rows may be missing")
+        if short:
+            self._findings.note(f"{short} pages of the database list fewer rows than they hold")
 
     def by_every_page(self, pages: Pages) -> Iterator[Block]:
         """All rows of described topics on any page that looks like a leaf."""

@@ -34,7 +34,8 @@ class Rows(NamedTuple):
 
     data: the pages; topic, time_ns: (m,); start, size: (m,) place of the payload in `data`.
     elsewhere: row ids that the library must be asked for, as they do not lie whole in a page;
-    elsewhere_topic: their topics, -1 where it is not known. broken: pages that are no leaf.
+    elsewhere_topic: their topics, -1 where it is not known. number: ids of all rows in the order
+    of the pages. broken: pages that are no leaf; short: pages that list fewer rows than they hold.
     """
 
     data: Bytes
@@ -44,7 +45,9 @@ class Rows(NamedTuple):
     size: Ints
     elsewhere: Ints
     elsewhere_topic: Ints
+    number: Ints
     broken: int
+    short: int
 
     def only(self, which: NDArray[np.bool_]) -> Rows:
         """The marked ones of the rows that lie in pages."""
@@ -134,7 +137,9 @@ class Pages:
         cells = np.where(leaf, cells, 0)
         page = np.repeat(base, cells)
         number = np.arange(len(page)) - np.repeat(np.cumsum(cells) - cells, cells)
-        at = page + np.minimum(_big(data, page + 8 + 2 * number, 2), self.size - 4)
+        pointer = _big(data, page + 8 + 2 * number, 2)
+        short = self._short(data, base, cells, pointer)
+        at = page + np.minimum(pointer, self.size - 4)
         payload, at = _varint(data, at)
         row, at = _varint(data, at)
         head = at
@@ -157,8 +162,23 @@ class Pages:
             size[whole],
             row[other],
             np.where(regular, topic, -1)[other],
+            row,
             int((~leaf).sum()),
+            short,
         )
+
+    def _short(self, data: Bytes, base: Ints, cells: Ints, pointer: Ints) -> int:
+        """How many pages list fewer rows than they hold.
+
+        A page notes where its rows begin; unless rows were deleted, the first listed row lies there.
+        """
+        filled = np.flatnonzero(cells)
+        if len(filled) == 0:
+            return 0
+        lowest = np.minimum.reduceat(pointer, (np.cumsum(cells) - cells)[filled])
+        begin = _big(data, base[filled] + 5, 2)
+        deleted = _big(data, base[filled] + 1, 2) != 0
+        return int(((begin != lowest % 65536) & ~deleted).sum())
 
 
 def _big(data: Bytes, at: Ints, width: int) -> Ints:

@@ -363,3 +363,24 @@ def test_chunks_of_images_alone_are_not_read(logs, tmp_path):
     assert (len(run.odometry), len(run.detections), run.warnings) == (300, 30, ())
     assert len(inflated) <= 4
     assert {t.topic: t.messages for t in inspect_log(path).topics}["/camera"] == 9
+
+
+def test_a_count_below_that_of_the_metadata_is_reported(logs, tmp_path):
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive())
+    base = sqlite3.connect(folder / "run.db3")
+    base.execute("DELETE FROM messages WHERE id > 320")
+    base.commit()
+    base.close()
+    run = read_run(folder)
+    assert "metadata.yaml counts 330 messages, 320 were found" in run.warnings
+
+
+def test_rows_that_are_missing_in_the_middle_are_reported(logs, tmp_path):
+    path = logs.ros2_folder(tmp_path / "run", logs.drive()) / "run.db3"
+    base = sqlite3.connect(path)
+    base.execute("DELETE FROM messages WHERE id BETWEEN 100 AND 120")
+    base.commit()
+    base.close()
+    run = read_run(path)
+    assert "the numbers of the rows have 1 gaps: rows may be missing" in run.warnings
+    assert len(run.odometry) + len(run.detections) == 309
