@@ -170,7 +170,7 @@ class Pages:
     def _short(self, data: Bytes, base: Ints, cells: Ints, pointer: Ints) -> int:
         """How many pages list fewer rows than they hold.
 
-        A page notes where its rows begin; unless rows were deleted, the first listed row lies there.
+        A page notes where its rows begin; unless rows were deleted, the first listed lies there.
         """
         filled = np.flatnonzero(cells)
         if len(filled) == 0:
