@@ -103,7 +103,10 @@ def choose_junctions(
         raise UsageError(f"{log}: --junction-fields needs --junction-topic; {listing(counts)}")
     topics = _of_types(counts, set(JUNCTION_KINDS))
     if not topics:
-        raise LogError(f"{log}: no junction detections found ({JUNCTION_TYPES}); {listing(counts)}")
+        raise LogError(
+            f"{log}: no junction detections found ({JUNCTION_TYPES}); {listing(counts)}; if one of "
+            "them holds junctions, name it by --junction-topic and its fields by --junction-fields"
+        )
     return _single(topics, "/junctions", "--junction-topic", "the junction detections", log)
 
 
