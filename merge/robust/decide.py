@@ -122,7 +122,7 @@ def _repetition(
 ) -> tuple[CopyModel, list[float]]:
     """How copies differ in these buildings, and 0 … 1 for every map: does it repeat itself?"""
     found = [self_matches(m, settings) for m in prepared]
-    levels = [repetition_level(c[0].bits) if c else 0.0 for c in found]
+    levels = [repetition_level(own) for own in found]
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]

@@ -14,7 +14,7 @@ class RobustSettings:
 
     false_merge_rate: float = 1e-3
     """Chance that a whole batch holds any false merge, at most."""
-    min_matches: int = 4
+    min_matches: int = 5
     """Fewer matched junctions than this are never merged."""
     lead_bits: float = 4.0
     """What the best alignment must lead the next best one by."""

@@ -25,12 +25,22 @@ REPETITIVE_SELF_BITS = 15.0
 """Best alignment of a map with another part of itself: up to the first value the building does not
 repeat itself, from the second on the second question is asked in full."""
 
+FEWEST_MATCHES = 4
+"""Alignments of fewer junctions are no hint of anything."""
+
+REPEATED_JUNCTIONS = 7
+"""Fewer junctions that look like others nearby are no second copy of a place."""
 
 THIN_BITS = 1.5
 SOLID_BITS = 1.8
 """Net bits per matched junction: where many junctions match and each tells little, the building is
 regular or much contradicts. Below the first value that counts as repetition, above the second not.
 """
+
+UNIFORM_BITS = 1.6
+VARIED_BITS = 1.75
+"""Mean information in the length of a corridor (-log2 of the density [1/m]): below the first value
+it is assumed that the building repeats itself, seen or not, from the second on it is not."""
 
 RIVAL_SHARE = 0.75
 """A second placement with this share of the bits needed shows that the building repeats itself."""
@@ -46,9 +56,9 @@ class Bar:
     copies: CopyModel
     settings: RobustSettings
 
-    def need_same_bits(self, thinness: float) -> float:
-        """What the second question must yield, where it is asked."""
-        weight = max(self.repetition, thinness)
+    def need_same_bits(self, monotony: float) -> float:
+        """What the second question must yield, where it is asked; monotony: 0 to 1, of the pair."""
+        weight = max(self.repetition, monotony)
         return weight * max(self.need_bits - COPY_MARGIN_BITS, 0.0)
 
 
@@ -72,10 +82,21 @@ def bar(pairs: int, repetition: float, copies: CopyModel, settings: RobustSettin
     return Bar(need, repetition, copies, settings)
 
 
-def repetition_level(self_bits: float) -> float:
-    """0 to 1: how much a building repeats itself, by the best match of its map with itself."""
-    level = (self_bits - PLAIN_SELF_BITS) / (REPETITIVE_SELF_BITS - PLAIN_SELF_BITS)
+def repetition_level(own: Sequence[Candidate]) -> float:
+    """0 to 1: how much a building repeats itself, by the matches of its map with itself."""
+    bits = max((c.bits for c in own if len(c) >= REPEATED_JUNCTIONS), default=-np.inf)
+    level = (bits - PLAIN_SELF_BITS) / (REPETITIVE_SELF_BITS - PLAIN_SELF_BITS)
     return float(np.clip(level, 0.0, 1.0))
+
+
+def regularity(a: Prepared, b: Prepared) -> float:
+    """0 to 1: how little the length of a corridor tells in these two maps.
+
+    A building of few sizes repeats itself, though neither run may have seen it do so.
+    """
+    tells = np.concatenate([a.rarity, b.rarity])
+    mean = float(tells.mean()) if len(tells) else 0.0
+    return float(np.clip((VARIED_BITS - mean) / (VARIED_BITS - UNIFORM_BITS), 0.0, 1.0))
 
 
 def _thinness(c: Candidate) -> float:
@@ -90,24 +111,26 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     over every other placement. ambiguous: an alignment that chance hardly offers, but one of the
     three is missing. unrelated: no such alignment.
 
-    The second question is asked where the building is known to repeat itself, where a second
-    placement, too, is beyond chance, and where matched junctions tell little each.
+    The second question is asked where the building is known to repeat itself or has corridors of
+    few sizes, where a second placement, too, is beyond chance, and where matched junctions tell
+    little each.
     """
-    odd = [c for c in candidates if c.bits > ODD_BITS and len(c) >= level.settings.min_matches]
+    odd = [c for c in candidates if c.bits > ODD_BITS and len(c) >= FEWEST_MATCHES]
     if not odd:
         bits = candidates[0].bits if candidates else 0.0
         return Opinion(Verdict.UNRELATED, None, None, bits, None, None, "")
+    regular = regularity(a, b)
     thinness = _thinness(odd[0])
     rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])
-    asked = level.repetition > 0 or thinness > 0 or rivals
+    asked = max(level.repetition, regular, thinness) > 0 or rivals
     same = [sameness(a, b, c, level.copies).bits if asked else np.inf for c in odd]
     score = [min(c.bits, s) for c, s in zip(odd, same, strict=True)]
     ranking = sorted(range(len(odd)), key=lambda i: -score[i])
     first = ranking[0]
     second = ranking[1] if len(ranking) > 1 else None
     margin = None if second is None else score[first] - score[second]
-    need_same = level.need_same_bits(max(thinness, _thinness(odd[first])))
-    why = _missing(odd[first].bits, same[first], margin, need_same, level)
+    need_same = level.need_same_bits(max(regular, thinness, _thinness(odd[first])))
+    why = _missing(odd[first], same[first], margin, need_same, level)
     return Opinion(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         best=odd[first],
@@ -120,11 +143,14 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
 
 
 def _missing(
-    bits: float, same_bits: float, margin: float | None, need_same: float, level: Bar
+    best: Candidate, same_bits: float, margin: float | None, need_same: float, level: Bar
 ) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
-    if bits < level.need_bits:
-        return f"chance offers as much too often ({bits:.0f} bits, {level.need_bits:.0f} needed)"
+    if best.bits < level.need_bits:
+        found = f"{best.bits:.0f} bits, {level.need_bits:.0f} needed"
+        return f"chance offers as much too often ({found})"
+    if len(best) < level.settings.min_matches:
+        return f"{level.settings.min_matches} junctions at least must agree"
     if same_bits < need_same:
         return "the building repeats itself and this may be another copy of the place"
     if margin is not None and margin < level.settings.lead_bits:

@@ -27,7 +27,7 @@ from topobatch.merge.robust.repetition import (
 )
 from topobatch.merge.robust.settings import RobustSettings
 from topobatch.merge.robust.support import _forest
-from topobatch.merge.robust.verdict import bar, opinion, repetition_level
+from topobatch.merge.robust.verdict import bar, opinion, regularity, repetition_level
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import compose, inverse, wrap
 
@@ -206,13 +206,23 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
     repeated = self_matches(prepare(drawn("wings", twice, edges)), SETTINGS)
     assert repeated[0].bits > 15
     assert len(repeated[0]) >= n - 2
-    assert repetition_level(repeated[0].bits) == 1.0
+    assert repetition_level(repeated) == 1.0
     plain = self_matches(prepare(drawn("plain", POINTS, EDGES)), SETTINGS)
-    assert all(repetition_level(c.bits) == 0.0 for c in plain)
+    assert repetition_level(plain) == 0.0
     learned = copy_model([(prepare(drawn("wings", twice, edges)), repeated[0])], SETTINGS)
     assert np.dot(learned.exact_odds, EXACT_SHARES) > np.dot(COPIES.exact_odds, EXACT_SHARES)
     assert sum(learned.exact_odds) == pytest.approx(1.0)
     assert learned.change_rate <= SETTINGS.copy_change_rate
+
+
+def test_a_building_of_few_sizes_is_regular(drawn):
+    grid = [(5.0 * x, 5.0 * y) for x in range(6) for y in range(6)]
+    edges = [(i, i + 6) for i in range(30)] + [(i, i + 1) for i in range(36) if i % 6 != 5]
+    steps = np.cumsum([0.0, 3.0, 4.3, 7.1, 11.7, 5.9])
+    uneven = [(x, 1.3 * y) for x in steps for y in steps]
+    regular, varied = prepare(drawn("grid", grid, edges)), prepare(drawn("plain", uneven, edges))
+    assert regularity(regular, regular) == 1.0
+    assert regularity(varied, varied) == 0.0
 
 
 def test_two_placements_that_fit_alike_are_ambiguous(drawn):
