@@ -258,12 +258,13 @@ def measure_rosbags(path: Path) -> dict[str, int]:
 def measure_limit(path: Path) -> dict[str, int]:
     """Reading every byte and decompressing every chunk, nothing else."""
     from topobatch.ingest.logs.bag_wire import MAGIC, record_at
-    from topobatch.ingest.logs.inflate import inflate
+    from topobatch.ingest.logs.inflate import inflate, keep_freed_memory
     from topobatch.ingest.logs.messages import FileWindow
 
     if path.is_dir():
         path = next(path.glob("*.db3"))
     total = 0
+    keep_freed_memory()
     with FileWindow(path) as window:
         if path.suffix == ".mcap":
             for start, length, compression, size in mcap_chunks(path):

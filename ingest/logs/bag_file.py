@@ -13,6 +13,7 @@ from .bag_wire import (
     CHUNK_INFO,
     CONNECTION,
     INDEX,
+    INDEX_ENTRY,
     MAGIC,
     MESSAGE,
     U32,
@@ -21,17 +22,19 @@ from .bag_wire import (
     Record,
     connection_of,
     fields_of,
+    index_record,
+    listed_offsets,
     number,
     op_of,
     read_index,
     record_at,
     time_ns,
 )
+from .columns import column, gather, words
 from .inflate import CHUNK_BYTES, inflate, inflate_part, keep_freed_memory
 from .messages import (
     Block,
     Bytes,
-    Channel,
     DamageError,
     FileWindow,
     Findings,
@@ -41,16 +44,14 @@ from .messages import (
     Walking,
     Want,
 )
-from .walk import bag_records
-
-_UNKNOWN = -2
-_CONNECTIONS = 1 << 16
-"""Connection numbers from here on are not believed."""
+from .tally import NUMBERS, Tally
+from .walk import bag_listed, bag_records
 
 SLAB_BYTES = 1 << 20
+INDEX_BYTES = 1 << 12
+"""So much is read behind a chunk at least, to have its index records."""
 
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
-_INDEX_MARK = b"\x04\x00\x00\x00op=\x04"
 _CHUNK_HEADER_BYTES = 128
 
 
@@ -93,18 +94,11 @@ class _Walk:
         self, window: FileWindow, want: Want, findings: Findings, index: BagIndex | None
     ) -> None:
         self._window = window
-        self._want = want
         self._findings = findings
         self._index = index
-        self._channels: dict[int, Channel] = {}
-        self._sink = np.full(_CONNECTIONS, _UNKNOWN, np.int64)
-        self._met = np.zeros(_CONNECTIONS, np.int64)
-        self._lost: dict[int, int] = {}
+        self._tally = Tally(want, findings, index.channels if index is not None else {})
         self._template: HeadTemplate | None = None
         self._after_damage = False
-        if index is not None:
-            for key, channel in index.channels.items():
-                self._describe(key, channel)
 
     def run(self) -> Iterator[Block]:
         """All blocks up to the index, the end, or the last readable place."""
@@ -139,7 +133,7 @@ class _Walk:
             if position > window.size:
                 self._findings.truncated = True
             window.passed(min(position, window.size))
-        self._finish()
+        self._tally.finish(self._index.counts if self._index is not None else {})
 
     def _after(self, position: int) -> int:
         """Where reading can go on behind a damaged place; counts what is left out."""
@@ -199,9 +193,11 @@ class _Walk:
                 return (yield from self._open_chunk(record, compression))
             if record.end > window.size:
                 return (yield from self._cut_chunk(record, compression, size))
-            if record.data_size > CHUNK_BYTES:
+            if max(record.data_size, size) > CHUNK_BYTES:
                 raise DamageError(f"a chunk declares more than {CHUNK_BYTES >> 20} MiB")
-            data = window.view(record.data_at, record.data_size)
+            # What comes behind is read along: the index records that list the chunk's messages.
+            both = window.view(record.data_at, record.data_size + size // 8 + INDEX_BYTES)
+            data, offsets = both[: record.data_size], listed_offsets(both[record.data_size :])
             if compression == "none":
                 if size != record.data_size:
                     raise DamageError("a chunk does not have its declared size")
@@ -211,7 +207,7 @@ class _Walk:
             self._findings.damaged_chunks[str(damage)] += 1
             self._after_damage = True
             return record.end
-        yield from self._messages(data)
+        yield from self._messages(data, offsets)
         return record.end
 
     def _open_chunk(self, record: Record, compression: str) -> Walking:
@@ -245,22 +241,17 @@ class _Walk:
 
     def _behind_index(self, position: int) -> int:
         """Place behind the index records at `position`: of no use, so they are not parsed."""
-        while True:
-            head = self._window.view(position, 128).tobytes()
-            if len(head) < 128:
-                return position
-            size = U32(head)[0]
-            if size > 100 or _INDEX_MARK not in head[4 : 4 + size]:
-                return position
-            position += 8 + size + int(U32(head, 4 + size)[0])
+        while (record := index_record(self._window.view(position, 128), 0)) is not None:
+            position += record[1]
+        return position
 
     def _count_lost(self, record: Record) -> None:
         try:
             key, count = number(record.fields, b"conn"), number(record.fields, b"count")
         except DamageError:
             return
-        if record.data_size == count * 12:
-            self._lost[key] = self._lost.get(key, 0) + count
+        if record.data_size == count * INDEX_ENTRY:
+            self._tally.lost(key, count)
 
     def _slab(self, position: int, record: Record) -> Walking:
         """Messages and connections outside chunks; returns the place of the next other record."""
@@ -277,10 +268,15 @@ class _Walk:
 
     # Messages
 
-    def _messages(self, data: Bytes) -> Iterator[Block]:
-        """The wanted messages in a run of records; connections met are taken in."""
-        where, stop = bag_records(data)
-        self._findings.unreadable_bytes += len(data) - stop
+    def _messages(self, data: Bytes, offsets: Ints | None = None) -> Iterator[Block]:
+        """The wanted messages in a run of records; connections met are taken in.
+
+        offsets: where an index says that the messages are.
+        """
+        where = bag_listed(data, offsets) if offsets is not None else None
+        if where is None:
+            where, stop = bag_records(data)
+            self._findings.unreadable_bytes += len(data) - stop
         if self._template is None:
             self._learn(data, where)
         conn, time, size_at, others = self._columns(data, where)
@@ -294,15 +290,11 @@ class _Walk:
             )
         if len(conn) == 0:
             return
-        known = np.minimum(conn, _CONNECTIONS - 1)
-        counts = np.bincount(known)
-        self._met[: len(counts)] += counts
-        self._findings.span(int(time.min()), int(time.max()))
-        sink = self._sink[known]
-        keep = sink >= 0
-        if keep.any():
+        sink = self._tally.met(np.minimum(conn, NUMBERS - 1), time)
+        keep = np.flatnonzero(sink >= 0)
+        if len(keep):
             size_at = size_at[keep]
-            size = _rows(data, size_at, 4).view("<u4")[:, 0].astype(np.int64)
+            size = words(data, "<u4", size_at).astype(np.int64)
             yield Block(data, sink[keep], time[keep], size_at + 4, size)
 
     def _learn(self, data: Bytes, where: Ints) -> None:
@@ -326,14 +318,14 @@ class _Walk:
             none = np.zeros(0, np.int64)
             return none, none, none, where
         inside = where[where + (template.size + 8) <= len(data)]
-        heads = _rows(data, inside, template.size + 4)
-        same = heads[:, template.fixed] == template.head[template.fixed]
+        heads = gather(data, inside, template.size + 4)
+        other = template.shape.misfits(heads) if len(heads) else None
         found = inside
-        if not same.all():
-            like = same.all(axis=1)
-            found, heads = inside[like], heads[like]
-        conn = _word(heads, template.conn_at)
-        time = _word(heads, template.time_at) * 10**9 + _word(heads, template.time_at + 4)
+        if other is not None:
+            found, heads = inside[~other], heads[~other]
+        conn = column(heads, "<u4", template.conn_at)
+        time = column(heads, "<u4", template.time_at) * 10**9
+        time += column(heads, "<u4", template.time_at + 4)
         others = where[:0] if len(found) == len(where) else np.setdiff1d(where, found)
         return conn, time, found + (4 + template.size), others
 
@@ -351,51 +343,12 @@ class _Walk:
                     out.append((number(fields, b"conn"), time, size_at))
                 elif op == CONNECTION:
                     end = size_at + 4 + U32(data.data, size_at)[0]
-                    self._describe(*connection_of(fields, data[size_at + 4 : end].tobytes()))
+                    self._tally.describe(*connection_of(fields, data[size_at + 4 : end].tobytes()))
                 else:
                     raise DamageError("unexpected record")
             except DamageError:
                 self._findings.unreadable_bytes += size
         return out
-
-    def _describe(self, key: int, channel: Channel) -> None:
-        if key < _CONNECTIONS - 1 and self._channels.get(key) != channel:
-            self._channels[key] = channel
-            self._sink[key] = self._want(channel)
-
-    def _finish(self) -> None:
-        """Turn counts per connection into findings, and compare them with the index."""
-        findings = self._findings
-        for key in np.flatnonzero(self._met).tolist():
-            channel = self._channels.get(key)
-            if channel is None:
-                findings.unknown += int(self._met[key])
-            else:
-                findings.seen(channel, int(self._met[key]))
-        lost = self._lost
-        if self._index is not None:
-            met = self._met
-            lost = {
-                key: count - int(met[key]) if key < _CONNECTIONS else count
-                for key, count in self._index.counts.items()
-            }
-        for key, count in lost.items():
-            if count > 0:
-                channel = self._channels.get(key)
-                findings.lost[channel.topic if channel else "an unknown topic"] += count
-
-
-def _rows(data: Bytes, where: Ints, width: int) -> Bytes:
-    """(len(where), width) bytes of `data` from each place on, gathered as opaque items."""
-    if len(where) == 0:
-        return np.zeros((0, width), np.uint8)
-    items = np.ndarray((len(data) - width + 1,), f"V{width}", data.data, strides=(1,))[where]
-    return items.view(np.uint8).reshape(len(where), width)
-
-
-def _word(rows: Bytes, at: int) -> Ints:
-    """The little-endian 32-bit word at one place of every row."""
-    return np.ascontiguousarray(rows[:, at : at + 4]).view("<u4")[:, 0].astype(np.int64)
 
 
 def _whole_records(data: Bytes, only: tuple[int, ...] | None = None) -> int:

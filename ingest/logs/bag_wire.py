@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .columns import Shape
 from .messages import (
     SCHEMA_BYTES,
     Bytes,
@@ -26,6 +27,9 @@ MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 
 HEADER_BYTES = 1 << 16
 """Longest record header that is believed."""
+
+RECORD_BYTES = 16
+"""No record is shorter: two lengths and the field that tells its kind."""
 
 INDEX_BYTES = 1 << 27
 """Largest index section that is read."""
@@ -118,6 +122,38 @@ def connection_of(fields: Fields, data: bytes) -> tuple[int, Channel]:
     )
 
 
+INDEX_ENTRY = 12
+"""Bytes of an entry in an index record: a time and a place in the chunk."""
+
+_INDEX_MARK = b"\x04\x00\x00\x00op=\x04"
+
+
+def index_record(data: Bytes, position: int) -> tuple[int, int] | None:
+    """Where the data of the index record at `position` begins and ends, None if there is none.
+
+    Quicker than `record_at`; the end may lie behind `data`.
+    """
+    head = data[position : position + 128].tobytes()
+    size = U32(head)[0] if len(head) >= RECORD_BYTES else 0
+    if not 0 < size <= len(head) - 8 or _INDEX_MARK not in head[4 : 4 + size]:
+        return None
+    begin = position + 8 + size
+    return begin, begin + int(U32(head, 4 + size)[0])
+
+
+def listed_offsets(data: Bytes) -> Ints:
+    """Places in their chunk that the index records at the front of `data` list, unchecked."""
+    found, position = [np.zeros(0, np.int64)], 0
+    while (record := index_record(data, position)) is not None:
+        begin, position = record
+        if position > len(data):
+            break
+        count = (position - begin) // INDEX_ENTRY
+        places = np.ndarray((count,), "<u4", data.data, begin + 8, (INDEX_ENTRY,))
+        found.append(places.astype(np.int64))
+    return np.concatenate(found)
+
+
 class BagIndex(NamedTuple):
     """The index at the end of a closed bag.
 
@@ -195,13 +231,12 @@ def _add_counts(counts: dict[int, int], data: bytes) -> None:
 class HeadTemplate(NamedTuple):
     """Where the fields of a message record's header lie; most bags use one order throughout.
 
-    size: bytes of the header, without its length; fixed: (size + 4,) mask of the bytes, length
-    included, that every such header shares; conn_at, time_at: places from the record's start.
+    size: bytes of the header, without its length; shape: what every such header shares, length
+    included; conn_at, time_at: places from the record's start.
     """
 
     size: int
-    head: Bytes
-    fixed: Ints
+    shape: Shape
     conn_at: int
     time_at: int
 
@@ -216,16 +251,10 @@ class HeadTemplate(NamedTuple):
         # The values are found behind their names; both have a fixed length just checked.
         conn_at = _field_at(head, b"conn=")
         time_at = _field_at(head, b"time=")
-        fixed = np.ones(len(head), bool)
-        fixed[conn_at : conn_at + 4] = False
-        fixed[time_at : time_at + 8] = False
-        return cls(
-            len(head) - 4,
-            np.frombuffer(head, np.uint8),
-            np.flatnonzero(fixed),
-            conn_at,
-            time_at,
-        )
+        first, last = sorted(((conn_at, conn_at + 4), (time_at, time_at + 8)))
+        fixed = ((0, first[0]), (first[1], last[0]), (last[1], len(head)))
+        shape = Shape.of(np.frombuffer(head, np.uint8), fixed)
+        return cls(len(head) - 4, shape, conn_at, time_at)
 
 
 def _field_at(head: bytes, name: bytes) -> int:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from .checksum import crc32
+from .columns import words
 from .inflate import inflate, inflate_part, keep_freed_memory
 from .mcap_summary import McapSummary, read_summary
 from .mcap_wire import (
@@ -32,9 +33,9 @@ from .mcap_wire import (
     schema_of,
 )
 from .messages import (
+    UNWANTED,
     Block,
     Bytes,
-    Channel,
     DamageError,
     FileWindow,
     Findings,
@@ -44,23 +45,19 @@ from .messages import (
     Walking,
     Want,
 )
-from .walk import mcap_records
+from .tally import UNKNOWN, Tally
+from .walk import mcap_listed, mcap_records
 
 _HEAD = struct.Struct("<BQ").unpack_from
 
-_UNKNOWN = -2
-"""Sink number of a channel id that has not been described yet."""
-
-_MESSAGE = np.dtype(
-    {
-        "names": ["op", "length", "channel", "log_time"],
-        "formats": ["u1", "<u8", "<u2", "<u8"],
-        "offsets": [0, 1, 9, 15],
-        "itemsize": RECORD_HEAD + MESSAGE_HEAD,
-    }
-)
-
 _NOT_MESSAGES = frozenset(range(256)) - {MESSAGE, SCHEMA, CHANNEL}
+
+LOG_TIME_AT = 15
+"""Place of the log time in a message record; the channel's number stands behind the head."""
+
+INDEX_HEAD = 6
+_INDEX = struct.Struct("<HI").unpack_from
+"""Channel and bytes of a message index record."""
 
 SLAB_BYTES = 1 << 20
 """How much of an unchunked file is walked at a time."""
@@ -90,11 +87,15 @@ class _ChunkHead(NamedTuple):
 
 
 class _Pending(NamedTuple):
-    """A chunk read ahead: what it inflates to, None if not needed, and its index's counts."""
+    """A chunk read ahead: what it inflates to, None if not needed.
+
+    counts, offsets: what the index records behind it say, per channel and of all of them.
+    """
 
     head: _ChunkHead
     inflating: Future[bytes] | None
     counts: dict[int, int]
+    offsets: list[Ints]
 
 
 def _inflated(head: _ChunkHead, raw: bytes) -> bytes:
@@ -105,7 +106,7 @@ def _inflated(head: _ChunkHead, raw: bytes) -> bytes:
         data = raw
     else:
         data = inflate(head.compression, raw, head.size)
-    if head.crc and zlib.crc32(data) != head.crc:
+    if head.crc and crc32(data) != head.crc:
         raise DamageError("checksum (CRC) is wrong")
     return data
 
@@ -149,20 +150,13 @@ class _Walk:
         self, window: FileWindow, want: Want, findings: Findings, summary: McapSummary | None
     ) -> None:
         self._window = window
-        self._want = want
         self._findings = findings
         self._summary = summary
         self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
-        self._sink = np.full(1 << 16, _UNKNOWN, np.int64)
-        self._met = np.zeros(1 << 16, np.int64)
-        self._lost = np.zeros(1 << 16, np.int64)
+        self._tally = Tally(want, findings, summary.channels if summary is not None else {})
         self._ahead: deque[_Pending] = deque()
         self._ahead_bytes = 0
         self._outside_chunks = False
-        if summary is not None:
-            for number, channel in summary.channels.items():
-                self._describe(number, channel)
 
     def run(self) -> Iterator[Block]:
         """All blocks from the first record to the footer, the end, or the last readable place."""
@@ -171,7 +165,8 @@ class _Walk:
         keep_freed_memory()
         with ThreadPoolExecutor(THREADS) as pool:
             complete = yield from self._records(pool)
-        self._finish(bool(complete))
+        self._findings.truncated |= not complete
+        self._tally.finish(self._summary.counts if self._summary is not None else {})
 
     def _records(self, pool: Executor) -> Walking:
         """Go through the records outside chunks; returns 1 if the footer was reached."""
@@ -227,7 +222,7 @@ class _Walk:
         found = 0
         for at in range(0, position, SLAB_BYTES):
             data = self._window.view(at, min(SLAB_BYTES, position - at))
-            found = zlib.crc32(data.data, found)
+            found = crc32(data.data, found)
         if found != expected:
             self._findings.note("the checksum (CRC) of the messages outside chunks is wrong")
 
@@ -286,7 +281,7 @@ class _Walk:
             return self._chunk_head(position, length) is not None
         if op == MESSAGE:
             number = int.from_bytes(window.view(position + RECORD_HEAD, 2).tobytes(), "little")
-            if self._sink[number] == _UNKNOWN or end > window.size:
+            if self._tally.sink(number) == UNKNOWN or end > window.size:
                 return False
         follower = window.view(end, RECORD_HEAD)
         if len(follower) < RECORD_HEAD:
@@ -316,12 +311,12 @@ class _Walk:
         if head is None:
             failed: Future[bytes] = Future()
             failed.set_exception(DamageError("a chunk header contradicts itself"))
-            self._ahead.append(_Pending(_ChunkHead(0, 0, 0, 0, "", 0, 0), failed, {}))
+            self._ahead.append(_Pending(_ChunkHead(0, 0, 0, 0, "", 0, 0), failed, {}, []))
         elif not self._needed(position):
-            self._ahead.append(_Pending(head, None, {}))
+            self._ahead.append(_Pending(head, None, {}, []))
         else:
-            raw = self._window.view(head.data_at, head.data_size).tobytes()
-            self._ahead.append(_Pending(head, pool.submit(_inflated, head, raw), {}))
+            raw = self._window.copy(head.data_at, head.data_size)
+            self._ahead.append(_Pending(head, pool.submit(_inflated, head, raw), {}, []))
             self._ahead_bytes += head.data_size + head.size
 
     def _needed(self, position: int) -> bool:
@@ -329,15 +324,22 @@ class _Walk:
         if self._summary is None or not self._summary.checked:
             return True
         numbers = self._summary.chunk_channels.get(position)
-        return not numbers or any(self._sink[n] == _UNKNOWN or self._sink[n] >= 0 for n in numbers)
+        return not numbers or any(self._tally.sink(n) != UNWANTED for n in numbers)
 
     def _indexed(self, position: int, length: int) -> None:
-        """Remember how many messages the index record behind a chunk counts."""
-        cursor = Cursor(self._window.view(position + RECORD_HEAD, min(length, 6)))
-        if length >= 6 and self._ahead:
-            number, size = cursor.u16(), cursor.u32()
-            if size + 6 == length:
-                self._ahead[-1].counts[number] = size // 16
+        """Remember how many messages the index record behind a chunk lists, and where."""
+        if length < INDEX_HEAD or not self._ahead:
+            return
+        chunk = self._ahead[-1]
+        # Each entry takes 16 bytes and stands for a message record of a good 31.
+        listing = chunk.inflating is not None and length <= chunk.head.size
+        body = self._window.view(position + RECORD_HEAD, length if listing else INDEX_HEAD)
+        number, size = _INDEX(body.data)
+        if size + INDEX_HEAD == length:
+            chunk.counts[number] = size // 16
+            if listing and len(chunk.counts) > len(chunk.offsets):
+                entries = body[INDEX_HEAD : INDEX_HEAD + size // 16 * 16].view("<u8")
+                chunk.offsets.append(entries[1::2].astype(np.int64))
 
     def _caught_up(self, most_bytes: int) -> Iterator[Block]:
         """Messages of the chunks read ahead, until at most `most_bytes` are left of them.
@@ -348,10 +350,10 @@ class _Walk:
         while len(self._ahead) > least and (
             self._ahead_bytes > most_bytes or len(self._ahead) > AHEAD_CHUNKS or not least
         ):
-            head, inflating, counts = self._ahead.popleft()
+            head, inflating, counts, offsets = self._ahead.popleft()
             if inflating is None:
                 for number, count in counts.items():
-                    self._met[number] += count
+                    self._tally.passed(number, count)
                 self._findings.span(head.start_ns, head.end_ns)
                 continue
             self._ahead_bytes -= head.data_size + head.size
@@ -360,62 +362,53 @@ class _Walk:
             except DamageError as damage:
                 self._damaged(str(damage), counts)
                 continue
-            yield from self._messages(np.frombuffer(data, np.uint8))
+            yield from self._messages(np.frombuffer(data, np.uint8), offsets)
 
     def _damaged(self, reason: str, counts: dict[int, int]) -> None:
         """Count a chunk that cannot be used, and its messages if its index tells their number."""
         self._findings.damaged_chunks[reason] += 1
         for number, count in counts.items():
-            self._lost[number] += count
+            self._tally.lost(number, count)
 
     # Messages
 
-    def _messages(self, data: Bytes) -> Iterator[Block]:
-        """The wanted messages in a run of records."""
-        positions = self._positions(data)
+    def _messages(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+        """The wanted messages in a run of records; offsets: where an index says they are."""
+        positions, size = self._positions(data, offsets)
         if len(positions) == 0:
             return
-        # All record heads in one gather through an unaligned view with stride 1.
-        heads = np.ndarray((len(data) - _MESSAGE.itemsize + 1,), _MESSAGE, data.data, strides=(1,))[
-            positions
-        ]
-        if heads["length"].min() < MESSAGE_HEAD:
-            positions, heads = self._long_enough(positions, heads)
-            if len(positions) == 0:
-                return
-        number = heads["channel"].astype(np.int64)
-        counts = np.bincount(number, minlength=1)
-        self._met[: len(counts)] += counts
-        log_time = heads["log_time"].astype(np.int64)
-        self._findings.span(int(log_time.min()), int(log_time.max()))
-        sink = self._sink[number]
-        keep = sink >= 0
-        if keep.any():
-            size = heads["length"].astype(np.int64) - MESSAGE_HEAD
-            start = positions + (RECORD_HEAD + MESSAGE_HEAD)
-            yield Block(data, sink[keep], log_time[keep], start[keep], size[keep])
+        number = words(data, "<u2", positions + RECORD_HEAD).astype(np.int64)
+        log_time = words(data, "<u8", positions + LOG_TIME_AT).astype(np.int64)
+        sink = self._tally.met(number, log_time)
+        keep = np.flatnonzero(sink >= 0)
+        if len(keep):
+            start = positions[keep] + (RECORD_HEAD + MESSAGE_HEAD)
+            yield Block(data, sink[keep], log_time[keep], start, size[keep])
 
-    def _long_enough(self, positions: Ints, heads: Any) -> tuple[Ints, Any]:
-        """Leave out records that call themselves messages but are shorter than a message's head."""
-        fit = heads["length"] >= MESSAGE_HEAD
-        self._findings.unreadable_bytes += RECORD_HEAD * int((~fit).sum())
-        return positions[fit], heads[fit]
+    def _positions(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Ints, Ints]:
+        """Places and payload sizes of the message records in `data`.
 
-    def _positions(self, data: Bytes) -> Ints:
-        """Places of the message records in `data`; schemas and channels met are taken in."""
-        where, stop = mcap_records(data)
-        self._findings.unreadable_bytes += len(data) - stop
+        Schemas and channels met are taken in. Records that call themselves messages but are
+        shorter than a message's head are left out.
+        """
+        where = mcap_listed(data, np.concatenate(offsets)) if offsets else None
+        if where is None:
+            where, stop = mcap_records(data)
+            self._findings.unreadable_bytes += len(data) - stop
         if len(where) == 0:
-            return where
-        is_message = data[where] == MESSAGE
+            return where, where
+        # Opcode and the lower 56 bits of the length in one word; the walk has checked the length.
+        word = words(data, "<u8", where).astype(np.int64)
+        is_message = (word & 0xFF) == MESSAGE
         if not is_message.all():
             for place in where[~is_message].tolist():
                 self._definition(data, place)
-            where = where[is_message]
-        if len(where) and where[-1] + _MESSAGE.itemsize > len(data):
-            where = where[where + _MESSAGE.itemsize <= len(data)]
-            self._findings.unreadable_bytes += RECORD_HEAD
-        return where
+            where, word = where[is_message], word[is_message]
+        size = (word >> 8) - MESSAGE_HEAD
+        if len(size) and size.min() < 0:
+            self._findings.unreadable_bytes += RECORD_HEAD * int((size < 0).sum())
+            where, size = where[size >= 0], size[size >= 0]
+        return where, size
 
     def _definition(self, data: Bytes, place: int) -> None:
         """Take in a schema or channel record."""
@@ -427,39 +420,11 @@ class _Walk:
                 self._schemas[number] = schema
             elif op == CHANNEL:
                 number, channel = channel_of(Cursor(body), self._schemas)
-                self._describe(number, channel)
+                self._tally.describe(number, channel)
             elif op == 0 or op < 0x80:
                 raise DamageError("unexpected record")
         except DamageError:
             self._findings.unreadable_bytes += RECORD_HEAD + length
-
-    def _describe(self, number: int, channel: Channel) -> None:
-        if self._channels.get(number) != channel:
-            self._channels[number] = channel
-            self._sink[number] = self._want(channel)
-
-    def _finish(self, complete: bool) -> None:
-        """Turn counts per id into findings, and compare them with the statistics."""
-        findings = self._findings
-        for number in np.flatnonzero(self._met).tolist():
-            channel = self._channels.get(number)
-            if channel is None:
-                findings.unknown += int(self._met[number])
-            else:
-                findings.seen(channel, int(self._met[number]))
-        if self._summary is not None and self._summary.counts:
-            lost = {
-                number: count - int(self._met[number])
-                for number, count in self._summary.counts.items()
-            }
-        else:
-            lost = {int(n): int(self._lost[n]) for n in np.flatnonzero(self._lost)}
-        for number, count in lost.items():
-            if count > 0:
-                channel = self._channels.get(number)
-                findings.lost[channel.topic if channel else "an unknown channel"] += count
-        if not complete:
-            findings.truncated = True
 
 
 def _plausible(op: int, length: int) -> bool:

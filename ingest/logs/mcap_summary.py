@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from typing import NamedTuple
 
 import numpy as np
 
+from .checksum import crc32
 from .mcap_wire import (
     CHANNEL,
     CHUNK_INDEX,
@@ -67,7 +67,7 @@ def read_summary(window: FileWindow) -> McapSummary | None:
     if op != FOOTER or length != 20 or not 0 < start <= footer or footer - start > SUMMARY_BYTES:
         return None
     data = window.view(start, footer - start + RECORD_HEAD + 16)
-    if crc and zlib.crc32(data.data) != crc:
+    if crc and crc32(data.data) != crc:
         return None
     try:
         return _parse(data[: footer - start], start, checked=bool(crc))

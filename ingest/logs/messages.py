@@ -198,7 +198,7 @@ class FileWindow:
     Reusing the buffer matters: fresh memory costs a page fault per 4 KiB, more than the copy.
     """
 
-    STEP = 1 << 20
+    STEP = 1 << 17
 
     def __init__(self, path: Path, progress: Progress | None = None) -> None:
         try:
@@ -227,6 +227,24 @@ class FileWindow:
             self._load(offset, length)
             at = 0
         return self._buffer[at : at + length]
+
+    def copy(self, offset: int, length: int) -> bytes:
+        """The same bytes to keep; what the buffer lacks is read past it, without a second copy."""
+        length = max(0, min(length, self.size - offset))
+        at = offset - self._base
+        if at >= 0 and at + length <= self._fill:
+            return self._buffer[at : at + length].tobytes()
+        try:
+            self._file.seek(offset)
+            pieces = [self._file.read(length)]
+            while pieces[-1] and sum(map(len, pieces)) < length:
+                pieces.append(self._file.read(length - sum(map(len, pieces))))
+        except OSError as error:
+            raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
+        data = pieces[0] if len(pieces) == 1 else b"".join(pieces)
+        if len(data) < length:
+            raise LogError(f"{self._path}: became shorter while it was read; read it again")
+        return data
 
     def passed(self, offset: int) -> None:
         """Tell the progress that everything before `offset` is dealt with."""

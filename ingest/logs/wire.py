@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from .columns import Shape, column, gather
 from .messages import Bytes, DamageError, Ints, text
 from .poses import Frames, Poses, join
 
@@ -34,25 +35,14 @@ class _Run(NamedTuple):
 class Template(NamedTuple):
     """Where everything is in messages of one shape.
 
-    fixed: spans (from, to) whose bytes make the shape; head: the bytes of the message it was
-    made from, up to the end of what is needed; order: "<" or ">".
+    size: bytes from the message's begin to the end of what is needed; order: "<" or ">".
     """
 
-    head: Bytes
-    fixed: tuple[tuple[int, int], ...]
+    size: int
+    shape: Shape
     runs: tuple[_Run, ...]
     order: str
     ros1: bool
-
-    def like(self, rows: Bytes) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """(n,) whether each row of bytes has this shape."""
-        like = np.ones(len(rows), bool)
-        for first, last in self.fixed:
-            same = rows[:, first:last] == self.head[first:last]
-            # One reduction over everything is far cheaper than one per row, and mostly enough.
-            if not same.all():
-                like &= same.all(axis=1)
-        return like
 
     def poses(self, rows: Bytes, message: Ints) -> Poses:
         """The poses of rows of this shape."""
@@ -61,9 +51,8 @@ class Template(NamedTuple):
 
     def _run(self, rows: Bytes, message: Ints, run: _Run) -> Poses:
         seconds_type = f"{self.order}{'u4' if self.ros1 else 'i4'}"
-        stamp = np.ascontiguousarray(rows[:, run.stamp_at : run.stamp_at + 8])
-        seconds = stamp.view(seconds_type)[:, 0].astype(np.int64)
-        stamp_ns = seconds * 10**9 + stamp.view(f"{self.order}u4")[:, 1]
+        stamp_ns = column(rows, seconds_type, run.stamp_at) * 10**9
+        stamp_ns += column(rows, f"{self.order}u4", run.stamp_at + 4)
         span = rows[:, run.pose_at : run.pose_at + POSE_BYTES * run.length]
         value = np.ascontiguousarray(span).view(f"{self.order}f8").astype(np.float64, copy=False)
         if run.length != 1:
@@ -154,19 +143,8 @@ def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
         many = kind in ("pose_array", "foxglove_poses")
         count = parser.count() if many else 1
         runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count))
-    head = np.frombuffer(raw, np.uint8, parser.position)
-    return Template(head, _merged(parser.fixed), tuple(runs), parser.order, ros1)
-
-
-def _merged(spans: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Spans joined where one ends at the beginning of the next."""
-    out: list[tuple[int, int]] = []
-    for first, last in spans:
-        if out and out[-1][1] == first:
-            out[-1] = (out[-1][0], last)
-        else:
-            out.append((first, last))
-    return tuple(out)
+    shape = Shape.of(np.frombuffer(raw, np.uint8, parser.position), tuple(parser.fixed))
+    return Template(parser.position, shape, tuple(runs), parser.order, ros1)
 
 
 class WireDecoder:
@@ -224,16 +202,8 @@ class WireDecoder:
         self, data: Bytes, start: Ints, message: Ints, template: Template
     ) -> tuple[Ints, Ints, Poses]:
         """The messages that have not the template's shape, and the poses of those that have."""
-        rows = gather(data, start, len(template.head))
-        like = template.like(rows)
-        if like.all():
+        rows = gather(data, start, template.size)
+        other = template.shape.misfits(rows)
+        if other is None:
             return start[:0], message[:0], template.poses(rows, message)
-        return start[~like], message[~like], template.poses(rows[like], message[like])
-
-
-def gather(data: Bytes, start: Ints, width: int) -> Bytes:
-    """(n, width) bytes of `data` from each start on, through an unaligned view with stride 1."""
-    if len(start) == 0 or width == 0:
-        return np.zeros((len(start), width), np.uint8)
-    items = np.ndarray((len(data) - width + 1,), f"V{width}", data.data, strides=(1,))[start]
-    return items.view(np.uint8).reshape(len(start), width)
+        return start[other], message[other], template.poses(rows[~other], message[~other])

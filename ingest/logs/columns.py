@@ -1,0 +1,75 @@
+"""Bytes at many places of one buffer, taken out together and read as columns."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .messages import Bytes, Ints
+
+WORD = 8
+
+
+def words(data: Bytes, kind: str, at: Ints) -> NDArray[Any]:
+    """The number of type `kind` at each place, through an unaligned view with stride 1."""
+    count = len(data) - np.dtype(kind).itemsize + 1
+    return np.ndarray((max(count, 0),), kind, data.data, strides=(1,))[at]
+
+
+def gather(data: Bytes, start: Ints, width: int) -> Bytes:
+    """(n, w) bytes of `data` from each place on, w: `width` rounded up to whole words.
+
+    What lies behind `width` means nothing. Every place must have `width` bytes.
+    """
+    wide = -(-width // WORD) * WORD
+    if len(start) == 0 or width == 0:
+        return np.zeros((len(start), wide), np.uint8)
+    if int(start.max()) + wide > len(data):
+        rows = np.zeros((len(start), wide), np.uint8)
+        rows[:, :width] = _items(data, start, width)
+        return rows
+    return _items(data, start, wide)
+
+
+def _items(data: Bytes, start: Ints, width: int) -> Bytes:
+    items = np.ndarray((len(data) - width + 1,), f"V{width}", data.data, strides=(1,))[start]
+    return items.view(np.uint8).reshape(len(start), width)
+
+
+def column(rows: Bytes, kind: str, at: int) -> Ints:
+    """The numbers of type `kind` at one place of every gathered row, as 64-bit ones."""
+    if len(rows) == 0:
+        return np.zeros(0, np.int64)
+    strides = (rows.shape[1],)
+    return np.ndarray((len(rows),), kind, rows.data, offset=at, strides=strides).astype(np.int64)
+
+
+class Shape(NamedTuple):
+    """What rows of one kind have in common.
+
+    words: per word that holds anything fixed its number, its value and which of its bits count.
+    """
+
+    words: tuple[tuple[int, np.uint64, np.uint64], ...]
+
+    @classmethod
+    def of(cls, head: Bytes, spans: tuple[tuple[int, int], ...]) -> Shape:
+        """The shape of rows that share the bytes of `head` in the spans (from, to)."""
+        wide = -(-len(head) // WORD) * WORD
+        known, mask = np.zeros(wide, np.uint8), np.zeros(wide, np.uint8)
+        for begin, end in spans:
+            known[begin:end] = head[begin:end]
+            mask[begin:end] = 0xFF
+        value, bits = known.view(np.uint64), mask.view(np.uint64)
+        return cls(tuple((int(k), value[k], bits[k]) for k in np.flatnonzero(bits)))
+
+    def misfits(self, rows: Bytes) -> NDArray[np.bool_] | None:
+        """(n,) which of the gathered rows differ, None if none does."""
+        # Word by word down the rows: numpy's inner loop runs over the rows, not over few words.
+        found = rows.view(np.uint64)
+        wrong = np.zeros(len(rows), bool)
+        for k, value, bits in self.words:
+            wrong |= (found[:, k] & bits) != value
+        return wrong if wrong.any() else None

@@ -1,0 +1,72 @@
+"""The channels of one file by their numbers: which are wanted, how many messages were met."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from .messages import Channel, Findings, Ints, Want
+
+NUMBERS = 1 << 16
+UNKNOWN = -2
+"""Sink number of a channel that has not been described yet."""
+
+
+class Tally:
+    """Counts the messages met per channel number, 0 … NUMBERS - 1, and turns them into findings."""
+
+    def __init__(self, want: Want, findings: Findings, channels: Mapping[int, Channel]) -> None:
+        self._want = want
+        self._findings = findings
+        self._channels: dict[int, Channel] = {}
+        self._sink = np.full(NUMBERS, UNKNOWN, np.int64)
+        self._met = np.zeros(NUMBERS, np.int64)
+        self._lost: dict[int, int] = {}
+        for number, channel in channels.items():
+            self.describe(number, channel)
+
+    def describe(self, number: int, channel: Channel) -> None:
+        """Take in what a channel is; the last description counts."""
+        if number < NUMBERS and self._channels.get(number) != channel:
+            self._channels[number] = channel
+            self._sink[number] = self._want(channel)
+
+    def sink(self, number: int) -> int:
+        """Sink number of a channel: wanted from 0 on, UNWANTED, or UNKNOWN."""
+        return int(self._sink[number])
+
+    def met(self, number: Ints, time_ns: Ints) -> Ints:
+        """Count messages by their channel numbers; returns their sinks."""
+        counts = np.bincount(number)
+        self._met[: len(counts)] += counts
+        self._findings.span(int(time_ns.min()), int(time_ns.max()))
+        return np.asarray(self._sink[number])
+
+    def passed(self, number: int, count: int) -> None:
+        """Count messages of a channel that were not looked at, as nobody wants them."""
+        self._met[number] += count
+
+    def lost(self, number: int, count: int) -> None:
+        """Count messages known to be lost in a damaged place."""
+        self._lost[number] = self._lost.get(number, 0) + count
+
+    def finish(self, declared: Mapping[int, int]) -> None:
+        """Turn the counts into findings.
+
+        declared: messages per number by the file's own index; what is missing of them is lost.
+        Empty where there is none: then the losses counted on the way are reported.
+        """
+        for number in np.flatnonzero(self._met).tolist():
+            channel = self._channels.get(number)
+            if channel is None:
+                self._findings.unknown += int(self._met[number])
+            else:
+                self._findings.seen(channel, int(self._met[number]))
+        lost = dict(self._lost)
+        if declared:
+            lost = {n: c - (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items()}
+        for number, count in lost.items():
+            if count > 0:
+                channel = self._channels.get(number)
+                self._findings.lost[channel.topic if channel else "an unknown channel"] += count
