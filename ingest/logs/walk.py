@@ -141,6 +141,9 @@ def _completed(
     Each record ends where the next begins, from the first byte to the last: so a walk would have
     met exactly these.
     """
+    if (ends <= where).any():
+        # A length that is negative or too large for a sum.
+        return None
     begin = np.concatenate([[0], ends])
     end = np.concatenate([where, [len(data)]])
     gaps = np.flatnonzero(begin != end)

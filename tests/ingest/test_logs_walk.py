@@ -75,6 +75,14 @@ def test_a_wrong_index_is_not_believed(make, listed, walk):
     assert listed(data, np.zeros(0, np.int64)) is None
 
 
+@pytest.mark.parametrize("length", [(1 << 64) - 9, (1 << 64) - 40, (1 << 63) - 1, 1 << 40])
+def test_hostile_lengths_do_not_pass_for_records(length):
+    data, places = mcap_like(np.random.default_rng(7), 60)
+    data = data.copy()
+    data[places[20] + 1 : places[20] + 9] = np.frombuffer(struct.pack("<Q", length), np.uint8)
+    assert mcap_listed(data, places) is None
+
+
 def test_rows_are_compared_in_the_fixed_bytes_alone():
     rng = np.random.default_rng(6)
     data = rng.integers(0, 256, 1000, np.uint8)

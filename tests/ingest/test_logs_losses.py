@@ -1,0 +1,217 @@
+"""What the libraries lose without a word, each case once: it is read, or it is reported."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import sqlite3
+
+import pytest
+
+from topobatch.ingest.logs import recording
+from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
+from topobatch.topology.errors import LogError
+
+MESSAGES = 330
+
+
+def count(run) -> int:
+    return len(run.odometry) + len(run.detections)
+
+
+def whole_mcap_chunks(raw: bytes) -> list[tuple[int, int]]:
+    """Where each chunk ends and how many messages it holds, by the library."""
+    from mcap.records import Chunk, Message
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    file, out = io.BytesIO(raw), []
+    for record in StreamReader(file, emit_chunks=True).records:
+        if isinstance(record, Chunk):
+            held = sum(isinstance(inner, Message) for inner in breakup_chunk(record))
+            out.append((file.tell(), held))
+    return out
+
+
+def whole_bag_chunks(path) -> list[tuple[int, int]]:
+    from rosbags.rosbag1 import Reader
+
+    with Reader(path) as reader:
+        out = []
+        raw = path.read_bytes()
+        for info in reader.chunk_infos:
+            data_at = info.pos + 4 + int.from_bytes(raw[info.pos : info.pos + 4], "little")
+            end = data_at + 4 + int.from_bytes(raw[data_at : data_at + 4], "little")
+            out.append((end, sum(info.connection_counts.values())))
+        return out
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4", "bz2", "lz4"])
+def test_no_whole_chunk_is_lost_wherever_a_compressed_log_is_cut(logs, tmp_path, compression):
+    if compression.isupper():
+        path = logs.mcap(tmp_path / "run", logs.drive(), compression=compression)
+        chunks = whole_mcap_chunks(path.read_bytes())
+    else:
+        path = logs.bag(tmp_path / "run", logs.drive(), compression)
+        chunks = whole_bag_chunks(path)
+    raw = path.read_bytes()
+    assert sum(held for _, held in chunks) == MESSAGES
+    cut_path, read = tmp_path / "cut", 0
+    for percent in range(1, 100):
+        cut = len(raw) * percent // 100
+        cut_path.write_bytes(raw[:cut])
+        least = sum(held for end, held in chunks if end <= cut)
+        try:
+            run = read_run(cut_path)
+        except LogError:
+            # A junction is seen after ten messages of odometry: below that there is no run.
+            assert least < 11
+            continue
+        read += 1
+        assert least <= count(run) <= MESSAGES
+    assert read > 50 if len(chunks) > 1 else read > 0
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
+def test_strict_refuses_what_is_cut_and_takes_what_is_whole(logs, tmp_path, kind):
+    if kind == "db3":
+        path = logs.ros2_folder(tmp_path / "run", logs.drive()) / "run.db3"
+    else:
+        path = getattr(logs, kind)(tmp_path / "run", logs.drive())
+    strict = ReadSettings(strict=True)
+    assert count(read_run(path, strict)) == MESSAGES
+    raw = path.read_bytes()
+    path.write_bytes(raw[: len(raw) * 7 // 10])
+    assert 0 < count(read_run(path)) < MESSAGES
+    with pytest.raises(LogError, match="--strict"):
+        read_run(path, strict)
+
+
+def test_chunk_indexes_without_message_indexes_are_enough(logs, tmp_path):
+    from mcap.writer import IndexType
+
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive(), index_types=IndexType.CHUNK)
+    run = read_run(path)
+    assert (count(run), run.warnings) == (MESSAGES, ())
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "NONE"])
+def test_a_message_index_that_lies_loses_nothing(logs, tmp_path, compression):
+    """The index of a chunk is outside the chunk's checksum: what it says has to be proven."""
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive(), compression=compression)
+    raw = bytearray(path.read_bytes())
+    end = whole_mcap_chunks(bytes(raw))[0][0]
+    assert raw[end] == 0x07
+    # The third offset that the first index record lists: op, length, channel, bytes, entries.
+    at = end + 9 + 6 + 2 * 16 + 8
+    raw[at : at + 8] = (int.from_bytes(raw[at : at + 8], "little") + 1).to_bytes(8, "little")
+    path.write_bytes(raw)
+    run = read_run(path)
+    assert (count(run), run.warnings) == (MESSAGES, ())
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_the_index_of_a_bag_that_lies_loses_nothing(logs, tmp_path, compression):
+    path = logs.bag(tmp_path / "run.bag", logs.drive(), compression)
+    raw = bytearray(path.read_bytes())
+    end = whole_bag_chunks(path)[0][0]
+    at = raw.index(b"op=\x04", end)
+    data_at = end + 4 + int.from_bytes(raw[end : end + 4], "little") + 4
+    assert end < at < data_at
+    raw[data_at + 8 : data_at + 12] = b"\xff\xff\xff\x7f"
+    path.write_bytes(raw)
+    assert count(read_run(path)) == MESSAGES
+
+
+def test_names_that_are_no_text_are_read(logs, tmp_path):
+    """The libraries end in a UnicodeDecodeError."""
+    mcap = logs.mcap(tmp_path / "a.mcap", logs.drive(), compression="NONE", enable_crcs=False)
+    bag = logs.bag(tmp_path / "a.bag", logs.drive())
+    for path in (mcap, bag):
+        raw = path.read_bytes()
+        path.write_bytes(raw.replace(b"base_link", b"base\xff\xfeink"))
+        run = read_run(path)
+        assert count(run) == MESSAGES
+        assert run.odometry.child_frame.isprintable()
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive())
+    base = sqlite3.connect(folder / "run.db3")
+    base.execute(
+        "INSERT INTO topics "
+        "SELECT 9, CAST(x'2fff' AS TEXT), type, 'cdr', '', '' FROM topics LIMIT 1"
+    )
+    base.commit()
+    base.close()
+    assert count(read_run(folder)) == MESSAGES
+
+
+def test_messages_of_channels_that_nobody_describes_are_counted(logs, tmp_path):
+    """The libraries end in a KeyError."""
+    path = logs.mcap(
+        tmp_path / "run.mcap",
+        logs.drive(),
+        compression="NONE",
+        enable_crcs=False,
+        use_chunking=False,
+        repeat_channels=False,
+        use_statistics=False,
+    )
+    raw = bytearray(path.read_bytes())
+    at = raw.index(b"\x0a\x00\x00\x00/junctions")
+    # The channel's number stands four bytes before its topic.
+    raw[at - 4 : at - 2] = (77).to_bytes(2, "little")
+    path.write_bytes(raw)
+    info = inspect_log(path)
+    assert any("30 messages belong to channels that the log does not" in p for p in info.problems)
+    with pytest.raises(LogError, match="no junction detections"):
+        read_run(path)
+
+
+def test_a_file_compressed_as_a_whole_and_cut_is_read_to_the_cut(logs, tmp_path):
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive(), "MCAP", "FILE")
+    path = next(file for file in folder.iterdir() if file.suffix == ".zstd")
+    raw = path.read_bytes()
+    read = []
+    for percent in (50, 75, 90, 99):
+        path.write_bytes(raw[: len(raw) * percent // 100])
+        try:
+            run = read_run(folder)
+        except LogError:
+            continue
+        assert run.warnings
+        read.append(count(run))
+    assert read == sorted(read)
+    path.write_bytes(raw)
+    assert count(read_run(folder)) == MESSAGES
+
+
+def test_a_file_that_inflates_without_end_is_refused(logs, tmp_path, monkeypatch):
+    import zstandard
+
+    path = tmp_path / "run.mcap.zstd"
+    path.write_bytes(zstandard.compress(b"\x89MCAP0\r\n" + bytes(1 << 24)))
+    monkeypatch.setattr(recording, "UNPACKED_BYTES", 1 << 20)
+    monkeypatch.setattr(recording, "UNPACKED_RATIO", 10)
+    with pytest.raises(LogError, match="inflates to more than"):
+        read_run(path)
+    assert not [p for p in tmp_path.iterdir() if p != path]
+
+
+def test_a_database_beside_its_log_stays_untouched_where_nothing_may_be_written(logs, tmp_path):
+    """Opening with the library alone would leave a -shm file behind, or fail."""
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive())
+    base = sqlite3.connect(folder / "run.db3")
+    base.execute("PRAGMA journal_mode=WAL")
+    base.execute("UPDATE messages SET timestamp = timestamp + 1")
+    base.commit()
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for name in ("run.db3", "run.db3-wal"):
+        shutil.copy(folder / name, copy)
+    base.close()
+    copy.chmod(0o555)
+    try:
+        run = read_run(copy, ReadSettings(time="log"))
+    finally:
+        copy.chmod(0o755)
+    assert count(run) == MESSAGES
+    assert run.odometry.time_ns[0] == logs.drive()[0].log_ns + 1
+    assert sorted(p.name for p in copy.iterdir()) == ["run.db3", "run.db3-wal"]
