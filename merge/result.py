@@ -26,10 +26,12 @@ class Verdict(StrEnum):
 class Alignment:
     """One way to lay map b over map a.
 
-    transform: (3,) T_a_b as x, y [m], theta [rad]; evidence_bits: log2 odds against chance;
-    matched: (k, 2) int64 pairs (vertex of a, vertex of b), sorted; rmse_m: root mean square
-    distance of the matched vertices under the transform; contradictions: sentences, one per
-    disagreement found ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there").
+    transform: (3,) T_a_b as x, y [m], theta [rad]; evidence_bits: log2 odds of the question that
+    it answers worst: more than chance offers? and, asked where a building may repeat itself: this
+    place, not a copy of it? matched: (k, 2) int64 pairs (vertex of a, vertex of b), sorted;
+    rmse_m: root mean square distance of the matched vertices under the transform; contradictions:
+    sentences, one per disagreement found ("junction 12 of run2 falls inside corridor 3–4 of run1,
+    unseen there").
     """
 
     transform: NDArray[np.float64]
@@ -52,8 +54,11 @@ class PairVerdict:
 
     accepted: the pair joins a component (verdict MERGED and kept by every later check).
     best: the alignment the verdict speaks of, None for most unrelated pairs; runner_up: the next
-    best one that places b elsewhere; margin_bits: the lead of best over it; advice: what would
-    settle an ambiguous pair; locked: "same" or "never" where a person decided.
+    best one that places b elsewhere; evidence_bits: those of best; margin_bits: how many more they
+    are than those of runner_up (negative where a person or other runs chose against the pair's own
+    evidence). Of runs joined by what their components say together best, its bits and margin_bits
+    are those of the two components, and there is no runner_up. advice: what would settle an
+    ambiguous pair; locked: "same" or "never" where a person decided.
     extra: JSON values that a method adds to its entry.
     """
 

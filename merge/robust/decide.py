@@ -13,7 +13,7 @@ from ...topology.topomap import TopoMap
 from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, Verdict
 from .advice import advice
-from .alignment import Candidate, self_matches
+from .alignment import Candidate, same_placement, self_matches
 from .components import Components, agrees, join_all
 from .forced import forced_alignment
 from .pairing import Candidates, Pair, match_all
@@ -196,25 +196,47 @@ def _by_evidence(a: Prepared, b: Prepared, case: _Case, says: str) -> PairVerdic
     view = case.view
     if case.forced is not None:
         reason = f"locked as the same by a person; {summary(case.forced, None)}"
-        return _accepted(a, b, case, _alignment(case.forced, a, b, case.forced.bits), reason)
+        return _accepted(a, b, case, case.forced, reason)
     if view.verdict is Verdict.MERGED and view.best is not None:
-        return _accepted(a, b, case, _alignment(view.best, a, b, view.bits), says)
+        return _accepted(a, b, case, view.best, says)
     if case.reunion is not None:
-        return _accepted(a, b, case, case.reunion.alignment, case.reunion.reason)
+        said = case.reunion
+        open_entry = _entry(a, b, case, Verdict.MERGED, said.reason)
+        return _with_best(open_entry, said.alignment, None, said.margin)
     if case.seconded is not None:
         reason = f"{summary(case.seconded, None)}; other runs place the two in the same way"
-        return _accepted(a, b, case, _alignment(case.seconded, a, b, case.seconded.bits), reason)
+        return _accepted(a, b, case, case.seconded, reason)
     return _entry(a, b, case, view.verdict, f"{says}; {view.why}" if view.why else says)
 
 
-def _accepted(a: Prepared, b: Prepared, case: _Case, best: Alignment, reason: str) -> PairVerdict:
-    merged = _entry(a, b, case, Verdict.MERGED, reason)
-    return replace(merged, accepted=True, best=best, evidence_bits=best.evidence_bits, advice=None)
+def _accepted(a: Prepared, b: Prepared, case: _Case, chosen: Candidate, reason: str) -> PairVerdict:
+    """The entry of a pair joined by an alignment of its own, which need not be its best."""
+    bits = next((bits for c, bits in case.view.ranked if c is chosen), chosen.bits)
+    others = (r for r in case.view.ranked if not same_placement(r[0], chosen, b))
+    second = next((_alignment(c, a, b, bits) for c, bits in others), None)
+    margin = None if second is None else bits - second.evidence_bits
+    open_entry = _entry(a, b, case, Verdict.MERGED, reason)
+    return _with_best(open_entry, _alignment(chosen, a, b, bits), second, margin)
+
+
+def _with_best(
+    entry: PairVerdict, best: Alignment, runner_up: Alignment | None, margin: float | None
+) -> PairVerdict:
+    return replace(
+        entry,
+        accepted=True,
+        best=best,
+        evidence_bits=best.evidence_bits,
+        runner_up=runner_up,
+        margin_bits=margin,
+        advice=None,
+    )
 
 
 def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str) -> PairVerdict:
     """An entry for a pair that is not joined."""
-    view, best, second = case.view, case.view.best, case.view.runner_up
+    view = case.view
+    shown = [_alignment(c, a, b, bits) for c, bits in view.ranked[:2]]
     return PairVerdict(
         a=a.run,
         b=b.run,
@@ -222,8 +244,8 @@ def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str)
         accepted=False,
         evidence_bits=view.bits,
         reason=reason,
-        best=None if best is None else _alignment(best, a, b, view.bits),
-        runner_up=None if second is None else _alignment(second, a, b, second.bits),
+        best=shown[0] if shown else None,
+        runner_up=shown[1] if len(shown) > 1 else None,
         margin_bits=view.margin,
         advice=advice(a, b, view) if verdict is Verdict.AMBIGUOUS else None,
         locked=None if case.lock is None else case.lock.decision,

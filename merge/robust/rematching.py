@@ -28,10 +28,12 @@ OPEN_BITS = ODD_BITS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reunion:
-    """A pair of runs joined by what their components say together."""
+    """A pair of runs joined by what their components say together. margin: the lead of this
+    placement over the next best one of the two components, None if there was none."""
 
     alignment: Alignment
     reason: str
+    margin: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +71,8 @@ class Rematcher:
             links = _links(one, two, view)
             for pair, alignment in links.items():
                 accepted[pair] = alignment
-                reunions[pair] = Reunion(alignment, _reason(pair, one, two, view, self.maps))
+                reason = _reason(pair, one, two, view, self.maps)
+                reunions[pair] = Reunion(alignment, reason, view.margin)
             (i, j), first = next(iter(links.items()))
             self.components.join(i, j, first.transform)
         return reunions

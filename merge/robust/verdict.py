@@ -26,7 +26,7 @@ REPETITIVE_SELF_BITS = 15.0
 repeat itself, from the second on the second question is asked in full."""
 
 FEWEST_MATCHES = 4
-"""Alignments of fewer junctions are no hint of anything."""
+"""Alignments of fewer junctions are a hint only with all the evidence needed for merging."""
 
 REPEATED_JUNCTIONS = 7
 """Fewer junctions that look like others nearby are no second copy of a place."""
@@ -64,16 +64,39 @@ class Bar:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Opinion:
-    """A verdict on two maps, alone. bits: the evidence of the question answered worst; same_bits:
-    of the second one, None where it was not asked; why: what was missing, "" where merged."""
+    """A verdict on two maps, alone.
+
+    ranked: placements beyond chance, best first, each with its bits: the evidence of the question
+    that it answers worst; best, runner_up, bits and margin are read off it. same_bits: what the
+    best says to the second question, None where it was not asked; why: what was missing, "" where
+    merged; faint_bits: the bits of the best alignment where none is beyond chance.
+    """
 
     verdict: Verdict
-    best: Candidate | None
-    runner_up: Candidate | None
-    bits: float
-    margin: float | None
-    same_bits: float | None
-    why: str
+    ranked: tuple[tuple[Candidate, float], ...] = ()
+    same_bits: float | None = None
+    why: str = ""
+    faint_bits: float = 0.0
+
+    @property
+    def best(self) -> Candidate | None:
+        """The placement that the verdict speaks of, if any is beyond chance."""
+        return self.ranked[0][0] if self.ranked else None
+
+    @property
+    def bits(self) -> float:
+        """The evidence for the best placement."""
+        return self.ranked[0][1] if self.ranked else self.faint_bits
+
+    @property
+    def runner_up(self) -> Candidate | None:
+        """The next best placement, if there is one beyond chance."""
+        return self.ranked[1][0] if len(self.ranked) > 1 else None
+
+    @property
+    def margin(self) -> float | None:
+        """The lead in bits over the runner-up, if there is one."""
+        return self.ranked[0][1] - self.ranked[1][1] if len(self.ranked) > 1 else None
 
 
 def bar(pairs: int, repetition: float, copies: CopyModel, settings: RobustSettings) -> Bar:
@@ -109,16 +132,15 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
 
     merged: enough evidence against chance, the same place rather than a copy of it, and a lead
     over every other placement. ambiguous: an alignment that chance hardly offers, but one of the
-    three is missing. unrelated: no such alignment.
+    three is missing, or too few junctions agree. unrelated: no such alignment.
 
     The second question is asked where the building is known to repeat itself or has corridors of
     few sizes, where a second placement, too, is beyond chance, and where matched junctions tell
     little each.
     """
-    odd = [c for c in candidates if c.bits > ODD_BITS and len(c) >= FEWEST_MATCHES]
+    odd = [c for c in candidates if _beyond_chance(c, level)]
     if not odd:
-        bits = candidates[0].bits if candidates else 0.0
-        return Opinion(Verdict.UNRELATED, None, None, bits, None, None, "")
+        return Opinion(Verdict.UNRELATED, faint_bits=candidates[0].bits if candidates else 0.0)
     regular = regularity(a, b)
     thinness = _thinness(odd[0])
     rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])
@@ -127,19 +149,21 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     score = [min(c.bits, s) for c, s in zip(odd, same, strict=True)]
     ranking = sorted(range(len(odd)), key=lambda i: -score[i])
     first = ranking[0]
-    second = ranking[1] if len(ranking) > 1 else None
-    margin = None if second is None else score[first] - score[second]
+    margin = None if len(odd) < 2 else score[first] - score[ranking[1]]
     need_same = level.need_same_bits(max(regular, thinness, _thinness(odd[first])))
     why = _missing(odd[first], same[first], margin, need_same, level)
     return Opinion(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
-        best=odd[first],
-        runner_up=None if second is None else odd[second],
-        bits=score[first],
-        margin=margin,
+        ranked=tuple((odd[i], score[i]) for i in ranking),
         same_bits=same[first] if asked else None,
         why=why,
     )
+
+
+def _beyond_chance(c: Candidate, level: Bar) -> bool:
+    """Is an alignment worth a word? Of very few junctions only if chance hardly offers it."""
+    hint = ODD_BITS if len(c) >= FEWEST_MATCHES else max(ODD_BITS, level.need_bits)
+    return c.bits > hint
 
 
 def _missing(

@@ -2,6 +2,7 @@
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -196,6 +197,43 @@ def test_wings_built_alike_are_not_taken_for_each_other(see):
     assert doubtful
     assert all(v.best is not None and v.advice for v in doubtful)
     assert any("another copy" in v.reason or "another placement" in v.reason for v in doubtful)
+
+
+def test_best_runner_up_and_margin_speak_of_the_same_bits(see):
+    """In a building that repeats itself the second question caps the bits of all placements."""
+    world = make_world("office", 200, 8)
+    told = []
+    for seed in range(3):
+        maps = [see(world, r, seed + k, "ab"[k]) for k, r in enumerate(_apart(world, 34, seed))]
+        told += [only(maps), only(maps, locks=[Lock("a", "b", "same")])]
+    rivals = [v for v in told if v.runner_up is not None]
+    assert rivals
+    for v in told:
+        assert v.best is None or v.evidence_bits == v.best.evidence_bits
+        assert (v.runner_up is None) == (v.margin_bits is None)
+    for v in rivals:
+        assert v.margin_bits == pytest.approx(v.evidence_bits - v.runner_up.evidence_bits)
+        assert v.margin_bits >= 0 or v.locked
+
+
+def test_a_few_junctions_with_much_evidence_are_doubtful_not_unrelated(drawn):
+    """Three junctions of an odd shape are no ground for merging, but not nothing either."""
+    turns = np.cumsum([0.0, 0.5, 1.9, 0.7, 2.3, 1.1, 2.9, 0.3, 1.4])
+    steps = np.array([4.0, 9.3, 6.1, 13.7, 5.2, 17.9, 7.7, 11.3, 3.1])
+    track = np.cumsum(steps * np.exp(1j * turns))
+    points = np.column_stack([track.real, track.imag])
+    chain = [(k, k + 1) for k in range(len(points) - 1)]
+    spurs = [(k, 0.37 * k * k) for k in range(len(points))]
+    whole = drawn("whole", points, chain, stubs=spurs)
+    few = RobustSettings(min_matches=len(points) + 1)
+    v = only([whole, replace(whole, run="zwin")], settings=few)
+    assert v.verdict is Verdict.AMBIGUOUS
+    assert not v.accepted
+    assert f"{few.min_matches} junctions at least" in v.reason
+    with_three = drawn("three", points[:3], chain[:2], stubs=spurs[:3])
+    v = only([whole, with_three], settings=RobustSettings(false_merge_rate=0.3))
+    assert len(v.best.matched) == 3
+    assert v.verdict is Verdict.AMBIGUOUS
 
 
 def _apart(world, size, seed):
