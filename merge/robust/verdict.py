@@ -138,7 +138,7 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     few sizes, where a second placement, too, is beyond chance, and where matched junctions tell
     little each.
     """
-    odd = [c for c in candidates if _beyond_chance(c, level)]
+    odd = _beyond_chance(candidates, level)
     if not odd:
         return Opinion(Verdict.UNRELATED, faint_bits=candidates[0].bits if candidates else 0.0)
     regular = regularity(a, b)
@@ -160,10 +160,14 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     )
 
 
-def _beyond_chance(c: Candidate, level: Bar) -> bool:
-    """Is an alignment worth a word? Of very few junctions only if chance hardly offers it."""
-    hint = ODD_BITS if len(c) >= FEWEST_MATCHES else max(ODD_BITS, level.need_bits)
-    return c.bits > hint
+def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidate]:
+    """The alignments worth a word: those of enough junctions, or, if there are none, the others.
+
+    Of very few junctions an alignment is a hint only if chance hardly offers it.
+    """
+    odd = [c for c in candidates if c.bits > ODD_BITS]
+    enough = [c for c in odd if len(c) >= level.settings.min_matches]
+    return enough or [c for c in odd if len(c) >= FEWEST_MATCHES or c.bits > level.need_bits]
 
 
 def _missing(
