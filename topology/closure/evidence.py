@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,10 @@ from .walk import Walk
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Float = TypeVar("Float", np.float32, np.float64)
 
+_STRIP = 64
+"""Places whose rarity is worked out at once."""
 MATCH_RAD = 0.61
 """Branches farther apart than this are never the same."""
 
@@ -174,10 +178,10 @@ def align(
     return Alignment(*found)
 
 
-def _wrapped(angle: FloatArray) -> FloatArray:
+def _wrapped(angle: NDArray[Float]) -> NDArray[Float]:
     """Angles in [-pi, pi]; twice as fast as `wrap`, which this module would spend its time in."""
-    turns: FloatArray = angle - 2 * np.pi * np.rint(angle * (0.5 / np.pi))
-    return turns
+    turns = np.rint(angle * (0.5 / np.pi))
+    return np.asarray(angle - 2 * np.pi * turns, angle.dtype)
 
 
 def _trials(off: FloatArray, sigma: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
@@ -258,20 +262,22 @@ def rarity(places: Places, common: Background, settings: EvidenceSettings) -> Fl
     sample = np.arange(0, n, step)
     out = np.empty(n)
     wide = settings.bandwidth_rad**2 + 2 * common.branch_sigma**2
-    for begin in range(0, n, 512):
-        rows = np.arange(begin, min(begin + 512, n))
-        here, there = places.heading[rows], places.heading[sample]
-        off = np.abs(_wrapped(here[:, None, :, None] - there[None, :, None, :]))
-        off = np.where(np.isfinite(off), off, np.inf)
-        near = off.min(axis=3)
+    # Slots come first and few places at a time: reductions over a short last axis, and tables that
+    # the processor cannot keep at hand, cost most. Odds need no more than single precision.
+    heading = places.heading.T.astype(np.float32)
+    sure = _sureness(places, np.arange(n)).T.astype(np.float32)
+    there, sure_there = heading[:, sample], sure[:, sample]
+    for begin in range(0, n, _STRIP):
+        rows = np.arange(begin, min(begin + _STRIP, n))
+        off = np.abs(_wrapped(heading[:, None, rows, None] - there[None, :, None, :]))
+        near = np.fmin.reduce(off, axis=1)
         paired = near < MATCH_RAD
-        count = paired.sum(axis=2)
-        lone = _sureness(places, rows)[:, None, :] * ~paired
-        back = off.min(axis=2) >= MATCH_RAD
-        lone_back = _sureness(places, sample)[None] * back
-        score = -0.5 * np.square(np.where(paired, near, 0.0)).sum(axis=2) / wide
-        score -= 0.5 * count * np.log(wide / (2 * np.pi))
-        score += (lone.sum(axis=2) + lone_back.sum(axis=2)) * np.log(common.fault_rate)
+        back = ~(np.fmin.reduce(off, axis=0) < MATCH_RAD)
+        lone = (sure[:, rows, None] * ~paired).sum(axis=0)
+        lone += (sure_there[:, None, :] * back).sum(axis=0)
+        score = -0.5 * np.square(np.where(paired, near, 0.0)).sum(axis=0) / wide
+        score -= 0.5 * paired.sum(axis=0) * np.log(wide / (2 * np.pi))
+        score += lone * np.log(common.fault_rate)
         score[rows[:, None] == sample[None, :]] = -np.inf
         top = np.maximum(score.max(axis=1), 0.0)
         mean = np.exp(score - top[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
