@@ -26,6 +26,10 @@ from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
 
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Matrices are small here: threads of the linear algebra spin more than they help, and their number
+would show in the last bits of results. Several cores are used by several processes."""
+
 # Plain help: rich's boxes would double the time that `--help` takes.
 app = typer.Typer(
     name="topobatch",
@@ -61,6 +65,8 @@ def topobatch(
 
 def main() -> None:
     """Run the command line; the one place that turns errors into messages and exit codes."""
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
     try:
         app(prog_name="topobatch")
     except TopobatchError as error:
