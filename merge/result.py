@@ -28,10 +28,10 @@ class Alignment:
 
     transform: (3,) T_a_b as x, y [m], theta [rad]; evidence_bits: log2 odds of the question that
     it answers worst: more than chance offers? and, asked where a building may repeat itself: this
-    place, not a copy of it? matched: (k, 2) int64 pairs (vertex of a, vertex of b), sorted;
-    rmse_m: root mean square distance of the matched vertices under the transform; contradictions:
-    sentences, one per disagreement found ("junction 12 of run2 falls inside corridor 3–4 of run1,
-    unseen there").
+    place, not a copy of it? (counted so that both need the same for merging); matched: (k, 2)
+    int64 pairs (vertex of a, vertex of b), sorted; rmse_m: root mean square distance of the
+    matched vertices under the transform; contradictions: sentences, one per disagreement found
+    ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there").
     """
 
     transform: NDArray[np.float64]

@@ -136,7 +136,8 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
 
     The second question is asked where the building is known to repeat itself or has corridors of
     few sizes, where a second placement, too, is beyond chance, and where matched junctions tell
-    little each.
+    little each. Its bits are counted on the scale of the first: with as many bits beyond what
+    either question must yield, both answers are as sure.
     """
     odd = _beyond_chance(candidates, level)
     if not odd:
@@ -146,12 +147,14 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])
     asked = max(level.repetition, regular, thinness) > 0 or rivals
     same = [sameness(a, b, c, level.copies).bits if asked else np.inf for c in odd]
-    score = [min(c.bits, s) for c, s in zip(odd, same, strict=True)]
+    score = []
+    for c, s in zip(odd, same, strict=True):
+        need_same = level.need_same_bits(max(regular, thinness, _thinness(c)))
+        score.append(min(c.bits, s + level.need_bits - need_same))
     ranking = sorted(range(len(odd)), key=lambda i: -score[i])
     first = ranking[0]
     margin = None if len(odd) < 2 else score[first] - score[ranking[1]]
-    need_same = level.need_same_bits(max(regular, thinness, _thinness(odd[first])))
-    why = _missing(odd[first], same[first], margin, need_same, level)
+    why = _missing(odd[first], score[first], margin, level)
     return Opinion(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         ranked=tuple((odd[i], score[i]) for i in ranking),
@@ -170,16 +173,14 @@ def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidat
     return enough or [c for c in odd if len(c) >= FEWEST_MATCHES or c.bits > level.need_bits]
 
 
-def _missing(
-    best: Candidate, same_bits: float, margin: float | None, need_same: float, level: Bar
-) -> str:
+def _missing(best: Candidate, score: float, margin: float | None, level: Bar) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
     if best.bits < level.need_bits:
         found = f"{best.bits:.0f} bits, {level.need_bits:.0f} needed"
         return f"chance offers as much too often ({found})"
     if len(best) < level.settings.min_matches:
         return f"{level.settings.min_matches} junctions at least must agree"
-    if same_bits < need_same:
+    if score < level.need_bits:
         return "the building repeats itself and this may be another copy of the place"
     if margin is not None and margin < level.settings.lead_bits:
         return "another placement fits nearly as well"

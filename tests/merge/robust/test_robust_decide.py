@@ -202,10 +202,13 @@ def test_wings_built_alike_are_not_taken_for_each_other(see):
 def test_best_runner_up_and_margin_speak_of_the_same_bits(see):
     """In a building that repeats itself the second question caps the bits of all placements."""
     world = make_world("office", 200, 8)
-    told = []
+    told = [only([see(world, list(range(150)), k, "ab"[k]) for k in (0, 1)])]
+    assert told[0].accepted
     for seed in range(3):
         maps = [see(world, r, seed + k, "ab"[k]) for k, r in enumerate(_apart(world, 34, seed))]
         told += [only(maps), only(maps, locks=[Lock("a", "b", "same")])]
+    need = np.log2(1 / RobustSettings().false_merge_rate)
+    assert all(v.evidence_bits >= need for v in told if v.accepted and not v.locked)
     rivals = [v for v in told if v.runner_up is not None]
     assert rivals
     for v in told:
