@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -62,28 +63,23 @@ class BagFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._index: BagIndex | None = None
-        self._index_read = False
 
+    @cached_property
     def index(self) -> BagIndex | None:
         """The index section of a closed bag, None where it is missing or wrong."""
-        if not self._index_read:
-            with FileWindow(self.path) as window:
-                self._index = read_index(window)
-            self._index_read = True
-        return self._index
+        with FileWindow(self.path) as window:
+            return read_index(window)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the chunk infos of the index."""
-        index = self.index()
-        return index.survey() if index is not None else None
+        return self.index.survey() if self.index is not None else None
 
     def blocks(
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
         """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
         with FileWindow(self.path, progress) as window:
-            yield from _Walk(window, want, findings, self.index()).run()
+            yield from _Walk(window, want, findings, self.index).run()
             window.passed(window.size)
 
 

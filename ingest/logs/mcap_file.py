@@ -6,6 +6,7 @@ import struct
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -118,28 +119,23 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._summary: McapSummary | None = None
-        self._summary_read = False
 
+    @cached_property
     def summary(self) -> McapSummary | None:
         """The summary section if it is there, whole and its checksum is right."""
-        if not self._summary_read:
-            with FileWindow(self.path) as window:
-                self._summary = read_summary(window)
-            self._summary_read = True
-        return self._summary
+        with FileWindow(self.path) as window:
+            return read_summary(window)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the statistics record of a sound summary."""
-        summary = self.summary()
-        return summary.survey() if summary is not None else None
+        return self.summary.survey() if self.summary is not None else None
 
     def blocks(
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
         """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
         with FileWindow(self.path, progress) as window:
-            yield from _Walk(window, want, findings, self.summary()).run()
+            yield from _Walk(window, want, findings, self.summary).run()
             window.passed(window.size)
 
 
