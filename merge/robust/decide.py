@@ -16,6 +16,7 @@ from .advice import advice
 from .alignment import Candidate, same_placement, self_matches
 from .components import Components, agrees, join_all
 from .forced import forced_alignment
+from .mirror import doubt_mirrored
 from .pairing import Candidates, Pair, match_all
 from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
@@ -40,7 +41,8 @@ def decide(
 
     1. Every map is prepared, and matched with itself: how much does the building repeat itself?
     2. Every pair is matched: candidate alignments with evidence against chance and for sameness.
-    3. Each pair by itself is merged, ambiguous or unrelated.
+    3. Each pair by itself is merged, ambiguous or unrelated; "merged" must fit better than its
+       mirror image.
     4. Merged pairs are joined, strongest first, locks honoured, cycles checked.
     5. The merged maps of components are matched again: evidence adds up over their runs.
     6. What the joined runs say of the pairs that stayed open is taken over.
@@ -61,6 +63,7 @@ def decide(
         (i, j): opinion(prepared[i], prepared[j], found, levels[i, j])
         for (i, j), found in candidates.items()
     }
+    opinions = doubt_mirrored(opinions, maps, prepared, settings)
     forced = _forced(prepared, candidates, locked, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)

@@ -13,6 +13,7 @@ from topobatch.merge.locks import Lock
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import RobustSettings, decide, match, prepare
+from topobatch.merge.robust.mirror import mirrored
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply, compose, wrap
 
@@ -237,6 +238,22 @@ def test_a_few_junctions_with_much_evidence_are_doubtful_not_unrelated(drawn):
     v = only([whole, with_three], settings=RobustSettings(false_merge_rate=0.3))
     assert len(v.best.matched) == 3
     assert v.verdict is Verdict.AMBIGUOUS
+
+
+def test_a_wing_built_the_other_way_round_is_not_the_place(drawn):
+    """A straight corridor without sides fits its mirror image; all that hangs on it does not."""
+    steps = np.cumsum([0.0, 4.0, 9.3, 6.1, 13.7, 5.2, 17.9, 7.7, 11.3, 3.1])
+    line = [(x, 0.0) for x in steps]
+    chain = [(k, k + 1) for k in range(len(line) - 1)]
+    side = [(x, 6.0 + 0.7 * k) for k, x in enumerate(steps[2:8])]
+    hangs = [(k + 2, len(line) + k) for k in range(len(side))]
+    crossed = [(k, sign * np.pi / 2) for k in range(2, 8) for sign in (-1,)]
+    wing = drawn("a", [*line, *side], [*chain, *hangs], stubs=crossed)
+    image = replace(mirrored(wing), run="b")
+    v = only([wing, image])
+    assert v.verdict is Verdict.AMBIGUOUS
+    assert "mirror image" in v.reason
+    assert only([wing, replace(mirrored(image), run="b")]).accepted
 
 
 def _apart(world, size, seed):

@@ -1,0 +1,67 @@
+"""Mirrored copies: a wing built the other way round has the same lengths, but is another place.
+
+Along a straight line a map and its mirror image agree, corridor by corridor; chance does not offer
+that, and nothing there contradicts. What gives it away is that the mirror image fits better still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...topology.ragged import Ragged
+from ...topology.se2 import wrap
+from ...topology.topomap import TopoMap
+from ..result import Verdict
+from .alignment import match
+from .prepare import IntArray, Prepared, prepare
+from .settings import RobustSettings
+from .verdict import Opinion
+
+WHY = "its mirror image fits better: this may be a copy built the other way round"
+
+Pair = tuple[int, int]
+
+
+def mirrored(m: TopoMap) -> TopoMap:
+    """The map with y and all headings negated; vertices and corridors keep their numbers."""
+    rows = [wrap(-m.branches[v]) for v in range(len(m))]
+    order = [np.argsort(row, kind="stable") for row in rows]
+    place = [np.argsort(o, kind="stable") for o in order]
+
+    def branch(vertex: IntArray, index: IntArray) -> IntArray:
+        pairs = zip(vertex.tolist(), index.tolist(), strict=True)
+        return np.array([place[v][k] if k >= 0 else k for v, k in pairs], np.int64)
+
+    flip = np.array([1.0, -1.0])
+    return replace(
+        m,
+        xy=m.xy * flip,
+        branches=Ragged.from_rows(row[o] for row, o in zip(rows, order, strict=True)),
+        source_branch=branch(m.source, m.source_branch),
+        target_branch=branch(m.target, m.target_branch),
+        paths=tuple(path * flip for path in m.paths),
+    )
+
+
+def doubt_mirrored(
+    opinions: Mapping[Pair, Opinion],
+    maps: Sequence[TopoMap],
+    prepared: Sequence[Prepared],
+    settings: RobustSettings,
+) -> dict[Pair, Opinion]:
+    """The opinions, with "merged" made "ambiguous" where the second map's mirror image fits the
+    first one clearly better than the map itself does."""
+    images: dict[int, Prepared] = {}
+    out = dict(opinions)
+    for (i, j), view in opinions.items():
+        if view.verdict is not Verdict.MERGED or view.best is None:
+            continue
+        if j not in images:
+            images[j] = prepare(mirrored(maps[j]))
+        found = match(prepared[i], images[j], settings)
+        if found and found[0].bits > view.best.bits + settings.lead_bits:
+            out[i, j] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
+    return out
