@@ -60,7 +60,7 @@ class RoundSettings:
     """Candidates that could not reach these log odds wherever they lay are not looked at."""
     support_cap: float = 12.0
     """Most that growth may add."""
-    conflict_price: float = 0.25
+    conflict_price: float = 0.2
     """Added to the threshold for each unit of disagreement."""
     most_rounds: int = 40
     loud: float = 1.5
