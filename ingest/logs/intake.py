@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
+from .columns import words
 from .foxglove import RowDecoder, json_rows, object_rows, protobuf_rows
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError, Ints
@@ -95,7 +96,7 @@ class Sink:
 
     def add(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
         """Take in messages that lie in `data`."""
-        if self.channel.encoding in ("cdr", "ros1") and self._packed(data, start, size).any():
+        if self.channel.encoding == "cdr" and self._packed(data, start, size).any():
             self._unpack(data, log_ns, start, size)
         elif len(start) >= DENSE:
             self.flush()
@@ -123,10 +124,11 @@ class Sink:
         return PoseColumns(*out)
 
     def _packed(self, data: Bytes, start: Ints, size: Ints) -> NDArray[np.bool_]:
-        """Which payloads are zstd streams: recorders compress messages one by one if asked to."""
+        """Which payloads are zstd streams: ROS 2 compresses messages one by one if asked to."""
         packed = size >= 9
-        words = np.ndarray((max(0, len(data) - 3),), "<u4", data.data, strides=(1,))
-        packed[packed] = words[start[packed]] == _MAGIC
+        if packed.all():
+            return np.asarray(words(data, "<u4", start) == _MAGIC)
+        packed[packed] = words(data, "<u4", start[packed]) == _MAGIC
         return packed
 
     def _unpack(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
