@@ -18,7 +18,7 @@ from observed import scattered_maps
 from topobatch.ingest.simulation import make_world
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import default_copies, sameness
-from topobatch.merge.robust.verdict import COPY_MARGIN_BITS
+from topobatch.merge.robust.verdict import COPY_MARGIN_BITS, counted_bits
 
 COPIES = default_copies(DEFAULT_ROBUST)
 WORLD_SIZE, MAP_SIZE, RUNS = 320, 28, 16
@@ -44,14 +44,15 @@ def unrelated_pairs(kind, pairs, first):
 
 def bits_against_chance(a, b):
     """Bits of the best alignment that could be merged; minus infinity if there is none."""
-    found = [c.bits for c in match(a, b, DEFAULT_ROBUST) if len(c) >= DEFAULT_ROBUST.min_matches]
+    enough = (c for c in match(a, b, DEFAULT_ROBUST) if len(c) >= DEFAULT_ROBUST.min_matches)
+    found = [counted_bits(c) for c in enough]
     return max(found, default=-np.inf)
 
 
 def bits_against_copies(a, b):
     """As above, of both questions the one answered worse, with the margin that verdicts use."""
     found = [
-        min(c.bits, sameness(a, b, c, COPIES).bits + COPY_MARGIN_BITS)
+        min(counted_bits(c), sameness(a, b, c, COPIES).bits + COPY_MARGIN_BITS)
         for c in match(a, b, DEFAULT_ROBUST)
         if len(c) >= DEFAULT_ROBUST.min_matches and c.bits > 0
     ]

@@ -42,6 +42,11 @@ VARIED_BITS = 1.75
 """Mean information in the length of a corridor (-log2 of the density [1/m]): below the first value
 it is assumed that the building repeats itself, seen or not, from the second on it is not."""
 
+JUNCTION_BITS = 2.5
+"""Most that one matched junction counts. Buildings that agree by chance agree in lines and rows,
+which chance, counted link by link, calls rarer than it is: of unrelated mazes nearly as many reach
+20 bits in 5 junctions as 14 (`benchmarks/calibration.py`)."""
+
 RIVAL_SHARE = 0.75
 """A second placement with this share of the bits needed shows that the building repeats itself."""
 
@@ -122,6 +127,11 @@ def regularity(a: Prepared, b: Prepared) -> float:
     return float(np.clip((VARIED_BITS - mean) / (VARIED_BITS - UNIFORM_BITS), 0.0, 1.0))
 
 
+def counted_bits(c: Candidate) -> float:
+    """The evidence of an alignment against chance, as far as its junctions can carry it."""
+    return min(c.bits, JUNCTION_BITS * len(c))
+
+
 def _thinness(c: Candidate) -> float:
     """0 to 1: how little each matched junction of an alignment tells."""
     return float(np.clip((SOLID_BITS - c.bits / len(c)) / (SOLID_BITS - THIN_BITS), 0.0, 1.0))
@@ -150,7 +160,7 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     score = []
     for c, s in zip(odd, same, strict=True):
         need_same = level.need_same_bits(max(regular, thinness, _thinness(c)))
-        score.append(min(c.bits, s + level.need_bits - need_same))
+        score.append(min(counted_bits(c), s + level.need_bits - need_same))
     ranking = sorted(range(len(odd)), key=lambda i: -score[i])
     first = ranking[0]
     margin = None if len(odd) < 2 else score[first] - score[ranking[1]]
@@ -175,8 +185,8 @@ def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidat
 
 def _missing(best: Candidate, score: float, margin: float | None, level: Bar) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
-    if best.bits < level.need_bits:
-        found = f"{best.bits:.0f} bits, {level.need_bits:.0f} needed"
+    if counted_bits(best) < level.need_bits:
+        found = f"{counted_bits(best):.0f} bits, {level.need_bits:.0f} needed"
         return f"chance offers as much too often ({found})"
     if len(best) < level.settings.min_matches:
         return f"{level.settings.min_matches} junctions at least must agree"

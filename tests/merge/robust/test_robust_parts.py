@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.merge.result import Verdict
 from topobatch.merge.robust.alignment import match, same_placement, self_matches
 from topobatch.merge.robust.branches import branch_bits
 from topobatch.merge.robust.components import Components, join_all
@@ -27,7 +28,14 @@ from topobatch.merge.robust.repetition import (
 )
 from topobatch.merge.robust.settings import RobustSettings
 from topobatch.merge.robust.support import _forest
-from topobatch.merge.robust.verdict import bar, opinion, regularity, repetition_level
+from topobatch.merge.robust.verdict import (
+    JUNCTION_BITS,
+    bar,
+    counted_bits,
+    opinion,
+    regularity,
+    repetition_level,
+)
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import compose, inverse, wrap
 
@@ -213,6 +221,18 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
     assert np.dot(learned.exact_odds, EXACT_SHARES) > np.dot(COPIES.exact_odds, EXACT_SHARES)
     assert sum(learned.exact_odds) == pytest.approx(1.0)
     assert learned.change_rate <= SETTINGS.copy_change_rate
+
+
+def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    told = replace(match(a, b, SETTINGS)[0], bits=99.0)
+    assert counted_bits(told) == JUNCTION_BITS * len(told)
+    assert counted_bits(replace(told, bits=7.0)) == 7.0
+    alone, among_many = (bar(pairs, 0.0, COPIES, SETTINGS) for pairs in (1, 10**6))
+    assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
+    view = opinion(a, b, [told], among_many)
+    assert view.verdict is Verdict.AMBIGUOUS
+    assert view.why == "chance offers as much too often (20 bits, 30 needed)"
 
 
 def test_a_building_of_few_sizes_is_regular(drawn):
