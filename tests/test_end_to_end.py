@@ -101,6 +101,11 @@ def test_merging_joins_the_maze_and_leaves_the_streets(merged: MergeResult) -> N
     assert all(verdicts[run, "streets-1"] == Verdict.UNRELATED for run in MAZE)
 
 
+def test_runs_joined_by_another_alone_are_told_so(merged: MergeResult) -> None:
+    through = {(v.a, v.b) for v in merged.verdicts if "only other runs place" in v.reason}
+    assert through == {("maze-1", "maze-3")}
+
+
 @pytest.mark.parametrize(("a", "b"), OVERLAPPING)
 def test_runs_are_laid_over_one_another_rightly(
     a: str, b: str, merged: MergeResult, maps: dict[str, TopoMap], truth: Truth

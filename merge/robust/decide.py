@@ -82,6 +82,7 @@ def decide(
                 refused=refused.get((i, j)),
                 reunion=reunions.get((i, j)),
                 seconded=_seconded((i, j), candidates[i, j], components, prepared),
+                together=components.together(i, j),
             ),
         )
         for i, j in sorted(candidates)
@@ -98,6 +99,7 @@ class _Case:
     refused: str | None
     reunion: Reunion | None
     seconded: Candidate | None
+    together: bool
 
 
 def _locked_pairs(
@@ -209,7 +211,10 @@ def _by_evidence(a: Prepared, b: Prepared, case: _Case, says: str) -> PairVerdic
     if case.seconded is not None:
         reason = f"{summary(case.seconded, None)}; other runs place the two in the same way"
         return _accepted(a, b, case, case.seconded, reason)
-    return _entry(a, b, case, view.verdict, f"{says}; {view.why}" if view.why else says)
+    reason = f"{says}; {view.why}" if view.why else says
+    if case.together:
+        reason = f"{reason}; only other runs place the two in one component"
+    return _entry(a, b, case, view.verdict, reason)
 
 
 def _accepted(a: Prepared, b: Prepared, case: _Case, chosen: Candidate, reason: str) -> PairVerdict:
