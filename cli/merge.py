@@ -68,8 +68,8 @@ def merge(
     """Merge the maps of many runs, where they overlap.
 
     Writes merged.json and merged.rrd in the workspace. Every pair of runs gets a verdict: merged
-    (the same place, and the evidence says so), ambiguous (an alignment fits, but another fits
-    nearly as well) or unrelated. Only merged pairs join. The order of the runs does not matter.
+    (the same place, and the evidence says so), ambiguous (an alignment fits, but the evidence
+    falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of the runs does not matter.
     """
     place, screen = Workspace(workspace), Screen(quiet)
     settings = _settings(method, false_merge_rate, degree, met or [])
