@@ -69,7 +69,8 @@ def merge(
 
     Writes merged.json and merged.rrd in the workspace. Every pair of runs gets a verdict: merged
     (the same place, and the evidence says so), ambiguous (an alignment fits, but the evidence
-    falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of the runs does not matter.
+    falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of
+    the runs does not matter.
     """
     place, screen = Workspace(workspace), Screen(quiet)
     settings = _settings(method, false_merge_rate, degree, met or [])
