@@ -243,6 +243,8 @@ def test_a_building_of_few_sizes_is_regular(drawn):
     regular, varied = prepare(drawn("grid", grid, edges)), prepare(drawn("plain", uneven, edges))
     assert regularity(regular, regular) == 1.0
     assert regularity(varied, varied) == 0.0
+    few = prepare(drawn("few", POINTS, EDGES))
+    assert regularity(few, varied) == 0.0
 
 
 def test_two_placements_that_fit_alike_are_ambiguous(drawn):
