@@ -16,13 +16,12 @@ from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
 from ..result import Verdict
 from .alignment import match
+from .pairing import Pair
 from .prepare import IntArray, Prepared, prepare
 from .settings import RobustSettings
 from .verdict import Opinion
 
 WHY = "its mirror image fits better: this may be a copy built the other way round"
-
-Pair = tuple[int, int]
 
 
 def mirrored(m: TopoMap) -> TopoMap:

@@ -17,6 +17,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+LENGTH_KERNEL = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0]) / 16
+"""Smooths a histogram of lengths in cells of 10 cm: a triangle of ± 0.4 m."""
+
 NEIGHBOURS = 20
 """Junctions around each junction whose matches predict where it lies in the other map."""
 
@@ -352,8 +355,7 @@ def _rarity(length: FloatArray) -> FloatArray:
         return np.zeros(0)
     cell = np.minimum((length * 10).astype(np.int64), 999)
     histogram = np.bincount(cell, minlength=int(cell.max()) + 5).astype(np.float64)
-    kernel = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0])
-    density = np.convolve(histogram, kernel / kernel.sum(), mode="same") / len(length) * 10
+    density = np.convolve(histogram, LENGTH_KERNEL, mode="same") / len(length) * 10
     density = 0.9 * density + 0.1 / max(float(length.max()), 1.0)
     return np.asarray(-np.log2(density)[cell])
 

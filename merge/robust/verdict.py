@@ -9,7 +9,7 @@ import numpy as np
 
 from ..result import Verdict
 from .alignment import Candidate
-from .prepare import FloatArray, Prepared
+from .prepare import LENGTH_KERNEL, FloatArray, Prepared
 from .repetition import CopyModel, sameness
 from .settings import RobustSettings
 
@@ -139,7 +139,7 @@ def _equally_long(length: FloatArray) -> tuple[float, float]:
     if k == 0:
         return 0.0, 0.0
     histogram = np.bincount(np.minimum((length * 10).astype(np.int64), 9999), minlength=7)
-    kernel = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0]) * 10 / 16
+    kernel = 10 * LENGTH_KERNEL
     near = float(histogram @ np.convolve(histogram, kernel, mode="same"))
     return near - 2 * k * float(kernel[3]), float(k * (k - 2))
 
