@@ -140,7 +140,7 @@ class NormalEquations:
         x: FloatArray = factor.solve(self.gradient)
         b: FloatArray = np.zeros(len(self.border_gradient))
         if len(b):
-            right = self.border_gradient - self.border.T @ x
+            right = self.border_gradient - factor.border.T @ x
             b = np.asarray(np.linalg.solve(factor.schur, right), np.float64)
             x = x - factor.solved_border @ b
         out = np.zeros(self.pattern.variable.shape)
