@@ -96,7 +96,7 @@ def lay_out(
     """
     count = len(walk)
     if start is None:
-        start = np.column_stack([walk.passes.centre, np.zeros(count)])
+        start = _dead_reckoned(walk, grid)
     places = int(place.max(initial=-1)) + 1
     visits = np.bincount(place[place >= 0], minlength=places)
     several = np.flatnonzero(visits > 1)
@@ -135,6 +135,24 @@ def lay_out(
         graph=graph,
         solution=solution,
     )
+
+
+def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
+    """(p, 3) poses by odometry, its legs turned as the grid of the building says.
+
+    Hundreds of corridors later the headings of the odometry may be anywhere, and from there no
+    solver finds the way back.
+    """
+    centre = walk.passes.centre
+    if grid is None:
+        return np.column_stack([centre, np.zeros(len(centre))])
+    turn = np.interp(np.arange(len(centre)), grid.row, np.unwrap(grid.turn))
+    half = 0.5 * (turn[1:] + turn[:-1])
+    step = np.diff(centre, axis=0)
+    c, s = np.cos(half), np.sin(half)
+    steps = np.column_stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]])
+    xy = centre[0] + np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return np.column_stack([xy, wrap(turn)])
 
 
 def _solved(
