@@ -40,6 +40,8 @@ _FAR_M = 80.0
 _STRIP = 256
 _MOST_TABLED = 1_000_000
 """Pairs of places in one table: some 200 MB."""
+_MOST_STRANGERS = 3000
+"""Pairs of places known to be two that are asked what they have in common."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,8 @@ class RoundSettings:
     """In long runs no more pairs are looked at in one round, the nearest (or six per place)."""
     least_hope: float = 0.0
     """Candidates that could not reach these log odds wherever they lay are not looked at."""
+    strangers: float = 1.5
+    """Places this many times farther apart than the gate allows are certainly two."""
     support_cap: float = 12.0
     """Most that growth may add."""
     conflict_price: float = 0.2
@@ -102,13 +106,16 @@ class Candidates:
     branches: FloatArray
     support: FloatArray
     conflict: FloatArray
+    commonness: FloatArray
+    """What is taken off because places that are certainly two look as much alike."""
     turn: FloatArray
     """Added to the branches of b to meet those of a [rad]."""
 
     @property
     def total(self) -> FloatArray:
         """(k,) all evidence."""
-        out: FloatArray = self.position + self.branches + self.support - self.conflict
+        alike = self.branches + self.support - self.conflict - self.commonness
+        out: FloatArray = self.position + alike
         return out
 
 
@@ -120,21 +127,26 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     strikes: Counter[tuple[int, int]] = Counter()
     place = np.arange(len(walk), dtype=np.int64)
     layout = lay_out(walk, place, grid=grid, settings=settings.layout)
-    stage, found = 0, _no_candidates()
-    for number in range(settings.most_rounds):
+    stage, found, exact = 0, _no_candidates(), False
+    for _ in range(settings.most_rounds):
         places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
         noise = measured_rates(places, walk.noise, settings.rates)
         common = background(walk, noise, settings.evidence)
         rare = rarity(places, common, settings.evidence)
         scene = Scene(walk, places, layout.xy, common, rare)
-        found = _candidates(scene, place, layout, settings, exact=number > 0)
+        found = _candidates(scene, place, layout, settings, exact=exact)
         new: list[Identification] = []
         while not new and stage < len(settings.thresholds):
             barred = _barred(strikes, stage, place)
             new = _certain(places, found, settings.thresholds[stage], barred, settings)
             stage += not new
-        if not new:
+        if not new and exact:
             break
+        if not exact:
+            # The first round takes what is plain; the rest is easier once that is settled.
+            exact, stage = True, 0
+        if not new:
+            continue
         links += new
         turn = layout.pose[:, 2] + _turns(place, new)
         place = _partition(len(walk), links)
@@ -164,7 +176,7 @@ def _loudness(now: float, misfit: float, settings: RoundSettings) -> float:
 
 def _no_candidates() -> Candidates:
     none, zero = np.zeros(0, np.int64), np.zeros(0)
-    return Candidates(none, none, zero, zero, zero, zero, zero)
+    return Candidates(none, none, zero, zero, zero, zero, zero, zero)
 
 
 def _barred(strikes: Counter[tuple[int, int]], stage: int, place: IntArray) -> set[frozenset[int]]:
@@ -237,9 +249,8 @@ def _candidates(
     sigma2 = 2 * common.centre_sigma**2
     shift = layout.xy[a] - layout.xy[b]
     far2 = (shift**2).sum(axis=1)
-    near = far2 < settings.gate * (cov[:, 0, 0] + cov[:, 1, 1] + 2 * sigma2)
-    a, b, cov, shift, far2 = a[near], b[near], cov[near], shift[near], far2[near]
     cov = _tighter(cov, *known_way_variance(walk, places, a, b))
+    strangers = _strangers(scene, a, b, cov, shift, settings)
     near = far2 < settings.gate * (cov[:, 0, 0] + cov[:, 1, 1] + 2 * sigma2)
     a, b, cov, shift = a[near], b[near], cov[near], shift[near]
     a, b, cov, shift = _nearest(a, b, cov, shift, max(settings.most_pairs, 6 * len(places)))
@@ -250,11 +261,48 @@ def _candidates(
         cov = _exact_covariance(layout, a, b)
     s = cov[:, :2, :2] + sigma2 * np.eye(2)
     odds, d2 = position_odds(common, shift, s, settings.evidence)
-    # The first round takes what is plain; the rest is easier once that is settled.
     fine = (d2 < settings.gate) & (odds > (-6.0 if exact else 0.0))
     a, b, odds, cov = a[fine], b[fine], odds[fine], cov[fine]
     found = _surroundings(scene, a, b, cov, settings)
-    return Candidates(a, b, odds, found.branches, found.support, found.conflict, found.turn)
+    alike = found.sum()
+    common_ = np.maximum(alike - _likeness_odds(alike, strangers), 0.0)
+    return Candidates(
+        a, b, odds, found.branches, found.support, found.conflict, common_, found.turn
+    )
+
+
+def _strangers(
+    scene: Scene,
+    a: IntArray,
+    b: IntArray,
+    cov: FloatArray,
+    shift: FloatArray,
+    settings: RoundSettings,
+) -> FloatArray:
+    """(m,) sorted: what branches and corridors say (log odds) of places that are certainly two.
+
+    Rows of corridors side by side, of one length because a grid is behind them, look like each
+    other more often than independent lengths would: this run tells how often.
+    """
+    s = cov[:, :2, :2] + 2 * scene.common.centre_sigma**2 * np.eye(2)
+    d2 = position_odds(scene.common, shift, s, settings.evidence)[1]
+    apart = np.hypot(*shift.T) > scene.common.core_m
+    rows = np.flatnonzero((d2 > settings.strangers * settings.gate) & apart)
+    rows = rows[:: -(-len(rows) // _MOST_STRANGERS) or 1]
+    return np.sort(_surroundings(scene, a[rows], b[rows], cov[rows], settings).sum())
+
+
+def _likeness_odds(alike: FloatArray, strangers: FloatArray) -> FloatArray:
+    """(k,) log odds that `alike` is worth, by the share of strangers that are as much alike.
+
+    Beyond all strangers the odds grow as the model says: they are not known to be wrong there.
+    """
+    if len(strangers) == 0:
+        return alike
+    as_much = len(strangers) - np.searchsorted(strangers, alike)
+    beyond = np.maximum(alike - strangers[-1], 0.0)
+    out: FloatArray = np.log1p(len(strangers)) - np.log1p(as_much) + beyond
+    return out
 
 
 def _pairs_within(xy: FloatArray, reach_m: float) -> IntArray:
