@@ -8,8 +8,12 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
+from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
 from topobatch.topology.closure.drivenby import phantoms, settle
+from topobatch.topology.closure.evidence import EvidenceSettings, background, rarity
 from topobatch.topology.closure.gated import gated_closure
+from topobatch.topology.closure.growth import Scene
+from topobatch.topology.closure.jointly import agreeing
 from topobatch.topology.closure.layout import lay_out
 from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
@@ -17,6 +21,7 @@ from topobatch.topology.closure.rates import measured_rates
 from topobatch.topology.closure.rectilinear import grid_headings
 from topobatch.topology.closure.rounds import RoundSettings, full_closure
 from topobatch.topology.closure.walk import (
+    SystematicErrors,
     dead_reckoning_covariance,
     make_walk,
     relative_covariance,
@@ -63,11 +68,12 @@ def wander(beside, steps, rng):
     return route
 
 
-def record(world, route, rng=None, *, noise=NOISE, unseen=(), breaks_before=()):
+def record(world, route, rng=None, *, noise=NOISE, bias=0.0, unseen=(), breaks_before=()):
     """Odometry and passes of a drive through the junctions of a route.
 
-    With an rng, the odometry drifts and the passes are off by `noise`. unseen: steps of the route
-    at which the detector is blind; breaks_before: steps before which the odometry jumps.
+    With an rng, the odometry drifts and the passes are off by `noise`. bias: [rad/m] that the
+    odometry turns too far; unseen: steps of the route at which the detector is blind;
+    breaks_before: steps before which the odometry jumps.
     Returns odometry, passes, and the junction of each pass.
     """
     xy, beside = world
@@ -85,7 +91,7 @@ def record(world, route, rng=None, *, noise=NOISE, unseen=(), breaks_before=()):
     pose = np.column_stack([true, heading])
     if rng is not None:
         ds = np.hypot(*step.T)
-        turn = wrap(np.diff(heading))
+        turn = wrap(np.diff(heading)) + bias * ds
         turn = turn + rng.normal(size=len(ds)) * np.hypot(
             noise.heading_rad_per_sqrt_m * np.sqrt(ds),
             noise.heading_rad_per_sqrt_rad * np.sqrt(np.abs(turn)),
@@ -228,6 +234,159 @@ def test_every_identification_keeps_its_evidence():
     assert len(made) >= len(truth) - (closed.place.max() + 1)
     assert all(truth[q.first] == truth[q.second] and q.first < q.second for q in made)
     assert all(q.bits > 4 and q.reason for q in made)
+
+
+def test_a_second_lap_closes_that_position_alone_speaks_against():
+    rng = np.random.default_rng(21)
+    world = grid_world(5, 5, rng)
+    lap = [(0, c) for c in range(5)] + [(r, 4) for r in range(1, 5)]
+    lap += [(4, c) for c in range(3, -1, -1)] + [(r, 0) for r in range(3, 0, -1)]
+    odometry, passes, truth = record(world, lap + lap[:9], rng, bias=0.02)
+    walk = make_walk(odometry, passes, NOISE, SystematicErrors(turn_rad_per_m=0.03))
+    start = lay_out(walk, np.arange(len(walk)))
+    scene = _scene(walk, start)
+    plain = candidates(scene, np.arange(len(walk)), start, exact=False)
+    assert len(plain) == 0  # nothing is plain by position
+    closed = full_closure(walk)
+    assert closed.place.tolist() == partition(truth).tolist()
+
+
+def _scene(walk, layout):
+    places = tabulate(walk, np.arange(len(walk)), layout.pose[:, 2], 0.35)
+    common = background(walk, walk.noise)
+    return Scene(walk, places, layout.xy, common, rarity(places, common, EvidenceSettings()))
+
+
+def test_streets_of_one_length_make_likeness_common():
+    """Blocks of a regular grid look alike; in crooked streets nothing does."""
+    taken_off = []
+    xy, beside = grid_world(6, 6)
+    crooked = {v: p + np.random.default_rng(v).uniform(-1.6, 1.6, 2) for v, p in xy.items()}
+    for world in ((xy, beside), (crooked, beside)):
+        rng = np.random.default_rng(22)
+        odometry, passes, _ = record(world, wander(world[1], 120, rng), rng)
+        walk = make_walk(odometry, passes, NOISE)
+        start = lay_out(walk, np.arange(len(walk)))
+        found = candidates(_scene(walk, start), np.arange(len(walk)), start, exact=False)
+        assert len(found) > 20
+        assert np.all(found.commonness >= 0)
+        taken_off.append(float(np.median(found.commonness)))
+    assert taken_off[0] > taken_off[1] + 2
+
+
+def test_likeness_is_worth_its_rarity_among_strangers():
+    strangers = np.sort(np.random.default_rng(1).normal(0.0, 3.0, 2000))
+    alike = np.linspace(-10.0, 40.0, 101)
+    odds = likeness_odds(alike, strangers)
+    assert np.all(np.diff(odds) >= 0)
+    # Half of the strangers look like that: odds of two to one.
+    assert likeness_odds(np.array([np.median(strangers)]), strangers)[0] == pytest.approx(
+        np.log(2), abs=0.01
+    )
+    top = strangers[-1]
+    beyond = likeness_odds(np.array([top + 1e-9, top + 7.0]), strangers)
+    assert beyond[0] == pytest.approx(np.log(2001), abs=0.01)
+    assert beyond[1] - beyond[0] == pytest.approx(7.0)
+    np.testing.assert_array_equal(likeness_odds(alike, np.zeros(0)), alike)
+
+
+@pytest.mark.parametrize(("seed", "steps"), [(13, 80), (17, 40)])
+def test_doubts_are_kept_with_what_became_of_them(seed, steps):
+    rng = np.random.default_rng(seed)
+    world = grid_world(7, 7)  # regular: much looks alike
+    loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
+    odometry, passes, _ = record(world, wander(world[1], steps, rng), rng, noise=loud)
+    closed = full_closure(make_walk(odometry, passes, loud))
+    doubts = [q for q in closed.asked if not q.accepted]
+    assert doubts
+    pairs = [tuple(sorted((closed.place[q.first], closed.place[q.second]))) for q in doubts]
+    assert all(a != b for a, b in pairs)  # what was joined after all is no doubt
+    assert len(set(pairs)) == len(pairs)
+    assert {q.reason for q in doubts} <= {
+        "not sure enough",
+        "corridors disagree",
+        "places that are certainly two look as much alike",
+        "too far apart once the run was laid out anew",
+        "taken back: a pass was torn away",
+    }
+
+
+def _ends_of_a_long_way(offsets, street=(0, 7, 13, 22)):
+    """A street driven twice, 150 m of ways without branches in common between the two drives.
+
+    offsets: where the second drive comes by junctions of the first, and how far it seems off [m].
+    """
+    first = np.array([[x, 0.0] for x in street])
+    away = np.array([[60.0, 40.0 + 10 * k] for k in range(4)])
+    again = first[: len(offsets)] + np.asarray(offsets)
+    centre = np.vstack([first, away, again])
+    pose = np.vstack([np.linspace(p, q, 60) for p, q in itertools.pairwise(centre)])
+    pose = np.column_stack([pose, np.zeros(len(pose))])
+    time_ns = T0 + np.arange(len(pose)) * 100_000_000
+    odometry = Odometry(time_ns, pose, np.zeros(0, int))
+    when = time_ns[np.minimum(np.arange(len(centre)) * 60, len(pose) - 1)]
+    none = Ragged.from_rows([np.zeros(0)] * len(centre))
+    count = len(centre)
+    passes = Passes(
+        time_ns=when, start_ns=when, end_ns=when, centre=centre, branches=none, support=none,
+        entry=np.full(count, NO_BRANCH), exit=np.full(count, NO_BRANCH),
+        messages=np.full(count, 9), confidence=np.ones(count),
+    )  # fmt: skip
+    walk = make_walk(odometry, passes, replace(NOISE, heading_rad_per_sqrt_m=0.012))
+    return walk, lay_out(walk, np.arange(count))
+
+
+def _asked(a, b, position, alike):
+    """Candidates with nothing but position and likeness."""
+    zero = np.zeros(len(a))
+    likeness = np.asarray(alike, float)
+    return Candidates(np.array(a), np.array(b), position, likeness, zero, zero, zero, zero)
+
+
+@pytest.mark.parametrize(
+    ("offsets", "together"),
+    [
+        ([[2.0, 1.5]] * 4, True),  # all are off by the same: one drift explains it
+        ([[2.0, 1.5], [-2.0, 3.5], [4.0, -2.5], [-3.0, -3.0]], False),
+        ([[2.0, 1.5]], False),  # one alone is not sure
+    ],
+)
+def test_identifications_that_agree_on_one_position_are_sure_together(offsets, together):
+    walk, layout = _ends_of_a_long_way(offsets)
+    k = len(offsets)
+    common = background(walk, walk.noise)
+    a, b = np.arange(k), 8 + np.arange(k)
+    position = np.full(k, -2.0)
+    found = _asked(a, b, position, np.full(k, 4.0))
+    rows, odds = agreeing(layout, found, common, EvidenceSettings())
+    assert (rows.tolist() == list(range(k))) is together
+    assert np.all(odds > 4.5)
+
+
+@pytest.mark.parametrize(("off", "expected"), [(3.0, []), (0.4, [0, 1, 2])])
+def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
+    """Junctions 6 m apart, passed again: by these, or each by the next one?"""
+    walk, layout = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
+    a, b = np.array([0, 1, 2, 1, 2, 3]), np.array([8, 9, 10, 8, 9, 10])
+    found = _asked(a, b, np.full(6, -2.0), np.full(6, 5.0))
+    rows, _ = agreeing(layout, found, background(walk, walk.noise), EvidenceSettings())
+    assert rows.tolist() == expected
+
+
+def test_layout_begins_with_the_headings_of_the_grid():
+    """Odometry that has turned round by itself twice is laid straight at once."""
+    rng = np.random.default_rng(23)
+    world = grid_world(8, 8, rng)
+    loud = replace(NOISE, heading_rad_per_sqrt_m=0.03)
+    odometry, passes, truth = record(world, wander(world[1], 700, rng), rng, noise=loud, bias=0.004)
+    walk = make_walk(odometry, passes, loud)
+    layout = lay_out(walk, np.arange(len(walk)), grid=grid_headings(walk))
+    assert layout.solution.converged
+    assert layout.solution.iterations < 10
+    true = np.array([world[0][v] for v in truth])
+    step, there = np.diff(layout.pose[:, :2], axis=0), np.diff(true, axis=0)
+    turn = np.arctan2(*step.T[::-1]) - np.arctan2(*there.T[::-1])
+    assert np.quantile(np.abs(wrap(turn - np.median(turn))), 0.99) < 0.2
 
 
 def test_the_gated_closure_is_honest_and_finds_less():

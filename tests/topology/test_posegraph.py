@@ -308,6 +308,31 @@ def test_a_shared_heading_bias_is_found(start: str) -> None:
     assert solution.cost == pytest.approx(cost, rel=1e-6)
 
 
+def test_kept_factors_solve_the_system_they_were_made_of() -> None:
+    """A step with factors from elsewhere is a descent: its promise is positive."""
+    graph, _ = loop_graph(11, n=12, loops=6)
+    way = np.hypot(graph.measurement[:, 0], graph.measurement[:, 1])
+    sensitivity = straight_sensitivity(graph.measurement, way)[:, :, None]
+    graph = replace(graph, shared=SharedErrors(sensitivity, np.array([0.1])))
+    solution = solve(graph)
+    pattern = build_pattern(graph, skeleton(graph))
+    there = linearise(graph, pattern, solution)
+    factor = there.factorise()
+    rng = np.random.default_rng(2)
+    turned = replace(solution, pose=solution.pose + rng.normal(0, 0.5, solution.pose.shape))
+    here = linearise(graph, pattern, turned)
+    move, shift = here.step(factor)
+    # The bordered matrix of the factors, dense, times the step is the gradient of this system.
+    A = csc_array((there.data, pattern.indices, pattern.indptr)).toarray()
+    M = np.block([[A, there.border], [there.border.T, there.corner]])
+    x = np.zeros(pattern.size)
+    free = pattern.variable >= 0
+    x[pattern.variable[free]] = move[free]
+    g = np.append(here.gradient, here.border_gradient)
+    np.testing.assert_allclose(M @ np.append(x, shift), g, atol=1e-8 * np.abs(g).max())
+    assert here.promise(move, shift) > 0
+
+
 def test_marginals_equal_the_dense_inverse() -> None:
     graph, _ = loop_graph(10, n=12, loops=6)
     way = np.hypot(graph.measurement[:, 0], graph.measurement[:, 1])

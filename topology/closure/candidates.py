@@ -1,0 +1,303 @@
+"""Pairs of places that may be one, with what speaks for and against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from .evidence import Background, EvidenceSettings, align, best_position_odds, position_odds
+from .growth import GrowthSettings, Scene, grow
+from .layout import Layout
+from .places import NOWHERE, Places
+from .walk import Walk, dead_reckoning_covariance
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_FAR_M = 80.0
+"""Longest way that `known_way_variance` looks at."""
+_STRIP = 256
+_MOST_TABLED = 1_000_000
+"""Pairs of places in one table: some 200 MB."""
+_MOST_STRANGERS = 3000
+"""Pairs of places known to be two that are asked what they have in common."""
+
+
+@dataclass(frozen=True, slots=True)
+class CandidateSettings:
+    """Which pairs of places are asked about."""
+
+    gate: float = 14.0
+    """Largest squared Mahalanobis distance (2 d.o.f.)."""
+    reach_m: float = 20.0
+    """Places farther apart than this in the layout are not asked about."""
+    most_pairs: int = 5000
+    """In long runs no more pairs are looked at in one round, the nearest (or six per place)."""
+    least_position: float = -6.0
+    """Log odds that position must leave a candidate; more than 0 in the first round, which takes
+    what is plain: the rest is easier once that is settled."""
+    least_hope: float = 0.0
+    """Candidates that could not reach these log odds wherever they lay are not looked at."""
+    strangers: float = 1.5
+    """Places this many times farther apart than the gate allows are certainly two."""
+    support_cap: float = 12.0
+    """Most that growth may add."""
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    growth: GrowthSettings = field(default_factory=GrowthSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Pairs of places a < b that may be one, with what speaks for and against (log odds)."""
+
+    a: IntArray
+    b: IntArray
+    position: FloatArray
+    branches: FloatArray
+    support: FloatArray
+    conflict: FloatArray
+    commonness: FloatArray
+    """What is taken off because places that are certainly two look as much alike."""
+    turn: FloatArray
+    """Added to the branches of b to meet those of a [rad]."""
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    @property
+    def alike(self) -> FloatArray:
+        """(k,) all evidence but that of position."""
+        out: FloatArray = self.branches + self.support - self.conflict - self.commonness
+        return out
+
+    @property
+    def total(self) -> FloatArray:
+        """(k,) all evidence."""
+        out: FloatArray = self.position + self.alike
+        return out
+
+
+def no_candidates() -> Candidates:
+    """Nothing to ask about."""
+    none, zero = np.zeros(0, np.int64), np.zeros(0)
+    return Candidates(none, none, zero, zero, zero, zero, zero, zero)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Apart:
+    """Pairs of places a < b: shift (k, 2) [m] from b to a, cov (k, 3, 3) of what is known of it."""
+
+    a: IntArray
+    b: IntArray
+    shift: FloatArray
+    cov: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    def take(self, rows: IntArray | NDArray[np.bool_]) -> _Apart:
+        return _Apart(self.a[rows], self.b[rows], self.shift[rows], self.cov[rows])
+
+    def odds(self, common: Background, settings: EvidenceSettings) -> tuple[FloatArray, FloatArray]:
+        """(k,) `position_odds` and squared Mahalanobis distance, the two centres' noise added."""
+        cov = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
+        return position_odds(common, self.shift, cov, settings)
+
+
+def candidates(
+    scene: Scene,
+    place: IntArray,
+    layout: Layout,
+    settings: CandidateSettings = CandidateSettings(),
+    *,
+    exact: bool,
+) -> Candidates:
+    """All pairs of places that position and branches allow, with their evidence.
+
+    Bounds that are cheap come first: dead reckoning, the shortest known way, then what branches and
+    corridors could make of the best position. Only what is left needs covariances of the solved
+    graph (`exact`); the bounds stand for them otherwise.
+    """
+    common = scene.common
+    pairs = _known_apart(scene, place, layout, settings)
+    strangers = _strangers(scene, pairs, settings)
+    spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
+    pairs = pairs.take((pairs.shift**2).sum(axis=1) < settings.gate * spread)
+    pairs = _nearest(pairs, max(settings.most_pairs, 6 * len(scene.places)))
+    if exact:
+        best = best_position_odds(common, pairs.shift, settings.evidence)
+        pairs = pairs.take(best + _surroundings(scene, pairs, settings).sum() > settings.least_hope)
+        pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
+    odds, d2 = pairs.odds(common, settings.evidence)
+    fine = (d2 < settings.gate) & (odds > (settings.least_position if exact else 0.0))
+    pairs = pairs.take(fine)
+    found = _surroundings(scene, pairs, settings)
+    alike = found.sum()
+    commonness = np.maximum(alike - likeness_odds(alike, strangers), 0.0)
+    return Candidates(
+        pairs.a,
+        pairs.b,
+        odds[fine],
+        found.branches,
+        found.support,
+        found.conflict,
+        commonness,
+        found.turn,
+    )
+
+
+def _known_apart(
+    scene: Scene, place: IntArray, layout: Layout, settings: CandidateSettings
+) -> _Apart:
+    """Pairs of places within reach, in one piece of odometry, with bounds on their covariance.
+
+    What dead reckoning alone excludes stays excluded: closures only make it more certain.
+    """
+    walk, places = scene.walk, scene.places
+    a, b = _pairs_within(layout.xy, settings.reach_m).T
+    i, j = _nearest_in_time(places, place, a, b)
+    same = walk.chain[i] == walk.chain[j]
+    a, b = a[same], b[same]
+    cov = dead_reckoning_covariance(walk, i[same], j[same])
+    cov = _tighter(cov, *known_way_variance(walk, places, a, b))
+    return _Apart(a, b, layout.xy[a] - layout.xy[b], cov)
+
+
+def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
+    """(m,) sorted: what branches and corridors say (log odds) of places that are certainly two.
+
+    Rows of corridors side by side, of one length because a grid is behind them, look like each
+    other more often than independent lengths would: this run tells how often.
+    """
+    _, d2 = pairs.odds(scene.common, settings.evidence)
+    apart = np.hypot(*pairs.shift.T) > scene.common.core_m
+    rows = np.flatnonzero((d2 > settings.strangers * settings.gate) & apart)
+    rows = rows[:: -(-len(rows) // _MOST_STRANGERS) or 1]
+    return np.sort(_surroundings(scene, pairs.take(rows), settings).sum())
+
+
+def likeness_odds(alike: FloatArray, strangers: FloatArray) -> FloatArray:
+    """(k,) log odds that `alike` is worth, by the share of strangers that are as much alike.
+
+    Beyond all strangers the odds grow as the model says: they are not known to be wrong there.
+    """
+    if len(strangers) == 0:
+        return alike
+    as_much = len(strangers) - np.searchsorted(strangers, alike)
+    beyond = np.maximum(alike - strangers[-1], 0.0)
+    out: FloatArray = np.log1p(len(strangers)) - np.log1p(as_much) + beyond
+    return out
+
+
+def _pairs_within(xy: FloatArray, reach_m: float) -> IntArray:
+    """(k, 2) pairs a < b of points that near, sorted; nearer ones only where that are too many."""
+    tree = cKDTree(xy)
+    while int(tree.count_neighbors(tree, reach_m)) > 2 * _MOST_TABLED:
+        reach_m *= 0.7
+    pairs = tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
+    out: IntArray = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return out
+
+
+def _nearest(pairs: _Apart, most: int) -> _Apart:
+    """The pairs that lie nearest to each other: the others' turn comes when these are settled."""
+    if len(pairs) <= most:
+        return pairs
+    near = np.argsort((pairs.shift**2).sum(axis=1), kind="stable")[:most]
+    return pairs.take(np.sort(near))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surroundings:
+    """Evidence of branches and corridors (log odds)."""
+
+    branches: FloatArray
+    support: FloatArray
+    conflict: FloatArray
+    turn: FloatArray
+
+    def sum(self) -> FloatArray:
+        out: FloatArray = self.branches + self.support - self.conflict
+        return out
+
+
+def _surroundings(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> _Surroundings:
+    a, b = pairs.a, pairs.b
+    turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0)) + 0.02
+    aligned = align(scene.places, scene.common, a, b, turn_sigma=turn_sigma)
+    branches = aligned.score - np.maximum(scene.rare[a], scene.rare[b])
+    grown = grow(scene, a, b, aligned, settings.growth)
+    gain = np.minimum(grown.gain, settings.support_cap)
+    return _Surroundings(branches, gain, grown.loss, aligned.turn)
+
+
+def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:
+    """`cov` (k, 3, 3), or the round one of the given variances where that is smaller."""
+    other = np.zeros_like(cov)
+    other[:, 0, 0] = other[:, 1, 1] = np.where(np.isfinite(position), 0.5 * position, 0.0)
+    other[:, 2, 2] = np.where(np.isfinite(turn), turn, 0.0)
+    better = position < cov[:, 0, 0] + cov[:, 1, 1]
+    out: FloatArray = np.where(better[:, None, None], other, cov)
+    return out
+
+
+def known_way_variance(
+    walk: Walk, places: Places, a: IntArray, b: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) bounds on the squared error [m²] and turn [rad²] of b seen from a.
+
+    Those of dead reckoning along the shortest known way: corridors bound the error of a solved
+    graph from above, and cheaply, by one Dijkstra over all places, in strips. Ways longer than
+    `_FAR_M` bound nothing (inf).
+    """
+    source, slot = np.nonzero(places.next_place != NOWHERE)
+    n = len(places)
+    way = np.maximum(places.length[source, slot], 0.1)
+    graph = csr_matrix((way, (source, places.next_place[source, slot])), shape=(n, n))
+    length = np.full(len(a), np.inf)
+    order = np.argsort(a, kind="stable")
+    heads = np.unique(a)
+    cuts = np.searchsorted(a[order], np.append(heads, n))
+    for begin in range(0, len(heads), _STRIP):
+        end = min(begin + _STRIP, len(heads))
+        rows = order[cuts[begin] : cuts[end]]
+        reach = dijkstra(graph, directed=False, indices=heads[begin:end], limit=_FAR_M)
+        length[rows] = reach[np.searchsorted(heads[begin:end], a[rows]), b[rows]]
+    noise, extra = walk.noise, walk.systematic
+    # As if every metre of the way lay as far off as the middle of it, with a corner every 4 m.
+    corners = np.pi / 2 * (1.0 + length / 4.0)
+    turn = noise.heading_rad_per_sqrt_m**2 * length + noise.heading_rad_per_sqrt_rad**2 * corners
+    turn = turn + (extra.turn_rad_per_m * length) ** 2 + (extra.turn_rad_per_rad * corners) ** 2
+    position = 2 * noise.along_m_per_sqrt_m**2 * length + turn * (0.5 * length) ** 2
+    return 2.0 * position, 2.0 * turn
+
+
+def _nearest_in_time(
+    places: Places, place: IntArray, a: IntArray, b: IntArray
+) -> tuple[IntArray, IntArray]:
+    """A pass of each of two places, near in time: the later one's first, the other's one before."""
+    early, late = np.where(places.first[a] < places.first[b], [a, b], [b, a])
+    count = len(place)
+    key = np.sort(place * count + np.arange(count))
+    j = places.first[late]
+    i = key[np.searchsorted(key, early * count + j) - 1] % count
+    return i, j
+
+
+def _exact_covariance(layout: Layout, a: IntArray, b: IntArray) -> FloatArray:
+    """(k, 3, 3) of place b seen from place a, in map axes, from the solved graph."""
+    if len(a) == 0:
+        return np.zeros((0, 3, 3))
+    na, nb = layout.node[a], layout.node[b]
+    cov = layout.relative_covariance(na, nb)
+    theta = layout.solution.pose[na, 2]
+    c, s = np.cos(theta), np.sin(theta)
+    R = np.zeros((len(a), 3, 3))
+    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1.0
+    out: FloatArray = R @ cov @ R.transpose(0, 2, 1)
+    return out

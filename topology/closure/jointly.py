@@ -1,0 +1,174 @@
+"""Identifications that only together are certain (joint compatibility).
+
+A long loop that ends in a dozen places: none of them is sure to be the one left an hour ago, but
+if one is, all the others lie where they should. Neira, Tardós: Data Association in Stochastic
+Mapping Using the Joint Compatibility Test (T-RO 2001), here with odds in place of gates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..posegraph import Marginals
+from .candidates import Candidates
+from .evidence import Background, EvidenceSettings, position_odds
+from .layout import Layout
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class JointSettings:
+    """When identifications are believed that are doubtful one by one."""
+
+    most: int = 30
+    """So many candidates, the best, are looked at together."""
+    least: float = -4.0
+    """Candidates with less than these log odds are left out."""
+    threshold: float = 9.0
+    """Log odds asked of all together …"""
+    member: float = 4.5
+    """… and of each, given the others."""
+    lead: float = 3.0
+    """Log odds that they must have over every set that excludes one of them; asked of a candidate,
+    given those before it, to join them."""
+    largest: int = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Beliefs:
+    """Where the second place of each candidate lies seen from the first, given what is accepted.
+
+    shift: (2 k,) [m]; cov: (2 k, 2 k) without the noise of the two centres; alike: (k,) log odds of
+    everything but position.
+    """
+
+    shift: FloatArray
+    cov: FloatArray
+    alike: FloatArray
+    common: Background
+    evidence: EvidenceSettings
+
+    def odds(self) -> FloatArray:
+        """(k,) log odds of each candidate."""
+        k = len(self.alike)
+        own = np.arange(k)
+        blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
+        noise = 2 * self.common.centre_sigma**2 * np.eye(2)
+        odds, _ = position_odds(
+            self.common, self.shift.reshape(k, 2), blocks + noise, self.evidence
+        )
+        out: FloatArray = odds + self.alike
+        return out
+
+    def given(self, row: int) -> _Beliefs:
+        """Beliefs if that candidate is one place: a Kalman update with "no shift"."""
+        at = slice(2 * row, 2 * row + 2)
+        noise = 2 * self.common.centre_sigma**2 * np.eye(2)
+        gain = np.linalg.solve(self.cov[at, at] + noise, self.cov[at]).T
+        shift = self.shift - gain @ self.shift[at]
+        cov = self.cov - gain @ self.cov[at]
+        return _Beliefs(shift, cov, self.alike, self.common, self.evidence)
+
+
+def agreeing(
+    layout: Layout,
+    found: Candidates,
+    common: Background,
+    evidence: EvidenceSettings,
+    settings: JointSettings = JointSettings(),
+) -> tuple[IntArray, FloatArray]:
+    """Rows of the candidates that are certain together, and the log odds of each given the others.
+
+    Empty where no set is certain, or where another set that excludes one of it is nearly as good.
+    """
+    total = found.total
+    rows = np.flatnonzero(total > settings.least)
+    rows = np.sort(rows[np.argsort(-total[rows], kind="stable")[: settings.most]])
+    nothing = np.zeros(0, np.int64), np.zeros(0)
+    if len(rows) < 2:
+        return nothing
+    a, b = found.a[rows], found.b[rows]
+    start = _Beliefs(*_shifts(layout, a, b), found.alike[rows], common, evidence)
+    shared, excluded = _sharing(a, b)
+    # Candidates that share a place say in part the same; one of them is enough for now.
+    sets = [_grown(start, seed, shared, settings) for seed in range(len(rows))]
+    worth = np.array([value for value, _ in sets])
+    best = int(worth.argmax())
+    members = np.sort(np.array(sets[best][1]))
+    if len(members) < 2 or worth[best] < settings.threshold:
+        return nothing
+    rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
+    if worth[best] - max(rivals, default=-np.inf) < settings.lead:
+        return nothing
+    left = float(worth[best])
+    while len(members) > 1:
+        each = np.array([_odds_given(start, k, members) for k in members.tolist()])
+        weakest = int(each.argmin())
+        if each[weakest] >= settings.member:
+            return rows[members], each
+        left -= float(each[weakest])
+        members = np.delete(members, weakest)
+        if left < settings.threshold:
+            break
+    return nothing
+
+
+def _sharing(a: IntArray, b: IntArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(k, k) candidates that share a place; those of them that cannot both be true.
+
+    "a is b" and "a is c" exclude each other unless "b is c" is a candidate as well.
+    """
+    shared = (a[:, None] == a) | (b[:, None] == b) | (a[:, None] == b) | (b[:, None] == a)
+    known = {frozenset(pair) for pair in zip(a.tolist(), b.tolist(), strict=True)}
+    excluded = np.zeros_like(shared)
+    for i, j in np.argwhere(shared).tolist():
+        third = frozenset((a[i], b[i])) ^ frozenset((a[j], b[j]))
+        excluded[i, j] = i != j and third not in known
+    return shared, excluded
+
+
+def _shifts(layout: Layout, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(2 k,) positions of places a less those of b, and their joint covariance (2 k, 2 k)."""
+    nodes, at = np.unique(layout.node[np.concatenate([a, b])], return_inverse=True)
+    n, k = len(nodes), len(a)
+    marginals = Marginals.of(layout.graph, layout.solution)
+    first, second = np.divmod(np.arange(n * n), n)
+    _, _, cross = marginals.joint(nodes[first], nodes[second])
+    full = cross[:, :2, :2].reshape(n, n, 2, 2).transpose(0, 2, 1, 3).reshape(2 * n, 2 * n)
+    difference = np.zeros((2 * k, 2 * n))
+    for axis in (0, 1):
+        difference[2 * np.arange(k) + axis, 2 * at[:k] + axis] = 1.0
+        difference[2 * np.arange(k) + axis, 2 * at[k:] + axis] -= 1.0
+    return (layout.xy[a] - layout.xy[b]).ravel(), difference @ full @ difference.T
+
+
+def _grown(
+    start: _Beliefs, seed: int, shared: NDArray[np.bool_], settings: JointSettings
+) -> tuple[float, list[int]]:
+    """Joint log odds of the set that grows from a seed, best first, and its members."""
+    value, members, beliefs = float(start.odds()[seed]), [seed], start.given(seed)
+    allowed = ~shared[seed]
+    while len(members) < settings.largest:
+        odds = np.where(allowed, beliefs.odds(), -np.inf)
+        best = int(odds.argmax())
+        if odds[best] < settings.lead:
+            break
+        value += float(odds[best])
+        members.append(best)
+        allowed &= ~shared[best]
+        beliefs = beliefs.given(best)
+    return value, members
+
+
+def _odds_given(start: _Beliefs, row: int, members: IntArray) -> float:
+    """Log odds of one member if all the others are true."""
+    beliefs = start
+    for other in members.tolist():
+        if other != row:
+            beliefs = beliefs.given(other)
+    return float(beliefs.odds()[row])
