@@ -193,7 +193,7 @@ def growth(first):
     """CPU seconds of the steps against the number of passes."""
     steps = ("calibration", "noise", "closure", "settling")
     print(f"{'passes':>7} {'places':>7} " + " ".join(f"{s:>12}" for s in steps))
-    for junctions in (100, 300, 750, 3000):
+    for junctions in (100, 300, 750, 2250):
         _, run = simulated("maze", "mid", "mild", first, junctions)
         clock = [time.process_time()]
         odometry = apply_calibration(run.odometry, calibrate(run.odometry, run.detections))

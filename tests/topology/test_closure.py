@@ -11,7 +11,7 @@ import pytest
 from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
 from topobatch.topology.closure.drivenby import phantoms, settle
 from topobatch.topology.closure.evidence import EvidenceSettings, background, rarity
-from topobatch.topology.closure.gated import gated_closure
+from topobatch.topology.closure.gated import Identification, gated_closure
 from topobatch.topology.closure.growth import Scene
 from topobatch.topology.closure.jointly import agreeing
 from topobatch.topology.closure.layout import lay_out
@@ -19,7 +19,7 @@ from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.closure.rates import measured_rates
 from topobatch.topology.closure.rectilinear import grid_headings
-from topobatch.topology.closure.rounds import RoundSettings, full_closure
+from topobatch.topology.closure.rounds import RoundSettings, full_closure, weakest_cut
 from topobatch.topology.closure.walk import (
     SystematicErrors,
     dead_reckoning_covariance,
@@ -255,6 +255,19 @@ def _scene(walk, layout):
     places = tabulate(walk, np.arange(len(walk)), layout.pose[:, 2], 0.35)
     common = background(walk, walk.noise)
     return Scene(walk, places, layout.xy, common, rarity(places, common, EvidenceSettings()))
+
+
+def test_a_place_is_split_where_it_hangs_together_least():
+    def link(i, j, bits):
+        return Identification(i, j, True, bits, "")
+
+    # {0, 1, 2} and {3, 4} by strong links, two weak ones between them.
+    strong = [link(0, 1, 30), link(1, 2, 25), link(0, 2, 9), link(3, 4, 28)]
+    weak = [link(2, 3, 12), link(0, 4, 11)]
+    assert weakest_cut(strong + weak) == weak
+    alone = link(5, 6, 3)
+    assert weakest_cut([alone]) == [alone]
+    assert weakest_cut([]) == []
 
 
 def test_streets_of_one_length_make_likeness_common():

@@ -57,7 +57,9 @@ class RoundSettings:
     lowest: float = 0.35
     """… to at least this share of what was estimated."""
     strain: float = 30.0
-    """Squared error [3 d.o.f.] of a sighting from which its identification is taken back."""
+    """Squared error [3 d.o.f.] of a sighting from which its identification is taken back …"""
+    patience: int = 2
+    """… so many times."""
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
     rates: RateSettings = field(default_factory=RateSettings)
     layout: LayoutSettings = field(default_factory=LayoutSettings)
@@ -83,6 +85,7 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     grid = grid_headings(walk, settings.grid)
     links: list[Identification] = []
     strikes: Counter[tuple[int, int]] = Counter()
+    torn: Counter[int] = Counter()
     doubts: dict[tuple[int, int], Identification] = {}
     place = np.arange(len(walk), dtype=np.int64)
     layout = lay_out(walk, place, grid=grid, settings=settings.layout)
@@ -114,7 +117,7 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
             # The noise is not what it seemed before anything was identified.
             loudness, walk = better, louder(quiet, better)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
-        bad = _strained(place, layout, links, settings)
+        bad = _strained(place, layout, links, torn, settings)
         if bad:
             strikes.update((q.first, q.second) for q in bad)
             doubts.update(
@@ -253,18 +256,42 @@ def _answer(
 
 
 def _strained(
-    place: IntArray, layout: Layout, links: list[Identification], settings: RoundSettings
+    place: IntArray,
+    layout: Layout,
+    links: list[Identification],
+    torn: Counter[int],
+    settings: RoundSettings,
 ) -> list[Identification]:
-    """The weakest link of every place that a pass is torn away from."""
-    bad = np.unique(place[layout.sighting[layout.sighting_chi2 > settings.strain]])
-    if len(bad) == 0:
-        return []
-    weakest: dict[int, Identification] = {}
+    """The weakest links of every place that a pass is torn away from, enough to split it in two.
+
+    torn: how often that has been done for a pass already; counted on. What is found the same again
+    and again is left as it is.
+    """
+    loose = layout.sighting[layout.sighting_chi2 > settings.strain]
+    loose = loose[[torn[i] < settings.patience for i in loose.tolist()]]
+    torn.update(loose.tolist())
+    bad = set(place[loose].tolist())
+    of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
     for q in links:
-        p = int(place[q.first])
-        if p not in weakest or q.bits < weakest[p].bits:
-            weakest[p] = q
-    return [weakest[p] for p in bad.tolist() if p in weakest]
+        if int(place[q.first]) in bad:
+            of_place[int(place[q.first])].append(q)
+    return [q for mine in of_place.values() for q in weakest_cut(mine)]
+
+
+def weakest_cut(links: list[Identification]) -> list[Identification]:
+    """The links between the two parts of a place that are joined last, strongest links first."""
+    passes = sorted({i for q in links for i in (q.first, q.second)})
+    part = {i: i for i in passes}
+    parts = len(passes)
+    for q in sorted(links, key=lambda q: (-q.bits, q.first, q.second)):
+        a, b = part[q.first], part[q.second]
+        if a == b:
+            continue
+        if parts == 2:
+            return [r for r in links if part[r.first] != part[r.second]]
+        part = {i: a if p == b else p for i, p in part.items()}
+        parts -= 1
+    return []
 
 
 def _doubted(
