@@ -44,18 +44,33 @@ def _carried(
     """Rows i of detections so that the robot was carried between i and i + 1."""
     if len(detections) < 2 * settings.sightings or len(odometry) < 2:
         return np.zeros(0, np.int64)
-    # Way and turn travelled up to each detection, so that standing is a difference of two entries.
     row = np.clip(np.searchsorted(odometry.time_ns, detections.time_ns), 0, len(odometry) - 1)
-    way = np.cumsum(odometry.step_m)[row]
-    turn = np.cumsum(np.abs(odometry.turn_rad))[row]
     centre = detections.centre
     step = np.hypot(*np.diff(centre, axis=0).T)
-    found = [
-        i
-        for i in np.flatnonzero(step > settings.apart_m).tolist()
-        if _is_journey(i, way, turn, centre, settings)
-    ]
+    suspects = np.flatnonzero(step > settings.apart_m)
+    suspects = suspects[_may_stand(suspects, row, odometry, settings)]
+    if len(suspects) == 0:
+        return suspects
+    # Way and turn travelled up to each detection, so that standing is a difference of two entries.
+    way = np.cumsum(odometry.step_m)[row]
+    turn = np.cumsum(np.abs(odometry.turn_rad))[row]
+    found = [i for i in suspects.tolist() if _is_journey(i, way, turn, centre, settings)]
     return np.array(found, np.int64)
+
+
+def _may_stand(
+    i: NDArray[np.int64], row: NDArray[np.int64], odometry: Odometry, settings: CarriedSettings
+) -> NDArray[np.bool_]:
+    """Whether the robot may have stood around detection i, by two poses instead of all between.
+
+    Who stands ends where he began, except across a break.
+    """
+    first = np.maximum(i + 1 - settings.sightings, 0)
+    last = np.minimum(i + settings.sightings, len(row) - 1)
+    before, after = row[first], row[last]
+    moved = np.hypot(*(odometry.pose[after, :2] - odometry.pose[before, :2]).T)
+    broken = np.diff(np.searchsorted(odometry.breaks, [before, after], "right"), axis=0)[0] > 0
+    return np.asarray((moved <= 2 * settings.standing_m) | broken)
 
 
 def _is_journey(

@@ -43,10 +43,11 @@ class Source:
         before = 0
         for sink in sinks:
             columns = sink.columns()
-            columns.message = columns.message + before
+            columns.message += before
             pairs = sink.decoder.frames.pairs
-            numbers = np.array([frames.setdefault(p, len(frames)) for p in pairs], np.int64)
-            columns.frame = numbers[columns.frame]
+            numbers = [frames.setdefault(p, len(frames)) for p in pairs]
+            if numbers != list(range(len(pairs))):
+                columns.frame = np.array(numbers, np.int64)[columns.frame]
             parts.append(columns)
             before += sink.messages
         return cls(

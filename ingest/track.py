@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 
 SECOND_NS = 10**9
 
+BLOCK_STEPS = 1 << 13
+"""So many steps are looked at together where few are expected to matter."""
+
 FEW_STEPS = 20
 """With fewer steps in motion than this, nothing is known about how fast the robot usually is."""
 
@@ -63,7 +66,7 @@ def backward_jumps(time_ns: Ints, min_s: float) -> int:
 
 def _behind(time_ns: Ints) -> tuple[Ints, Ints]:
     """Runs [start, end) of rows that lie before a time already seen."""
-    if len(time_ns) < 2 or (np.diff(time_ns) >= 0).all():
+    if (time_ns[1:] >= time_ns[:-1]).all():
         none = np.zeros(0, np.int64)
         return none, none
     behind = time_ns < np.maximum.accumulate(time_ns)
@@ -115,10 +118,9 @@ def _forward(
 
 
 def _in_order(time_ns: Ints, pose: Floats, warnings: list[str]) -> tuple[Ints, Floats]:
-    step = np.diff(time_ns)
-    if (step > 0).all():
+    if (time_ns[1:] > time_ns[:-1]).all():
         return time_ns, pose
-    late = int((step < 0).sum())
+    late = int((time_ns[1:] < time_ns[:-1]).sum())
     if late:
         order = np.argsort(time_ns, kind="stable")
         time_ns, pose = time_ns[order], pose[order]
@@ -165,6 +167,8 @@ def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[
     """(n - 1,) whether a step cannot have been driven, or falls back to the origin exactly."""
     if len(time_ns) < 2:
         return np.zeros(0, bool)
+    if not _any_leap(pose, settings):
+        return np.zeros(len(time_ns) - 1, bool)
     way, turn, duration = _motion(time_ns, pose)
     zero = ~pose[1:].any(axis=1)
     away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)
@@ -179,6 +183,23 @@ def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[
     # Driving through the exact origin takes a step like any other; a reset takes a far longer one.
     sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
     return far | (reset & sudden)
+
+
+def _any_leap(pose: Floats, settings: TrackSettings) -> bool:
+    """Whether any step may be long, by bounds that cost a fraction of the true lengths.
+
+    A way is at most the sum of its two parts; a turn is at most the difference of the angles.
+    """
+    least_m = 0.99 * min(settings.teleport_min_m, settings.reset_min_m)
+    least_rad = 0.99 * min(settings.teleport_min_rad, settings.reset_min_rad)
+    # In blocks that stay in the processor's cache, so that no large array is made.
+    for first in range(0, len(pose) - 1, BLOCK_STEPS):
+        x, y, turn = np.abs(np.diff(pose[first : first + BLOCK_STEPS + 1], axis=0)).T
+        # From one end of the range of angles to the other is a short turn as well.
+        turned = (turn > least_rad) & (np.abs(turn - 2 * np.pi) > least_rad)
+        if turned.any() or (x + y > least_m).any():
+            return True
+    return False
 
 
 def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float) -> float:

@@ -31,7 +31,7 @@ class Odometry:
         time_ns = frozen_array(self.time_ns, np.int64, (None,), "time_ns")
         pose = frozen_array(self.pose, np.float64, (len(time_ns), 3), "pose")
         breaks = frozen_array(self.breaks, np.int64, (None,), "breaks")
-        if np.any(np.diff(time_ns) <= 0):
+        if np.any(time_ns[1:] <= time_ns[:-1]):
             raise ValueError("odometry times must ascend strictly")
         if np.any(np.diff(breaks) <= 0) or np.any(breaks < 1) or np.any(breaks >= len(time_ns)):
             raise ValueError("breaks must ascend and lie within the track")

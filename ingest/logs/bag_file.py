@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from .ahead import Ahead
 from .bag_wire import (
     BAG_HEADER,
     CHUNK,
@@ -49,11 +52,35 @@ from .tally import NUMBERS, Tally
 from .walk import bag_listed, bag_records
 
 SLAB_BYTES = 1 << 20
-INDEX_BYTES = 1 << 12
-"""So much is read behind a chunk at least, to have its index records."""
 
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
 _CHUNK_HEADER_BYTES = 128
+
+
+class _Chunk(NamedTuple):
+    """A chunk read ahead: where it ends, and where the index behind it says its messages are."""
+
+    end: int
+    offsets: list[Ints]
+
+
+def _inflated(window: FileWindow, record: Record, compression: str, size: int) -> bytes:
+    """The records of a compressed chunk; raises DamageError. For any thread."""
+    _check(record, size)
+    return inflate(compression, window.copy(record.data_at, record.data_size), size)
+
+
+def _plain(window: FileWindow, record: Record, size: int) -> Bytes:
+    """The records of a chunk that is not compressed, in the window; raises DamageError."""
+    _check(record, size)
+    if size != record.data_size:
+        raise DamageError("a chunk does not have its declared size")
+    return window.view(record.data_at, record.data_size)
+
+
+def _check(record: Record, size: int) -> None:
+    if max(record.data_size, size) > CHUNK_BYTES:
+        raise DamageError(f"a chunk declares more than {CHUNK_BYTES >> 20} MiB")
 
 
 class BagFile:
@@ -94,11 +121,18 @@ class _Walk:
         self._index = index
         self._tally = Tally(want, findings, index.channels if index is not None else {})
         self._template: HeadTemplate | None = None
-        self._after_damage = False
+        self._ahead: Ahead[_Chunk] = Ahead()
 
     def run(self) -> Iterator[Block]:
         """All blocks up to the index, the end, or the last readable place."""
         keep_freed_memory()
+        with self._ahead:
+            yield from self._records()
+            yield from self._caught_up(everything=True)
+        self._tally.finish(self._index.counts if self._index is not None else {})
+
+    def _records(self) -> Iterator[Block]:
+        """Go through the records outside chunks."""
         window, position = self._window, len(MAGIC)
         while position < window.size:
             if self._index is not None and position == self._index.start:
@@ -111,6 +145,7 @@ class _Walk:
                 position = self._after(position)
                 continue
             if record.op in (MESSAGE, CONNECTION):
+                yield from self._caught_up(everything=True)
                 position = yield from self._slab(position, record)
                 continue
             if record.op == CHUNK:
@@ -118,18 +153,13 @@ class _Walk:
                     position = self._after(position)
                     continue
                 position = yield from self._chunk(record)
-                if not self._after_damage:
-                    position = self._behind_index(position)
             else:
-                if record.op == INDEX and self._after_damage:
-                    self._count_lost(record)
-                elif record.op == BAG_HEADER:
+                if record.op == BAG_HEADER:
                     self._closed(record)
                 position = record.end
             if position > window.size:
                 self._findings.truncated = True
             window.passed(min(position, window.size))
-        self._tally.finish(self._index.counts if self._index is not None else {})
 
     def _after(self, position: int) -> int:
         """Where reading can go on behind a damaged place; counts what is left out."""
@@ -178,33 +208,63 @@ class _Walk:
     # Chunks
 
     def _chunk(self, record: Record) -> Walking:
-        """The messages of a chunk; returns where the next record begins."""
-        self._after_damage = False
-        window = self._window
+        """Have a chunk inflated ahead, or take what it holds; returns where the next begins."""
         compression = record.fields.get(b"compression", b"none").decode("latin-1")
         try:
             size = number(record.fields, b"size")
-            if size == 0 and record.data_size == 0:
-                # The recorder died before it could fill in the head of its last chunk.
-                return (yield from self._open_chunk(record, compression))
-            if record.end > window.size:
-                return (yield from self._cut_chunk(record, compression, size))
-            if max(record.data_size, size) > CHUNK_BYTES:
-                raise DamageError(f"a chunk declares more than {CHUNK_BYTES >> 20} MiB")
-            # What comes behind is read along: the index records that list the chunk's messages.
-            both = window.view(record.data_at, record.data_size + size // 8 + INDEX_BYTES)
-            data, offsets = both[: record.data_size], listed_offsets(both[record.data_size :])
-            if compression == "none":
-                if size != record.data_size:
-                    raise DamageError("a chunk does not have its declared size")
-            else:
-                data = np.frombuffer(inflate(compression, data, size), np.uint8)
         except DamageError as damage:
-            self._findings.damaged_chunks[str(damage)] += 1
-            self._after_damage = True
+            self._damaged(str(damage), record.end)
             return record.end
-        yield from self._messages(data, offsets)
-        return record.end
+        if size == 0 and record.data_size == 0:
+            # The recorder died before it could fill in the head of its last chunk.
+            yield from self._caught_up(everything=True)
+            return (yield from self._open_chunk(record, compression))
+        if record.end > self._window.size:
+            yield from self._caught_up(everything=True)
+            return (yield from self._cut_chunk(record, compression, size))
+        offsets, position = self._index_behind(record.end, size)
+        chunk = _Chunk(record.end, offsets)
+        if compression == "none":
+            self._ahead.put(chunk, functools.partial(_plain, self._window, record, size))
+            yield from self._caught_up(everything=True)
+        else:
+            task = functools.partial(_inflated, self._window, record, compression, size)
+            self._ahead.begin(chunk, task, record.data_size + size)
+            yield from self._caught_up()
+        return position
+
+    def _caught_up(self, everything: bool = False) -> Iterator[Block]:
+        """Messages of the chunks read ahead."""
+        for chunk, task in self._ahead.due(everything):
+            assert task is not None
+            try:
+                data = np.frombuffer(task(), np.uint8)
+            except DamageError as damage:
+                self._damaged(str(damage), chunk.end)
+                continue
+            yield from self._messages(data, chunk.offsets)
+
+    def _index_behind(self, position: int, size: int) -> tuple[list[Ints], int]:
+        """Places of messages in a chunk of `size` by the index behind it, and where that ends."""
+        offsets: list[Ints] = []
+        while (record := index_record(self._window.view(position, 128))) is not None:
+            begin, end = record
+            # Each entry stands for a record that takes more than the entry does.
+            if end - begin <= size:
+                offsets.append(listed_offsets(self._window.view(position + begin, end - begin)))
+            position += end
+        return offsets, position
+
+    def _damaged(self, reason: str, end: int) -> None:
+        """Count a chunk that cannot be used, and its messages by the index that begins at `end`."""
+        self._findings.damaged_chunks[reason] += 1
+        try:
+            while (record := record_at(self._window, end)).op == INDEX:
+                self._count_lost(record)
+                end = record.end
+        except DamageError:
+            # The index ends in something else; the walk will come to it.
+            return
 
     def _open_chunk(self, record: Record, compression: str) -> Walking:
         self._findings.truncated = True
@@ -235,12 +295,6 @@ class _Walk:
             reason = "is damaged" if index_at else "was never written"
             self._findings.note(f"the index {reason}")
 
-    def _behind_index(self, position: int) -> int:
-        """Place behind the index records at `position`: of no use, so they are not parsed."""
-        while (record := index_record(self._window.view(position, 128), 0)) is not None:
-            position += record[1]
-        return position
-
     def _count_lost(self, record: Record) -> None:
         try:
             key, count = number(record.fields, b"conn"), number(record.fields, b"count")
@@ -264,12 +318,12 @@ class _Walk:
 
     # Messages
 
-    def _messages(self, data: Bytes, offsets: Ints | None = None) -> Iterator[Block]:
+    def _messages(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; connections met are taken in.
 
         offsets: where an index says that the messages are.
         """
-        where = bag_listed(data, offsets) if offsets is not None else None
+        where = bag_listed(data, np.concatenate(offsets)) if offsets else None
         if where is None:
             where, stop = bag_records(data)
             self._findings.unreadable_bytes += len(data) - stop
@@ -286,12 +340,10 @@ class _Walk:
             )
         if len(conn) == 0:
             return
-        sink = self._tally.met(np.minimum(conn, NUMBERS - 1), time)
-        keep = np.flatnonzero(sink >= 0)
-        if len(keep):
-            size_at = size_at[keep]
-            size = words(data, "<u4", size_at).astype(np.int64)
-            yield Block(data, sink[keep], time[keep], size_at + 4, size)
+        for sink, rows in self._tally.met(np.minimum(conn, NUMBERS - 1), time):
+            at = size_at[rows]
+            size = words(data, "<u4", at).astype(np.int64)
+            yield Block(data, sink, time[rows], at + 4, size)
 
     def _learn(self, data: Bytes, where: Ints) -> None:
         """Take the header of the first message as the template of all."""

@@ -128,30 +128,23 @@ INDEX_ENTRY = 12
 _INDEX_MARK = b"\x04\x00\x00\x00op=\x04"
 
 
-def index_record(data: Bytes, position: int) -> tuple[int, int] | None:
-    """Where the data of the index record at `position` begins and ends, None if there is none.
+def index_record(data: Bytes) -> tuple[int, int] | None:
+    """Where the data of the index record at the front of `data` is, None if there is none.
 
-    Quicker than `record_at`; the end may lie behind `data`.
+    Quicker than `record_at`; begin and end may lie behind `data`.
     """
-    head = data[position : position + 128].tobytes()
+    head = data[:128].tobytes()
     size = U32(head)[0] if len(head) >= RECORD_BYTES else 0
     if not 0 < size <= len(head) - 8 or _INDEX_MARK not in head[4 : 4 + size]:
         return None
-    begin = position + 8 + size
+    begin = 8 + size
     return begin, begin + int(U32(head, 4 + size)[0])
 
 
-def listed_offsets(data: Bytes) -> Ints:
-    """Places in their chunk that the index records at the front of `data` list, unchecked."""
-    found, position = [np.zeros(0, np.int64)], 0
-    while (record := index_record(data, position)) is not None:
-        begin, position = record
-        if position > len(data):
-            break
-        count = (position - begin) // INDEX_ENTRY
-        places = np.ndarray((count,), "<u4", data.data, begin + 8, (INDEX_ENTRY,))
-        found.append(places.astype(np.int64))
-    return np.concatenate(found)
+def listed_offsets(entries: Bytes) -> Ints:
+    """Places in their chunk that the entries of an index record list, unchecked."""
+    count = len(entries) // INDEX_ENTRY
+    return np.asarray(np.ndarray((count, 3), "<u4", entries.data)[:, 2].astype(np.int64))
 
 
 class BagIndex(NamedTuple):

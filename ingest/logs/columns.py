@@ -46,6 +46,43 @@ def column(rows: Bytes, kind: str, at: int) -> Ints:
     return np.ndarray((len(rows),), kind, rows.data, offset=at, strides=strides).astype(np.int64)
 
 
+class Growing:
+    """A column, or rows of equal width, that further rows are put behind.
+
+    Grows in place: the C library moves a large block to where it has room without touching it,
+    while parts that are joined in the end take twice the memory, and fresh pages cost more than
+    the decoding of what goes into them.
+    """
+
+    FIRST = 1 << 20
+    """So many rows are room for at first; what is not filled takes no memory."""
+
+    def __init__(self, kind: str, width: int | None = None) -> None:
+        self._beyond = () if width is None else (width,)
+        self._rows: NDArray[Any] = np.empty((0, *self._beyond), kind)
+        self._count = 0
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Put rows behind the others, as numbers of the column's kind."""
+        end = self._count + len(rows)
+        if end > len(self._rows):
+            if self._count == 0:
+                room = max(end, self.FIRST)
+                self._rows = np.empty((room, *self._beyond), self._rows.dtype)
+            else:
+                room = max(end, len(self._rows) * 5 // 4)
+                self._rows.resize((room, *self._beyond), refcheck=False)
+        self._rows[self._count : end] = rows
+        self._count = end
+
+    def taken(self) -> NDArray[Any]:
+        """All rows; the column is empty afterwards."""
+        rows, self._rows = self._rows, self._rows[:0].copy()
+        rows.resize((self._count, *self._beyond), refcheck=False)
+        self._count = 0
+        return rows
+
+
 class Shape(NamedTuple):
     """What rows of one kind have in common.
 

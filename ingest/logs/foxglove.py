@@ -27,6 +27,9 @@ class RowDecoder:
         self.frames = Frames()
         self.failed = 0
 
+    def heads(self, data: Bytes, start: Ints, size: Ints) -> None:
+        """Nothing: no two messages need be alike."""
+
     def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
         """The poses of a batch of messages."""
         parts = []

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
-from .columns import words
+from .columns import Growing, words
 from .foxglove import RowDecoder, json_rows, object_rows, protobuf_rows
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError, Ints
-from .poses import PoseDecoder, Poses
+from .poses import Heads, PoseDecoder, Poses
 from .schema import as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
 from .wire import WireDecoder
@@ -24,6 +23,9 @@ DENSE = 64
 """From so many messages in a block on, they are decoded in place; fewer are gathered first."""
 
 PENDING_BYTES = 1 << 20
+
+HEADS = 4096
+"""So many regular messages are decoded together: enough that numpy's cost per call is nothing."""
 
 FARTHEST = 1e9
 """No robot's odometry goes farther [m]; what does is taken for a broken number."""
@@ -69,6 +71,12 @@ def no_columns() -> PoseColumns:
     return PoseColumns(none, none, none, none, none, np.zeros((0, 3)))
 
 
+def _empty_columns() -> tuple[Growing, ...]:
+    """Room for the fields of `PoseColumns`, in their order."""
+    kinds = ("i4", "u2", "i8", "i8", "i2")
+    return (*(Growing(kind) for kind in kinds), Growing("f8", 3))
+
+
 @dataclass(slots=True)
 class Sink:
     """Everything read from one channel.
@@ -84,7 +92,10 @@ class Sink:
     zero_quaternion: int = 0
     undecoded: int = 0
     empty: int = 0
-    _pieces: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
+    _columns: tuple[Growing, ...] = field(default_factory=_empty_columns)
+    _heads: list[Heads] = field(default_factory=list)
+    _heads_ns: list[Ints] = field(default_factory=list)
+    _heads_count: int = 0
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
@@ -94,12 +105,22 @@ class Sink:
         """Messages that could not be decoded."""
         return self.undecoded + self.decoder.failed
 
-    def add(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
-        """Take in messages that lie in `data`."""
+    def add(self, block: Block) -> None:
+        """Take in the messages of a block.
+
+        Of regular ones the first bytes are kept until there are many; others are decoded where
+        they lie, or kept whole if they are few. Whatever was kept comes first: order matters.
+        """
+        data, _, log_ns, start, size = block
+        heads = self.decoder.heads(data, start, size)
+        if heads is not None:
+            self._add_heads(heads, log_ns)
+            return
+        self._flush_heads()
         if self.channel.encoding == "cdr" and self._packed(data, start, size).any():
             self._unpack(data, log_ns, start, size)
         elif len(start) >= DENSE:
-            self.flush()
+            self._flush_pending()
             self._decode(data, log_ns, start, size)
         else:
             raw = data.data
@@ -108,20 +129,22 @@ class Sink:
             self._pending_bytes += int(size.sum())
             self._pending_ns += log_ns.tolist()
         if self._pending_bytes >= PENDING_BYTES:
-            self.flush()
+            self._flush_pending()
+
+    def _add_heads(self, heads: Heads, log_ns: Ints) -> None:
+        self._flush_pending()
+        if self._heads and self._heads[0].poses != heads.poses:
+            self._flush_heads()
+        self._heads.append(heads)
+        self._heads_ns.append(log_ns)
+        self._heads_count += len(log_ns)
+        if self._heads_count >= HEADS:
+            self._flush_heads()
 
     def columns(self) -> PoseColumns:
         """All poses; the sink is empty afterwards, so that they are held once."""
         self.flush()
-        pieces, self._pieces = self._pieces, []
-        if not pieces:
-            return no_columns()
-        columns = [list(column) for column in zip(*pieces, strict=True)]
-        del pieces
-        out = []
-        while columns:
-            out.append(np.concatenate(columns.pop(0)))
-        return PoseColumns(*out)
+        return PoseColumns(*(column.taken() for column in self._columns))
 
     def _packed(self, data: Bytes, start: Ints, size: Ints) -> NDArray[np.bool_]:
         """Which payloads are zstd streams: ROS 2 compresses messages one by one if asked to."""
@@ -143,7 +166,7 @@ class Sink:
                 continue
             self._pending_ns.append(int(log_ns[k]))
             if self._pending_bytes >= PENDING_BYTES:
-                self.flush()
+                self._flush_pending()
 
     def _keep(self, payload: bytes) -> None:
         self._pending.append(payload)
@@ -151,6 +174,18 @@ class Sink:
 
     def flush(self) -> None:
         """Decode what was only gathered so far."""
+        self._flush_heads()
+        self._flush_pending()
+
+    def _flush_heads(self) -> None:
+        if not self._heads:
+            return
+        heads, log_ns = self._heads, np.concatenate(self._heads_ns)
+        self._heads, self._heads_ns, self._heads_count = [], [], 0
+        rows = np.concatenate([part.rows for part in heads])
+        self._take(heads[0].poses(rows, np.arange(len(rows))), log_ns, failed=0)
+
+    def _flush_pending(self) -> None:
         if not self._pending:
             return
         size = np.fromiter(map(len, self._pending), np.int64, len(self._pending))
@@ -162,24 +197,29 @@ class Sink:
     def _decode(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
         failed = self.decoder.failed
         decoded = self.decoder.decode(data, start, size)
-        failed = self.decoder.failed - failed
+        self._take(decoded, log_ns, self.decoder.failed - failed)
+
+    def _take(self, decoded: Poses, log_ns: Ints, failed: int) -> None:
+        """Keep the poses of further messages as columns; log_ns: one time per message."""
+        log_ns = np.clip(log_ns, 0, LATEST_NS - 1)
         # Messages are numbered in their order, so that each change of the number is a message.
         changes = np.count_nonzero(decoded.message[1:] != decoded.message[:-1])
         told = int(changes) + (len(decoded.message) > 0)
-        self.empty += len(start) - failed - told
+        self.empty += len(log_ns) - failed - told
         poses = self._usable(decoded)
         x, y, _, qx, qy, qz, qw = poses.value.T
-        self._pieces.append(
-            (
-                (poses.message + self.messages).astype(np.int32),
-                poses.part.astype(np.uint16),
-                log_ns[poses.message],
-                poses.stamp_ns,
-                poses.frame.astype(np.int16),
-                np.stack([x, y, yaw_from_quaternion(qx, qy, qz, qw)], axis=1),
-            )
+        theta = yaw_from_quaternion(qx, qy, qz, qw)
+        rows = (
+            poses.message + self.messages,
+            poses.part,
+            log_ns[poses.message],
+            poses.stamp_ns,
+            poses.frame,
+            np.stack([x, y, theta], axis=1),
         )
-        self.messages += len(start)
+        for column, more in zip(self._columns, rows, strict=True):
+            column.add(more)
+        self.messages += len(log_ns)
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
@@ -229,14 +269,7 @@ class Intake:
 
     def take(self, block: Block) -> None:
         """Take in the messages of a block."""
-        log_ns = np.clip(block.log_time_ns, 0, LATEST_NS - 1)
-        first = int(block.sink[0])
-        if (block.sink == first).all():
-            self.sinks[first].add(block.data, log_ns, block.start, block.size)
-            return
-        for number in np.flatnonzero(np.bincount(block.sink)).tolist():
-            rows = np.flatnonzero(block.sink == number)
-            self.sinks[number].add(block.data, log_ns[rows], block.start[rows], block.size[rows])
+        self.sinks[block.sink].add(block)
 
     def of_topic(self, topic: str) -> list[Sink]:
         """The sinks that hold messages of a topic."""

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import struct
-from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from .ahead import Ahead
 from .checksum import crc32
 from .columns import words
 from .inflate import inflate, inflate_part, keep_freed_memory
@@ -63,14 +63,6 @@ _INDEX = struct.Struct("<HI").unpack_from
 SLAB_BYTES = 1 << 20
 """How much of an unchunked file is walked at a time."""
 
-THREADS = 2
-"""Inflating and checking leave the interpreter's lock, so they run beside the decoding."""
-
-AHEAD_BYTES = 1 << 23
-"""How much is read and inflated ahead of the decoding."""
-
-AHEAD_CHUNKS = 64
-
 LARGEST_RECORD = 1 << 32
 """A record outside a chunk that claims more is taken for damage, not for a record."""
 
@@ -87,29 +79,44 @@ class _ChunkHead(NamedTuple):
     data_size: int
 
 
-class _Pending(NamedTuple):
-    """A chunk read ahead: what it inflates to, None if not needed.
+class _Chunk(NamedTuple):
+    """A chunk read ahead.
 
     counts, offsets: what the index records behind it say, per channel and of all of them.
     """
 
     head: _ChunkHead
-    inflating: Future[bytes] | None
+    needed: bool
     counts: dict[int, int]
     offsets: list[Ints]
 
 
-def _inflated(head: _ChunkHead, raw: bytes) -> bytes:
-    """The records of a chunk; raises DamageError if they are not what its head says."""
-    if head.compression == "":
-        if head.size != head.data_size:
-            raise DamageError("a chunk does not have its declared size")
-        data = raw
-    else:
-        data = inflate(head.compression, raw, head.size)
+_NO_HEAD = _ChunkHead(0, 0, 0, 0, "", 0, 0)
+
+
+def _no_head() -> bytes:
+    raise DamageError("a chunk header contradicts itself")
+
+
+def _inflated(head: _ChunkHead, window: FileWindow) -> bytes:
+    """The records of a compressed chunk; raises DamageError. For any thread."""
+    data = inflate(head.compression, window.copy(head.data_at, head.data_size), head.size)
+    _check(head, data)
+    return data
+
+
+def _plain(head: _ChunkHead, window: FileWindow) -> Bytes:
+    """The records of a chunk that is not compressed, in the window; raises DamageError."""
+    if head.size != head.data_size:
+        raise DamageError("a chunk does not have its declared size")
+    data = window.view(head.data_at, head.data_size)
+    _check(head, data)
+    return data
+
+
+def _check(head: _ChunkHead, data: Bytes | bytes) -> None:
     if head.crc and crc32(data) != head.crc:
         raise DamageError("checksum (CRC) is wrong")
-    return data
 
 
 class McapFile:
@@ -150,8 +157,7 @@ class _Walk:
         self._summary = summary
         self._schemas: dict[int, Schema] = {}
         self._tally = Tally(want, findings, summary.channels if summary is not None else {})
-        self._ahead: deque[_Pending] = deque()
-        self._ahead_bytes = 0
+        self._ahead: Ahead[_Chunk] = Ahead()
         self._outside_chunks = False
 
     def run(self) -> Iterator[Block]:
@@ -159,12 +165,12 @@ class _Walk:
         if self._window.view(0, len(MAGIC)).tobytes() != MAGIC:
             self._findings.note("the file does not begin with the MCAP magic")
         keep_freed_memory()
-        with ThreadPoolExecutor(THREADS) as pool:
-            complete = yield from self._records(pool)
+        with self._ahead:
+            complete = yield from self._records()
         self._findings.truncated |= not complete
         self._tally.finish(self._summary.counts if self._summary is not None else {})
 
-    def _records(self, pool: Executor) -> Walking:
+    def _records(self) -> Walking:
         """Go through the records outside chunks; returns 1 if the footer was reached."""
         window, position = self._window, len(MAGIC)
         complete = 0
@@ -177,12 +183,12 @@ class _Walk:
                     self._findings.note("the summary is damaged")
                 break
             if op == CHUNK and end <= window.size and _plausible(op, length):
-                self._read_ahead(pool, position, length)
-                yield from self._caught_up(AHEAD_BYTES)
+                self._read_ahead(position, length)
+                yield from self._caught_up()
             elif op == MESSAGE_INDEX and end <= window.size:
                 self._indexed(position, length)
             else:
-                yield from self._caught_up(0)
+                yield from self._caught_up(everything=True)
                 if not _plausible(op, length) or end > window.size:
                     position = yield from self._around_damage(position, op, end)
                     continue
@@ -193,7 +199,7 @@ class _Walk:
                     self._check_data(position, length)
             position = end
             window.passed(position)
-        yield from self._caught_up(0)
+        yield from self._caught_up(everything=True)
         return complete
 
     # Records outside chunks
@@ -301,19 +307,19 @@ class _Walk:
             return None
         return _ChunkHead(start, end, size, crc, compression, at + cursor.position, data_size)
 
-    def _read_ahead(self, pool: Executor, position: int, length: int) -> None:
-        """Read a chunk and have it inflated and checked on another thread."""
+    def _read_ahead(self, position: int, length: int) -> None:
+        """Have a compressed chunk inflated on another thread; others are read when it is due."""
         head = self._chunk_head(position, length)
         if head is None:
-            failed: Future[bytes] = Future()
-            failed.set_exception(DamageError("a chunk header contradicts itself"))
-            self._ahead.append(_Pending(_ChunkHead(0, 0, 0, 0, "", 0, 0), failed, {}, []))
+            self._ahead.put(_Chunk(_NO_HEAD, True, {}, []), _no_head)
         elif not self._needed(position):
-            self._ahead.append(_Pending(head, None, {}, []))
+            self._ahead.put(_Chunk(head, False, {}, []), None)
+        elif head.compression == "":
+            read = functools.partial(_plain, head, self._window)
+            self._ahead.put(_Chunk(head, True, {}, []), read)
         else:
-            raw = self._window.copy(head.data_at, head.data_size)
-            self._ahead.append(_Pending(head, pool.submit(_inflated, head, raw), {}, []))
-            self._ahead_bytes += head.data_size + head.size
+            task = functools.partial(_inflated, head, self._window)
+            self._ahead.begin(_Chunk(head, True, {}, []), task, head.data_size + head.size)
 
     def _needed(self, position: int) -> bool:
         """Whether a chunk may hold wanted messages; only a checked index is trusted to deny it."""
@@ -324,11 +330,11 @@ class _Walk:
 
     def _indexed(self, position: int, length: int) -> None:
         """Remember how many messages the index record behind a chunk lists, and where."""
-        if length < INDEX_HEAD or not self._ahead:
+        chunk = self._ahead.last
+        if length < INDEX_HEAD or chunk is None:
             return
-        chunk = self._ahead[-1]
         # Each entry takes 16 bytes and stands for a message record of a good 31.
-        listing = chunk.inflating is not None and length <= chunk.head.size
+        listing = chunk.needed and length <= chunk.head.size
         body = self._window.view(position + RECORD_HEAD, length if listing else INDEX_HEAD)
         number, size = _INDEX(body.data)
         if size + INDEX_HEAD == length:
@@ -337,28 +343,20 @@ class _Walk:
                 entries = body[INDEX_HEAD : INDEX_HEAD + size // 16 * 16].view("<u8")
                 chunk.offsets.append(entries[1::2].astype(np.int64))
 
-    def _caught_up(self, most_bytes: int) -> Iterator[Block]:
-        """Messages of the chunks read ahead, until at most `most_bytes` are left of them.
-
-        The last chunk stays unless `most_bytes` is 0: its index records are still to come.
-        """
-        least = 1 if most_bytes else 0
-        while len(self._ahead) > least and (
-            self._ahead_bytes > most_bytes or len(self._ahead) > AHEAD_CHUNKS or not least
-        ):
-            head, inflating, counts, offsets = self._ahead.popleft()
-            if inflating is None:
-                for number, count in counts.items():
+    def _caught_up(self, everything: bool = False) -> Iterator[Block]:
+        """Messages of the chunks read ahead; of the last one only when its index has been met."""
+        for chunk, task in self._ahead.due(everything):
+            if task is None:
+                for number, count in chunk.counts.items():
                     self._tally.passed(number, count)
-                self._findings.span(head.start_ns, head.end_ns)
+                self._findings.span(chunk.head.start_ns, chunk.head.end_ns)
                 continue
-            self._ahead_bytes -= head.data_size + head.size
             try:
-                data = inflating.result()
+                data = np.frombuffer(task(), np.uint8)
             except DamageError as damage:
-                self._damaged(str(damage), counts)
+                self._damaged(str(damage), chunk.counts)
                 continue
-            yield from self._messages(np.frombuffer(data, np.uint8), offsets)
+            yield from self._messages(data, chunk.offsets)
 
     def _damaged(self, reason: str, counts: dict[int, int]) -> None:
         """Count a chunk that cannot be used, and its messages if its index tells their number."""
@@ -373,13 +371,11 @@ class _Walk:
         positions, size = self._positions(data, offsets)
         if len(positions) == 0:
             return
-        number = words(data, "<u2", positions + RECORD_HEAD).astype(np.int64)
-        log_time = words(data, "<u8", positions + LOG_TIME_AT).astype(np.int64)
-        sink = self._tally.met(number, log_time)
-        keep = np.flatnonzero(sink >= 0)
-        if len(keep):
-            start = positions[keep] + (RECORD_HEAD + MESSAGE_HEAD)
-            yield Block(data, sink[keep], log_time[keep], start, size[keep])
+        number = words(data, "<u2", positions + RECORD_HEAD)
+        log_time = words(data, "<i8", positions + LOG_TIME_AT)
+        start = positions + (RECORD_HEAD + MESSAGE_HEAD)
+        for sink, rows in self._tally.met(number, log_time):
+            yield Block(data, sink, log_time[rows], start[rows], size[rows])
 
     def _positions(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Ints, Ints]:
         """Places and payload sizes of the message records in `data`.
@@ -391,16 +387,12 @@ class _Walk:
         if where is None:
             where, stop = mcap_records(data)
             self._findings.unreadable_bytes += len(data) - stop
-        if len(where) == 0:
-            return where, where
-        # Opcode and the lower 56 bits of the length in one word; the walk has checked the length.
-        word = words(data, "<u8", where).astype(np.int64)
-        is_message = (word & 0xFF) == MESSAGE
+        is_message = data[where] == MESSAGE
         if not is_message.all():
             for place in where[~is_message].tolist():
                 self._definition(data, place)
-            where, word = where[is_message], word[is_message]
-        size = (word >> 8) - MESSAGE_HEAD
+            where = where[is_message]
+        size = words(data, "<i8", where + 1) - MESSAGE_HEAD
         if len(size) and size.min() < 0:
             self._findings.unreadable_bytes += RECORD_HEAD * int((size < 0).sum())
             where, size = where[size >= 0], size[size >= 0]

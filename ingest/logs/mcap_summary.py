@@ -111,11 +111,10 @@ def _chunk_index(cursor: Cursor) -> tuple[int, frozenset[int]]:
     cursor.take(16)
     place = cursor.u64()
     cursor.take(8)
-    offsets = Cursor(np.frombuffer(cursor.blob(), np.uint8))
-    numbers = []
-    while offsets.left:
-        numbers.append(offsets.u16())
-        offsets.take(8)
+    offsets = cursor.blob()
+    if len(offsets) % 10:
+        raise DamageError("a chunk index is cut")
+    numbers = np.ndarray((len(offsets) // 10,), "<u2", offsets, strides=(10,)).tolist()
     if place >= 1 << 62:
         raise DamageError("a chunk index points nowhere")
     return place, frozenset(numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
@@ -66,14 +67,14 @@ def printable(name: str) -> str:
 
 
 class Block(NamedTuple):
-    """Messages of wanted channels in one buffer, which is valid until the next block is asked for.
+    """Messages for one sink in one buffer, which is valid until the next block is asked for.
 
-    data: (b,) uint8; sink: (m,) numbers given out by the `Want` callback; log_time_ns: (m,);
+    data: (b,) uint8; sink: number given out by the `Want` callback; log_time_ns: (m,), m ≥ 1;
     start, size: (m,) place of each payload in `data`, always inside it.
     """
 
     data: Bytes
-    sink: Ints
+    sink: int
     log_time_ns: Ints
     start: Ints
     size: Ints
@@ -198,15 +199,17 @@ class FileWindow:
     Reusing the buffer matters: fresh memory costs a page fault per 4 KiB, more than the copy.
     """
 
-    STEP = 1 << 17
+    STEP = 1 << 15
 
     def __init__(self, path: Path, progress: Progress | None = None) -> None:
         try:
             self._file = path.open("rb", buffering=0)
+            self._second = path.open("rb")
         except OSError as error:
             raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
         self.size = path.stat().st_size
         self._path = path
+        self._copying = threading.Lock()
         self._buffer = np.empty(2 * self.STEP, np.uint8)
         self._base = 0
         self._fill = 0
@@ -218,6 +221,7 @@ class FileWindow:
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
+        self._second.close()
 
     def view(self, offset: int, length: int) -> Bytes:
         """The bytes [offset, offset + length), fewer at the file's end; until the next call."""
@@ -229,19 +233,14 @@ class FileWindow:
         return self._buffer[at : at + length]
 
     def copy(self, offset: int, length: int) -> bytes:
-        """The same bytes to keep; what the buffer lacks is read past it, without a second copy."""
+        """The same bytes to keep, read past the buffer. Other threads may call this."""
         length = max(0, min(length, self.size - offset))
-        at = offset - self._base
-        if at >= 0 and at + length <= self._fill:
-            return self._buffer[at : at + length].tobytes()
         try:
-            self._file.seek(offset)
-            pieces = [self._file.read(length)]
-            while pieces[-1] and sum(map(len, pieces)) < length:
-                pieces.append(self._file.read(length - sum(map(len, pieces))))
+            with self._copying:
+                self._second.seek(offset)
+                data: bytes = self._second.read(length)
         except OSError as error:
             raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
-        data = pieces[0] if len(pieces) == 1 else b"".join(pieces)
         if len(data) < length:
             raise LogError(f"{self._path}: became shorter while it was read; read it again")
         return data

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -62,11 +62,24 @@ class Frames:
         return known
 
 
+class Heads(NamedTuple):
+    """The first bytes of messages of one shape, one row each.
+
+    poses: turns rows of this shape, (n, w) and the numbers of their messages, into poses.
+    """
+
+    rows: Bytes
+    poses: Callable[[Bytes, Ints], Poses]
+
+
 class PoseDecoder(Protocol):
     """Turns payloads into poses; what cannot be decoded is left out and counted in `failed`."""
 
     frames: Frames
     failed: int
+
+    def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
+        """What is needed of the messages, if all have one shape that was met before; else None."""
 
     def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
         """The poses of the messages at `start` with `size` in `data`."""

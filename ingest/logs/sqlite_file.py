@@ -117,11 +117,12 @@ class _Reader:
         self._base = base
         self._findings = findings
         self._channels = _channels(base)
-        self._sinks = {key: want(channel) for key, channel in self._channels.items()}
         self._sink = np.full(_TOPICS, _UNKNOWN, np.int64)
-        for key, sink in self._sinks.items():
+        for key, channel in self._channels.items():
+            sink = want(channel)
             if 0 <= key < _TOPICS:
                 self._sink[key] = sink
+        self._wanted = np.unique(self._sink[self._sink >= 0]).tolist()
 
     def by_library(self) -> Iterator[Block]:
         """All rows as the library gives them."""
@@ -160,11 +161,16 @@ class _Reader:
     def _columns(self, rows: Rows) -> Iterator[Block]:
         """The wanted ones of rows that lie in pages; all are counted."""
         self._count(rows.topic, rows.time_ns)
-        sink = self._sink[np.clip(rows.topic, 0, _TOPICS - 1)]
-        keep = sink >= 0
-        if keep.any():
-            start, size = rows.start[keep], rows.size[keep]
-            yield Block(rows.data, sink[keep], rows.time_ns[keep], start, size)
+        for sink, keep in self._by_sink(rows.topic):
+            yield Block(rows.data, sink, rows.time_ns[keep], rows.start[keep], rows.size[keep])
+
+    def _by_sink(self, topic: Ints) -> Iterator[tuple[int, Ints]]:
+        """The wanted sinks among rows, each with its rows."""
+        sink = self._sink[np.clip(topic, 0, _TOPICS - 1)]
+        for number in self._wanted:
+            rows = (sink == number).nonzero()[0]
+            if len(rows):
+                yield number, rows
 
     def _large(self, rows: Rows) -> Iterator[Block]:
         """Rows that go on in other pages: the unwanted ones are counted, the others fetched."""
@@ -192,13 +198,11 @@ class _Reader:
         topic = np.array([row[0] for row in good], np.int64)
         time_ns = np.array([row[1] for row in good], np.int64)
         self._count(topic, time_ns)
-        sink = self._sink[np.clip(topic, 0, _TOPICS - 1)]
-        kept = np.flatnonzero(sink >= 0)
-        if len(kept):
+        for sink, kept in self._by_sink(topic):
             payloads = [good[k][2] for k in kept.tolist()]
             size = np.fromiter(map(len, payloads), np.int64, len(payloads))
             data = np.frombuffer(b"".join(payloads), np.uint8)
-            yield Block(data, sink[kept], time_ns[kept], np.cumsum(size) - size, size)
+            yield Block(data, sink, time_ns[kept], np.cumsum(size) - size, size)
 
     def _count(self, topic: Ints, time_ns: Ints) -> None:
         counts = np.bincount(np.clip(topic, 0, _TOPICS - 1))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .messages import Channel, Findings, Ints, Want
 
@@ -36,12 +38,19 @@ class Tally:
         """Sink number of a channel: wanted from 0 on, UNWANTED, or UNKNOWN."""
         return int(self._sink[number])
 
-    def met(self, number: Ints, time_ns: Ints) -> Ints:
-        """Count messages by their channel numbers; returns their sinks."""
+    def met(self, number: NDArray[Any], time_ns: Ints) -> list[tuple[int, Ints]]:
+        """Count messages by their channel numbers; returns the wanted sinks, each with its rows."""
         counts = np.bincount(number)
         self._met[: len(counts)] += counts
         self._findings.span(int(time_ns.min()), int(time_ns.max()))
-        return np.asarray(self._sink[number])
+        numbers: dict[int, list[int]] = {}
+        for key in counts.nonzero()[0].tolist():
+            if self._sink[key] >= 0:
+                numbers.setdefault(int(self._sink[key]), []).append(key)
+        return [
+            (sink, (number == keys[0] if len(keys) == 1 else np.isin(number, keys)).nonzero()[0])
+            for sink, keys in numbers.items()
+        ]
 
     def passed(self, number: int, count: int) -> None:
         """Count messages of a channel that were not looked at, as nobody wants them."""

@@ -102,7 +102,7 @@ def mcap_listed(data: Bytes, offsets: Ints) -> Ints | None:
     where = _inside(offsets, len(data) - 9)
     if where is None:
         return None
-    length = words(data, "<u8", where + 1).astype(np.int64)
+    length = words(data, "<i8", where + 1)
     return _completed(data, where, where + 9 + length, mcap_records)
 
 
@@ -144,9 +144,10 @@ def _completed(
     if (ends <= where).any():
         # A length that is negative or too large for a sum.
         return None
-    begin = np.concatenate([[0], ends])
-    end = np.concatenate([where, [len(data)]])
-    gaps = np.flatnonzero(begin != end)
+    begin = np.empty(len(where) + 1, np.int64)
+    end = np.empty(len(where) + 1, np.int64)
+    begin[0], begin[1:], end[:-1], end[-1] = 0, ends, where, len(data)
+    gaps = (begin != end).nonzero()[0]
     if len(gaps) == 0:
         return where
     if len(gaps) > MOST_GAPS or (begin > end).any():

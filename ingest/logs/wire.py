@@ -14,7 +14,7 @@ import numpy as np
 
 from .columns import Shape, column, gather
 from .messages import Bytes, DamageError, Ints, text
-from .poses import Frames, Poses, join
+from .poses import Frames, Heads, Poses, join
 
 Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", "foxglove_poses"]
 
@@ -156,6 +156,15 @@ class WireDecoder:
         self.frames = Frames()
         self.failed = 0
         self._templates: dict[int, list[Template]] = {}
+
+    def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
+        """What is needed of the messages, if all have one shape that was met before; else None."""
+        known = self._templates.get(int(size[0]))
+        if not known or not (size == size[0]).all():
+            return None
+        rows = gather(data, start, known[0].size)
+        fits = known[0].shape.misfits(rows) is None
+        return Heads(rows, known[0].poses) if fits else None
 
     def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
         """The poses of a batch of messages. O(bytes looked at) when shapes are few."""

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from topobatch.ingest.logs.columns import Growing
 from topobatch.ingest.logs.messages import Channel, DamageError
 from topobatch.ingest.logs.schema import as_expected, object_decoder
 from topobatch.ingest.logs.walk import bag_records, mcap_records
@@ -151,3 +152,17 @@ def test_hostile_definitions_are_refused(definition, form):
 
     with pytest.raises(DamageError):
         decode()
+
+
+def test_a_growing_column_keeps_its_rows_in_order(monkeypatch):
+    monkeypatch.setattr(Growing, "FIRST", 3)
+    rng = np.random.default_rng(1)
+    for kind, width in (("i4", None), ("f8", 3)):
+        column = Growing(kind, width)
+        parts = [rng.integers(0, 99, (n, *([width] if width else []))) for n in (2, 0, 5, 1, 40)]
+        for part in parts:
+            column.add(part)
+        taken = column.taken()
+        assert taken.dtype == kind
+        assert taken.tolist() == np.concatenate(parts).tolist()
+        assert len(column.taken()) == 0

@@ -248,3 +248,30 @@ def test_one_wrong_sighting_is_no_journey(logs, tmp_path):
     messages[wrong] = replace(messages[wrong], poses=(logs.yaw_pose(-3.0, 2.0, 0.0),))
     run = read_run(logs.mcap(tmp_path / "a.mcap", messages))
     assert len(run.odometry.breaks) == 0
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.floats(0.0, 7.0))
+@settings(max_examples=60, deadline=None)
+def test_leaps_are_found_as_without_the_shortcut(seed, leap_m, leap_rad):
+    rng = np.random.default_rng(seed)
+    time, pose = straight(60)
+    pose[:, 2] = (np.cumsum(rng.normal(0, 0.1, 60)) + np.pi) % (2 * np.pi) - np.pi
+    row, direction = int(rng.integers(1, 60)), rng.uniform(-np.pi, np.pi)
+    pose[row:] += [leap_m * np.cos(direction), leap_m * np.sin(direction), leap_rad]
+    quick = track(time, pose)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("topobatch.ingest.track._any_leap", lambda pose, settings: True)
+        thorough = track(time, pose)
+    assert quick.warnings == thorough.warnings
+    assert quick.odometry.breaks.tolist() == thorough.odometry.breaks.tolist()
+    assert quick.odometry.pose.tolist() == thorough.odometry.pose.tolist()
+
+
+def test_standing_is_found_as_without_the_shortcut(logs, tmp_path):
+    path = logs.mcap(tmp_path / "a.mcap", carried_run(logs, 0.05))
+    quick = read_run(path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("topobatch.ingest.carried._may_stand", lambda i, *_: np.ones(len(i), bool))
+        thorough = read_run(path)
+    assert len(quick.odometry.breaks) > 0
+    assert quick.odometry.breaks.tolist() == thorough.odometry.breaks.tolist()

@@ -1,0 +1,75 @@
+"""Compressed chunks are read, inflated and checked on other threads, ahead of the decoding."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Generic, TypeVar
+
+from .messages import Bytes
+
+Chunk = TypeVar("Chunk")
+Task = Callable[[], Bytes | bytes]
+
+THREADS = 2
+"""Reading, inflating and checking leave the interpreter's lock, so they run beside the decoding."""
+
+AHEAD_BYTES = 1 << 23
+"""How much is read and inflated ahead of the decoding."""
+
+AHEAD_CHUNKS = 64
+
+
+class Ahead(Generic[Chunk]):
+    """Chunks in the order of the file, each with the task that makes its bytes.
+
+    Tasks that only read are better left to the caller's thread: handing a chunk from thread to
+    thread takes as long as reading it. Leaving the context ends the threads; what they had not
+    begun is dropped.
+    """
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(THREADS)
+        self._waiting: deque[tuple[Chunk, Task | None, int]] = deque()
+        self._bytes = 0
+
+    def __enter__(self) -> Ahead[Chunk]:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def begin(self, chunk: Chunk, task: Callable[[], bytes], size: int) -> None:
+        """Have a task begun on another thread; it holds `size` bytes in memory."""
+        self._waiting.append((chunk, self._pool.submit(task).result, size))
+        self._bytes += size
+
+    def put(self, chunk: Chunk, task: Task | None) -> None:
+        """Leave a task to who asks for what is due; None for a chunk of no need."""
+        self._waiting.append((chunk, task, 0))
+
+    @property
+    def last(self) -> Chunk | None:
+        """The chunk put in last, if it is still waiting."""
+        return self._waiting[-1][0] if self._waiting else None
+
+    def due(self, everything: bool = False) -> Iterator[tuple[Chunk, Task | None]]:
+        """The first chunks, each with what gives its bytes; the last few stay unless all are due.
+
+        The last one stays in any case: what comes behind it in the file may belong to it.
+        """
+        while self._waiting and (
+            everything
+            or (
+                len(self._waiting) > 1
+                and (
+                    self._waiting[0][2] == 0
+                    or self._bytes > AHEAD_BYTES
+                    or len(self._waiting) > AHEAD_CHUNKS
+                )
+            )
+        ):
+            chunk, task, size = self._waiting.popleft()
+            self._bytes -= size
+            yield chunk, task
