@@ -242,14 +242,30 @@ class FileWindow:
         except OSError as error:
             raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
         if len(data) < length:
-            raise LogError(f"{self._path}: became shorter while it was read; read it again")
+            raise self._shorter()
         return data
+
+    def fill(self, target: Bytes, offset: int) -> None:
+        """Read past the buffer into all of `target`; the file must reach that far."""
+        done = 0
+        try:
+            self._file.seek(offset)
+            while done < len(target):
+                got = self._file.readinto(target.data[done:])
+                if not got:
+                    raise self._shorter()
+                done += got
+        except OSError as error:
+            raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
 
     def passed(self, offset: int) -> None:
         """Tell the progress that everything before `offset` is dealt with."""
         if self._progress is not None and offset > self._told:
             self._progress(offset - self._told)
             self._told = offset
+
+    def _shorter(self) -> LogError:
+        return LogError(f"{self._path}: became shorter while it was read; read it again")
 
     def _load(self, offset: int, length: int) -> None:
         """Fill the buffer from `offset` on, keeping what it already holds of it."""
@@ -269,7 +285,7 @@ class FileWindow:
             while self._fill < goal:
                 got = self._file.readinto(self._buffer.data[self._fill : goal])
                 if not got:
-                    raise LogError(f"{self._path}: became shorter while it was read; read it again")
+                    raise self._shorter()
                 self._fill += got
         except OSError as error:
             raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error

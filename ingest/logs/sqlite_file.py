@@ -14,6 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ...topology.errors import LogError
+from .inflate import keep_freed_memory
 from .messages import (
     SCHEMA_BYTES,
     UNWANTED,
@@ -64,8 +65,7 @@ class SqliteFile:
                 for key, count in present.items():
                     if key in channels:
                         counts[channels[key]] += count
-                span = base.execute("SELECT min(timestamp), max(timestamp) FROM messages")
-                first, last = span.fetchone()
+                first, last = _span(base)
         except _ERRORS:
             return None
         return Survey(counts, first or 0, last or 0)
@@ -78,6 +78,7 @@ class SqliteFile:
         Goes through the pages where it can, through the library where some messages are still in
         a write-ahead log, and over every page of a database that the library refuses.
         """
+        keep_freed_memory()
         with FileWindow(self.path, progress) as window:
             before = findings.messages
             try:
@@ -299,6 +300,17 @@ def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
             if base.execute(probe, (key,)).fetchone():
                 present.add(key)
     return dict.fromkeys(present, 1)
+
+
+def _span(base: sqlite3.Connection) -> tuple[int | None, int | None]:
+    """First and last log time, None without messages."""
+    query = "SELECT min(timestamp), max(timestamp) FROM messages"
+    if base.execute("PRAGMA index_list(messages)").fetchone():
+        # Asked for one by one, either is a look at one end of the recorder's index.
+        ends = ("(SELECT min(timestamp) FROM messages)", "(SELECT max(timestamp) FROM messages)")
+        query = f"SELECT {', '.join(ends)}"
+    first, last = base.execute(query).fetchone()
+    return first, last
 
 
 def _unmerged(path: Path) -> bool:

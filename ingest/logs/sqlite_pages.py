@@ -118,10 +118,13 @@ class Pages:
         done = 0
         for run in np.split(batch, cuts):
             first, last = int(run[0]), int(run[-1])
-            span = self._window.view((first - 1) * self.size, (last - first + 1) * self.size)
-            pages = span.reshape(-1, self.size)
-            target = buffer[done : done + len(run) * self.size].reshape(-1, self.size)
-            target[:] = pages if len(pages) == len(run) else pages[run - first]
+            target = buffer[done : done + len(run) * self.size]
+            if last - first + 1 == len(run):
+                self._window.fill(target, (first - 1) * self.size)
+            else:
+                pages = np.empty((last - first + 1, self.size), np.uint8)
+                self._window.fill(pages.reshape(-1), (first - 1) * self.size)
+                target.reshape(-1, self.size)[:] = pages[run - first]
             done += len(run) * self.size
 
     def rows(self, data: Bytes) -> Rows:
