@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .ahead import Ahead
+from .bag_sparse import without_large
 from .bag_wire import (
     BAG_HEADER,
     CHUNK,
@@ -37,6 +38,7 @@ from .bag_wire import (
 from .columns import column, gather, words
 from .inflate import CHUNK_BYTES, inflate, inflate_part, keep_freed_memory
 from .messages import (
+    UNWANTED,
     Block,
     Bytes,
     DamageError,
@@ -61,21 +63,13 @@ class _Chunk(NamedTuple):
     """A chunk read ahead: where it ends, and where the index behind it says its messages are."""
 
     end: int
-    offsets: list[Ints]
+    offsets: Ints
 
 
 def _inflated(window: FileWindow, record: Record, compression: str, size: int) -> bytes:
     """The records of a compressed chunk; raises DamageError. For any thread."""
     _check(record, size)
     return inflate(compression, window.copy(record.data_at, record.data_size), size)
-
-
-def _plain(window: FileWindow, record: Record, size: int) -> Bytes:
-    """The records of a chunk that is not compressed, in the window; raises DamageError."""
-    _check(record, size)
-    if size != record.data_size:
-        raise DamageError("a chunk does not have its declared size")
-    return window.view(record.data_at, record.data_size)
 
 
 def _check(record: Record, size: int) -> None:
@@ -223,15 +217,34 @@ class _Walk:
             yield from self._caught_up(everything=True)
             return (yield from self._cut_chunk(record, compression, size))
         offsets, position = self._index_behind(record.end, size)
-        chunk = _Chunk(record.end, offsets)
         if compression == "none":
-            self._ahead.put(chunk, functools.partial(_plain, self._window, record, size))
             yield from self._caught_up(everything=True)
+            yield from self._plain(record, size, offsets)
         else:
             task = functools.partial(_inflated, self._window, record, compression, size)
-            self._ahead.begin(chunk, task, record.data_size + size)
+            self._ahead.begin(_Chunk(record.end, offsets), task, record.data_size + size)
             yield from self._caught_up()
         return position
+
+    def _plain(self, record: Record, size: int, offsets: Ints) -> Iterator[Block]:
+        """The messages of a chunk that is not compressed."""
+        try:
+            _check(record, size)
+            if size != record.data_size:
+                raise DamageError("a chunk does not have its declared size")
+        except DamageError as damage:
+            self._damaged(str(damage), record.end)
+            return
+        sparse = without_large(self._window, record, offsets, self._unwanted)
+        where = bag_listed(sparse, offsets, least=1) if sparse is not None else None
+        if sparse is not None and where is not None:
+            yield from self._messages(sparse, where)
+        else:
+            data = self._window.view(record.data_at, size)
+            yield from self._messages(data, bag_listed(data, offsets))
+
+    def _unwanted(self, conn: int) -> bool:
+        return conn < NUMBERS and self._tally.sink(conn) == UNWANTED
 
     def _caught_up(self, everything: bool = False) -> Iterator[Block]:
         """Messages of the chunks read ahead."""
@@ -242,18 +255,18 @@ class _Walk:
             except DamageError as damage:
                 self._damaged(str(damage), chunk.end)
                 continue
-            yield from self._messages(data, chunk.offsets)
+            yield from self._messages(data, bag_listed(data, chunk.offsets))
 
-    def _index_behind(self, position: int, size: int) -> tuple[list[Ints], int]:
+    def _index_behind(self, position: int, size: int) -> tuple[Ints, int]:
         """Places of messages in a chunk of `size` by the index behind it, and where that ends."""
-        offsets: list[Ints] = []
+        offsets = [np.zeros(0, np.int64)]
         while (record := index_record(self._window.view(position, 128))) is not None:
             begin, end = record
             # Each entry stands for a record that takes more than the entry does.
             if end - begin <= size:
                 offsets.append(listed_offsets(self._window.view(position + begin, end - begin)))
             position += end
-        return offsets, position
+        return np.concatenate(offsets), position
 
     def _damaged(self, reason: str, end: int) -> None:
         """Count a chunk that cannot be used, and its messages by the index that begins at `end`."""
@@ -318,12 +331,11 @@ class _Walk:
 
     # Messages
 
-    def _messages(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+    def _messages(self, data: Bytes, where: Ints | None = None) -> Iterator[Block]:
         """The wanted messages in a run of records; connections met are taken in.
 
-        offsets: where an index says that the messages are.
+        where: all records in `data`, if an index has told.
         """
-        where = bag_listed(data, np.concatenate(offsets)) if offsets else None
         if where is None:
             where, stop = bag_records(data)
             self._findings.unreadable_bytes += len(data) - stop

@@ -21,6 +21,9 @@ LEAST_REACH = 64
 """How many records are looked at together at least, once two equal ones were met."""
 
 
+LEAST_LISTED = 16
+"""So many places are worth while to go by an index."""
+
 FREQUENT = 8
 """A run of so many records makes it worth while to look for the next one at once."""
 
@@ -106,29 +109,27 @@ def mcap_listed(data: Bytes, offsets: Ints) -> Ints | None:
     return _completed(data, where, where + 9 + length, mcap_records)
 
 
-def bag_listed(data: Bytes, offsets: Ints) -> Ints | None:
-    """What `bag_records` finds, by places that an index lists: proven, or None."""
-    where = _inside(offsets, len(data) - 8)
+def bag_listed(data: Bytes, offsets: Ints, least: int = LEAST_LISTED) -> Ints | None:
+    """What `bag_records` finds, by at least so many places of an index: proven, or None."""
+    where = _inside(offsets, len(data) - 8, least)
     if where is None:
         return None
-    body = _inside(where + 4 + words(data, "<u4", where).astype(np.int64), len(data) - 4)
+    head = words(data, "<u4", where).astype(np.int64)
+    body = _inside(where + 4 + head, len(data) - 4, least)
     if body is None:
         return None
     return _completed(data, where, body + 4 + words(data, "<u4", body), bag_records)
 
 
-LEAST_LISTED = 16
-"""So many places are worth while to go by an index."""
-
 MOST_GAPS = 16
 """So many places between the listed records may hold others."""
 
 
-def _inside(places: Ints, last: int) -> Ints | None:
+def _inside(places: Ints, last: int, least: int = LEAST_LISTED) -> Ints | None:
     """The places in ascending order, None if there are few or one is outside of 0 … last."""
     # Ascending per channel: a stable sort merges the runs.
     places = np.sort(places, kind="stable")
-    if len(places) < LEAST_LISTED or places[0] < 0 or places[-1] > last:
+    if len(places) < least or places[0] < 0 or places[-1] > last:
         return None
     return places
 

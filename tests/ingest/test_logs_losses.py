@@ -215,3 +215,59 @@ def test_a_database_beside_its_log_stays_untouched_where_nothing_may_be_written(
     assert count(run) == MESSAGES
     assert run.odometry.time_ns[0] == logs.drive()[0].log_ns + 1
     assert sorted(p.name for p in copy.iterdir()) == ["run.db3", "run.db3-wal"]
+
+
+def bag_with_images(logs, path):
+    """A bag whose chunks hold large messages that nobody wants among others, at the end as well."""
+    from rosbags.rosbag1 import Reader, Writer
+
+    plain = logs.bag(path.with_name("plain.bag"), logs.drive())
+    store = logs.store_of(True)
+    with Reader(plain) as reader, Writer(path) as writer:
+        links = {
+            c.id: writer.add_connection(c.topic, c.msgtype, msgdef=c.msgdef.data, md5sum=c.digest)
+            for c in reader.connections
+        }
+        camera = writer.add_connection("/camera", "std_msgs/msg/String", typestore=store)
+        for number, (connection, time, raw) in enumerate(reader.messages()):
+            writer.write(links[connection.id], time, raw)
+            if number % 7 == 0:
+                writer.write(camera, time, bytes([0, 0, 2, 0]) + bytes(range(256)) * 512)
+    return path
+
+
+def test_large_messages_that_nobody_wants_are_not_read(logs, tmp_path, monkeypatch):
+    from topobatch.ingest.logs import bag_sparse
+    from topobatch.ingest.logs.messages import FileWindow
+
+    path = bag_with_images(logs, tmp_path / "run.bag")
+    read = []
+    fill = FileWindow.fill
+    monkeypatch.setattr(
+        FileWindow, "fill", lambda w, target, at: (read.append(len(target)), fill(w, target, at))
+    )
+    quick = read_run(path)
+    assert 0 < sum(read) < path.stat().st_size / 10
+    monkeypatch.setattr(bag_sparse, "LARGE_BYTES", 1 << 40)
+    whole = read_run(path)
+    assert (count(quick), quick.warnings) == (MESSAGES, ())
+    assert quick.odometry.pose.tobytes() == whole.odometry.pose.tobytes()
+    assert quick.odometry.time_ns.tobytes() == whole.odometry.time_ns.tobytes()
+    assert quick.detections.branches.values.tobytes() == whole.detections.branches.values.tobytes()
+
+
+@pytest.mark.parametrize("change", [1, 1 << 14, -(1 << 14)])
+def test_an_index_that_lies_about_images_loses_nothing(logs, tmp_path, change):
+    path = bag_with_images(logs, tmp_path / "run.bag")
+    raw = bytearray(path.read_bytes())
+    # The second entry of every index record behind the first chunk.
+    at = whole_bag_chunks(path)[0][0]
+    while b"op=\x04" in raw[at : at + 64]:
+        header = int.from_bytes(raw[at : at + 4], "little")
+        size = int.from_bytes(raw[at + 4 + header : at + 8 + header], "little")
+        entry = at + 8 + header + 12 + 8
+        offset = int.from_bytes(raw[entry : entry + 4], "little")
+        raw[entry : entry + 4] = max(offset + change, 0).to_bytes(4, "little")
+        at += 8 + header + size
+    path.write_bytes(raw)
+    assert count(read_run(path)) == MESSAGES
