@@ -111,8 +111,16 @@ def bar(pairs: int, repetition: float, copies: CopyModel, settings: RobustSettin
 
 
 def repetition_level(own: Sequence[Candidate]) -> float:
-    """0 to 1: how much a building repeats itself, by the matches of its map with itself."""
-    bits = max((c.bits for c in own if len(c) >= REPEATED_JUNCTIONS), default=-np.inf)
+    """0 to 1: how much a building repeats itself, by the matches of its map with itself.
+
+    A place that looks the same when turned by half a circle matches itself: what is laid on the
+    other half lies under it as well. Such pairs of junctions count once.
+    """
+    bits = -np.inf
+    for c in own:
+        pairs = len({frozenset(pair) for pair in zip(c.a.tolist(), c.b.tolist(), strict=True)})
+        if pairs >= REPEATED_JUNCTIONS:
+            bits = max(bits, c.bits * pairs / len(c))
     level = (bits - PLAIN_SELF_BITS) / (REPETITIVE_SELF_BITS - PLAIN_SELF_BITS)
     return float(np.clip(level, 0.0, 1.0))
 

@@ -515,7 +515,7 @@ def test_dead_reckoning_covariance_is_that_of_many_drives():
 def test_grid_headings_follow_the_drift():
     rng = np.random.default_rng(13)
     world = grid_world(5, 5, rng)
-    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    odometry, passes, junctions = record(world, wander(world[1], 60, rng), rng)
     walk = make_walk(odometry, passes, NOISE)
     grid = grid_headings(walk)
     assert grid is not None
@@ -533,6 +533,11 @@ def test_grid_headings_follow_the_drift():
         exit=np.ones(len(passes), int),
     )
     assert grid_headings(replace(walk, passes=bent)) is None
+    # Nor are streets that cross at right angles, each crossing turned by itself.
+    own = {v: rng.uniform(-0.4, 0.4) for v in world[0]}
+    turned = np.array([own[v] for v in junctions])[passes.branches.owner]
+    branches = Ragged(passes.branches.offsets, passes.branches.values + turned)
+    assert grid_headings(replace(walk, passes=replace(passes, branches=branches))) is None
 
 
 def test_layout_of_a_square_spreads_the_error():

@@ -35,7 +35,9 @@ class CandidateSettings:
     gate: float = 14.0
     """Largest squared Mahalanobis distance (2 d.o.f.)."""
     reach_m: float = 20.0
-    """Places farther apart than this in the layout are not asked about."""
+    """Places farther apart than this in the layout are not asked about …"""
+    reach_legs: float = 4.0
+    """… or than this many median legs, where these are long."""
     most_pairs: int = 5000
     """In long runs no more pairs are looked at in one round, the nearest (or six per place)."""
     least_position: float = -6.0
@@ -159,7 +161,11 @@ def _known_apart(
     What dead reckoning alone excludes stays excluded: closures only make it more certain.
     """
     walk, places = scene.walk, scene.places
-    a, b = _pairs_within(layout.xy, settings.reach_m).T
+    legs = walk.leg[np.isfinite(walk.leg)]
+    reach_m = max(
+        settings.reach_m, settings.reach_legs * float(np.median(legs)) if len(legs) else 0
+    )
+    a, b = _pairs_within(layout.xy, reach_m).T
     i, j = _nearest_in_time(places, place, a, b)
     same = walk.chain[i] == walk.chain[j]
     a, b = a[same], b[same]

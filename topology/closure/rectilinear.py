@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..se2 import wrap
-from .walk import Walk
+from .walk import Walk, dead_reckoning_covariance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -28,6 +28,9 @@ class RectilinearSettings:
     least_angles: int = 20
     own_spread_rad: float = 0.02
     """How far a corridor's true direction strays from the grid, 1 sigma."""
+    most_turn: float = 1.5
+    """Mean squared turn of the grid from one pass to the next, in units of what the odometry may
+    drift: in streets that meet at right angles and bend between, it is more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,14 +68,20 @@ def grid_headings(
     )
     n = branches.counts
     row = np.flatnonzero((n > 0) & (np.abs(z) > 0.5 * np.maximum(n, 1)))
-    if len(row) == 0:
+    if len(row) < 2:
         return None
     grid = np.angle(z[row]) / 4
     # The grid seems to turn as the odometry drifts; between two passes by little.
-    turn = -np.concatenate([[0.0], np.cumsum(_from_quarter(np.diff(grid)))])
+    step = _from_quarter(np.diff(grid))
+    sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + settings.own_spread_rad**2)
+    drift = dead_reckoning_covariance(walk, row[:-1], row[1:])[:, 2, 2]
+    excess = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
+    joined = walk.chain[row[:-1]] == walk.chain[row[1:]]
+    if excess[joined].sum() > settings.most_turn * np.count_nonzero(joined):
+        return None
+    turn = -np.concatenate([[0.0], np.cumsum(step)])
     # A break in the odometry starts anew: which quarter is unknown then.
     fresh = walk.chain[row] == walk.chain[0]
-    sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + settings.own_spread_rad**2)
     return GridHeadings(row[fresh], np.asarray(wrap(turn[fresh])), sigma[fresh])
 
 

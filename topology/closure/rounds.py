@@ -48,6 +48,9 @@ class RoundSettings:
     conflict_price: float = 0.2
     """Added to the threshold for each unit of disagreement."""
     most_rounds: int = 40
+    caution: float = 1.25
+    """Random errors are taken to be this many times those estimated: a dozen repeats tell a sigma
+    to a quarter."""
     loud: float = 1.5
     """Mean squared error, in units of what the noise allows, at which the noise is raised …"""
     loudest: float = 4.0
@@ -81,8 +84,9 @@ class Closed:
 
 def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
     """Identify the passes of a walk."""
-    quiet, loudness = walk, 1.0
     grid = grid_headings(walk, settings.grid)
+    walk = louder(walk, settings.caution)
+    quiet, loudness = walk, 1.0
     links: list[Identification] = []
     strikes: Counter[tuple[int, int]] = Counter()
     torn: Counter[int] = Counter()

@@ -30,6 +30,7 @@ from topobatch.merge.robust.settings import RobustSettings
 from topobatch.merge.robust.support import _forest
 from topobatch.merge.robust.verdict import (
     JUNCTION_BITS,
+    REPEATED_JUNCTIONS,
     bar,
     counted_bits,
     opinion,
@@ -205,6 +206,24 @@ def _turn(topomap):
     """How far the map's grid is turned."""
     angle = topomap.branches.values
     return float(np.angle(np.exp(4j * angle).mean()) / 4)
+
+
+def test_a_place_that_is_the_same_upside_down_is_no_second_copy(drawn):
+    """Turned by half a circle it matches itself, every pair of junctions in both directions."""
+    point_symmetric = [*POINTS, *[(-9.0 - x, -9.0 - y) for x, y in POINTS]]
+    n = len(POINTS)
+    edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (0, n)]
+    own = self_matches(prepare(drawn("star", point_symmetric, edges)), SETTINGS)
+    best = max(own, key=len)
+    there_and_back = {
+        frozenset(pair) for pair in zip(best.a.tolist(), best.b.tolist(), strict=True)
+    }
+    assert len(best) > 1.8 * len(there_and_back)
+    one_way = replace(best, a=best.a[:REPEATED_JUNCTIONS], b=best.b[:REPEATED_JUNCTIONS] + 99)
+    assert repetition_level([replace(one_way, bits=12.0)]) == pytest.approx(0.7)
+    seven = np.arange(REPEATED_JUNCTIONS)
+    turned = replace(best, a=seven, b=seven[::-1], bits=12.0)
+    assert repetition_level([turned]) == 0.0
 
 
 def test_a_building_that_repeats_itself_is_found_out(drawn):
