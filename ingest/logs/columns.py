@@ -49,12 +49,12 @@ def column(rows: Bytes, kind: str, at: int) -> Ints:
 class Growing:
     """A column, or rows of equal width, that further rows are put behind.
 
-    Grows in place: the C library moves a large block to where it has room without touching it,
-    while parts that are joined in the end take twice the memory, and fresh pages cost more than
-    the decoding of what goes into them.
+    A long column grows in place: the C library moves a large block to where it has room without
+    touching it, while parts that are joined in the end take twice the memory, and fresh pages cost
+    more than the decoding of what goes into them.
     """
 
-    FIRST = 1 << 20
+    ROOMS = (1 << 12, 1 << 16, 1 << 20)
     """So many rows are room for at first; what is not filled takes no memory."""
 
     def __init__(self, kind: str, width: int | None = None) -> None:
@@ -66,14 +66,20 @@ class Growing:
         """Put rows behind the others, as numbers of the column's kind."""
         end = self._count + len(rows)
         if end > len(self._rows):
-            if self._count == 0:
-                room = max(end, self.FIRST)
-                self._rows = np.empty((room, *self._beyond), self._rows.dtype)
-            else:
-                room = max(end, len(self._rows) * 5 // 4)
-                self._rows.resize((room, *self._beyond), refcheck=False)
+            self._grow(end)
         self._rows[self._count : end] = rows
         self._count = end
+
+    def _grow(self, least: int) -> None:
+        room = next((room for room in self.ROOMS if room >= least), None)
+        if room is None:
+            # This fills what is new with zeros: little, so that few pages are touched in vain.
+            room = max(least, len(self._rows) * 5 // 4)
+            self._rows.resize((room, *self._beyond), refcheck=False)
+            return
+        larger = np.empty((room, *self._beyond), self._rows.dtype)
+        larger[: self._count] = self._rows[: self._count]
+        self._rows = larger
 
     def taken(self) -> NDArray[Any]:
         """All rows; the column is empty afterwards."""

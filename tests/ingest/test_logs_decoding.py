@@ -155,7 +155,7 @@ def test_hostile_definitions_are_refused(definition, form):
 
 
 def test_a_growing_column_keeps_its_rows_in_order(monkeypatch):
-    monkeypatch.setattr(Growing, "FIRST", 3)
+    monkeypatch.setattr(Growing, "ROOMS", (3, 8))
     rng = np.random.default_rng(1)
     for kind, width in (("i4", None), ("f8", 3)):
         column = Growing(kind, width)
