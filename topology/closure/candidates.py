@@ -48,7 +48,9 @@ class CandidateSettings:
     strangers: float = 1.5
     """Places this many times farther apart than the gate allows are certainly two."""
     support_cap: float = 12.0
-    """Most that growth may add."""
+    """Most that growth may add …"""
+    conflict_cap: float = 8.0
+    """… and take away: junctions upon each other are one, whatever their corridors say."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
 
@@ -239,7 +241,8 @@ def _surroundings(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> _
     branches = aligned.score - np.maximum(scene.rare[a], scene.rare[b])
     grown = grow(scene, a, b, aligned, settings.growth)
     gain = np.minimum(grown.gain, settings.support_cap)
-    return _Surroundings(branches, gain, grown.loss, aligned.turn)
+    loss = np.minimum(grown.loss, settings.conflict_cap)
+    return _Surroundings(branches, gain, loss, aligned.turn)
 
 
 def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:
