@@ -9,7 +9,7 @@ import numpy as np
 
 from ...topology.se2 import wrap
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
-from .growth import Match, grow
+from .growth import Match, grow_all
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import RobustSettings
@@ -20,7 +20,7 @@ SAME_TURN_RAD = 0.35
 """Two alignments that differ by less are versions of one placement."""
 
 FAINT_SHARE = 0.15
-"""Seeds with less than this share of the bits of a match already found are not grown."""
+"""Seeds with less than this share of the bits of a match already found are dropped."""
 
 CHANCE_BITS = 4.0
 """Matches with no more support than this beyond chance are not searched for contradictions."""
@@ -75,11 +75,10 @@ def best_of(
     """Grow and judge hypotheses; `tested` is the number of links they were chosen from."""
     tested_bits = float(np.log2(tested + 1.0))
     found: list[Candidate] = []
-    for seed in hypotheses:
-        if found and seed.bits < FAINT_SHARE * found[0].bits:
-            continue
-        grown = grow(a, b, seed, settings)
-        if len(grown) > 1:
+    matches = grow_all(a, b, hypotheses, settings)
+    for seed, grown in zip(hypotheses, matches, strict=True):
+        faint = bool(found) and seed.bits < FAINT_SHARE * found[0].bits
+        if len(grown) > 1 and not faint:
             found.append(_judge(a, b, grown, tested_bits))
     found.sort(key=lambda c: (-c.bits, c.transform.tolist()))
     kept: list[Candidate] = []
@@ -95,11 +94,11 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
     bits = agree.bits - tested_bits
     against = conflicts(a, b, grown) if bits > CHANCE_BITS else NO_CONFLICTS
     pa, pb = a.z[grown.a], b.z[grown.b]
-    mean_a, mean_b = pa.sum() / len(pa), pb.sum() / len(pb)
+    mean_a, mean_b = np.add.reduce(pa) / len(pa), np.add.reduce(pb) / len(pb)
     turn = np.vdot(pb - mean_b, pa - mean_a)
     unit = turn / abs(turn) if abs(turn) > 1e-9 else grown.turn[grown.b[0]]
     shift = mean_a - unit * mean_b
-    rmse = float(np.sqrt((np.abs(pa - unit * pb - shift) ** 2).sum() / len(pa)))
+    rmse = float(np.sqrt(np.add.reduce(np.abs(pa - unit * pb - shift) ** 2) / len(pa)))
     return Candidate(
         transform=np.array([shift.real, shift.imag, float(np.angle(unit))]),
         a=grown.a,
@@ -116,9 +115,12 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
     """Are two candidates versions of one placement of b, seen from where each matches?"""
     if abs(float(wrap(x.transform[2] - y.transform[2]))) > SAME_TURN_RAD:
         return False
-    _, rows_x, rows_y = np.intersect1d(x.b, y.b, assume_unique=True, return_indices=True)
-    if len(rows_x):
-        return float(np.count_nonzero(x.a[rows_x] == y.a[rows_y])) >= 0.5 * len(rows_x)
+    partner = np.full(len(b), -1)
+    partner[x.b] = x.a
+    mine = partner[y.b]
+    both = np.count_nonzero(mine >= 0)
+    if both:
+        return bool(np.count_nonzero(mine == y.a) >= 0.5 * both)
     one, two = complex(b.z[x.b].mean()), complex(b.z[y.b].mean())
     slack = SAME_PLACE_M + 0.1 * abs(one - two)
     return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
@@ -127,8 +129,7 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
 def self_matches(m: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
     """Alignments of a map with itself, elsewhere: how much the building repeats itself."""
     links = candidate_links(m, m)
-    one = (m.z[m.tail[links.a_row]] + m.z[m.head[links.a_row]]) / 2
-    two = (m.z[m.tail[links.b_row]] + m.z[m.head[links.b_row]]) / 2
+    one, two = m.middle[links.a_row], m.middle[links.b_row]
     here = (np.abs(links.theta) < SAME_TURN_RAD) & (np.abs(one - two) < SAME_PLACE_M)
     away = Links(links.a_row[~here], links.b_row[~here], links.theta[~here], links.bits[~here])
     away_seeds = seeds(m, m, away, settings.hypotheses)

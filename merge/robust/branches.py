@@ -24,19 +24,20 @@ def branch_bits(
     agreeing one tells the more, the more freely branches point in these maps (`turn_bits`).
     """
     nearest_b, chord2, pair = _pairing(a, b, va, vb, turn)
-    agree = pair.sum(axis=1)
-    lonely = a.count[va] + b.count[vb] - 2 * agree
-    variance = a.branch_variance[va] + b.branch_variance[vb]
+    agree = np.add.reduce(pair, axis=1)
+    of_a, of_b = a.traits.take(va, axis=0), b.traits.take(vb, axis=0)
+    branches, variance, faults, _ = (of_a + of_b).T
+    lonely = branches - 2 * agree
     q = chord2 / variance[:, None]
     density = 0.95 * np.exp(-0.5 * q) + 0.0125 * np.exp(-q / 32)
     fit = np.log2(density) - 0.5 * np.log2(2 * np.pi * variance)[:, None]
-    free = np.minimum(a.turn_bits[va], b.turn_bits[vb[:, None], nearest_b])
-    angle = np.where(pair, np.minimum(fit + free, 3.0), 0.0).sum(axis=1)
+    turn_b = b.turn_bits.reshape(-1).take(nearest_b + (vb * b.turn_bits.shape[1])[:, None])
+    free = np.minimum(a.turn_bits.take(va, axis=0), turn_b)
+    angle = np.add.reduce(np.where(pair, np.minimum(fit + free, 3.0), 0.0), axis=1)
     # One branch of each junction is taken up by the alignment itself.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
-    fault = np.log2(a.fault_rate[va] + b.fault_rate[vb])
-    chance = np.minimum(a.surprise[va], b.surprise[vb])
-    bits = chance + angle + lonely * fault - FOREIGN_BITS * (agree == 0)
+    chance = np.minimum(of_a[:, 3], of_b[:, 3])
+    bits = chance + angle + lonely * np.log2(faults) - FOREIGN_BITS * (agree == 0)
     return np.asarray(np.minimum(bits, MOST_BITS))
 
 
@@ -57,13 +58,16 @@ def _pairing(
     Headings are unit numbers, 0 where there is no branch, so that the cosine of the angle between
     two is one product and no angle is ever wrapped.
     """
-    cosine = (
-        a.branch_unit[va][:, :, None] * (b.branch_unit[vb] * turn[:, None]).conj()[:, None, :]
-    ).real
-    nearest_b = cosine.argmax(axis=2)
-    best_a, best_b = cosine.max(axis=2), cosine.max(axis=1)
-    back = best_b[np.arange(len(va))[:, None], nearest_b]
-    return nearest_b, 2 - 2 * best_a, (best_a > COS_GATE) & (best_a == back)
+    k, d_a, d_b = len(va), a.branch_unit.shape[1], b.branch_unit.shape[1]
+    turned = b.branch_unit.take(vb, axis=0) * turn[:, None]
+    pairs_a = a.branch_unit.take(va, axis=0).view(np.float64).reshape(k, d_a, 2)
+    pairs_b = turned.view(np.float64).reshape(k, d_b, 2)
+    cosine = np.matmul(pairs_a, pairs_b.transpose(0, 2, 1))
+    nearest_b, nearest_a = cosine.argmax(axis=2), cosine.argmax(axis=1)
+    row = np.arange(k)[:, None]
+    best = cosine[row, np.arange(d_a), nearest_b]
+    mutual = nearest_a[row, nearest_b] == np.arange(d_a)
+    return nearest_b, 2 - 2 * best, (best > COS_GATE) & mutual
 
 
 COS_GATE = float(np.cos(GATE_RAD))

@@ -69,12 +69,13 @@ def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
     near = match.support_m < TRUSTED_M
     alone = near.copy()
     alone[match.b] = False
-    lone = np.flatnonzero(alone)
-    half = len(b.tail) // 2
-    rows = np.flatnonzero((near[b.tail[:half]] & near[b.head[:half]])[b.road_edge])
-    if a.tree is None or a.road_tree is None or len(lone) + len(rows) == 0:
+    lone = alone.nonzero()[0]
+    rows = (near[b.road_tail] & near[b.road_head]).nonzero()[0]
+    if len(a.road) == 0 or len(lone) + len(rows) == 0:
         return NO_CONFLICTS
     place, vague = _placed_road(b, match, rows)
+    inner = (b.road_end[rows] > OFF_END_M + vague).nonzero()[0]
+    rows, place, vague = rows[inner], place[inner], vague[inner]
     spots = _look(
         a,
         np.concatenate([match.place[lone], place]),
@@ -83,13 +84,10 @@ def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
     extra_b, in_a, bits_b = _extra_b(a, b, lone, spots)
     taken = np.zeros(len(a), np.bool_)
     taken[match.a] = True
-    turned = match.turn[b.tail[b.road_edge[rows]]] * b.road_dir[rows]
-    inner = b.road_end[rows] > OFF_END_M + vague
     road = _tail_of(spots, len(lone))
-    extra_a, in_b, bits_a = _extra_a(
-        a, b, taken, rows=rows[inner], turned=turned[inner], road=_at(road, inner)
-    )
-    crossing = _crossings(a, b, rows[inner], turned[inner], _at(road, inner))
+    turned = match.turn[b.road_tail[rows]] * b.road_dir[rows]
+    extra_a, in_b, bits_a = _extra_a(a, b, taken, rows=rows, turned=turned, road=road)
+    crossing = _crossings(a, b, rows, turned, road)
     total = bits_b + bits_a + CONFLICT_BITS * len(crossing)
     return Conflicts(extra_b, in_a, extra_a, in_b, crossing, total)
 
@@ -99,33 +97,21 @@ def _placed_road(b: Prepared, match: Match, rows: IntArray) -> tuple[ComplexArra
 
     Rows name points of directed corridors of the first half, tail to head.
     """
-    edge, t = b.road_edge[rows], b.road_share[rows]
-    tail, head = b.tail[edge], b.head[edge]
-    by_tail = match.place[tail] + match.turn[tail] * (b.road[rows] - b.z[tail])
-    by_head = match.place[head] + match.turn[head] * (b.road[rows] - b.z[head])
+    tail, head, road = b.road_tail[rows], b.road_head[rows], b.road[rows]
+    by_tail = match.place[tail] + match.turn[tail] * (road - b.z[tail])
+    by_head = match.place[head] + match.turn[head] * (road - b.z[head])
     vague = VAGUE_PER_M * np.maximum(match.support_m[tail], match.support_m[head])
-    return by_tail + t * (by_head - by_tail), vague
+    return by_tail + b.road_share[rows] * (by_head - by_tail), vague
 
 
 def _look(a: Prepared, where: ComplexArray, vague: FloatArray) -> _Points:
-    assert a.tree is not None
-    assert a.road_tree is not None
-    xy = where.view(np.float64).reshape(-1, 2)
-    gap_v, vertex = a.tree.query(xy, distance_upper_bound=2.0)
-    gap_r, road = a.road_tree.query(xy, distance_upper_bound=0.8)
-    return _Points(
-        where, vague, np.asarray(vertex), np.asarray(gap_v), np.asarray(road), np.asarray(gap_r)
-    )
+    gap_v, vertex = a.sites.nearest(where, 2.0)
+    gap_r, road = a.road_sites.nearest(where, 0.8)
+    return _Points(where, vague, vertex, gap_v, road, gap_r)
 
 
-def _at(p: _Points, rows: BoolArray | slice) -> _Points:
-    return _Points(
-        p.where[rows], p.vague[rows], p.vertex[rows], p.gap_v[rows], p.road[rows], p.gap_r[rows]
-    )
-
-
-def _tail_of(p: _Points, start: int) -> _Points:
-    return _at(p, slice(start, None))
+def _tail_of(p: _Points, k: int) -> _Points:
+    return _Points(p.where[k:], p.vague[k:], p.vertex[k:], p.gap_v[k:], p.road[k:], p.gap_r[k:])
 
 
 def _weight(missing: Prepared, edge: IntArray, extra: Prepared, vertex: IntArray) -> float:
@@ -142,9 +128,11 @@ def _extra_b(
 ) -> tuple[IntArray, IntArray, float]:
     """Unmatched vertices of b (the first of the spots) well inside corridors of a."""
     k = len(lone)
-    inside = np.flatnonzero(
-        (spots.gap_r[:k] < 0.8) & (spots.gap_v[:k] > OFF_END_M + spots.vague[:k])
-    )
+    inside = ((spots.gap_r[:k] < 0.8) & (spots.gap_v[:k] > OFF_END_M + spots.vague[:k])).nonzero()[
+        0
+    ]
+    if len(inside) == 0:
+        return inside, inside, 0.0
     r = spots.road[inside]
     across = np.abs(((spots.where[inside] - a.road[r]) * a.road_dir[r].conj()).imag)
     hit = across < ON_ROAD_M
@@ -162,7 +150,7 @@ def _extra_a(
     road: _Points,
 ) -> tuple[IntArray, IntArray, float]:
     """Unmatched vertices of a beside points of b's corridors."""
-    near = np.flatnonzero(road.gap_v < 0.8)
+    near = (road.gap_v < 0.8).nonzero()[0]
     near = near[~taken[road.vertex[near]]]
     if len(near) == 0:
         return near, near, 0.0
@@ -177,9 +165,11 @@ def _crossings(
     a: Prepared, b: Prepared, rows: IntArray, turned: ComplexArray, road: _Points
 ) -> IntArray:
     """Corridors of a and b that cross away from every junction."""
-    near = np.flatnonzero((road.gap_r < 0.55) & (road.gap_v > OFF_END_M + 0.2 + road.vague))
+    near = ((road.gap_r < 0.55) & (road.gap_v > OFF_END_M + 0.2 + road.vague)).nonzero()[0]
     r = road.road[near]
     along = np.abs((turned[near] * a.road_dir[r].conj()).real)
     across = along < CROSSING
+    if not across.any():
+        return NO_CONFLICTS.crossing
     key = np.unique(a.road_edge[r[across]] * len(b.tail) + b.road_edge[rows[near[across]]])
     return np.stack([key // max(len(b.tail), 1), key % max(len(b.tail), 1)], axis=1)

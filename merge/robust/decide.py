@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -206,8 +206,7 @@ def _by_evidence(a: Prepared, b: Prepared, case: _Case, says: str) -> PairVerdic
         return _accepted(a, b, case, view.best, says)
     if case.reunion is not None:
         said = case.reunion
-        open_entry = _entry(a, b, case, Verdict.MERGED, said.reason)
-        return _with_best(open_entry, said.alignment, None, said.margin)
+        return _joined(a, b, case, said.reason, (said.alignment, None, said.margin))
     if case.seconded is not None:
         reason = f"{summary(case.seconded, None)}; other runs place the two in the same way"
         return _accepted(a, b, case, case.seconded, reason)
@@ -223,26 +222,35 @@ def _accepted(a: Prepared, b: Prepared, case: _Case, chosen: Candidate, reason: 
     others = (r for r in case.view.ranked if not same_placement(r[0], chosen, b))
     second = next((_alignment(c, a, b, bits) for c, bits in others), None)
     margin = None if second is None else bits - second.evidence_bits
-    open_entry = _entry(a, b, case, Verdict.MERGED, reason)
-    return _with_best(open_entry, _alignment(chosen, a, b, bits), second, margin)
+    return _joined(a, b, case, reason, (_alignment(chosen, a, b, bits), second, margin))
 
 
-def _with_best(
-    entry: PairVerdict, best: Alignment, runner_up: Alignment | None, margin: float | None
+def _joined(
+    a: Prepared,
+    b: Prepared,
+    case: _Case,
+    reason: str,
+    found: tuple[Alignment, Alignment | None, float | None],
 ) -> PairVerdict:
-    return replace(
-        entry,
+    """The entry of a pair that is joined; found: its alignment, the next best one, the lead."""
+    best, runner_up, margin = found
+    return PairVerdict(
+        a=a.run,
+        b=b.run,
+        verdict=Verdict.MERGED,
         accepted=True,
-        best=best,
         evidence_bits=best.evidence_bits,
+        reason=reason,
+        best=best,
         runner_up=runner_up,
         margin_bits=margin,
-        advice=None,
+        locked=_decision(case),
+        extra=_extra(case),
     )
 
 
 def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str) -> PairVerdict:
-    """An entry for a pair that is not joined."""
+    """The entry of a pair that is not joined."""
     view = case.view
     shown = [_alignment(c, a, b, bits) for c, bits in view.ranked[:2]]
     return PairVerdict(
@@ -256,9 +264,18 @@ def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str)
         runner_up=shown[1] if len(shown) > 1 else None,
         margin_bits=view.margin,
         advice=advice(a, b, view) if verdict is Verdict.AMBIGUOUS else None,
-        locked=None if case.lock is None else case.lock.decision,
-        extra={} if view.same_bits is None else {"same_place_bits": round(view.same_bits, 3)},
+        locked=_decision(case),
+        extra=_extra(case),
     )
+
+
+def _decision(case: _Case) -> str | None:
+    return None if case.lock is None else case.lock.decision
+
+
+def _extra(case: _Case) -> dict[str, float]:
+    said = case.view.same_bits
+    return {} if said is None else {"same_place_bits": round(said, 3)}
 
 
 def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:

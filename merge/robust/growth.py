@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +25,6 @@ COVERED_M = 3.5
 ACTIVE_M = 15.0
 """Predictions farther from a match than this are not looked at yet."""
 
-NONE = np.zeros(0, np.int64)
-FAR_M = 1e6
 MOST_GATE_M = 2.5
 WORST_BRANCH_BITS = -7.0
 """Two junctions whose branches disagree more than this are not the same one."""
@@ -48,26 +47,63 @@ class Match:
         return len(self.a)
 
 
+_NONE = np.zeros(0, np.int64)
+NO_MATCH = Match(
+    _NONE, _NONE, np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0)
+)
+"""What becomes of a seed that does not grow."""
+
+
 def grow(a: Prepared, b: Prepared, seed: Seed, settings: RobustSettings) -> Match:
-    """Grow a seed until nothing changes. O(rounds · n_b · log n_a).
+    """Grow one seed."""
+    return grow_all(a, b, [seed], settings)[0]
+
+
+def grow_all(
+    a: Prepared, b: Prepared, seeds: Sequence[Seed], settings: RobustSettings
+) -> list[Match]:
+    """Grow seeds, each by itself, until nothing changes. O(rounds · seeds · n_b · log n_a).
 
     Drift bends maps: every vertex of b is predicted by a rigid fit to the matches around it
     (moving least squares), so that a match follows the bend from where it is sure. In the end
-    pairs whose branches contradict each other are dropped.
+    pairs whose branches contradict each other are dropped. Strategy: all seeds take each step at
+    once, a row of every array for each that is still growing.
     """
-    partner = np.full(len(b), -1)
-    partner[seed.b] = seed.a
-    turn0 = complex(np.exp(1j * seed.theta))
-    for _ in range(settings.growth_rounds):
-        place, turn, support = predict(a, b, partner, turn0)
-        fresh, expected = _rematch(a, b, place, support, settings)
-        found = np.count_nonzero(fresh >= 0)
-        if found < max(FEWEST, LEAST_SHARE * expected):
-            return Match(NONE, NONE, place, turn, support, np.zeros(0))
-        if np.array_equal(fresh, partner):
+    out = [NO_MATCH] * len(seeds)
+    if not seeds:
+        return out
+    live = list(range(len(seeds)))
+    partner = np.full((len(seeds), len(b)), -1)
+    for mine, seed in zip(partner, seeds, strict=True):
+        mine[seed.b] = seed.a
+    for left in range(settings.growth_rounds - 1, -1, -1):
+        place, turn, support = predict(a, b, partner, [seeds[k].unit for k in live])
+        fresh, found, expected = _rematch(a, b, place, support, settings)
+        going = []
+        for row, k in enumerate(live):
+            if found[row] < max(FEWEST, LEAST_SHARE * expected[row]):
+                continue
+            if left and (fresh[row] != partner[row]).any():
+                going.append(row)
+            else:
+                out[k] = _grown(a, b, fresh[row], (place[row], turn[row], support[row]))
+        if not going:
             break
+        if len(going) < len(live):
+            live, fresh = [live[row] for row in going], fresh[going]
         partner = fresh
-    matched = np.flatnonzero(partner >= 0)
+    return out
+
+
+def _grown(
+    a: Prepared,
+    b: Prepared,
+    partner: IntArray,
+    predicted: tuple[ComplexArray, ComplexArray, FloatArray],
+) -> Match:
+    """The match of a row, without the pairs whose branches contradict each other."""
+    place, turn, support = predicted
+    matched = (partner >= 0).nonzero()[0]
     bits = branch_bits(a, b, partner[matched], matched, turn[matched])
     fair = bits > WORST_BRANCH_BITS
     matched, bits = matched[fair], bits[fair]
@@ -75,61 +111,80 @@ def grow(a: Prepared, b: Prepared, seed: Seed, settings: RobustSettings) -> Matc
 
 
 def predict(
-    a: Prepared, b: Prepared, partner: IntArray, turn0: complex
+    a: Prepared, b: Prepared, partner: IntArray, turn0: Sequence[complex]
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Where every vertex of b lies in a: (place, local turn, distance to the nearest match).
+    """Where every vertex of b lies in a: (place, local turn, distance to the nearest match), each
+    (s, n_b) like `partner`, by s matches independent of each other.
 
     Strategy: weighted complex Procrustes for all vertices at once. What a match adds to the sums
-    is a row of eight numbers; each vertex takes the weighted sum of the rows of its precomputed
-    neighbours. The fit to all matches enters with a small weight, and alone where no neighbour
-    is matched.
+    is a row of eight numbers (1 and |z|², position in a, position in b, their product); each vertex
+    takes the weighted sum of the rows of its precomputed neighbours. The fit to all matches enters
+    with a small weight, and alone where no neighbour is matched.
     """
+    many, n = partner.shape
     has = partner >= 0
-    matched = np.flatnonzero(has)
-    pa, pb = a.z[partner[matched]], b.z[matched]
-    rows = np.zeros((len(b), 4), np.complex128)
-    rows[matched] = np.stack([np.ones(len(matched)), pa, pb, pb.conj() * pa], axis=1)
-    k = max(len(matched), 1)
-    _, ma, mb, lever = (rows.sum(axis=0) / k).tolist()
-    spread = float(np.vdot(pb, pb).real) - k * abs(mb) ** 2
-    whole = k * (lever - mb.conjugate() * ma) + 4.0 * turn0
-    whole = whole / abs(whole) if abs(whole) > 1e-9 else turn0
-    place = ma + whole * (b.z - mb)
-    turn = np.full(len(b), whole)
-    support = np.abs(b.z - mb)
-    beside = has[b.neighbour]
-    active = np.flatnonzero(beside.any(axis=1))
-    near = b.neighbour[active]
-    flat = rows.view(np.float64)[near]
-    sums = np.matmul(b.near_weight[active, None, :], flat)[:, 0, :].view(np.complex128)
+    rows = np.empty((many, n, 4), np.complex128)
+    np.multiply(has, b.counted, out=rows[:, :, 0])
+    np.multiply(has, a.z[partner], out=rows[:, :, 1])
+    np.multiply(has, b.z, out=rows[:, :, 2])
+    np.multiply(rows[:, :, 1], b.z.conj(), out=rows[:, :, 3])
+    fits = np.array([_fit(s, t) for s, t in zip(rows.sum(axis=1).tolist(), turn0, strict=True)])
+    whole = fits[:, 0, None]
+    place, support = whole * b.z + fits[:, 1, None], np.abs(b.z - fits[:, 2, None])
+    turn = np.empty((many, n), np.complex128)
+    turn[:] = whole
+    # The nearest match beside each vertex: neighbours are sorted by their distance.
+    beside = has.take(b.neighbour, axis=1).reshape(many * n, -1)
+    nearest = beside.argmax(axis=1)
+    spot = beside[np.arange(many * n), nearest].nonzero()[0]
+    lane, at = spot // n, spot % n
+    near = b.neighbour.take(at, axis=0) + (spot - at)[:, None]
+    flat = rows.view(np.float64).reshape(-1, 8).take(near, axis=0)
+    weights = b.near_weight.take(at, axis=0)[:, None, :]
+    sums = np.matmul(weights, flat)[:, 0, :].view(np.complex128)
     weight = sums[:, 0].real
     ca, cb = sums[:, 1] / weight, sums[:, 2] / weight
-    # The whole match counts like a spread of 3 m and of a share of its own extent.
-    local = sums[:, 3] - sums[:, 1] * cb.conj() + (9.0 + 0.02 * min(spread, 2000.0)) * whole
+    local = sums[:, 3] - sums[:, 1] * cb.conj() + fits[lane, 3]
     local /= np.maximum(np.abs(local), 1e-12)
-    place[active] = ca + local * (b.z[active] - cb)
-    turn[active] = local
-    support[active] = np.where(beside[active], b.near_m[active], FAR_M).min(axis=1)
+    place.reshape(-1)[spot] = ca + local * (b.z[at] - cb)
+    turn.reshape(-1)[spot] = local
+    support.reshape(-1)[spot] = b.near_m[at, nearest[spot]]
     return place, turn, support
+
+
+def _fit(sums: list[complex], start: complex) -> tuple[complex, complex, complex, complex]:
+    """Of the sums over all matches of a seed: turn, shift, middle of the matches in b, and what the
+    fit counts beside the local ones: like a spread of 3 m and of a share of its own extent."""
+    count, extent = max(sums[0].real, 1.0), sums[0].imag
+    ma, mb, lever = sums[1] / count, sums[2] / count, sums[3] / count
+    turn = count * (lever - mb.conjugate() * ma) + 4.0 * start
+    turn = turn / abs(turn) if abs(turn) > 1e-9 else start
+    share = 9.0 + 0.02 * min(extent - count * abs(mb) ** 2, 2000.0)
+    return turn, ma - turn * mb, mb, share * turn
 
 
 def _rematch(
     a: Prepared, b: Prepared, place: ComplexArray, support: FloatArray, settings: RobustSettings
-) -> tuple[IntArray, int]:
-    """(n_b,) the vertex of a nearest to each prediction, within the gate; where several choose the
-    same one, it goes to the nearest. And how many of b's junctions lie where a has been."""
-    partner = np.full(len(b), -1)
-    active = np.flatnonzero(support < ACTIVE_M)
-    if a.tree is None or len(active) == 0:
-        return partner, 0
-    gate = np.minimum(settings.gate_m + settings.gate_per_m * support[active], MOST_GATE_M)
-    where = place[active].view(np.float64).reshape(-1, 2)
-    query = a.tree.query(where, distance_upper_bound=COVERED_M)
-    gap, nearest = np.asarray(query[0]), np.asarray(query[1])
-    near = np.flatnonzero(gap < gate)
-    near = near[np.argsort(-gap[near], kind="stable")]
-    owner = np.full(len(a), -1)
-    owner[nearest[near]] = active[near]  # the last one written is the nearest
-    taken = np.flatnonzero(owner >= 0)
-    partner[owner[taken]] = taken
-    return partner, int(np.count_nonzero(gap < COVERED_M))
+) -> tuple[IntArray, list[int], list[int]]:
+    """(s, n_b) the vertex of a nearest to each prediction, within the gate; where several choose
+    the same one, it goes to the nearest. And for each of s matches how many were found, and how
+    many of b's junctions lie where a has been."""
+    many, n, n_a = len(place), len(b), len(a)
+    partner = np.empty(place.shape, np.int64)
+    partner.fill(-1)
+    active = (support.reshape(-1) < ACTIVE_M).nonzero()[0]
+    if n_a == 0 or len(active) == 0:
+        return partner, [0] * many, [0] * many
+    gate = settings.gate_m + settings.gate_per_m * support.reshape(-1)[active]
+    gap, nearest = a.sites.nearest(place.reshape(-1)[active], COVERED_M)
+    near = (gap < np.minimum(gate, MOST_GATE_M)).nonzero()[0]
+    near = near[(-gap[near]).argsort(kind="stable")]
+    chooser = active[near]
+    owner = np.empty(many * n_a, np.int64)
+    owner.fill(-1)
+    owner[nearest[near] + chooser // n * n_a] = chooser  # the last one written is the nearest
+    taken = (owner >= 0).nonzero()[0]
+    partner.reshape(-1)[owner[taken]] = taken % n_a
+    found = np.bincount(taken // n_a, minlength=many)
+    expected = np.bincount(active[gap < COVERED_M] // n, minlength=many)
+    return partner, found.tolist(), expected.tolist()

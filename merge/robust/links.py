@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ TORN_PER_M = 0.1
 match that drift has torn."""
 
 TURN_RAD = 0.3
+COS_TURN = float(np.cos(TURN_RAD))
 """Links whose rotations differ by less may belong to one alignment."""
 
 
@@ -52,12 +54,17 @@ class Seed:
     shift: complex
     bits: float
 
+    @property
+    def unit(self) -> complex:
+        """The rotation as a unit number."""
+        return cmath.exp(1j * self.theta)
+
 
 def windows(low: IntArray, high: IntArray) -> tuple[IntArray, IntArray]:
     """All (i, j) with low[i] <= j < high[i], as two flat arrays."""
     size = np.maximum(high - low, 0)
-    left = np.repeat(np.arange(len(low)), size)
-    right = np.arange(len(left)) - np.repeat(np.cumsum(size) - size, size) + low[left]
+    left = np.arange(len(low)).repeat(size)
+    right = np.arange(len(left)) + (low - size.cumsum() + size)[left]
     return left, right
 
 
@@ -67,30 +74,27 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
     Strategy: b's corridors are sorted by (pattern, length); two bisections per corridor of a find
     the window of compatible ones. Each corridor of a is looked up in one direction, b's in both.
     """
-    rows = np.arange(len(a.tail) // 2)
-    tolerance = LENGTH_SIGMAS * np.sqrt(
-        a.variance[rows] + (b.variance.max(initial=0.0) if len(b.tail) else 0.0)
-    )
-    key = a.pattern[rows] * LENGTH_SCALE + a.length[rows]
-    low = np.searchsorted(b.probe_key, key - tolerance)
-    high = np.searchsorted(b.probe_key, key + tolerance)
+    half = len(a.tail) // 2
+    tolerance = LENGTH_SIGMAS * np.sqrt(a.variance[:half] + b.worst_variance)
+    key = a.pattern[:half] * LENGTH_SCALE + a.length[:half]
+    low = b.probe_key.searchsorted(key - tolerance)
+    high = b.probe_key.searchsorted(key + tolerance)
     size = high - low
-    if size.sum() > MOST_LINKS:
-        order = np.argsort(size, kind="stable")
-        kept = np.sort(order[np.cumsum(size[order]) <= MOST_LINKS])
-        rows, low, high = rows[kept], low[kept], high[kept]
-    left, right = windows(low, high)
-    i, j = rows[left], b.probe_row[right]
+    if np.add.reduce(size) > MOST_LINKS:
+        order = size.argsort(kind="stable")
+        common = order[size[order].cumsum() > MOST_LINKS]
+        high[common] = low[common]
+    i, right = windows(low, high)
+    j = b.probe_row[right]
     variance = a.variance[i] + b.variance[j]
     d = a.length[i] - b.length[j]
-    ok = (d * d < LENGTH_SIGMAS**2 * variance) & (np.abs(a.sag[i] - b.sag[j]) < SAG_M)
-    i, j, d, variance = i[ok], j[ok], d[ok], variance[ok]
+    fits = (d * d < LENGTH_SIGMAS**2 * variance) & (np.abs(a.sag[i] - b.sag[j]) < SAG_M)
+    ok = fits.nonzero()[0]
+    i, j = i[ok], j[ok]
     theta = np.asarray(wrap(a.angle[i] - b.angle[j]))
-    fits = length_bits(d, variance) + np.minimum(a.rarity[i], b.rarity[j])
-    ends = np.minimum(
-        a.surprise[a.tail[i]] + a.surprise[a.head[i]], b.surprise[b.tail[j]] + b.surprise[b.head[j]]
-    )
-    return Links(i, j, theta, np.minimum(fits, 6.0) + 0.5 * ends)
+    bits = length_bits(d[ok], variance[ok]) + np.minimum(a.rarity[i], b.rarity[j])
+    ends = np.minimum(a.end_surprise[i], b.end_surprise[j])
+    return Links(i, j, theta, np.minimum(bits, 6.0) + 0.5 * ends)
 
 
 def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
@@ -113,15 +117,14 @@ def seeds(a: Prepared, b: Prepared, links: Links, most: int) -> list[Seed]:
         return []
     label = _components(a, b, links)
     total = np.bincount(label, weights=links.bits)
-    best = np.argsort(-total, kind="stable")[:most]
+    best = (-total).argsort(kind="stable")[:most]
     best = best[total[best] > WEAK_SHARE * total[best[0]]]
     crowd = np.bincount(label)[label] > 1
-    mid_a = (a.z[a.tail[links.a_row]] + a.z[a.head[links.a_row]]) / 2
-    mid_b = (b.z[b.tail[links.b_row]] + b.z[b.head[links.b_row]]) / 2
+    mid_a, mid_b = a.middle[links.a_row], b.middle[links.b_row]
     found: list[Seed] = []
     for component in best.tolist():
         mine = label == component
-        rows, turn = _agreeing(links, mid_a, mid_b, np.flatnonzero(mine))
+        rows, turn = _agreeing(links, mid_a, mid_b, mine.nonzero()[0])
         seed = _seed(a, b, links, mid_a, mid_b, rows=rows, turn=turn, others=crowd & ~mine)
         if all(_differ(seed, other) for other in found):
             found.append(seed)
@@ -143,20 +146,22 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
         ]
     )
     key = pair * 8.0 + np.concatenate([links.theta, links.theta])
-    order = np.argsort(key, kind="stable")
+    order = key.argsort(kind="stable")
+    key = key[order]
     fresh = np.zeros(2 * k, np.int64)
-    fresh[1:] = np.diff(key[order]) > TURN_RAD
+    fresh[1:] = key[1:] - key[:-1] > TURN_RAD
+    number = fresh.cumsum()
     node = np.empty(2 * k, np.int64)
-    node[order] = np.cumsum(fresh)
+    node[order] = number
     one, two = node[:k], node[k:]
-    label = np.arange(int(node.max()) + 1)
+    label = np.arange(int(number[-1]) + 1)
     while True:
         low = np.minimum(label[one], label[two])
         sunk = label.copy()
         np.minimum.at(sunk, label[one], low)
         np.minimum.at(sunk, label[two], low)
         sunk = sunk[sunk]
-        if np.array_equal(sunk, label):
+        if (sunk == label).all():
             return np.asarray(label[one])
         label = sunk
 
@@ -168,11 +173,12 @@ def _agreeing(
     if len(rows) == 1:
         return rows, float(links.theta[rows[0]])
     if len(rows) > MOST_VOTES:
-        rows = rows[np.argsort(-links.bits[rows], kind="stable")[:MOST_VOTES]]
+        rows = rows[(-links.bits[rows]).argsort(kind="stable")[:MOST_VOTES]]
     theta, za, zb = links.theta[rows], mid_a[rows], mid_b[rows]
     gap_b = zb[None, :] - zb[:, None]
-    apart = np.abs(za[:, None] + np.exp(1j * theta)[:, None] * gap_b - za)
-    votes = (apart < 0.6 + 0.12 * np.abs(gap_b)) & (np.abs(wrap(theta[:, None] - theta)) < TURN_RAD)
+    unit = np.exp(1j * theta)
+    apart = np.abs(za[:, None] + unit[:, None] * gap_b - za)
+    votes = (apart < 0.6 + 0.12 * np.abs(gap_b)) & ((unit[:, None] * unit.conj()).real > COS_TURN)
     at = int((votes @ links.bits[rows]).argmax())
     agree = rows[votes[at]]
     return agree, float(theta[at] + wrap(links.theta[agree] - theta[at]).sum() / len(agree))
@@ -191,25 +197,23 @@ def _seed(
 ) -> Seed:
     """The seed of some agreeing links, joined by those of the `others` that lie nearly alike:
     drift may have torn one match into several components (§5)."""
-    unit = complex(np.exp(1j * turn))
-    k = len(rows)
-    middle_a, middle_b = complex(mid_a[rows].sum() / k), complex(mid_b[rows].sum() / k)
+    unit = cmath.exp(1j * turn)
+    middle_a = sum(mid_a[rows].tolist()) / len(rows)
+    middle_b = sum(mid_b[rows].tolist()) / len(rows)
     shift = middle_a - unit * middle_b
-    strength = float(links.bits[rows].sum())
+    strength = sum(links.bits[rows].tolist())
     if others.any():
         torn = np.abs(unit * mid_b + shift - mid_a) < TORN_M + TORN_PER_M * np.abs(mid_b - middle_b)
         near = others & torn & (np.abs(wrap(links.theta - turn)) < TURN_RAD)
-        rows = np.concatenate([rows, np.flatnonzero(near)])
-    va = np.concatenate([a.tail[links.a_row[rows]], a.head[links.a_row[rows]]])
-    vb = np.concatenate([b.tail[links.b_row[rows]], b.head[links.b_row[rows]]])
+        rows = np.concatenate([rows, near.nonzero()[0]])
+    row_a, row_b = links.a_row[rows], links.b_row[rows]
+    va = np.concatenate([a.tail[row_a], a.head[row_a]]).tolist()
+    vb = np.concatenate([b.tail[row_b], b.head[row_b]]).tolist()
     # Of vertices claimed twice the one keeps its partner that came first: the component's own.
-    owner = np.full(len(a), -1)
-    owner[va[::-1]] = vb[::-1]
-    claimed = np.full(len(b), -1)
-    pa = np.flatnonzero(owner >= 0)
-    claimed[owner[pa]] = pa
-    pb = np.flatnonzero(claimed >= 0)
-    return Seed(claimed[pb], pb, turn, shift, strength)
+    partner = dict(zip(reversed(va), reversed(vb), strict=True))
+    claimed = {partner[u]: u for u in sorted(partner)}
+    pb = sorted(claimed)
+    return Seed(np.array([claimed[v] for v in pb]), np.array(pb), turn, shift, strength)
 
 
 def _differ(x: Seed, y: Seed) -> bool:

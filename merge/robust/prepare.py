@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
+from .sites import Sites
 
 ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
@@ -57,7 +57,9 @@ class Prepared:
     branches of this junction tell, by how common such a pattern is in this map; turn_bits: (n, d)
     -log2 density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
     headings as unit numbers, 0 behind the last; branch_variance: (n,) [rad²] of one heading;
-    fault_rate: (n,) chance of a branch too many or too few.
+    fault_rate: (n,) chance of a branch too many or too few. traits: (n, 4) count,
+    branch_variance, fault_rate and surprise side by side.
+    counted: (n,) 1 + i |z|², what each match adds to the sums of `predict` first.
     neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances;
     near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
     near_weight: (n, q) what their matches weigh in predicting this one.
@@ -67,9 +69,13 @@ class Prepared:
     [m²] of the length; traversals: (k,); rarity: (k,) -log2 density [1/m] of corridors this long.
     pair_key, pair_row: directed corridors sorted by tail * n + head.
     probe_*: for every directed corridor its sort keys (pattern, length), sorted.
+    middle: (k,) half way between the ends (x + iy); end_surprise: (k,) bits of the branches at
+    both ends; worst_variance: the largest of `variance`.
+    alike, alike_pairs: how often two different corridors are equally long (`_equally_long`).
     road: points inside the corridors (x + iy), road_dir: unit tangents, road_edge: row of the
-    directed corridor, road_share: 0 at its tail … 1 at its head, road_end: distance [m] to the
-    nearer end, road_tree over them; tree over z.
+    directed corridor (one of the first k / 2), road_tail, road_head: its ends, road_share: 0 at
+    its tail … 1 at its head, road_end: distance [m] to the nearer end.
+    sites, road_sites: `z` and `road`, to be asked for the nearest.
     """
 
     run: str
@@ -83,6 +89,8 @@ class Prepared:
     branch_unit: ComplexArray
     branch_variance: FloatArray
     fault_rate: FloatArray
+    traits: FloatArray
+    counted: ComplexArray
     neighbour: IntArray
     near_m: FloatArray
     near_rarity: FloatArray
@@ -103,13 +111,20 @@ class Prepared:
     pattern: IntArray
     probe_key: FloatArray
     probe_row: IntArray
+    middle: ComplexArray
+    end_surprise: FloatArray
+    worst_variance: float
+    alike: float
+    alike_pairs: float
     road: ComplexArray
     road_dir: ComplexArray
     road_edge: IntArray
+    road_tail: IntArray
+    road_head: IntArray
     road_share: FloatArray
     road_end: FloatArray
-    road_tree: cKDTree | None
-    tree: cKDTree | None
+    sites: Sites
+    road_sites: Sites
 
     def __len__(self) -> int:
         return len(self.z)
@@ -136,14 +151,19 @@ def prepare(topomap: TopoMap) -> Prepared:
     traversals = np.tile(np.maximum(m.traversals[rows], 1), 2)
     variance = _length_variance(m.noise, length, traversals, looks[tail], looks[head])
     sag, road, road_dir, road_edge = _corridor_shapes(m, rows, z)
+    road_tail, road_head = tail[road_edge], head[road_edge]
     offset = _offsets(heading, count, tail, leave, angle)
     near_masks = _masks(offset)
     mask = near_masks[0]
     pattern = mask * 16 + mask[twin]
     surprise, turn_bits = _pattern_bits(heading, count)
+    branch_variance = m.noise.branch_rad**2 * (0.5 + 1 / looks) + 0.03**2
+    fault_rate = _fault_rate(m.noise, looks)
+    alike, alike_pairs = _equally_long(length)
     probe_key, probe_row = _probes(near_masks[1], twin, length)
     order = np.argsort(tail * len(z) + head, kind="stable")
-    neighbour, near_m, tree = _neighbours(z)
+    sites = Sites.of(z)
+    neighbour, near_m = _neighbours(sites)
     return Prepared(
         run=m.run,
         noise=m.noise,
@@ -154,8 +174,10 @@ def prepare(topomap: TopoMap) -> Prepared:
         surprise=surprise,
         turn_bits=turn_bits,
         branch_unit=np.where(heading < NO_HEADING / 2, np.exp(1j * heading), 0.0),
-        branch_variance=m.noise.branch_rad**2 * (0.5 + 1 / looks) + 0.03**2,
-        fault_rate=_fault_rate(m.noise, looks),
+        branch_variance=branch_variance,
+        fault_rate=fault_rate,
+        traits=np.column_stack([count, branch_variance, fault_rate, surprise]),
+        counted=1 + 1j * (z.real**2 + z.imag**2),
         neighbour=neighbour,
         near_m=near_m,
         near_rarity=_rarity(near_m.reshape(-1)).reshape(near_m.shape),
@@ -176,13 +198,20 @@ def prepare(topomap: TopoMap) -> Prepared:
         pattern=pattern,
         probe_key=probe_key,
         probe_row=probe_row,
+        middle=(z[tail] + z[head]) / 2,
+        end_surprise=surprise[tail] + surprise[head],
+        worst_variance=float(variance.max(initial=0.0)),
+        alike=alike,
+        alike_pairs=alike_pairs,
         road=road,
         road_dir=road_dir,
         road_edge=road_edge,
-        road_share=np.clip(((road - z[tail[road_edge]]) / chord[road_edge]).real, 0.0, 1.0),
-        road_end=np.minimum(np.abs(road - z[tail[road_edge]]), np.abs(road - z[head[road_edge]])),
-        road_tree=cKDTree(np.column_stack([road.real, road.imag])) if len(road) else None,
-        tree=tree,
+        road_tail=road_tail,
+        road_head=road_head,
+        road_share=np.clip(((road - z[road_tail]) / chord[road_edge]).real, 0.0, 1.0),
+        road_end=np.minimum(np.abs(road - z[road_tail]), np.abs(road - z[road_head])),
+        sites=sites,
+        road_sites=Sites.of(road),
     )
 
 
@@ -360,10 +389,24 @@ def _rarity(length: FloatArray) -> FloatArray:
     return np.asarray(-np.log2(density)[cell])
 
 
-def _neighbours(z: ComplexArray) -> tuple[IntArray, FloatArray, cKDTree | None]:
-    if len(z) == 0:
-        return np.zeros((0, 0), np.int64), np.zeros((0, 0)), None
-    points = np.column_stack([z.real, z.imag])
-    tree = cKDTree(points)
-    near_m, neighbour = tree.query(points, k=np.arange(1, min(NEIGHBOURS, len(z)) + 1))
-    return np.asarray(neighbour, np.int64), np.asarray(near_m), tree
+def _equally_long(length: FloatArray) -> tuple[float, float]:
+    """Σ density [1/m] at zero of the differences between corridors, and how many were summed.
+
+    length: (k,) of corridors seen from both ends: every corridor stands twice, and its own two rows
+    do not count. Strategy: histogram of 10 cm, smoothed by a triangle of ± 0.4 m. O(k).
+    """
+    k = len(length)
+    if k == 0:
+        return 0.0, 0.0
+    histogram = np.bincount(np.minimum((length * 10).astype(np.int64), 9999), minlength=7)
+    kernel = 10 * LENGTH_KERNEL
+    near = float(histogram @ np.convolve(histogram, kernel, mode="same"))
+    return near - 2 * k * float(kernel[3]), float(k * (k - 2))
+
+
+def _neighbours(sites: Sites) -> tuple[IntArray, FloatArray]:
+    if sites.tree is None:
+        return np.zeros((0, 0), np.int64), np.zeros((0, 0))
+    most = np.arange(1, min(NEIGHBOURS, len(sites)) + 1)
+    near_m, neighbour = sites.tree.query(sites.across.T, k=most)
+    return np.asarray(neighbour, np.int64), np.asarray(near_m)

@@ -17,13 +17,16 @@ WORST_LINK_BITS = -5.0
 """No single corridor speaks louder against a match: one of the runs may have measured it badly."""
 
 REPEAT_BITS = 0.5
-BEARING_RAD = np.pi / 8
+HALF_TURN = 8
+BEARING_RAD = np.pi / HALF_TURN
 LINE_M = 0.8
 """Corridors whose ends lie on the same two lines, within about this, are repeats of each other."""
 
 BEND_RAD = 0.04
 NEAR_PENALTY_BITS = 3.0
 SAG_M = 0.75
+UP_TO = np.triu(np.ones((12, 12)))
+"""Times this, a row becomes its running sum."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,11 +52,12 @@ def support(a: Prepared, b: Prepared, match: Match) -> Support:
     p, q, near_bits = _near_links(a, b, match, order)
     source, target = np.concatenate([i, p]), np.concatenate([j, q])
     value = np.concatenate([bits, near_bits])
-    chosen = _forest(source, target, value, np.abs(b.z[match.b] - b.z[match.b].sum() / k))
+    zb = b.z[match.b]
+    chosen = _forest(source, target, value, np.abs(zb - np.add.reduce(zb) / k))
     source, target, value = source[chosen], target[chosen], value[chosen]
     total = _without_repeats(a.z[match.a[source]], a.z[match.a[target]], value)
-    misfit = float(np.maximum(bits[bits < 0], WORST_LINK_BITS).sum())
-    return Support(total + misfit + float(match.branch.sum()), rows)
+    misfit = float(np.add.reduce(np.maximum(bits[bits < 0], WORST_LINK_BITS)))
+    return Support(total + misfit + float(np.add.reduce(match.branch)), rows)
 
 
 def _corridor_links(
@@ -62,19 +66,19 @@ def _corridor_links(
     """Corridors of b between matched vertices that a has too, by bisection among a's."""
     half = len(b.tail) // 2
     i, j = order[b.tail[:half]], order[b.head[:half]]
-    rows = np.flatnonzero((i >= 0) & (j >= 0))
+    rows = ((i >= 0) & (j >= 0)).nonzero()[0]
     i, j = i[rows], j[rows]
     key = match.a[i] * len(a) + match.a[j]
-    at = np.searchsorted(a.pair_key, key)
-    at = np.minimum(at, len(a.pair_key) - 1) if len(a.pair_key) else at
-    there = a.pair_key[at] == key if len(a.pair_key) else np.zeros(0, np.bool_)
-    i, j, rows, row_a = i[there], j[there], rows[there], a.pair_row[at[there]]
-    same_bow = np.abs(a.sag[row_a] - b.sag[rows]) < SAG_M
-    i, j, rows, row_a = i[same_bow], j[same_bow], rows[same_bow], row_a[same_bow]
+    if len(a.pair_key) == 0:
+        rows = key = key[:0]
+    at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
+    row_a = a.pair_row[at]
+    same = ((a.pair_key[at] == key) & (np.abs(a.sag[row_a] - b.sag[rows]) < SAG_M)).nonzero()[0]
+    i, j, row_a, rows = i[same], j[same], row_a[same], rows[same]
     d = a.length[row_a] - b.length[rows]
     bits = length_bits(d, a.variance[row_a] + b.variance[rows])
     bits = bits + np.minimum(a.rarity[row_a], b.rarity[rows])
-    return i, j, np.column_stack([row_a, rows]), bits
+    return i, j, np.array([row_a, rows]).T, bits
 
 
 def _near_links(
@@ -88,21 +92,22 @@ def _near_links(
     none = np.zeros(0, np.int64)
     if len(match) < 2:
         return none, none, np.zeros(0)
-    near = order[b.neighbour[match.b, 1:13]]
+    near = order.take(b.neighbour.take(match.b, axis=0)[:, 1:13])
     known = near >= 0
-    known &= np.cumsum(known, axis=1) <= 3
-    p, column = np.nonzero(known)
+    known &= np.matmul(known, UP_TO[: near.shape[1], : near.shape[1]]) <= 3
+    p, column = known.nonzero()
     q = near[p, column]
-    offset_b = b.z[match.b[q]] - b.z[match.b[p]]
-    offset_a = a.z[match.a[q]] - a.z[match.a[p]]
+    vertex = match.b[p]
+    za, zb = a.z[match.a], b.z[match.b]
+    offset_a, offset_b = za[q] - za[p], zb[q] - zb[p]
     d = np.abs(offset_b)
-    unit = offset_a * (match.turn[match.b[p]] * offset_b).conj()
+    unit = offset_a * (match.turn[vertex] * offset_b).conj()
     unit = unit / np.maximum(np.abs(unit), 1e-9)
-    bend = np.abs(np.angle(unit)) * d
+    bend = np.abs(np.arctan2(unit.imag, unit.real)) * d
     centres = 0.05**2 + a.noise.centre_m**2 + b.noise.centre_m**2 + (0.02 * d) ** 2
     bits = length_bits(np.abs(offset_a) - d, centres)
     bits = bits - bend * bend / (2 * (centres + (BEND_RAD * d) ** 2)) / np.log(2)
-    return p, q, bits + b.near_rarity[match.b[p], column + 1] - NEAR_PENALTY_BITS
+    return p, q, bits + b.near_rarity[vertex, column + 1] - NEAR_PENALTY_BITS
 
 
 def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatArray) -> IntArray:
@@ -113,7 +118,8 @@ def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatAr
     child = np.where(depth[source] > depth[target], source, target)
     order = np.lexsort((-bits, child))
     first = np.ones(len(order), np.bool_)
-    first[1:] = np.diff(child[order]) != 0
+    sorted_child = child[order]
+    first[1:] = sorted_child[1:] != sorted_child[:-1]
     chosen = order[first]
     return np.asarray(chosen[bits[chosen] > 0])
 
@@ -128,19 +134,21 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: FloatArray) -
     if len(bits) == 0:
         return 0.0
     bits = np.minimum(bits, LINK_BITS)
-    order = np.argsort(-bits, kind="stable")
+    order = (-bits).argsort(kind="stable")
     bits, origin = bits[order], start[order[0]]
     start, offset = start[order] - origin, end[order] - start[order]
-    axis = np.angle(offset[0])
-    bearing = np.round((np.angle(offset) - axis) / BEARING_RAD).astype(np.int64)
+    angle = np.arctan2(offset.imag, offset.real)
+    axis = angle[0]
+    bearing = np.rint((angle - axis) / BEARING_RAD).astype(np.int64)
     along = np.exp(-1j * (axis + bearing * BEARING_RAD))
     one, two = (start * along).real, ((start + offset) * along).real
-    half = int(np.round(np.pi / BEARING_RAD))
     # Seen the other way round it is the same interval, mirrored.
-    flip = (bearing % (2 * half)) >= half
+    flip = (bearing % (2 * HALF_TURN)) >= HALF_TURN
     one, two = np.where(flip, -one, one), np.where(flip, -two, two)
-    low, high = np.round(np.minimum(one, two) / LINE_M), np.round(np.maximum(one, two) / LINE_M)
-    key = ((bearing % half) * 100_003 + low.astype(np.int64)) * 100_003 + high.astype(np.int64)
-    first = np.zeros(len(key), np.bool_)
-    first[np.unique(key, return_index=True)[1]] = True
-    return float(np.where(first, bits, np.minimum(bits, REPEAT_BITS)).sum())
+    low, high = np.rint(np.minimum(one, two) / LINE_M), np.rint(np.maximum(one, two) / LINE_M)
+    key = ((bearing % HALF_TURN) * 100_003 + low.astype(np.int64)) * 100_003 + high.astype(np.int64)
+    rank = key.argsort(kind="stable")
+    key = key[rank]
+    again = rank[1:][key[1:] == key[:-1]]
+    bits[again] = np.minimum(bits[again], REPEAT_BITS)
+    return float(np.add.reduce(bits))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..result import Verdict
 from .alignment import Candidate
-from .prepare import LENGTH_KERNEL, FloatArray, Prepared
+from .prepare import Prepared
 from .repetition import CopyModel, sameness
 from .settings import RobustSettings
 
@@ -122,7 +122,7 @@ def repetition_level(own: Sequence[Candidate]) -> float:
         if pairs >= REPEATED_JUNCTIONS:
             bits = max(bits, c.bits * pairs / len(c))
     level = (bits - PLAIN_SELF_BITS) / (REPETITIVE_SELF_BITS - PLAIN_SELF_BITS)
-    return float(np.clip(level, 0.0, 1.0))
+    return _share(float(level))
 
 
 def regularity(a: Prepared, b: Prepared) -> float:
@@ -132,24 +132,9 @@ def regularity(a: Prepared, b: Prepared) -> float:
     how often two different corridors of one map are equally long, which is right for small maps,
     too.
     """
-    alike, pairs = np.add(_equally_long(a.length), _equally_long(b.length)).tolist()
-    tells = -np.log2(alike / pairs) if alike > 0 else np.inf
-    return float(np.clip((VARIED_BITS - tells) / (VARIED_BITS - UNIFORM_BITS), 0.0, 1.0))
-
-
-def _equally_long(length: FloatArray) -> tuple[float, float]:
-    """Σ density [1/m] at zero of the differences between corridors, and how many were summed.
-
-    length: (k,) of corridors seen from both ends: every corridor stands twice, and its own two rows
-    do not count. Strategy: histogram of 10 cm, smoothed by a triangle of ± 0.4 m. O(k).
-    """
-    k = len(length)
-    if k == 0:
-        return 0.0, 0.0
-    histogram = np.bincount(np.minimum((length * 10).astype(np.int64), 9999), minlength=7)
-    kernel = 10 * LENGTH_KERNEL
-    near = float(histogram @ np.convolve(histogram, kernel, mode="same"))
-    return near - 2 * k * float(kernel[3]), float(k * (k - 2))
+    alike, pairs = a.alike + b.alike, a.alike_pairs + b.alike_pairs
+    tells = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
+    return _share((VARIED_BITS - tells) / (VARIED_BITS - UNIFORM_BITS))
 
 
 def counted_bits(c: Candidate) -> float:
@@ -159,7 +144,12 @@ def counted_bits(c: Candidate) -> float:
 
 def _thinness(c: Candidate) -> float:
     """0 to 1: how little each matched junction of an alignment tells."""
-    return float(np.clip((SOLID_BITS - c.bits / len(c)) / (SOLID_BITS - THIN_BITS), 0.0, 1.0))
+    return _share((SOLID_BITS - c.bits / len(c)) / (SOLID_BITS - THIN_BITS))
+
+
+def _share(level: float) -> float:
+    """Bounded to 0 … 1."""
+    return min(max(level, 0.0), 1.0)
 
 
 def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Bar) -> Opinion:

@@ -10,13 +10,14 @@ from topobatch.merge.robust.alignment import match, same_placement, self_matches
 from topobatch.merge.robust.branches import branch_bits
 from topobatch.merge.robust.components import Components, join_all
 from topobatch.merge.robust.conflicts import conflicts
-from topobatch.merge.robust.growth import grow
+from topobatch.merge.robust.growth import grow, grow_all
 from topobatch.merge.robust.links import (
     LENGTH_SIGMAS,
     SAG_M,
     Seed,
     candidate_links,
     length_bits,
+    seeds,
     windows,
 )
 from topobatch.merge.robust.prepare import prepare
@@ -27,6 +28,7 @@ from topobatch.merge.robust.repetition import (
     sameness,
 )
 from topobatch.merge.robust.settings import RobustSettings
+from topobatch.merge.robust.sites import MOST_PAIRS, Sites
 from topobatch.merge.robust.support import _forest
 from topobatch.merge.robust.verdict import (
     JUNCTION_BITS,
@@ -84,6 +86,42 @@ def test_candidate_links_are_those_of_brute_force(halves):
     assert expected <= found
     softened = found - expected
     assert all(a.pattern[i] != b.pattern[j] for i, j in softened)
+
+
+@pytest.mark.parametrize("n", [1, 40, 900])
+def test_sites_find_the_nearest_both_ways(n):
+    rng = np.random.default_rng(n)
+    z, where = (
+        (rng.uniform(0, 40, (k, 2)) + 3e5) @ np.array([1, 1j]) for k in (n, MOST_PAIRS // n + 1)
+    )
+    sites = Sites.of(z)
+    for asked in (where, where[: MOST_PAIRS // n]):
+        gap, index = sites.nearest(asked, 3.0)
+        all_gaps = np.abs(asked[:, None] - z)
+        near = all_gaps.min(axis=1) < 3.0
+        assert (index[near] == all_gaps.argmin(axis=1)[near]).all()
+        assert gap[near] == pytest.approx(all_gaps.min(axis=1)[near], abs=1e-9)
+        assert (gap[~near] >= 3.0).all()
+
+
+def test_no_sites_are_near_nothing():
+    gap, _ = Sites.of(np.zeros(0, complex)).nearest(np.array([1j, 2.0]), 5.0)
+    assert np.isinf(gap).all()
+
+
+def test_seeds_grow_as_each_would_alone(halves):
+    a, b = (prepare(m) for m in halves)
+    found = seeds(a, b, candidate_links(a, b), 3)
+    wrong = Seed(np.array([0, 1]), np.array([7, 3]), 2.0, 5j, 1.0)
+    several = [*found, wrong, *found]
+    for seed, match_ in zip(several, grow_all(a, b, several, SETTINGS), strict=True):
+        alone = grow(a, b, seed, SETTINGS)
+        assert match_.a.tolist() == alone.a.tolist()
+        assert match_.b.tolist() == alone.b.tolist()
+        assert match_.place == pytest.approx(alone.place)
+        assert match_.branch == pytest.approx(alone.branch)
+    assert len(grow(a, b, found[0], SETTINGS)) > 10
+    assert grow_all(a, b, [], SETTINGS) == []
 
 
 def test_length_evidence_is_a_density_with_heavy_tails():
