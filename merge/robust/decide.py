@@ -44,7 +44,8 @@ def decide(
     3. Each pair by itself is merged, ambiguous or unrelated; "merged" must fit better than its
        mirror image.
     4. Merged pairs are joined, strongest first, locks honoured, cycles checked.
-    5. The merged maps of components are matched again: evidence adds up over their runs.
+    5. The merged maps of components are matched again: evidence adds up over their runs. They, too,
+       must fit better than their mirror images.
     6. What the joined runs say of the pairs that stayed open is taken over.
 
     Locks of runs that are not among the maps are left alone. Raises UsageError on locks that

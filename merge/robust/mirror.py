@@ -15,7 +15,7 @@ from ...topology.ragged import Ragged
 from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
 from ..result import Verdict
-from .alignment import match
+from .alignment import Candidate, match
 from .pairing import Pair
 from .prepare import IntArray, Prepared, prepare
 from .settings import RobustSettings
@@ -60,7 +60,17 @@ def doubt_mirrored(
             continue
         if j not in images:
             images[j] = prepare(mirrored(maps[j]))
-        found = match(prepared[i], images[j], settings)
-        if found and found[0].bits > view.best.bits + settings.lead_bits:
+        if image_fits_better(prepared[i], images[j], view.best, settings):
             out[i, j] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
     return out
+
+
+def image_fits_better(
+    one: Prepared, image: Prepared, best: Candidate, settings: RobustSettings
+) -> bool:
+    """Does the mirror image of a map fit another one clearly better than the map itself does?
+
+    image: the prepared mirror image; best: the alignment of the map itself.
+    """
+    found = match(one, image, settings)
+    return bool(found) and found[0].bits > best.bits + settings.lead_bits

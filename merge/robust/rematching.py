@@ -14,6 +14,7 @@ from ..fusion import fuse
 from ..result import Alignment, FusedMap, PairVerdict, Verdict
 from .alignment import Candidate, match
 from .components import Components
+from .mirror import image_fits_better, mirrored
 from .prepare import Prepared, prepare
 from .settings import RobustSettings
 from .verdict import ODD_BITS, Bar, Opinion, opinion
@@ -38,9 +39,11 @@ class Reunion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fused:
-    """The merged map of a component: prepared, with the vertices of its runs behind each vertex."""
+    """The merged map of a component, also prepared, with the vertices of its runs behind each
+    vertex."""
 
     runs: tuple[int, ...]
+    as_map: TopoMap
     prepared: Prepared
     members: tuple[Mapping[str, tuple[int, ...]], ...]
     maps: Mapping[int, TopoMap]
@@ -102,8 +105,11 @@ class Rematcher:
         level = max(across, key=lambda bar: (bar.need_bits, bar.repetition))
         candidates = match(one.prepared, two.prepared, self.settings)
         view = opinion(one.prepared, two.prepared, candidates, level)
-        sure = view.verdict is Verdict.MERGED and bool(_links(one, two, view))
-        return (one, two, view) if sure else None
+        if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):
+            return None
+        image = prepare(mirrored(two.as_map))
+        copied = image_fits_better(one.prepared, image, view.best, self.settings)
+        return None if copied else (one, two, view)
 
     def _open(self) -> list[tuple[Runs, Runs]]:
         """Pairs of components, not both single runs, with an undecided pair across them."""
@@ -135,7 +141,7 @@ def _fused(
         _, fused = fuse(own, inside)
         members = fused.members
         as_map = own[0] if len(own) == 1 else _as_map(fused, own)
-        cache[runs] = _Fused(runs, prepare(as_map), members, {i: maps[i] for i in runs})
+        cache[runs] = _Fused(runs, as_map, prepare(as_map), members, {i: maps[i] for i in runs})
     return cache[runs]
 
 

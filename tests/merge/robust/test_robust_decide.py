@@ -242,18 +242,39 @@ def test_a_few_junctions_with_much_evidence_are_doubtful_not_unrelated(drawn):
 
 def test_a_wing_built_the_other_way_round_is_not_the_place(drawn):
     """A straight corridor without sides fits its mirror image; all that hangs on it does not."""
-    steps = np.cumsum([0.0, 4.0, 9.3, 6.1, 13.7, 5.2, 17.9, 7.7, 11.3, 3.1])
-    line = [(x, 0.0) for x in steps]
-    chain = [(k, k + 1) for k in range(len(line) - 1)]
-    side = [(x, 6.0 + 0.7 * k) for k, x in enumerate(steps[2:8])]
-    hangs = [(k + 2, len(line) + k) for k in range(len(side))]
-    crossed = [(k, sign * np.pi / 2) for k in range(2, 8) for sign in (-1,)]
-    wing = drawn("a", [*line, *side], [*chain, *hangs], stubs=crossed)
+    wing = _wing(drawn, "a")
     image = replace(mirrored(wing), run="b")
     v = only([wing, image])
     assert v.verdict is Verdict.AMBIGUOUS
     assert "mirror image" in v.reason
     assert only([wing, replace(mirrored(image), run="b")]).accepted
+
+
+def _wing(drawn, name, first=0, last=9):
+    """Part of a corridor with crossings, rooms on one of its sides."""
+    steps = np.cumsum([0.0, 4.0, 9.3, 6.1, 13.7, 5.2, 17.9, 7.7, 11.3, 3.1])
+    line = {k: (steps[k], 0.0) for k in range(first, last + 1)}
+    side = {k: (steps[k], 6.0 + 0.7 * (k - 2)) for k in line if 2 <= k <= 7}
+    chain = [(k, k + 1) for k in range(len(line) - 1)]
+    hangs = [(k - first, len(line) + n) for n, k in enumerate(side)]
+    crossed = [(k - first, -np.pi / 2) for k in side]
+    return drawn(name, [*line.values(), *side.values()], [*chain, *hangs], stubs=crossed)
+
+
+def test_components_must_fit_better_than_their_mirror_images_too(drawn):
+    """Two runs of one wing say together what neither says alone; of its image they say nothing."""
+    parts = [_wing(drawn, "b", last=6), _wing(drawn, "c", first=3)]
+    images = [replace(mirrored(m), run=m.run) for m in parts]
+    wing, known = _wing(drawn, "a"), [Lock("b", "c", "same")]
+    alone = max(only([image, part]).evidence_bits for image in images for part in [wing])
+    strict = RobustSettings(false_merge_rate=3 * 2.0 ** -(alone + 2))
+    said = {(v.a, v.b): v for v in decide([wing, *parts], strict, locks=known)}
+    assert said["a", "b"].accepted
+    assert said["a", "c"].accepted
+    said = {(v.a, v.b): v for v in decide([wing, *images], strict, locks=known)}
+    assert said["b", "c"].accepted
+    assert not said["a", "b"].accepted
+    assert not said["a", "c"].accepted
 
 
 def _apart(world, size, seed):
