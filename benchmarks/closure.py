@@ -1,6 +1,6 @@
 """How often loop closure is right: python benchmarks/closure.py [--seeds 5] [--growth]
 
-Runs of the project's own simulator in three kinds of world, by drift and faults. A run is
+Runs of the project's own simulator in four kinds of world, by drift and faults. A run is
 *consistent* if no junction stands twice in its map and no vertex holds two. `false` are passes in a
 vertex that is mostly another junction, per 100 passes. Edges are right if their vertices are joined
 in the world, and wanted if driven between two reported passes; phantoms are passed over, and what
@@ -32,7 +32,7 @@ from topobatch.topology.closure.rounds import full_closure
 from topobatch.topology.closure.walk import make_walk
 from topobatch.topology.se2 import apply, fit_rigid
 
-WORLDS = ("maze", "office", "organic")
+WORLDS = ("maze", "office", "organic", "city")
 CELLS = (
     ("low", "none"),
     ("low", "mild"),

@@ -15,8 +15,10 @@ from .output import Screen, count
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write; must be new or empty.")],
     world: Annotated[
-        Literal["maze", "office", "organic"],
-        typer.Option(help="Rectilinear maze, repetitive office floor, or organic streets."),
+        Literal["maze", "office", "organic", "city"],
+        typer.Option(
+            help="Rectilinear maze, repetitive office floor, organic ways or city blocks."
+        ),
     ] = "maze",
     runs: Annotated[int, typer.Option(help="Runs in the one world.")] = 3,
     unrelated: Annotated[int, typer.Option(help="Further runs, each in a world of its own.")] = 0,

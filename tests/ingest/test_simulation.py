@@ -43,7 +43,7 @@ from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import TopoMap
 
-KINDS = ("maze", "office", "organic")
+KINDS = ("maze", "office", "organic", "city")
 PERFECT = RunSettings(drift=DRIFTS["none"], faults=Faults(0.0, 0.0, 0.0))
 
 
@@ -106,6 +106,17 @@ def test_streets_leave_a_junction_apart_and_bend_without_one() -> None:
     assert min(gaps) > np.radians(35)
     assert np.count_nonzero(world.branches.counts == 2) < 4
     assert any(len(path) > 2 for path in world.paths)
+
+
+def test_city_blocks_are_square_at_every_crossing_and_not_as_a_whole() -> None:
+    world = make_world("city", 120, seed=2)
+    rows = [world.branches[v] for v in range(len(world))]
+    square = [np.abs(wrap(4 * np.diff(r))) / 4 for r in rows if len(r) > 1]
+    assert np.quantile(np.concatenate(square), 0.9) < np.radians(15)
+    whole = np.abs(np.exp(4j * world.branches.values).mean())
+    alone = np.mean([np.abs(np.exp(4j * r).mean()) for r in rows])
+    assert alone > 0.9
+    assert whole < 0.8
 
 
 def test_wings_of_an_office_repeat_one_plan() -> None:
