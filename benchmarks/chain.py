@@ -96,7 +96,7 @@ def main() -> None:
     parser.add_argument("--junctions", type=int, default=50)
     args = parser.parse_args()
     print(f"{'scenario':26}" + "".join(f"{c:>7}" for c in COLUMNS) + "   s/run  s/pair")
-    for world in ("maze", "organic", "office"):
+    for world in ("maze", "organic", "office", "city"):
         for drift, faults in LEVELS:
             for overlap in OVERLAPS:
                 name = f"{world} {drift} {faults} {overlap:.0%}"
