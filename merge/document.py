@@ -74,6 +74,13 @@ class RunnerUp(Model):
     matched: list[tuple[Index, Index]]
 
 
+class Placed(Model):
+    """1 sigma of how two runs lie that only others place in one component."""
+
+    sigma_m: Finite
+    sigma_rad: Finite
+
+
 class MergeEntry(Model):
     """What is said about one pair of runs."""
 
@@ -86,6 +93,7 @@ class MergeEntry(Model):
     transform: Pose | None = None
     matched: list[tuple[Index, Index]] | None = None
     runner_up: RunnerUp | None = None
+    placed: Placed | None = None
 
 
 class MergedDocument(Model):
@@ -128,6 +136,8 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
         "evidence_bits": rounded(pair.evidence_bits, 2),
         "reason": pair.reason,
     }
+    if pair.placed is not None:
+        entry["placed"] = {"sigma_m": rounded(pair.placed[0]), "sigma_rad": rounded(pair.placed[1])}
     if pair.locked is not None:
         entry["locked"] = pair.locked
     if pair.verdict is Verdict.UNRELATED:

@@ -22,10 +22,19 @@ from .corridors import (
     fuse_corridors,
 )
 from .identity import Groups, Pool, identify
-from .joint import DEFAULT_JOINT, JointSettings, fitted_poses, optimise, pass_counts, run_poses
+from .joint import (
+    DEFAULT_JOINT,
+    Joint,
+    JointSettings,
+    fitted_poses,
+    pass_counts,
+    run_poses,
+    settle,
+)
 from .passages import DEFAULT_PASSAGE, PassageSettings, split_at_places
 from .places import DEFAULT_PLACE, Place, PlaceSettings, fused_places
-from .result import Component, FusedMap, PairVerdict
+from .result import Component, FusedMap, PairVerdict, Spread
+from .spread import spread
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -52,6 +61,7 @@ class _Fused:
     """One fused component, before all are put in one row."""
 
     pool: Pool
+    joint: Joint
     xy: FloatArray
     places: list[Place]
     corridors: list[Corridor]
@@ -62,6 +72,8 @@ def fuse(
     maps: Sequence[TopoMap],
     verdicts: Sequence[PairVerdict],
     settings: FusionSettings = DEFAULT_FUSION,
+    *,
+    how_sure: bool = False,
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
 
@@ -69,7 +81,8 @@ def fuse(
     over all vertices of a component; vertices are fused from matched pairs, transitively, and
     where they coincide afterwards. Components, vertices and edges are numbered by run name and
     vertex: independent of the order of the input. A run that nothing matched is a component of
-    its own, its map unchanged.
+    its own, its map unchanged. how_sure: with the `spread` of components in which some pair of
+    runs was not accepted by itself.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -78,10 +91,23 @@ def fuse(
         for runs in components_of(by_name, accepted)
     ]
     components = tuple(
-        Component(id=k, poses={run: f.poses[run] for run in sorted(f.poses)})
+        Component(
+            id=k,
+            poses={run: f.poses[run] for run in sorted(f.poses)},
+            spread=_spread(f, accepted) if how_sure else None,
+        )
         for k, f in enumerate(fused)
     )
     return components, _assemble(fused)
+
+
+def _spread(fused: _Fused, accepted: Sequence[PairVerdict]) -> Spread | None:
+    """How surely a component's runs are placed, where not every pair has an alignment."""
+    runs, joint = fused.pool.first, fused.joint
+    alone = sum(v.a in runs and v.b in runs for v in accepted)
+    if alone == len(runs) * (len(runs) - 1) // 2 or joint.graph is None or joint.solution is None:
+        return None
+    return spread(fused.pool, joint.graph, joint.solution)
 
 
 def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -> list[list[str]]:
@@ -111,7 +137,8 @@ def _fuse_component(
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
     matched = [(v.a, v.b) for v in inside]
-    pose = _settle(pool, groups, start, matched, settings)
+    joint = _settle(pool, groups, start, matched, settings)
+    pose = joint.pose
     label = groups.labels()
     xy = _place_positions(pool, label, pose)
     places = fused_places(pool, label, pose, settings.places)
@@ -124,7 +151,7 @@ def _fuse_component(
         corridors = fuse_corridors(corridors, settings.corridors)
         headings = [p.headings for p in places]
         corridors = split_at_places(corridors, xy, headings, settings.passages, settings.corridors)
-    return _Fused(pool, xy, places, corridors, fitted_poses(pool, pose))
+    return _Fused(pool, joint, xy, places, corridors, fitted_poses(pool, pose))
 
 
 def _settle(
@@ -133,18 +160,18 @@ def _settle(
     start: Mapping[str, FloatArray],
     matched: Sequence[tuple[str, str]],
     settings: FusionSettings,
-) -> FloatArray:
+) -> Joint:
     """Optimise, fuse what coincides, and again until nothing more does."""
-    pose = optimise(pool, groups.labels(), start, settings.joint)
+    joint = settle(pool, groups.labels(), start, settings.joint)
     if len(pool.maps) < 2:
-        return pose
+        return joint
     for _ in range(settings.rounds):
-        pairs = coincident(pool, groups, pose, matched, settings.coincidence)
+        pairs = coincident(pool, groups, joint.pose, matched, settings.coincidence)
         joined = [groups.join(u, v) for u, v in pairs]
         if not any(joined):
             break
-        pose = optimise(pool, groups.labels(), start, settings.joint)
-    return pose
+        joint = settle(pool, groups.labels(), start, settings.joint)
+    return joint
 
 
 def _place_positions(pool: Pool, label: IntArray, pose: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..topology.embedding import corridor_measurements
-from ..topology.posegraph import PoseGraph, Priors, SolverSettings, solve
+from ..topology.posegraph import PoseGraph, Priors, Solution, SolverSettings, solve
 from ..topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from ..topology.structure import grid_direction, padded_branches
 from ..topology.topomap import TopoMap
@@ -65,6 +65,16 @@ class _Factors:
     information: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """Poses (n, 3) of all rows of a pool in the component's frame, and the graph that gave them
+    with its solution in a frame of its own; None where no place ties two runs."""
+
+    pose: FloatArray
+    graph: PoseGraph | None
+    solution: Solution | None
+
+
 def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str, FloatArray]:
     """A first T_component_run of every run along the strongest accepted verdicts.
 
@@ -89,7 +99,18 @@ def optimise(
     start: Mapping[str, FloatArray],
     settings: JointSettings = DEFAULT_JOINT,
 ) -> FloatArray:
-    """(n, 3) poses of all rows of a pool: position, and turn of the run's map there.
+    """(n, 3) poses of all rows of a pool: position, and turn of the run's map there; arguments as
+    those of `settle`."""
+    return settle(pool, label, start, settings).pose
+
+
+def settle(
+    pool: Pool,
+    label: IntArray,
+    start: Mapping[str, FloatArray],
+    settings: JointSettings = DEFAULT_JOINT,
+) -> Joint:
+    """The most likely poses of all rows of a pool.
 
     label: (n,) the place of each row; start: T_component_run of every run. The frame is chosen so
     that the first run, laid rigidly over its optimised vertices, does not move.
@@ -97,7 +118,7 @@ def optimise(
     guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
     ties = _identity_factors(pool, label, guess, settings)
     if len(ties.source) == 0:
-        return guess
+        return Joint(guess, None, None)
     within = _concatenated([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
     factors = _concatenated([within, ties])
     kernel = np.full(len(factors.source), np.inf)
@@ -111,10 +132,10 @@ def optimise(
         kernel=kernel,
         priors=_grid_priors(pool, guess, settings),
     )
-    pose = solve(graph, SOLVER).pose
+    solution = solve(graph, SOLVER)
     first = pool.maps[0]
-    home = fit_rigid(pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
-    return compose(inverse(home), pose)
+    home = fit_rigid(solution.pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
+    return Joint(compose(inverse(home), solution.pose), graph, solution)
 
 
 def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:

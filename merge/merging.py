@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
+
+import numpy as np
 
 from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
@@ -17,6 +19,7 @@ from .locks import Lock
 from .paper import DEFAULT_PAPER, PaperSettings
 from .result import Component, MergeResult, PairVerdict
 from .robust import DEFAULT_ROBUST, RobustSettings
+from .spread import VAGUE_M, VAGUE_RAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +57,31 @@ def merge_maps(
         verdicts = paper.decide(
             ordered, settings.paper, locks=locks, on_pair=on_pair, executor=executor
         )
-    components, fused = fuse(ordered, verdicts, settings.fusion)
-    return MergeResult(components, fused, verdicts, info=_info(settings, components, verdicts))
+    components, fused = fuse(ordered, verdicts, settings.fusion, how_sure=True)
+    told = _placed(verdicts, components)
+    return MergeResult(components, fused, told, info=_info(settings, components, told))
+
+
+def _placed(
+    verdicts: tuple[PairVerdict, ...], components: Sequence[Component]
+) -> tuple[PairVerdict, ...]:
+    """The verdicts; those on runs that only others place in one component say how surely."""
+    home = {run: c for c in components for run in c.poses}
+    out = []
+    for v in verdicts:
+        spread = home[v.a].spread
+        if v.accepted or home[v.a] is not home[v.b] or spread is None:
+            out.append(v)
+            continue
+        (off_m, off_rad), (back_m, _) = spread.between(v.a, v.b), spread.between(v.b, v.a)
+        off_m = max(off_m, back_m)
+        vague = off_m > VAGUE_M or off_rad > VAGUE_RAD
+        reason = (
+            f"{v.reason}; placed to {off_m:.1f} m and {np.degrees(off_rad):.1f}° (1 sigma)"
+            f"{', too vaguely to count on it' if vague else ''}"
+        )
+        out.append(replace(v, reason=reason, placed=(off_m, off_rad)))
+    return tuple(out)
 
 
 def _info(

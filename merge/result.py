@@ -58,7 +58,9 @@ class PairVerdict:
     are than those of runner_up (negative where a person or other runs chose against the pair's own
     evidence). Of runs joined by what their components say together best, its bits and margin_bits
     are those of the two components, and there is no runner_up. advice: what would settle an
-    ambiguous pair; locked: "same" or "never" where a person decided.
+    ambiguous pair; locked: "same" or "never" where a person decided. placed: of two runs that only
+    others place in one component, 1 sigma [m] of where the middle of one's map lies, seen from the
+    other's (the worse of the two ways), and [rad] of the turn between them.
     extra: JSON values that a method adds to its entry.
     """
 
@@ -73,6 +75,7 @@ class PairVerdict:
     margin_bits: float | None = None
     advice: str | None = None
     locked: str | None = None
+    placed: tuple[float, float] | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -83,11 +86,37 @@ class PairVerdict:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """Errors of the placements of r runs, all in one frame.
+
+    middle: (r, 2) middles of their maps [m]; covariance: (3 r, 3 r) of x, y of the middle and of
+    the turn of each map [m, rad].
+    """
+
+    runs: tuple[str, ...]
+    middle: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+    def between(self, a: str, b: str) -> tuple[float, float]:
+        """1 sigma [m] of where the middle of b's map lies, seen from a's, and [rad] of the turn."""
+        i, j = 3 * self.runs.index(a), 3 * self.runs.index(b)
+        x, y = self.middle[j // 3] - self.middle[i // 3]
+        seen = np.zeros((3, 6))
+        seen[:, :3] = [[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]]
+        seen[:, 3:] = np.eye(3)
+        rows = [i, i + 1, i + 2, j, j + 1, j + 2]
+        variance = np.diag(seen @ self.covariance[np.ix_(rows, rows)] @ seen.T)
+        return float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Component:
-    """Runs that were merged; `poses[run]` is T_component_run (3,)."""
+    """Runs that were merged; `poses[run]` is T_component_run (3,); spread: how sure they are, if
+    asked for."""
 
     id: int
     poses: Mapping[str, NDArray[np.float64]]
+    spread: Spread | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

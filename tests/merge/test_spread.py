@@ -1,0 +1,95 @@
+"""How surely chains of runs are placed: covariances against brute force and against samples."""
+
+import numpy as np
+import pytest
+
+from topobatch.merge.fusion import fuse
+from topobatch.merge.identity import Pool
+from topobatch.merge.joint import run_poses, settle
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.merge.spread import spread
+from topobatch.topology.posegraph import Marginals
+from topobatch.topology.se2 import compose, fit_rigid, inverse, wrap
+
+
+def verdict(a, b, matched):
+    pairs = np.array(matched)
+    transform = fit_rigid(a.xy[pairs[:, 0]], b.xy[pairs[:, 1]])
+    best = Alignment(transform, 30.0, pairs, 0.0)
+    return PairVerdict(a.run, b.run, Verdict.MERGED, True, 30.0, "by hand", best=best)
+
+
+def along(draw, name, first, last):
+    """Part of a corridor with doors."""
+    names = range(first, last + 1)
+    corners = {k: (6.0 * k, 1.5 * (k % 2)) for k in names}
+    return draw(name, corners, [(k, k + 1) for k in names[:-1]], [(k, np.pi / 2) for k in names])
+
+
+@pytest.fixture
+def chain(draw):
+    a, b, c = (along(draw, n, s, s + 8) for n, s in (("a", 0), ("b", 6), ("c", 12)))
+    links = [verdict(x, y, [(6, 0), (7, 1), (8, 2)]) for x, y in ((a, b), (b, c))]
+    return [a, b, c], links
+
+
+def test_spread_is_the_covariance_of_rigid_fits(chain):
+    maps, links = chain
+    pool = Pool.of(maps)
+    label = np.arange(len(pool))
+    label[[9, 10, 11]], label[[18, 19, 20]] = [6, 7, 8], [15, 16, 17]
+    joint = settle(pool, label, run_poses(list(pool.first), links))
+    found = spread(pool, joint.graph, joint.solution)
+    rows = np.arange(len(pool))
+    every = np.repeat(rows, len(rows)), np.tile(rows, len(rows))
+    marginals = Marginals.of(joint.graph, joint.solution)
+    blocks = marginals.joint(*every)[2].reshape(len(rows), len(rows), 3, 3)
+    root = np.linalg.cholesky(
+        blocks.transpose(0, 2, 1, 3).reshape(3 * len(rows), -1) + 1e-12 * np.eye(3 * len(rows))
+    )
+    rng = np.random.default_rng(0)
+    off = []
+    for _ in range(4000):
+        moved = joint.solution.pose + (root @ rng.normal(size=len(root))).reshape(-1, 3) * 0.1
+        fits = [
+            fit_rigid(moved[pool.run == k, :2], joint.solution.pose[pool.run == k, :2])
+            for k in (0, 2)
+        ]
+        T = compose(inverse(fits[0]), fits[1])
+        x, y = found.middle[2]
+        c, s = np.cos(T[2]), np.sin(T[2])
+        off.append((c * x - s * y + T[0] - x, s * x + c * y + T[1] - y, wrap(T[2])))
+    metres, radians = found.between("a", "c")
+    sampled = 10 * np.std(off, axis=0)
+    assert metres == pytest.approx(np.hypot(*sampled[:2]), rel=0.05)
+    assert radians == pytest.approx(sampled[2], rel=0.05)
+
+
+def test_placements_grow_vaguer_along_a_chain(chain):
+    maps, links = chain
+    (component,), _ = fuse(maps, links, how_sure=True)
+    near = [component.spread.between(*pair) for pair in ("ab", "bc")]
+    far = component.spread.between("a", "c")
+    assert far[0] > max(m for m, _ in near)
+    assert far[1] > max(r for _, r in near)
+    assert component.spread.between("c", "a")[1] == pytest.approx(far[1])
+
+
+def test_only_components_with_open_pairs_are_asked_how_sure(chain):
+    maps, links = chain
+    (first, second), _ = fuse(maps, links[:1], how_sure=True)
+    assert first.spread is None
+    assert second.spread is None
+    assert all(c.spread is None for c in fuse(maps, links)[0])
+
+
+def test_a_run_of_one_junction_has_its_own_heading(draw):
+    a, c = along(draw, "a", 0, 8), along(draw, "c", 4, 12)
+    b = draw("b", {"x": (0.0, 0.0)}, [], [("x", -0.24), ("x", np.pi / 2), ("x", 3.38)])
+    links = [verdict(a, c, [(k + 4, k) for k in range(5)])]
+    one = Alignment(np.array([*a.xy[3], 0.0]), 20.0, np.array([[3, 0]]), 0.0)
+    links.append(PairVerdict("a", "b", Verdict.MERGED, True, 20.0, "by hand", best=one))
+    (component,), _ = fuse([a, b, c], links, how_sure=True)
+    metres, radians = component.spread.between("b", "c")
+    assert 0 < metres < 5
+    assert 0 < radians < 0.2
