@@ -15,7 +15,7 @@ Task = Callable[[], Bytes | bytes]
 THREADS = 2
 """Reading, inflating and checking leave the interpreter's lock, so they run beside the decoding."""
 
-AHEAD_BYTES = 1 << 23
+AHEAD_BYTES = 1 << 25
 """How much is read and inflated ahead of the decoding."""
 
 AHEAD_CHUNKS = 64

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -36,7 +36,7 @@ from .bag_wire import (
     time_ns,
 )
 from .columns import column, gather, words
-from .inflate import CHUNK_BYTES, inflate, inflate_part, keep_freed_memory
+from .inflate import CHUNK_BYTES, SLOW, inflate, inflate_part, keep_freed_memory
 from .messages import (
     UNWANTED,
     Block,
@@ -66,10 +66,12 @@ class _Chunk(NamedTuple):
     offsets: Ints
 
 
-def _inflated(window: FileWindow, record: Record, compression: str, size: int) -> bytes:
-    """The records of a compressed chunk; raises DamageError. For any thread."""
+def _inflated(
+    read: Callable[[int, int], Bytes | bytes], record: Record, compression: str, size: int
+) -> bytes:
+    """The records of a compressed chunk; raises DamageError. For any thread if `read` is."""
     _check(record, size)
-    return inflate(compression, window.copy(record.data_at, record.data_size), size)
+    return inflate(compression, read(record.data_at, record.data_size), size)
 
 
 def _check(record: Record, size: int) -> None:
@@ -221,8 +223,12 @@ class _Walk:
             yield from self._caught_up(everything=True)
             yield from self._plain(record, size, offsets)
         else:
-            task = functools.partial(_inflated, self._window, record, compression, size)
-            self._ahead.begin(_Chunk(record.end, offsets), task, record.data_size + size)
+            if compression in SLOW:
+                task = functools.partial(_inflated, self._window.copy, record, compression, size)
+                self._ahead.begin(_Chunk(record.end, offsets), task, record.data_size + size)
+            else:
+                inline = functools.partial(_inflated, self._window.view, record, compression, size)
+                self._ahead.put(_Chunk(record.end, offsets), inline)
             yield from self._caught_up()
         return position
 

@@ -19,6 +19,9 @@ WINDOW_BYTES = 1 << 27
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
+SLOW = frozenset({"zstd", "bz2"})
+"""Compressions worth another thread: lz4 inflates faster than a chunk goes from core to core."""
+
 _local = threading.local()
 
 

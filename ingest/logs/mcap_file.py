@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ import numpy as np
 from .ahead import Ahead
 from .checksum import crc32
 from .columns import words
-from .inflate import inflate, inflate_part, keep_freed_memory
+from .inflate import SLOW, inflate, inflate_part, keep_freed_memory
 from .mcap_summary import McapSummary, read_summary
 from .mcap_wire import (
     ATTACHMENT,
@@ -98,9 +98,9 @@ def _no_head() -> bytes:
     raise DamageError("a chunk header contradicts itself")
 
 
-def _inflated(head: _ChunkHead, window: FileWindow) -> bytes:
-    """The records of a compressed chunk; raises DamageError. For any thread."""
-    data = inflate(head.compression, window.copy(head.data_at, head.data_size), head.size)
+def _inflated(head: _ChunkHead, read: Callable[[int, int], Bytes | bytes]) -> bytes:
+    """The records of a compressed chunk; raises DamageError. For any thread if `read` is."""
+    data = inflate(head.compression, read(head.data_at, head.data_size), head.size)
     _check(head, data)
     return data
 
@@ -308,7 +308,7 @@ class _Walk:
         return _ChunkHead(start, end, size, crc, compression, at + cursor.position, data_size)
 
     def _read_ahead(self, position: int, length: int) -> None:
-        """Have a compressed chunk inflated on another thread; others are read when it is due."""
+        """Have a chunk that is slow to inflate begun on another thread; others wait their turn."""
         head = self._chunk_head(position, length)
         if head is None:
             self._ahead.put(_Chunk(_NO_HEAD, True, {}, []), _no_head)
@@ -317,9 +317,12 @@ class _Walk:
         elif head.compression == "":
             read = functools.partial(_plain, head, self._window)
             self._ahead.put(_Chunk(head, True, {}, []), read)
-        else:
-            task = functools.partial(_inflated, head, self._window)
+        elif head.compression in SLOW:
+            task = functools.partial(_inflated, head, self._window.copy)
             self._ahead.begin(_Chunk(head, True, {}, []), task, head.data_size + head.size)
+        else:
+            inline = functools.partial(_inflated, head, self._window.view)
+            self._ahead.put(_Chunk(head, True, {}, []), inline)
 
     def _needed(self, position: int) -> bool:
         """Whether a chunk may hold wanted messages; only a checked index is trusted to deny it."""
