@@ -13,12 +13,12 @@ from topobatch.topology.closure.drivenby import phantoms, settle
 from topobatch.topology.closure.evidence import EvidenceSettings, background, rarity
 from topobatch.topology.closure.gated import Identification, gated_closure
 from topobatch.topology.closure.growth import Scene
-from topobatch.topology.closure.jointly import agreeing
+from topobatch.topology.closure.jointly import JointSettings, agreeing
 from topobatch.topology.closure.layout import lay_out
 from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.closure.rates import measured_rates
-from topobatch.topology.closure.rectilinear import grid_headings
+from topobatch.topology.closure.rectilinear import RectilinearSettings, grid_headings
 from topobatch.topology.closure.rounds import RoundSettings, full_closure, weakest_cut
 from topobatch.topology.closure.walk import (
     SystematicErrors,
@@ -576,6 +576,26 @@ def test_settings_are_the_gate_keeper():
     world = grid_world(4, 4, rng)
     odometry, passes, truth = record(world, wander(world[1], 40, rng), rng)
     walk = make_walk(odometry, passes, NOISE)
-    closed = full_closure(walk, RoundSettings(thresholds=(1000.0,)))
+    strict = RoundSettings(thresholds=(1000.0,), joint=JointSettings(threshold=1000.0))
+    closed = full_closure(walk, strict)
     assert closed.place.tolist() == list(range(len(truth)))
     assert any(not q.accepted and q.bits > 0 for q in closed.asked)
+
+
+def test_a_grid_that_is_none_is_found_out_by_the_doubts_it_leaves():
+    """City blocks, and a test for grids that is made to fail: the walk closes all the same."""
+    rng = np.random.default_rng(31)
+    xy, beside = grid_world(6, 6, rng)
+    flat = {v: complex(*p) - complex(*xy[3, 3]) for v, p in xy.items()}
+    size = max(abs(z) for z in flat.values())
+    bent = {
+        v: np.array([w.real, w.imag]) for v, z in flat.items() for w in [z + 0.3 * z * z / size]
+    }
+    odometry, passes, truth = record((bent, beside), wander(beside, 130, rng), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    lax = RectilinearSettings(least_share=0.5, tolerance_rad=0.45, most_turn=1e9)
+    assert grid_headings(walk, lax) is not None
+    with_grid = full_closure(walk, RoundSettings(grid=lax, most_doubts=1.0))
+    closed = full_closure(walk, RoundSettings(grid=lax))
+    assert len(with_grid.layout.xy) > len(set(truth))
+    assert len(closed.layout.xy) == len(set(truth))

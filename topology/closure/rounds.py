@@ -22,7 +22,7 @@ from .jointly import JointSettings, agreeing
 from .layout import Layout, LayoutSettings, lay_out
 from .places import Places, tabulate
 from .rates import RateSettings, measured_rates
-from .rectilinear import RectilinearSettings, grid_headings
+from .rectilinear import GridHeadings, RectilinearSettings, grid_headings
 from .walk import Walk, louder
 
 FloatArray = NDArray[np.float64]
@@ -63,6 +63,10 @@ class RoundSettings:
     """Squared error [3 d.o.f.] of a sighting from which its identification is taken back …"""
     patience: int = 2
     """… so many times."""
+    doubt_bits: float = 3.0
+    """A refused identification with more evidence than this is a serious doubt."""
+    most_doubts: float = 0.01
+    """Serious doubts per pass from which the grid of the building is doubted."""
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
     rates: RateSettings = field(default_factory=RateSettings)
     layout: LayoutSettings = field(default_factory=LayoutSettings)
@@ -83,8 +87,22 @@ class Closed:
 
 
 def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
-    """Identify the passes of a walk."""
+    """Identify the passes of a walk.
+
+    Headings taken from a grid that is none bend the layout until visits do not find each other: if
+    many serious doubts remain, what is found without the grid counts, if it is more.
+    """
     grid = grid_headings(walk, settings.grid)
+    closed = _closed(walk, grid, settings)
+    doubts = sum(not q.accepted and q.bits > settings.doubt_bits for q in closed.asked)
+    if grid is not None and doubts > settings.most_doubts * len(walk):
+        plain = _closed(walk, None, settings)
+        if len(plain.layout.xy) < len(closed.layout.xy):
+            return plain
+    return closed
+
+
+def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
     walk = louder(walk, settings.caution)
     quiet, loudness = walk, 1.0
     links: list[Identification] = []
