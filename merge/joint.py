@@ -2,7 +2,8 @@
 
 Every vertex of every run is a pose: its position, and how far the run's map is turned there
 against the component. Corridors are relative measurements within a run, with sigmas from the
-run's noise; vertices that are one place are tied by relative measurements across runs.
+run's noise and one scale for all of them; vertices that are one place are tied by relative
+measurements across runs.
 """
 
 from __future__ import annotations
@@ -16,7 +17,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..topology.embedding import corridor_measurements
-from ..topology.posegraph import PoseGraph, Priors, Solution, SolverSettings, solve
+from ..topology.posegraph import (
+    PoseGraph,
+    Priors,
+    SharedErrors,
+    Solution,
+    SolverSettings,
+    solve,
+)
 from ..topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from ..topology.structure import grid_direction, padded_branches
 from ..topology.topomap import TopoMap
@@ -41,10 +49,19 @@ class JointSettings:
     """Parts of one map that no corridor joins keep their places to this, 1 sigma …"""
     bridge_rad: float = 0.1
     """… and their directions to this."""
+    scaled_runs: int = 24
+    """Up to so many runs the scale of each run's odometry is estimated, too: unknowns that many
+    measurements share cost memory and time by the square of their number."""
+    min_scale: float = 1e-4
+    """No odometry's scale is known better than this."""
     kernel_sigmas: float = 3.0
     """Identities count by a Cauchy kernel of this width: a false one gives way."""
     grid_rad: float = 0.035
-    """Where every map lies on one grid, corridors keep to it within this, 1 sigma."""
+    """Where every map lies on one grid, corridors keep to it within this, 1 sigma …"""
+    grid_junctions: float = 20.0
+    """… as far as so many junctions say; the maps' own junctions tell the rest …"""
+    min_grid_rad: float = 0.01
+    """… down to this."""
     grid_gate_rad: float = 0.26
     """Maps whose grids differ by more than this, as first laid out, do not share one."""
 
@@ -131,6 +148,7 @@ def settle(
         information=factors.information,
         kernel=kernel,
         priors=_grid_priors(pool, guess, settings),
+        shared=_scales(pool, factors, len(within.source), settings),
     )
     solution = solve(graph, SOLVER)
     first = pool.maps[0]
@@ -196,6 +214,23 @@ def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
     return _Factors(u + first, v + first, measured.reshape(-1, 3), information)
 
 
+def _scales(pool: Pool, factors: _Factors, within: int, settings: JointSettings) -> SharedErrors:
+    """The scale of each run's odometry: one unknown that all its measurements share.
+
+    within: how many of the factors, the first ones, are measurements within a run.
+    """
+    count = len(pool.maps)
+    if count > settings.scaled_runs:
+        return SharedErrors.none()
+    sensitivity = np.zeros((len(factors.source), 3, count))
+    rows = np.arange(within)
+    for axis in (0, 1):
+        run = pool.run[factors.source[:within]]
+        sensitivity[rows, axis, run] = factors.measurement[:within, axis]
+    sigma = np.array([max(m.noise.scale, settings.min_scale) for m in pool.maps])
+    return SharedErrors(sensitivity, sigma)
+
+
 def _identity_factors(
     pool: Pool, label: IntArray, guess: FloatArray, settings: JointSettings
 ) -> _Factors:
@@ -241,9 +276,27 @@ def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Prio
     rows = np.flatnonzero(count)
     mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
     spread = np.array([m.noise.branch_rad for m in pool.maps])[pool.run[rows]]
-    sigma = np.hypot(spread / np.sqrt(count[rows] * visits[rows]), settings.grid_rad)
+    spread = spread / np.sqrt(count[rows] * visits[rows])
+    sigma = np.hypot(spread, grid_sigma(mean, spread, pool.run[rows], settings))
     kernel = np.full(len(rows), settings.kernel_sigmas)
     return Priors.headings(rows, np.asarray(wrap(guess[rows, 2] - mean)), sigma, kernel)
+
+
+def grid_sigma(
+    off_rad: FloatArray, spread_rad: FloatArray, run: IntArray, settings: JointSettings
+) -> float:
+    """How truly a building keeps to its grid, 1 sigma [rad], by what its maps show of it.
+
+    off_rad, spread_rad: (k,) means of the branches of each row off the grid, and their noise; run:
+    (k,) their runs, each of which may be turned as a whole. The sample variance beyond noise is
+    shrunk towards the settings as by so many more junctions.
+    """
+    count = np.maximum(np.bincount(run), 1)
+    own = off_rad - (np.bincount(run, off_rad) / count)[run]
+    beyond = float((own**2 - spread_rad**2).sum())
+    known = settings.grid_junctions
+    variance = (beyond + known * settings.grid_rad**2) / (len(run) + known)
+    return float(np.sqrt(max(variance, settings.min_grid_rad**2)))
 
 
 def measured_turn(

@@ -10,9 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..topology.posegraph import PoseGraph, Solution
-from ..topology.posegraph_start import skeleton
-from ..topology.posegraph_system import build_pattern, linearise
+from ..topology.posegraph import Marginals, PoseGraph, Solution
 from .identity import Pool
 from .result import Spread
 
@@ -30,7 +28,8 @@ def spread(pool: Pool, graph: PoseGraph, solution: Solution) -> Spread:
     A rigid fit is linear in small shifts of its points, so its covariance is G H⁻¹ Gᵀ with H the
     normal matrix and three rows of G for each run. Cost: three pairs of triangular solves per run.
     """
-    factor = linearise(graph, build_pattern(graph, skeleton(graph)), solution).factorise()
+    marginals = Marginals.of(graph, solution)
+    pattern = marginals.factor.pattern
     count = len(pool.maps)
     size = np.maximum(np.bincount(pool.run, minlength=count), 1)
     xy = solution.pose[:, :2]
@@ -48,15 +47,13 @@ def spread(pool: Pool, graph: PoseGraph, solution: Solution) -> Spread:
             [np.where(lone, zero, -lever[:, 1]), np.where(lone, zero, lever[:, 0]), lone * share],
         ]
     ).transpose(2, 0, 1)
-    column = np.broadcast_to(factor.pattern.variable[:, None, :], weight.shape)
+    column = np.broadcast_to(pattern.variable[:, None, :], weight.shape)
     row = np.broadcast_to((3 * pool.run)[:, None, None] + np.arange(3)[:, None], weight.shape)
     used = (column >= 0) & (weight != 0)
-    fit = csr_array(
-        (weight[used], (row[used], column[used])), shape=(3 * count, factor.pattern.size)
-    )
+    fit = csr_array((weight[used], (row[used], column[used])), shape=(3 * count, pattern.size))
     covariance = np.zeros((3 * count, 3 * count))
     for start in range(0, 3 * count, CHUNK):
         some = slice(start, start + CHUNK)
-        covariance[:, some] = fit @ factor.solve(fit[some].toarray().T)
+        covariance[:, some] = fit @ marginals.through(fit[some].toarray().T)
     names = tuple(m.run for m in pool.maps)
     return Spread(names, middle, (covariance + covariance.T) / 2)

@@ -82,6 +82,10 @@ class Marginals:
         free = np.flatnonzero(variable >= 0)
         right = np.zeros((self.factor.pattern.size, len(variable)))
         right[variable[free], free] = 1.0
+        return self.through(right)
+
+    def through(self, right: FloatArray) -> FloatArray:
+        """(size, k) covariance of all free components times columns (size, k)."""
         out = self.factor.solve(right)
         if self.factor.border.shape[1]:
             solved = self.factor.solved_border

@@ -1,0 +1,63 @@
+"""The joint pose graph: scales of odometries that differ, and how stiff a building's grid is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.identity import Pool
+from topobatch.merge.joint import DEFAULT_JOINT, JointSettings, grid_sigma, settle
+from topobatch.topology.topomap import RunNoise
+
+
+def street(draw, run, scale):
+    """Nine junctions in a row, as an odometry of that scale would have them."""
+    corners = {k: (scale * 10.0 * k, 0.0) for k in range(9)}
+    lanes = [(k, side) for k in corners for side in (np.pi / 2, -np.pi / 2)]
+    drawn = draw(run, corners, [(k, k + 1) for k in range(8)], lanes)
+    return replace(drawn, noise=RunNoise(scale=0.02))
+
+
+def settled(maps, identities, settings=DEFAULT_JOINT):
+    """The joint solution if vertex k of each map is one place, for every k of `identities`."""
+    label = np.arange(sum(len(m) for m in maps))
+    for k in identities:
+        label[k :: len(maps[0])] = k
+    return settle(Pool.of(maps), label, {m.run: np.zeros(3) for m in maps}, settings)
+
+
+def test_each_run_is_given_its_scale(draw):
+    maps = [street(draw, "a", 1.02), street(draw, "b", 0.98)]
+    joint = settled(maps, (0, 1, 2, 3))
+    # Nobody knows which is right: the mean is, by equal priors.
+    assert joint.solution.shared == pytest.approx([-0.02, 0.02], abs=0.005)
+    # What only one of them saw is stretched by what they saw together.
+    assert np.ptp(joint.pose[:9, 0]) == pytest.approx(80.0, abs=0.4)
+    assert np.ptp(joint.pose[9:, 0]) == pytest.approx(80.0, abs=0.4)
+
+
+def test_many_runs_keep_their_scales(draw):
+    maps = [street(draw, "a", 1.02), street(draw, "b", 0.98)]
+    joint = settled(maps, (0, 1, 2, 3), JointSettings(scaled_runs=1))
+    assert len(joint.solution.shared) == 0
+    assert np.ptp(joint.pose[:9, 0]) > np.ptp(joint.pose[9:, 0]) + 1.0
+
+
+@pytest.mark.parametrize(
+    ("crooked", "least", "most"), [(0.0, 0.005, 0.011), (0.03, 0.025, 0.035), (0.15, 0.13, 0.17)]
+)
+def test_a_grid_is_as_stiff_as_its_junctions_say(crooked, least, most):
+    rng = np.random.default_rng(5)
+    run = np.repeat([0, 1], 200)
+    spread = np.full(400, 0.02)
+    off = rng.normal(0, np.hypot(spread, crooked)) + 0.1 * run
+    found = grid_sigma(off, spread, run, JointSettings(min_grid_rad=0.005))
+    assert least <= found <= most
+
+
+def test_few_junctions_leave_a_grid_as_stiff_as_usual():
+    run = np.zeros(3, np.int64)
+    straight = grid_sigma(np.zeros(3), np.full(3, 0.02), run, DEFAULT_JOINT)
+    assert straight == pytest.approx(DEFAULT_JOINT.grid_rad, rel=0.1)
