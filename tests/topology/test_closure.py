@@ -15,6 +15,7 @@ from topobatch.topology.closure.gated import Identification, gated_closure
 from topobatch.topology.closure.growth import Scene
 from topobatch.topology.closure.jointly import JointSettings, agreeing
 from topobatch.topology.closure.layout import lay_out
+from topobatch.topology.closure.pattern import pattern_of
 from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.closure.rates import measured_rates
@@ -300,7 +301,93 @@ def test_likeness_is_worth_its_rarity_among_strangers():
     beyond = likeness_odds(np.array([top + 1e-9, top + 7.0]), strangers)
     assert beyond[0] == pytest.approx(np.log(2001), abs=0.01)
     assert beyond[1] - beyond[0] == pytest.approx(7.0)
+
+
+def test_to_be_among_the_most_alike_is_worth_little_where_most_are_nearly_so():
+    rows_of_crops = np.sort(np.random.default_rng(2).normal(14.0, 1.0, 2000))
+    alike = rows_of_crops[[-20, -200, 1000]]
+    odds = likeness_odds(alike, rows_of_crops, slack=3.0)
+    assert np.all(odds <= likeness_odds(alike, rows_of_crops))
+    assert np.all(odds < 1.5)
+
+
+def test_without_strangers_likeness_is_taken_as_it_is():
+    alike = np.linspace(-10.0, 40.0, 101)
     np.testing.assert_array_equal(likeness_odds(alike, np.zeros(0)), alike)
+
+
+def aisles(count, length=40.0, spacing=3.0):
+    """Rows of one length, joined at both ends: every one looks like the next."""
+    xy = {(r, c): np.array([spacing * c, length * r]) for r in (0, 1) for c in range(count)}
+    steps = ((0, 1), (1, 0), (0, -1), (-1, 0))
+    beside = {
+        (r, c): [(r + dr, c + dc) for dr, dc in steps if (r + dr, c + dc) in xy] for r, c in xy
+    }
+    return xy, beside
+
+
+def test_a_pattern_is_found_by_its_steps():
+    odometry, passes, truth = record(aisles(8), [(0, c) for c in range(8)] + [(1, 7), (1, 6)])
+    walk = make_walk(odometry, passes, NOISE)
+    place = partition(truth)
+    layout = lay_out(walk, place)
+    places = tabulate(walk, place, layout.pose[:, 2], 0.35)
+    pattern = pattern_of(places, layout.xy, core_m=2.0, typical_m=3.0)
+    order = np.argsort(pattern.steps[:, 0])
+    found = [-12.0, -9.0, -6.0, -3.0, 3.0, 6.0, 9.0, 12.0]
+    np.testing.assert_allclose(pattern.steps[order, 0], found, atol=0.1)
+    assert np.abs(pattern.steps[:, 1]).max() < 0.1
+    assert pattern.share.max() == pytest.approx(0.8)  # 8 of 10 have one to the right
+    asked = np.array([[3.2, 0.1], [1.5, 0], [0, 3.0]])
+    assert pattern.is_step(asked).tolist() == [True, False, False]
+    sharp = np.tile(0.1**2 * np.eye(2), (3, 1, 1))
+    step, between, across = pattern.density(np.array([[3.0, 0], [1.5, 0], [0, 3.0]]), sharp)
+    assert step > 50 * between
+    assert step > 50 * across
+    # Known to 3 m, the line of neighbours is a blur.
+    blurred = pattern.density(np.array([[3.0, 0], [1.5, 0]]), np.tile(9.0 * np.eye(2), (2, 1, 1)))
+    assert blurred[0] == pytest.approx(blurred[1], rel=0.2)
+
+
+def test_a_map_of_one_place_has_no_pattern():
+    odometry, passes, truth = record(aisles(2), [(0, 0)])
+    walk = make_walk(odometry, passes, NOISE)
+    place = partition(truth)
+    places = tabulate(walk, place, np.zeros(1), 0.35)
+    pattern = pattern_of(places, np.zeros((1, 2)), core_m=2.0, typical_m=3.0)
+    assert len(pattern.steps) == 0
+    assert pattern.density(np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1))).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize(
+    ("heading_noise", "seed", "found_again"),
+    [(0.001, 0, 100), (0.003, 1, 20), (0.005, 0, 0), (0.008, 2, 0)],
+)
+def test_equal_rows_side_by_side_are_not_taken_for_each_other(heading_noise, seed, found_again):
+    rng = np.random.default_rng(40 + seed)
+    world = aisles(14)
+    noise = replace(NOISE, heading_rad_per_sqrt_m=heading_noise)
+    odometry, passes, truth = record(world, wander(world[1], 160, rng), rng, noise=noise)
+    place = full_closure(make_walk(odometry, passes, noise)).place
+    homes = {}
+    for p, v in zip(place.tolist(), truth, strict=True):
+        homes.setdefault(p, set()).add(v)
+    assert all(len(found) == 1 for found in homes.values())
+    assert len(truth) - len(homes) >= found_again
+
+
+def test_what_dead_reckoning_excludes_is_judged_in_the_axes_of_the_map():
+    rng = np.random.default_rng(3)
+    world = grid_world(5, 5, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    each = np.arange(len(walk))
+    layout = lay_out(walk, each)
+    turned = lay_out(walk, each, compose(np.array([2.0, 1.0, 0.7]), layout.pose))
+    found, again = (candidates(_scene(walk, x), each, x, exact=False) for x in (layout, turned))
+    assert len(found) > 20
+    assert list(zip(found.a, found.b, strict=True)) == list(zip(again.a, again.b, strict=True))
+    np.testing.assert_allclose(again.position, found.position, atol=1e-3)
 
 
 @pytest.mark.parametrize(("seed", "steps"), [(13, 80), (17, 40)])

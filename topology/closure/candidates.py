@@ -10,7 +10,14 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from .evidence import Background, EvidenceSettings, align, best_position_odds, position_odds
+from .evidence import (
+    Background,
+    EvidenceSettings,
+    align,
+    best_position_odds,
+    placed_odds,
+    position_odds,
+)
 from .growth import GrowthSettings, Scene, grow
 from .layout import Layout
 from .places import NOWHERE, Places
@@ -24,6 +31,9 @@ _FAR_M = 80.0
 _STRIP = 256
 _MOST_TABLED = 1_000_000
 """Pairs of places in one table: some 200 MB."""
+_LEAST_ASIDE = 30
+"""So many strangers one step of the pattern off stand for all."""
+_SLACK_WORTH = 1.0
 _MOST_STRANGERS = 3000
 """Pairs of places known to be two that are asked what they have in common."""
 
@@ -47,6 +57,9 @@ class CandidateSettings:
     """Candidates that could not reach these log odds wherever they lay are not looked at."""
     strangers: float = 1.5
     """Places this many times farther apart than the gate allows are certainly two."""
+    slack: float = 3.0
+    """In a map that repeats, likeness is worth little where many of these are alike but for so
+    much (log odds)."""
     support_cap: float = 12.0
     """Most that growth may add …"""
     conflict_cap: float = 8.0
@@ -109,8 +122,15 @@ class _Apart:
 
     def odds(self, common: Background, settings: EvidenceSettings) -> tuple[FloatArray, FloatArray]:
         """(k,) `position_odds` and squared Mahalanobis distance, the two centres' noise added."""
-        cov = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
-        return position_odds(common, self.shift, cov, settings)
+        return position_odds(common, self.shift, self._noisy(common), settings)
+
+    def placed_odds(self, common: Background, settings: EvidenceSettings) -> FloatArray:
+        """(k,) `evidence.placed_odds`, the two centres' noise added."""
+        return placed_odds(common, self.shift, self._noisy(common), settings)
+
+    def _noisy(self, common: Background) -> FloatArray:
+        out: FloatArray = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
+        return out
 
 
 def candidates(
@@ -138,15 +158,18 @@ def candidates(
         pairs = pairs.take(best + _surroundings(scene, pairs, settings).sum() > settings.least_hope)
         pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common, settings.evidence)
-    fine = (d2 < settings.gate) & (odds > (settings.least_position if exact else 0.0))
-    pairs = pairs.take(fine)
+    least = settings.least_position if exact else 0.0
+    pairs = pairs.take((d2 < settings.gate) & (odds > least))
+    odds = pairs.placed_odds(common, settings.evidence)
+    pairs, odds = pairs.take(odds > least), odds[odds > least]
     found = _surroundings(scene, pairs, settings)
     alike = found.sum()
-    commonness = np.maximum(alike - likeness_odds(alike, strangers), 0.0)
+    slack = settings.slack if len(common.pattern.steps) else 0.0
+    commonness = np.maximum(alike - likeness_odds(alike, strangers, slack), 0.0)
     return Candidates(
         pairs.a,
         pairs.b,
-        odds[fine],
+        odds,
         found.branches,
         found.support,
         found.conflict,
@@ -171,7 +194,9 @@ def _known_apart(
     i, j = _nearest_in_time(places, place, a, b)
     same = walk.chain[i] == walk.chain[j]
     a, b = a[same], b[same]
-    cov = dead_reckoning_covariance(walk, i[same], j[same])
+    i, j = i[same], j[same]
+    turn = 0.5 * (layout.pose[i, 2] + layout.pose[j, 2])
+    cov = _turned(dead_reckoning_covariance(walk, i, j), turn)
     cov = _tighter(cov, *known_way_variance(walk, places, a, b))
     return _Apart(a, b, layout.xy[a] - layout.xy[b], cov)
 
@@ -185,20 +210,28 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
     _, d2 = pairs.odds(scene.common, settings.evidence)
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
     rows = np.flatnonzero((d2 > settings.strangers * settings.gate) & apart)
+    aside = scene.common.pattern.is_step(pairs.shift[rows])
+    if aside.sum() >= _LEAST_ASIDE:
+        # What a place could be taken for is one step of the pattern off.
+        rows = rows[aside]
     rows = rows[:: -(-len(rows) // _MOST_STRANGERS) or 1]
     return np.sort(_surroundings(scene, pairs.take(rows), settings).sum())
 
 
-def likeness_odds(alike: FloatArray, strangers: FloatArray) -> FloatArray:
+def likeness_odds(alike: FloatArray, strangers: FloatArray, slack: float = 0.0) -> FloatArray:
     """(k,) log odds that `alike` is worth, by the share of strangers that are as much alike.
 
     Beyond all strangers the odds grow as the model says: they are not known to be wrong there.
+    slack: to be among the most alike is worth no more than `_SLACK_WORTH` above what the share of
+    strangers says that are alike but for so much: visits to one place are as seldom among them.
     """
     if len(strangers) == 0:
         return alike
     as_much = len(strangers) - np.searchsorted(strangers, alike)
+    nearly = len(strangers) - np.searchsorted(strangers, alike - slack)
+    share = np.maximum(np.log1p(as_much), np.log1p(nearly) - _SLACK_WORTH)
     beyond = np.maximum(alike - strangers[-1], 0.0)
-    out: FloatArray = np.log1p(len(strangers)) - np.log1p(as_much) + beyond
+    out: FloatArray = np.log1p(len(strangers)) - share + beyond
     return out
 
 
@@ -304,9 +337,13 @@ def _exact_covariance(layout: Layout, a: IntArray, b: IntArray) -> FloatArray:
         return np.zeros((0, 3, 3))
     na, nb = layout.node[a], layout.node[b]
     cov = layout.relative_covariance(na, nb)
-    theta = layout.solution.pose[na, 2]
-    c, s = np.cos(theta), np.sin(theta)
-    R = np.zeros((len(a), 3, 3))
+    return _turned(cov, layout.solution.pose[na, 2])
+
+
+def _turned(cov: FloatArray, turn: FloatArray) -> FloatArray:
+    """Covariances (k, 3, 3) of x, y and direction in axes turned by `turn` (k,) [rad]."""
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.zeros((len(cov), 3, 3))
     R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1.0
     out: FloatArray = R @ cov @ R.transpose(0, 2, 1)
     return out

@@ -7,7 +7,7 @@ run is worth little.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chndtr
 
 from ..topomap import RunNoise
+from .pattern import Pattern, PatternSettings, no_pattern, pattern_of
 from .places import Places
 from .walk import Walk
 
@@ -26,6 +27,9 @@ _STRIP = 64
 """Places whose rarity is worked out at once."""
 MATCH_RAD = 0.61
 """Branches farther apart than this are never the same."""
+
+SURE = 6.0
+"""Standard deviations beyond which nothing is looked for."""
 
 SAME_TURN_RAD = 0.3
 """Turns nearer to each other than this pair the same branches."""
@@ -49,6 +53,7 @@ class EvidenceSettings:
     """Width of the kernels that say how common a set of branches is in this run."""
     references: int = 100
     """Places that stand for the run when asking how common a set of branches is."""
+    pattern: PatternSettings = field(default_factory=PatternSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +61,8 @@ class Background:
     """What is common in a run.
 
     density: places per m². core_m: radius within which no other junction is expected.
-    length_edges, length_density: histogram of leg lengths [1/m].
+    length_edges, length_density: histogram of leg lengths [1/m]. pattern: where other junctions
+    stand around a junction.
     """
 
     density: float
@@ -67,6 +73,7 @@ class Background:
     centre_sigma: float
     fault_rate: float
     miss_rate: float
+    pattern: Pattern = field(default_factory=no_pattern)
 
 
 def background(
@@ -97,6 +104,17 @@ def background(
     )
 
 
+def with_pattern(
+    common: Background, places: Places, xy: FloatArray, settings: EvidenceSettings
+) -> Background:
+    """The background with what a map of so many places, at `xy` (n, 2), says of neighbours."""
+    typical = common.density**-0.5
+    found = pattern_of(
+        places, xy, core_m=common.core_m, typical_m=typical, settings=settings.pattern
+    )
+    return replace(common, pattern=found)
+
+
 def position_odds(
     common: Background, shift: FloatArray, cov: FloatArray, settings: EvidenceSettings
 ) -> tuple[FloatArray, FloatArray]:
@@ -104,6 +122,28 @@ def position_odds(
 
     Against another junction, which would stand anywhere but within the core around this one.
     """
+    same, d2, rival = _position(common, shift, cov, settings)
+    odds: FloatArray = same - np.log(rival)
+    return odds, d2
+
+
+def placed_odds(
+    common: Background, shift: FloatArray, cov: FloatArray, settings: EvidenceSettings
+) -> FloatArray:
+    """`position_odds`, where another junction may also stand where others have their neighbours."""
+    same, _, rival = _position(common, shift, cov, settings)
+    # Neighbours are beyond the core: what is known much better than that cannot be one.
+    room = common.core_m - np.hypot(*shift.T)
+    vague = np.flatnonzero(room**2 < SURE**2 * (cov[:, 0, 0] + cov[:, 1, 1]))
+    rival[vague] = np.maximum(rival[vague], common.pattern.density(shift[vague], cov[vague]))
+    odds: FloatArray = same - np.log(rival)
+    return odds
+
+
+def _position(
+    common: Background, shift: FloatArray, cov: FloatArray, settings: EvidenceSettings
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(k,) log density of the shift if both are one, d², and density of others."""
     det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
     x, y = shift.T
     d2 = (cov[:, 1, 1] * x * x - 2 * cov[:, 0, 1] * x * y + cov[:, 0, 0] * y * y) / det
@@ -112,8 +152,7 @@ def position_odds(
     # Exceptions within the core are doors side by side, not one upon the other.
     apart = np.minimum((x * x + y * y + 2 * s2) / common.core_m**2, 1.0)
     rival = common.density * np.maximum(1.0 - inside, settings.core_exception * apart)
-    odds = -0.5 * d2 - np.log(2 * np.pi * s2) - np.log(rival)
-    return odds, d2
+    return -0.5 * d2 - np.log(2 * np.pi * s2), d2, rival
 
 
 def best_position_odds(

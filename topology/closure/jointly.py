@@ -11,14 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from ..posegraph import Marginals
 from .candidates import Candidates
-from .evidence import Background, EvidenceSettings, position_odds
+from .evidence import Background, EvidenceSettings, placed_odds
 from .layout import Layout
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+_DIRECTIONS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,9 @@ class JointSettings:
     """Log odds that they must have over every set that excludes one of them; asked of a candidate,
     given those before it, to join them."""
     largest: int = 12
+    stiff: tuple[float, ...] = (0.3, 1.0, 1e3)
+    """Candidates whose errors differ by less than this share of a step of the map's pattern (1
+    sigma) may be a step off together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,9 +66,7 @@ class _Beliefs:
         own = np.arange(k)
         blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
         noise = 2 * self.common.centre_sigma**2 * np.eye(2)
-        odds, _ = position_odds(
-            self.common, self.shift.reshape(k, 2), blocks + noise, self.evidence
-        )
+        odds = placed_odds(self.common, self.shift.reshape(k, 2), blocks + noise, self.evidence)
         out: FloatArray = odds + self.alike
         return out
 
@@ -84,7 +89,8 @@ def agreeing(
 ) -> tuple[IntArray, FloatArray]:
     """Rows of the candidates that are certain together, and the log odds of each given the others.
 
-    Empty where no set is certain, or where another set that excludes one of it is nearly as good.
+    Empty where no set is certain, or where another set that excludes one of it is nearly as good,
+    or the map repeats itself and all might be one step off.
     """
     total = found.total
     rows = np.flatnonzero(total > settings.least)
@@ -110,12 +116,46 @@ def agreeing(
         each = np.array([_odds_given(start, k, members) for k in members.tolist()])
         weakest = int(each.argmin())
         if each[weakest] >= settings.member:
-            return rows[members], each
+            one_off = _one_step_off(start, members, settings)
+            return nothing if one_off > -settings.lead else (rows[members], each)
         left -= float(each[weakest])
         members = np.delete(members, weakest)
         if left < settings.threshold:
             break
     return nothing
+
+
+def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -> float:
+    """Log odds of the likeliest rival in a map that repeats: some members one step off.
+
+    Those that are tied to each other firmly move together.
+    """
+    pattern = start.common.pattern
+    if len(pattern.steps) == 0:
+        return -np.inf
+    rows = (2 * members[:, None] + np.arange(2)).ravel()
+    cov = start.cov[np.ix_(rows, rows)] + 2 * start.common.centre_sigma**2 * np.eye(len(rows))
+    own = cov.reshape(len(members), 2, len(members), 2).trace(axis1=1, axis2=3)
+    apart = own.diagonal()[:, None] + own.diagonal() - 2 * own
+    step_m = np.hypot(*pattern.steps.T)
+    moving = np.unique(
+        np.concatenate([_tied(apart, share * step_m.min()) for share in settings.stiff]), axis=0
+    ).repeat(2, axis=1)
+    # A map that is not laid out yet may be bent: steps in all directions, then.
+    angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    step = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    moved = (moving[:, None, :] * np.tile(step.reshape(-1, 2), len(members))).reshape(-1, len(rows))
+    # Mahalanobis distance after the step less that before, of the joint shift.
+    further = ((moved @ np.linalg.inv(cov)) * (moved - 2 * start.shift[rows])).sum(axis=1)
+    odds = np.tile(np.log(pattern.share).repeat(_DIRECTIONS), len(moving))
+    return float((odds - 0.5 * further).max())
+
+
+def _tied(apart: FloatArray, sigma_m: float) -> NDArray[np.bool_]:
+    """(g, k) groups of candidates whose errors differ by less than that, 1 sigma."""
+    count, group = connected_components(apart <= sigma_m**2, directed=False)
+    out: NDArray[np.bool_] = group == np.arange(count)[:, None]
+    return out
 
 
 def _sharing(a: IntArray, b: IntArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

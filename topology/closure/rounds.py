@@ -15,7 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from .candidates import Candidates, CandidateSettings, candidates
-from .evidence import background, rarity
+from .evidence import background, rarity, with_pattern
 from .gated import Identification
 from .growth import Scene
 from .jointly import JointSettings, agreeing
@@ -63,6 +63,8 @@ class RoundSettings:
     """Squared error [3 d.o.f.] of a sighting from which its identification is taken back …"""
     patience: int = 2
     """… so many times."""
+    pattern_reserve: float = 1.0
+    """In a map that repeats, log odds asked above the logarithm of the number of passes."""
     doubt_bits: float = 3.0
     """A refused identification with more evidence than this is a serious doubt."""
     most_doubts: float = 0.01
@@ -90,16 +92,23 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     """Identify the passes of a walk.
 
     Headings taken from a grid that is none bend the layout until visits do not find each other: if
-    many serious doubts remain, what is found without the grid counts, if it is more.
+    many serious doubts remain, what is found without the grid counts, if it is more and leaves few
+    of them.
     """
     grid = grid_headings(walk, settings.grid)
     closed = _closed(walk, grid, settings)
-    doubts = sum(not q.accepted and q.bits > settings.doubt_bits for q in closed.asked)
+    doubts = _serious_doubts(closed, settings)
     if grid is not None and doubts > settings.most_doubts * len(walk):
         plain = _closed(walk, None, settings)
-        if len(plain.layout.xy) < len(closed.layout.xy):
+        fewer = len(plain.layout.xy) < len(closed.layout.xy)
+        if fewer and _serious_doubts(plain, settings) <= 0.5 * doubts:
             return plain
     return closed
+
+
+def _serious_doubts(closed: Closed, settings: RoundSettings) -> int:
+    """How many identifications are left undecided that much speaks for."""
+    return sum(not q.accepted and q.bits > settings.doubt_bits for q in closed.asked)
 
 
 def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
@@ -119,7 +128,8 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         new: list[Identification] = []
         while not new and stage < len(settings.thresholds):
             barred = _barred(strikes, stage, place)
-            new = _certain(places, found, settings.thresholds[stage], barred, settings)
+            threshold = max(settings.thresholds[stage], _least(scene, settings))
+            new = _certain(places, found, threshold, barred, settings)
             stage += not new
         if not new and exact:
             new, stage = _together(scene, found, layout, settings), 0
@@ -155,7 +165,15 @@ def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) 
     evidence = settings.candidates.evidence
     noise = measured_rates(places, walk.noise, settings.rates)
     common = background(walk, noise, evidence)
+    common = with_pattern(common, places, layout.xy, evidence)
     return Scene(walk, places, layout.xy, common, rarity(places, common, evidence))
+
+
+def _least(scene: Scene, settings: RoundSettings) -> float:
+    """Log odds that are asked at least: where many are doubtful, some of many chances come true."""
+    if len(scene.common.pattern.steps) == 0:
+        return 0.0
+    return float(np.log(len(scene.walk))) + settings.pattern_reserve
 
 
 def _loudness(now: float, misfit: float, settings: RoundSettings) -> float:

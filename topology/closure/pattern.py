@@ -1,0 +1,145 @@
+"""Where a map says that other junctions stand around a junction, and by which steps it repeats.
+
+Rows of crops, shelves or pillars put junctions in line at even spacing: there, one step of the
+pattern off, another junction is far likelier than the mean density of junctions has it, and looks
+the same. Everything is learned from places a few legs from each other, which are certainly two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, eye_array
+
+from .places import NOWHERE, Places
+
+FloatArray = NDArray[np.float64]
+
+TAIL, TAIL_WIDTH = 0.03, 2.0
+"""Share of errors, and how many times wider they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatternSettings:
+    """How neighbours are counted."""
+
+    hops: int = 4
+    """Places up to so many legs from each other …"""
+    reach_m: float = 15.0
+    """… and so far apart, or …"""
+    reach_legs: float = 2.0
+    """… so many typical legs, are neighbours."""
+    sample: int = 200
+    """So many of them stand for all."""
+    width_m: float = 0.3
+    """A neighbour stands where another place has one, give or take this (1 sigma)."""
+    regular: float = 0.3
+    """A step that leads from this share of all places to another one is a step of a pattern."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """Neighbours in the axes of the map.
+
+    beside: (m, 2) [m] from a place to another one, a sample; each stands for `crowd` neighbours of
+    every place. steps: (r, 2) [m] by which the map repeats; share: (r,) of the places that have
+    another one there.
+    """
+
+    beside: FloatArray
+    crowd: float
+    steps: FloatArray
+    share: FloatArray
+    width_m: float
+
+    def density(self, shift: FloatArray, cov: FloatArray) -> FloatArray:
+        """(k,) other junctions per m² at `shift` (k, 2), known with covariance `cov` (k, 2, 2)."""
+        if len(self.steps) == 0:
+            return np.zeros(len(shift))
+        around = _gaussians(shift, self.beside, cov + self.width_m**2 * np.eye(2)).sum(axis=1)
+        on_steps = _gaussians(shift, self.steps, cov) @ self.share
+        out: FloatArray = np.maximum(self.crowd * around, on_steps)
+        return out
+
+    def is_step(self, shift: FloatArray) -> NDArray[np.bool_]:
+        """(k,) whether `shift` (k, 2) is a step of the pattern."""
+        if len(self.steps) == 0:
+            return np.zeros(len(shift), np.bool_)
+        off = np.abs(shift[:, None, :] - self.steps).max(axis=2)
+        found: NDArray[np.bool_] = (off < 2 * self.width_m).any(axis=1)
+        return found
+
+
+def no_pattern() -> Pattern:
+    """That of a map of which nothing is known."""
+    return Pattern(np.zeros((0, 2)), 0.0, np.zeros((0, 2)), np.zeros(0), 1.0)
+
+
+def pattern_of(
+    places: Places,
+    xy: FloatArray,
+    *,
+    core_m: float,
+    typical_m: float,
+    settings: PatternSettings = PatternSettings(),
+) -> Pattern:
+    """The pattern of a map as it stands: places at `xy` (n, 2).
+
+    core_m: what lies nearer than this may be the same junction; typical_m: length of a leg.
+    """
+    n = len(places)
+    source, slot = np.nonzero(places.next_place != NOWHERE)
+    target = places.next_place[source, slot]
+    step = csr_array((np.ones(len(source)), (source, target)), shape=(n, n)) + eye_array(n)
+    step = ((step + step.T) > 0).astype(np.float64)
+    around = step
+    for _ in range(settings.hops - 1):
+        around = around @ step
+    a, b = around.nonzero()
+    shift = xy[b] - xy[a]
+    way = np.hypot(*shift.T)
+    reach = max(settings.reach_m, settings.reach_legs * typical_m)
+    shift = shift[(way > core_m) & (way < reach)]
+    if len(shift) == 0:
+        return no_pattern()
+    sample = shift[:: -(-len(shift) // settings.sample)]
+    steps, share = _steps(shift, n, settings)
+    return Pattern(sample, len(shift) / n / len(sample), steps, share, settings.width_m)
+
+
+def _steps(
+    shift: FloatArray, places: int, settings: PatternSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Steps that many places have in common, and their share of all places."""
+    cell = 2 * settings.width_m
+    _, home = np.unique(np.rint(shift / cell), axis=0, return_inverse=True)
+    home = home.ravel()
+    count = np.bincount(home)
+    # A step fills four cells at most, and something of those around them.
+    full = np.flatnonzero(count > settings.regular * places / 16)
+    mean = np.stack([np.bincount(home, shift[:, k])[full] / count[full] for k in (0, 1)], axis=1)
+    count = count[full]
+    near = np.abs(mean[:, None, :] - mean).max(axis=2) < 1.5 * cell
+    total = near @ count
+    share = np.minimum(total / places, 1.0)
+    # Cells side by side share a step; the first of the fullest stands for it.
+    rank = np.empty(len(full), np.int64)
+    rank[np.argsort(-total, kind="stable")] = np.arange(len(full))
+    leads = (~near | (rank[:, None] <= rank)).all(axis=1)
+    rows = np.flatnonzero((share > settings.regular) & leads)
+    return (near @ (mean * count[:, None]))[rows] / total[rows, None], share[rows]
+
+
+def _gaussians(shift: FloatArray, centre: FloatArray, cov: FloatArray) -> FloatArray:
+    """(k, m) density of each centre (m, 2) at each `shift`, heavier in the tails than a Gaussian:
+    errors are sometimes larger than they should be."""
+    det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
+    x, y = (shift[:, None, :] - centre).transpose(2, 0, 1)
+    d2 = cov[:, 1, 1, None] * x * x - 2 * cov[:, 0, 1, None] * x * y + cov[:, 0, 0, None] * y * y
+    d2 /= det[:, None]
+    usual = (1.0 - TAIL) * np.exp(-0.5 * d2)
+    tail = TAIL / TAIL_WIDTH**2 * np.exp(-0.5 / TAIL_WIDTH**2 * d2)
+    out: FloatArray = (usual + tail) / (2 * np.pi * np.sqrt(det))[:, None]
+    return out
