@@ -138,17 +138,24 @@ def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -
     own = cov.reshape(len(members), 2, len(members), 2).trace(axis1=1, axis2=3)
     apart = own.diagonal()[:, None] + own.diagonal() - 2 * own
     step_m = np.hypot(*pattern.steps.T)
-    moving = np.unique(
-        np.concatenate([_tied(apart, share * step_m.min()) for share in settings.stiff]), axis=0
-    ).repeat(2, axis=1)
-    # A map that is not laid out yet may be bent: steps in all directions, then.
+    groups = np.concatenate([_tied(apart, share * step_m.min()) for share in settings.stiff])
+    # A map that is not laid out yet may be bent: steps in all directions, too.
     angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
-    step = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-    moved = (moving[:, None, :] * np.tile(step.reshape(-1, 2), len(members))).reshape(-1, len(rows))
-    # Mahalanobis distance after the step less that before, of the joint shift.
-    further = ((moved @ np.linalg.inv(cov)) * (moved - 2 * start.shift[rows])).sum(axis=1)
-    odds = np.tile(np.log(pattern.share).repeat(_DIRECTIONS), len(moving))
-    return float((odds - 0.5 * further).max())
+    turned = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    step = np.concatenate([pattern.steps, turned.reshape(-1, 2)])
+    odds = np.log(np.concatenate([pattern.share, pattern.share.repeat(_DIRECTIONS)]))
+    information = np.linalg.inv(cov)
+    push = information @ start.shift[rows]
+    worst = -np.inf
+    for group in np.unique(groups, axis=0):
+        mine = group.repeat(2)
+        # What is known of the mean shift of the group, given the others.
+        mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
+        own_cov = np.linalg.inv(information[np.ix_(mine, mine)])
+        at, known = mean @ own_cov @ push[mine], np.linalg.inv(mean @ own_cov @ mean.T)
+        further = np.einsum("ri,ij,rj->r", step - 2 * at, known, step)
+        worst = max(worst, float((odds - 0.5 * further).max()))
+    return worst
 
 
 def _tied(apart: FloatArray, sigma_m: float) -> NDArray[np.bool_]:

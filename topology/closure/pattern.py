@@ -35,7 +35,7 @@ class PatternSettings:
     """So many of them stand for all."""
     width_m: float = 0.3
     """A neighbour stands where another place has one, give or take this (1 sigma)."""
-    regular: float = 0.3
+    regular: float = 0.4
     """A step that leads from this share of all places to another one is a step of a pattern."""
 
 

@@ -92,8 +92,8 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     """Identify the passes of a walk.
 
     Headings taken from a grid that is none bend the layout until visits do not find each other: if
-    many serious doubts remain, what is found without the grid counts, if it is more and leaves few
-    of them.
+    many serious doubts remain, what is found without the grid counts, if it is more and does not
+    leave more doubts.
     """
     grid = grid_headings(walk, settings.grid)
     closed = _closed(walk, grid, settings)
@@ -101,7 +101,7 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     if grid is not None and doubts > settings.most_doubts * len(walk):
         plain = _closed(walk, None, settings)
         fewer = len(plain.layout.xy) < len(closed.layout.xy)
-        if fewer and _serious_doubts(plain, settings) <= 0.5 * doubts:
+        if fewer and _serious_doubts(plain, settings) <= doubts:
             return plain
     return closed
 
