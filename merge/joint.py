@@ -84,8 +84,9 @@ class _Factors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """Poses (n, 3) of all rows of a pool in the component's frame, and the graph that gave them
-    with its solution in a frame of its own; None where no place ties two runs."""
+    """Poses (n, 3) of all rows of a pool in the component's frame (position, and turn of the run's
+    map there), and the graph that gave them with its solution in a frame of its own; None where no
+    place ties two runs."""
 
     pose: FloatArray
     graph: PoseGraph | None
@@ -108,17 +109,6 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
             poses[step.b] = compose(poses[step.a], step.best.transform)
         else:
             poses[step.a] = compose(poses[step.b], inverse(step.best.transform))
-
-
-def optimise(
-    pool: Pool,
-    label: IntArray,
-    start: Mapping[str, FloatArray],
-    settings: JointSettings = DEFAULT_JOINT,
-) -> FloatArray:
-    """(n, 3) poses of all rows of a pool: position, and turn of the run's map there; arguments as
-    those of `settle`."""
-    return settle(pool, label, start, settings).pose
 
 
 def settle(
@@ -223,10 +213,8 @@ def _scales(pool: Pool, factors: _Factors, within: int, settings: JointSettings)
     if count > settings.scaled_runs:
         return SharedErrors.none()
     sensitivity = np.zeros((len(factors.source), 3, count))
-    rows = np.arange(within)
-    for axis in (0, 1):
-        run = pool.run[factors.source[:within]]
-        sensitivity[rows, axis, run] = factors.measurement[:within, axis]
+    run = pool.run[factors.source[:within]]
+    sensitivity[np.arange(within), :2, run] = factors.measurement[:within, :2]
     sigma = np.array([max(m.noise.scale, settings.min_scale) for m in pool.maps])
     return SharedErrors(sensitivity, sigma)
 

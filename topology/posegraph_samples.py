@@ -17,7 +17,7 @@ from .posegraph_marginals import relative_jacobians
 from .posegraph_model import PoseGraph, corrected_measurement, edge_errors
 from .posegraph_start import skeleton
 from .posegraph_system import Pattern, Point, build_pattern, linearise
-from .se2 import FloatArray
+from .se2 import FloatArray, turned_axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,22 +78,12 @@ def _jacobians(
     """
     T_i_j, error = corrected_measurement(graph, shared), edge_errors(graph, pose, shared)
     x, y, _ = (pose[graph.target] - pose[graph.source]).T
-    J_j = _back_rotation(pose[graph.source, 2] + T_i_j[:, 2])
+    J_j = turned_axes(-(pose[graph.source, 2] + T_i_j[:, 2]))
     J_i = -J_j
     J_i[:, :2, 2] = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
-    J_m = -_back_rotation(T_i_j[:, 2])
+    J_m = -turned_axes(-T_i_j[:, 2])
     J_m[:, 0, 2], J_m[:, 1, 2] = error[:, 1], -error[:, 0]
     return J_i, J_j, J_m
-
-
-def _back_rotation(theta: FloatArray) -> FloatArray:
-    """(k, 3, 3) diag(R(θ)ᵀ, 1)."""
-    out = np.zeros((len(theta), 3, 3))
-    out[:, 0, 0] = out[:, 1, 1] = np.cos(theta)
-    out[:, 0, 1] = np.sin(theta)
-    out[:, 1, 0] = -out[:, 0, 1]
-    out[:, 2, 2] = 1.0
-    return out
 
 
 def _square_root(information: FloatArray) -> FloatArray:

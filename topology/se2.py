@@ -25,6 +25,16 @@ def rotation(theta_rad: float) -> FloatArray:
     return np.array([[c, -s], [s, c]])
 
 
+def turned_axes(theta_rad: FloatArray) -> FloatArray:
+    """(k, 3, 3) diag(R(θ), 1) of angles (k,): turns x and y, and leaves directions."""
+    out = np.zeros((len(theta_rad), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = np.cos(theta_rad)
+    out[:, 1, 0] = np.sin(theta_rad)
+    out[:, 0, 1] = -out[:, 1, 0]
+    out[:, 2, 2] = 1.0
+    return out
+
+
 def compose(T_a_b: Any, T_b_c: Any) -> FloatArray:
     """T_a_c, broadcast over leading axes of both (..., 3)."""
     ab, bc = np.asarray(T_a_b, np.float64), np.asarray(T_b_c, np.float64)

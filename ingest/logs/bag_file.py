@@ -222,13 +222,13 @@ class _Walk:
         if compression == "none":
             yield from self._caught_up(everything=True)
             yield from self._plain(record, size, offsets)
+        elif compression in SLOW:
+            task = functools.partial(_inflated, self._window.copy, record, compression, size)
+            self._ahead.begin(_Chunk(record.end, offsets), task, record.data_size + size)
+            yield from self._caught_up()
         else:
-            if compression in SLOW:
-                task = functools.partial(_inflated, self._window.copy, record, compression, size)
-                self._ahead.begin(_Chunk(record.end, offsets), task, record.data_size + size)
-            else:
-                inline = functools.partial(_inflated, self._window.view, record, compression, size)
-                self._ahead.put(_Chunk(record.end, offsets), inline)
+            inline = functools.partial(_inflated, self._window.view, record, compression, size)
+            self._ahead.put(_Chunk(record.end, offsets), inline)
             yield from self._caught_up()
         return position
 

@@ -34,23 +34,29 @@ def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     Rows and columns lie 2.5 to 8 m apart. About `junctions` vertices of one to four branches.
     """
     chance = Chance("maze", seed)
-    cells = junctions / 0.86
-    columns = max(2, round(np.sqrt(cells * aspect)))
-    rows = max(2, round(cells / columns))
-    x = np.concatenate([[0.0], np.cumsum(chance.uniform(2.5, 8.0, columns - 1))])
-    y = np.concatenate([[0.0], np.cumsum(chance.uniform(2.5, 8.0, rows - 1))])
-    xy = np.column_stack([np.tile(x, rows), np.repeat(y, columns)])
-    cell = np.arange(rows * columns).reshape(rows, columns)
-    walls = np.concatenate(
-        [
-            np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()]),
-            np.column_stack([cell[:-1].ravel(), cell[1:].ravel()]),
-        ]
-    )
-    opened = _growing_tree(walls, rows * columns, chance) | chance.happens(0.25, len(walls))
+    x, y, walls = _lattice(junctions / 0.86, aspect, 2, (2.5, 8.0), chance)
+    xy = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+    opened = _growing_tree(walls, len(xy), chance) | chance.happens(0.25, len(walls))
     links = [straight(xy, u, v) for u, v in walls[opened].tolist()]
     links = without_bends(links, ~_goes_straight(len(xy), links))
     return world_of_links(f"maze-{junctions}-{seed}", "maze", xy, links)
+
+
+def _lattice(
+    cells: float, aspect: float, least: int, apart_m: tuple[float, float], chance: Chance
+) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """An uneven grid of about so many cells, numbered row by row, at least so many per row and
+    column: where its columns (c,) and rows (r,) are, and pairs (w, 2) of cells side by side."""
+    columns = max(least, round(np.sqrt(cells * aspect)))
+    rows = max(least, round(cells / columns))
+    x, y = (
+        np.concatenate([[0.0], np.cumsum(chance.uniform(*apart_m, count - 1))])
+        for count in (columns, rows)
+    )
+    cell = np.arange(rows * columns).reshape(rows, columns)
+    across = np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()])
+    along = np.column_stack([cell[:-1].ravel(), cell[1:].ravel()])
+    return x, y, np.concatenate([across, along])
 
 
 def _growing_tree(walls: NDArray[np.int64], cells: int, chance: Chance) -> NDArray[np.bool_]:
@@ -193,12 +199,8 @@ def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     from end to end, lengths by half). What is rectilinear at every crossing is not as a whole.
     """
     chance = Chance("city", seed)
-    cells = junctions / 0.9
-    columns = max(3, round(np.sqrt(cells * aspect)))
-    rows = max(3, round(cells / columns))
-    x = np.concatenate([[0.0], np.cumsum(chance.uniform(6.0, 12.0, columns - 1))])
-    y = np.concatenate([[0.0], np.cumsum(chance.uniform(6.0, 12.0, rows - 1))])
-    z = np.tile(x - x.mean(), rows) + 1j * np.repeat(y - y.mean(), columns)
+    x, y, streets = _lattice(junctions / 0.9, aspect, 3, (6.0, 12.0), chance)
+    z = np.tile(x - x.mean(), len(y)) + 1j * np.repeat(y - y.mean(), len(x))
     z = z + 0.5 * (chance.normal(1.0, len(z)) + 1j * chance.normal(1.0, len(z)))
     bend = 0.22 / float(np.abs(z).max()) * np.exp(1j * chance.uniform(-np.pi, np.pi, 1)[0])
 
@@ -206,14 +208,7 @@ def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
         w = flat + bend * flat**2
         return np.column_stack([w.real, w.imag])
 
-    cell = np.arange(rows * columns).reshape(rows, columns)
-    streets = np.concatenate(
-        [
-            np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()]),
-            np.column_stack([cell[:-1].ravel(), cell[1:].ravel()]),
-        ]
-    )
-    built = _growing_tree(streets, rows * columns, chance) | chance.happens(0.7, len(streets))
+    built = _growing_tree(streets, len(z), chance) | chance.happens(0.7, len(streets))
     way = np.linspace(0.0, 1.0, 6)
     links: list[Link] = [
         (u, v, bent(z[u] + way * (z[v] - z[u]))) for u, v in streets[built].tolist()

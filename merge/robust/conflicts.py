@@ -128,9 +128,8 @@ def _extra_b(
 ) -> tuple[IntArray, IntArray, float]:
     """Unmatched vertices of b (the first of the spots) well inside corridors of a."""
     k = len(lone)
-    inside = ((spots.gap_r[:k] < 0.8) & (spots.gap_v[:k] > OFF_END_M + spots.vague[:k])).nonzero()[
-        0
-    ]
+    beside = (spots.gap_r[:k] < 0.8) & (spots.gap_v[:k] > OFF_END_M + spots.vague[:k])
+    inside = beside.nonzero()[0]
     if len(inside) == 0:
         return inside, inside, 0.0
     r = spots.road[inside]

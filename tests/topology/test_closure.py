@@ -49,15 +49,13 @@ def grid_world(rows, columns, rng=None):
     gaps = (rng.uniform(3.5, 8.0, 40) if rng is not None else np.full(40, 5.0)).reshape(2, 20)
     x, y = np.cumsum(gaps[0][:columns]), np.cumsum(gaps[1][:rows])
     xy = {(r, c): np.array([x[c], y[r]]) for r in range(rows) for c in range(columns)}
-    beside = {
-        (r, c): [
-            (r + dr, c + dc)
-            for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0))
-            if (r + dr, c + dc) in xy
-        ]
-        for r, c in xy
-    }
-    return xy, beside
+    return xy, side_by_side(xy)
+
+
+def side_by_side(xy):
+    """For each junction (row, column) its neighbours."""
+    steps = ((0, 1), (1, 0), (0, -1), (-1, 0))
+    return {(r, c): [(r + dr, c + dc) for dr, dc in steps if (r + dr, c + dc) in xy] for r, c in xy}
 
 
 def wander(beside, steps, rng):
@@ -319,11 +317,7 @@ def test_without_strangers_likeness_is_taken_as_it_is():
 def aisles(count, length=40.0, spacing=3.0):
     """Rows of one length, joined at both ends: every one looks like the next."""
     xy = {(r, c): np.array([spacing * c, length * r]) for r in (0, 1) for c in range(count)}
-    steps = ((0, 1), (1, 0), (0, -1), (-1, 0))
-    beside = {
-        (r, c): [(r + dr, c + dc) for dr, dc in steps if (r + dr, c + dc) in xy] for r, c in xy
-    }
-    return xy, beside
+    return xy, side_by_side(xy)
 
 
 def test_a_pattern_is_found_by_its_steps():

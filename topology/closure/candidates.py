@@ -10,12 +10,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from ..se2 import turned_axes
 from .evidence import (
     Background,
     EvidenceSettings,
     align,
+    among_neighbours,
     best_position_odds,
-    placed_odds,
     position_odds,
 )
 from .growth import GrowthSettings, Scene, grow
@@ -47,7 +48,7 @@ class CandidateSettings:
     reach_m: float = 20.0
     """Places farther apart than this in the layout are not asked about …"""
     reach_legs: float = 4.0
-    """… or than this many median legs, where these are long."""
+    """… or than this many typical legs, where these are long."""
     most_pairs: int = 5000
     """In long runs no more pairs are looked at in one round, the nearest (or six per place)."""
     least_position: float = -6.0
@@ -122,13 +123,10 @@ class _Apart:
 
     def odds(self, common: Background, settings: EvidenceSettings) -> tuple[FloatArray, FloatArray]:
         """(k,) `position_odds` and squared Mahalanobis distance, the two centres' noise added."""
-        return position_odds(common, self.shift, self._noisy(common), settings)
+        return position_odds(common, self.shift, self.noisy(common), settings)
 
-    def placed_odds(self, common: Background, settings: EvidenceSettings) -> FloatArray:
-        """(k,) `evidence.placed_odds`, the two centres' noise added."""
-        return placed_odds(common, self.shift, self._noisy(common), settings)
-
-    def _noisy(self, common: Background) -> FloatArray:
+    def noisy(self, common: Background) -> FloatArray:
+        """(k, 2, 2) covariance of the shift with the two centres' noise."""
         out: FloatArray = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
         return out
 
@@ -159,12 +157,13 @@ def candidates(
         pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common, settings.evidence)
     least = settings.least_position if exact else 0.0
-    pairs = pairs.take((d2 < settings.gate) & (odds > least))
-    odds = pairs.placed_odds(common, settings.evidence)
+    fine = (d2 < settings.gate) & (odds > least)
+    pairs = pairs.take(fine)
+    odds = among_neighbours(common, odds[fine], pairs.shift, pairs.noisy(common))
     pairs, odds = pairs.take(odds > least), odds[odds > least]
     found = _surroundings(scene, pairs, settings)
     alike = found.sum()
-    slack = settings.slack if len(common.pattern.steps) else 0.0
+    slack = settings.slack if common.pattern.repeats else 0.0
     commonness = np.maximum(alike - likeness_odds(alike, strangers, slack), 0.0)
     return Candidates(
         pairs.a,
@@ -186,10 +185,7 @@ def _known_apart(
     What dead reckoning alone excludes stays excluded: closures only make it more certain.
     """
     walk, places = scene.walk, scene.places
-    legs = walk.leg[np.isfinite(walk.leg)]
-    reach_m = max(
-        settings.reach_m, settings.reach_legs * float(np.median(legs)) if len(legs) else 0
-    )
+    reach_m = max(settings.reach_m, settings.reach_legs * scene.common.leg_m)
     a, b = _pairs_within(layout.xy, reach_m).T
     i, j = _nearest_in_time(places, place, a, b)
     same = walk.chain[i] == walk.chain[j]
@@ -342,8 +338,6 @@ def _exact_covariance(layout: Layout, a: IntArray, b: IntArray) -> FloatArray:
 
 def _turned(cov: FloatArray, turn: FloatArray) -> FloatArray:
     """Covariances (k, 3, 3) of x, y and direction in axes turned by `turn` (k,) [rad]."""
-    c, s = np.cos(turn), np.sin(turn)
-    R = np.zeros((len(cov), 3, 3))
-    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1.0
+    R = turned_axes(turn)
     out: FloatArray = R @ cov @ R.transpose(0, 2, 1)
     return out

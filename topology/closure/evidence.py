@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chndtr
 
 from ..topomap import RunNoise
-from .pattern import Pattern, PatternSettings, no_pattern, pattern_of
+from .pattern import Pattern, PatternSettings, no_pattern, pattern_of, squared_mahalanobis
 from .places import Places
 from .walk import Walk
 
@@ -60,12 +60,12 @@ class EvidenceSettings:
 class Background:
     """What is common in a run.
 
-    density: places per m². core_m: radius within which no other junction is expected.
+    leg_m: typical length of a leg. core_m: radius within which no other junction is expected.
     length_edges, length_density: histogram of leg lengths [1/m]. pattern: where other junctions
     stand around a junction.
     """
 
-    density: float
+    leg_m: float
     core_m: float
     length_edges: FloatArray
     length_density: FloatArray
@@ -74,6 +74,11 @@ class Background:
     fault_rate: float
     miss_rate: float
     pattern: Pattern = field(default_factory=no_pattern)
+
+    @property
+    def density(self) -> float:
+        """Places per m²: each is the middle of a cell about as wide as a typical leg."""
+        return 1.0 / self.leg_m**2
 
 
 def background(
@@ -92,8 +97,7 @@ def background(
     smooth = np.convolve(counts, [0.1, 0.2, 0.4, 0.2, 0.1], mode="same") + 0.02
     density = smooth / (smooth.sum() * 0.25)
     return Background(
-        # Each place is the middle of a cell about as wide as a typical leg.
-        density=1.0 / typical**2,
+        leg_m=typical,
         core_m=settings.core_share * shortest,
         length_edges=edges,
         length_density=density,
@@ -108,9 +112,8 @@ def with_pattern(
     common: Background, places: Places, xy: FloatArray, settings: EvidenceSettings
 ) -> Background:
     """The background with what a map of so many places, at `xy` (n, 2), says of neighbours."""
-    typical = common.density**-0.5
     found = pattern_of(
-        places, xy, core_m=common.core_m, typical_m=typical, settings=settings.pattern
+        places, xy, core_m=common.core_m, typical_m=common.leg_m, settings=settings.pattern
     )
     return replace(common, pattern=found)
 
@@ -122,37 +125,34 @@ def position_odds(
 
     Against another junction, which would stand anywhere but within the core around this one.
     """
-    same, d2, rival = _position(common, shift, cov, settings)
-    odds: FloatArray = same - np.log(rival)
-    return odds, d2
-
-
-def placed_odds(
-    common: Background, shift: FloatArray, cov: FloatArray, settings: EvidenceSettings
-) -> FloatArray:
-    """`position_odds`, where another junction may also stand where others have their neighbours."""
-    same, _, rival = _position(common, shift, cov, settings)
-    # Neighbours are beyond the core: what is known much better than that cannot be one.
-    room = common.core_m - np.hypot(*shift.T)
-    vague = np.flatnonzero(room**2 < SURE**2 * (cov[:, 0, 0] + cov[:, 1, 1]))
-    rival[vague] = np.maximum(rival[vague], common.pattern.density(shift[vague], cov[vague]))
-    odds: FloatArray = same - np.log(rival)
-    return odds
-
-
-def _position(
-    common: Background, shift: FloatArray, cov: FloatArray, settings: EvidenceSettings
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(k,) log density of the shift if both are one, d², and density of others."""
-    det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
     x, y = shift.T
-    d2 = (cov[:, 1, 1] * x * x - 2 * cov[:, 0, 1] * x * y + cov[:, 0, 0] * y * y) / det
+    d2, det = squared_mahalanobis(x, y, cov)
     s2 = np.sqrt(det)
     inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, 1e6))
     # Exceptions within the core are doors side by side, not one upon the other.
     apart = np.minimum((x * x + y * y + 2 * s2) / common.core_m**2, 1.0)
     rival = common.density * np.maximum(1.0 - inside, settings.core_exception * apart)
-    return -0.5 * d2 - np.log(2 * np.pi * s2), d2, rival
+    odds = -0.5 * d2 - np.log(2 * np.pi * s2) - np.log(rival)
+    return odds, d2
+
+
+def among_neighbours(
+    common: Background, odds: FloatArray, shift: FloatArray, cov: FloatArray
+) -> FloatArray:
+    """(k,) `odds` of `position_odds`, if the other junction may also stand where in this map
+    junctions have their neighbours."""
+    if not common.pattern.repeats:
+        return odds
+    # Neighbours are beyond the core: what is known much better than that cannot be one.
+    room = common.core_m - np.hypot(*shift.T)
+    vague = np.flatnonzero(room**2 < SURE**2 * (cov[:, 0, 0] + cov[:, 1, 1]))
+    shift, cov = shift[vague], cov[vague]
+    d2, det = squared_mahalanobis(*shift.T, cov)
+    density = np.maximum(common.pattern.density(shift, cov), np.finfo(np.float64).tiny)
+    out = odds.copy()
+    against = -0.5 * d2 - np.log(2 * np.pi * np.sqrt(det)) - np.log(density)
+    out[vague] = np.minimum(odds[vague], against)
+    return out
 
 
 def best_position_odds(

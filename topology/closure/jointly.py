@@ -15,14 +15,14 @@ from scipy.sparse.csgraph import connected_components
 
 from ..posegraph import Marginals
 from .candidates import Candidates
-from .evidence import Background, EvidenceSettings, placed_odds
+from .evidence import Background, EvidenceSettings, among_neighbours, position_odds
 from .layout import Layout
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 _DIRECTIONS = 16
+"""In so many directions a step of the pattern is tried, besides those known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +65,10 @@ class _Beliefs:
         k = len(self.alike)
         own = np.arange(k)
         blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
-        noise = 2 * self.common.centre_sigma**2 * np.eye(2)
-        odds = placed_odds(self.common, self.shift.reshape(k, 2), blocks + noise, self.evidence)
-        out: FloatArray = odds + self.alike
+        cov = blocks + 2 * self.common.centre_sigma**2 * np.eye(2)
+        shift = self.shift.reshape(k, 2)
+        odds, _ = position_odds(self.common, shift, cov, self.evidence)
+        out: FloatArray = among_neighbours(self.common, odds, shift, cov) + self.alike
         return out
 
     def given(self, row: int) -> _Beliefs:
@@ -131,7 +132,7 @@ def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -
     Those that are tied to each other firmly move together.
     """
     pattern = start.common.pattern
-    if len(pattern.steps) == 0:
+    if not pattern.repeats:
         return -np.inf
     rows = (2 * members[:, None] + np.arange(2)).ravel()
     cov = start.cov[np.ix_(rows, rows)] + 2 * start.common.centre_sigma**2 * np.eye(len(rows))

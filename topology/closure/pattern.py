@@ -54,10 +54,13 @@ class Pattern:
     share: FloatArray
     width_m: float
 
+    @property
+    def repeats(self) -> bool:
+        """Whether the map repeats itself by any step."""
+        return len(self.steps) > 0
+
     def density(self, shift: FloatArray, cov: FloatArray) -> FloatArray:
         """(k,) other junctions per m² at `shift` (k, 2), known with covariance `cov` (k, 2, 2)."""
-        if len(self.steps) == 0:
-            return np.zeros(len(shift))
         around = _gaussians(shift, self.beside, cov + self.width_m**2 * np.eye(2)).sum(axis=1)
         on_steps = _gaussians(shift, self.steps, cov) @ self.share
         out: FloatArray = np.maximum(self.crowd * around, on_steps)
@@ -65,15 +68,13 @@ class Pattern:
 
     def is_step(self, shift: FloatArray) -> NDArray[np.bool_]:
         """(k,) whether `shift` (k, 2) is a step of the pattern."""
-        if len(self.steps) == 0:
-            return np.zeros(len(shift), np.bool_)
         off = np.abs(shift[:, None, :] - self.steps).max(axis=2)
         found: NDArray[np.bool_] = (off < 2 * self.width_m).any(axis=1)
         return found
 
 
 def no_pattern() -> Pattern:
-    """That of a map of which nothing is known."""
+    """That of a map that does not repeat itself."""
     return Pattern(np.zeros((0, 2)), 0.0, np.zeros((0, 2)), np.zeros(0), 1.0)
 
 
@@ -102,10 +103,10 @@ def pattern_of(
     way = np.hypot(*shift.T)
     reach = max(settings.reach_m, settings.reach_legs * typical_m)
     shift = shift[(way > core_m) & (way < reach)]
-    if len(shift) == 0:
+    steps, share = _steps(shift, n, settings)
+    if len(steps) == 0:
         return no_pattern()
     sample = shift[:: -(-len(shift) // settings.sample)]
-    steps, share = _steps(shift, n, settings)
     return Pattern(sample, len(shift) / n / len(sample), steps, share, settings.width_m)
 
 
@@ -135,11 +136,18 @@ def _steps(
 def _gaussians(shift: FloatArray, centre: FloatArray, cov: FloatArray) -> FloatArray:
     """(k, m) density of each centre (m, 2) at each `shift`, heavier in the tails than a Gaussian:
     errors are sometimes larger than they should be."""
-    det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
     x, y = (shift[:, None, :] - centre).transpose(2, 0, 1)
-    d2 = cov[:, 1, 1, None] * x * x - 2 * cov[:, 0, 1, None] * x * y + cov[:, 0, 0, None] * y * y
-    d2 /= det[:, None]
+    d2, det = squared_mahalanobis(x, y, cov[:, None])
     usual = (1.0 - TAIL) * np.exp(-0.5 * d2)
     tail = TAIL / TAIL_WIDTH**2 * np.exp(-0.5 / TAIL_WIDTH**2 * d2)
-    out: FloatArray = (usual + tail) / (2 * np.pi * np.sqrt(det))[:, None]
+    out: FloatArray = (usual + tail) / (2 * np.pi * np.sqrt(det))
     return out
+
+
+def squared_mahalanobis(
+    x: FloatArray, y: FloatArray, cov: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Squared distances of (x, y) by covariances (..., 2, 2), broadcast; and their determinants."""
+    xx, xy, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
+    det = xx * yy - xy**2
+    return (yy * x * x - 2 * xy * x * y + xx * y * y) / det, det

@@ -171,7 +171,7 @@ def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) 
 
 def _least(scene: Scene, settings: RoundSettings) -> float:
     """Log odds that are asked at least: where many are doubtful, some of many chances come true."""
-    if len(scene.common.pattern.steps) == 0:
+    if not scene.common.pattern.repeats:
         return 0.0
     return float(np.log(len(scene.walk))) + settings.pattern_reserve
 
