@@ -147,7 +147,7 @@ def among_neighbours(
     room = common.core_m - np.hypot(*shift.T)
     vague = np.flatnonzero(room**2 < SURE**2 * (cov[:, 0, 0] + cov[:, 1, 1]))
     shift, cov = shift[vague], cov[vague]
-    d2, det = squared_mahalanobis(*shift.T, cov)
+    d2, det = squared_mahalanobis(shift[:, 0], shift[:, 1], cov)
     density = np.maximum(common.pattern.density(shift, cov), np.finfo(np.float64).tiny)
     out = odds.copy()
     against = -0.5 * d2 - np.log(2 * np.pi * np.sqrt(det)) - np.log(density)
