@@ -17,10 +17,10 @@ WORST_LINK_BITS = -5.0
 """No single corridor speaks louder against a match: one of the runs may have measured it badly."""
 
 REPEAT_BITS = 0.5
-HALF_TURN = 8
-BEARING_RAD = np.pi / HALF_TURN
+"""What a link tells at most that follows from others."""
+
 LINE_M = 0.8
-"""Corridors whose ends lie on the same two lines, within about this, are repeats of each other."""
+"""How far apart two junctions on one line of a building's grid may seem to lie, across it."""
 
 BEND_RAD = 0.04
 NEAR_PENALTY_BITS = 3.0
@@ -125,30 +125,44 @@ def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatAr
 
 
 def _without_repeats(start: ComplexArray, end: ComplexArray, bits: FloatArray) -> float:
-    """Sum of the bits of links, where those that repeat another one's interval count little.
+    """Sum of the bits of links, where those that follow from better ones count little.
 
-    In a building on a grid all corridors between the same two lines are equally long: once one of
-    them fits, the others fit by construction. Links are told apart by direction and by the
-    interval that they span in that direction; of equals only the best counts in full.
+    In a building on a grid the corridors between two lines are all equally long, and a diagonal is
+    as long as two of them say: once those fit, the others fit by construction. So every place
+    counts as the crossing of two lines, one along the best link and one across it, and a link
+    tells something only if the better ones leave the lines of its two ends free to move.
     """
     if len(bits) == 0:
         return 0.0
-    bits = np.minimum(bits, LINK_BITS)
     order = (-bits).argsort(kind="stable")
-    bits, origin = bits[order], start[order[0]]
-    start, offset = start[order] - origin, end[order] - start[order]
-    angle = np.arctan2(offset.imag, offset.real)
-    axis = angle[0]
-    bearing = np.rint((angle - axis) / BEARING_RAD).astype(np.int64)
-    along = np.exp(-1j * (axis + bearing * BEARING_RAD))
-    one, two = (start * along).real, ((start + offset) * along).real
-    # Seen the other way round it is the same interval, mirrored.
-    flip = (bearing % (2 * HALF_TURN)) >= HALF_TURN
-    one, two = np.where(flip, -one, one), np.where(flip, -two, two)
-    low, high = np.rint(np.minimum(one, two) / LINE_M), np.rint(np.maximum(one, two) / LINE_M)
-    key = ((bearing % HALF_TURN) * 100_003 + low.astype(np.int64)) * 100_003 + high.astype(np.int64)
-    rank = key.argsort(kind="stable")
-    key = key[rank]
-    again = rank[1:][key[1:] == key[:-1]]
-    bits[again] = np.minimum(bits[again], REPEAT_BITS)
-    return float(np.add.reduce(bits))
+    one, two = start[order], end[order]
+    axis = (two[0] - one[0]) / max(abs(two[0] - one[0]), 1e-9)
+    places = np.concatenate([one, two]) * axis.conjugate()
+    along, across = _joins(_lines(places.real)), _joins(_lines(places.imag))
+    total = 0.0
+    for value, x, y in zip(bits[order].tolist(), along, across, strict=True):
+        total += min(value, LINK_BITS if x or y else REPEAT_BITS)
+    return total
+
+
+def _lines(at: FloatArray) -> list[int]:
+    """Number of the line on which each coordinate lies; a line is LINE_M wide at most."""
+    number, end, line = [0] * len(at), -np.inf, -1
+    for k, x in zip(at.argsort(kind="stable").tolist(), np.sort(at).tolist(), strict=True):
+        if x > end:
+            end, line = x + LINE_M, line + 1
+        number[k] = line
+    return number
+
+
+def _joins(line: list[int]) -> list[bool]:
+    """Of k links, whose starts and then ends lie on these lines, in turn: does it join lines that
+    those before it have not?"""
+    group = list(range(max(line) + 1))
+    out = []
+    for u, v in zip(line[: len(line) // 2], line[len(line) // 2 :], strict=True):
+        old, new = group[u], group[v]
+        out.append(old != new)
+        if old != new:
+            group = [new if g == old else g for g in group]
+    return out

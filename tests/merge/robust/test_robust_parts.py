@@ -29,7 +29,7 @@ from topobatch.merge.robust.repetition import (
 )
 from topobatch.merge.robust.settings import RobustSettings
 from topobatch.merge.robust.sites import MOST_PAIRS, Sites
-from topobatch.merge.robust.support import _forest
+from topobatch.merge.robust.support import REPEAT_BITS, _forest, _without_repeats
 from topobatch.merge.robust.verdict import (
     JUNCTION_BITS,
     REPEATED_JUNCTIONS,
@@ -192,6 +192,29 @@ def test_a_forest_has_no_cycle_and_the_best_links():
     for u, v in zip(i[chosen].tolist(), j[chosen].tolist(), strict=True):
         assert root(u) != root(v)
         head[root(u)] = root(v)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 2.0])
+def test_on_a_grid_only_the_gaps_between_lines_tell(turn):
+    """Of the links of a 3 × 3 block two gaps each way are news; so the corners add no more."""
+    x, y = np.meshgrid([0.0, 4.0, 10.0], [0.0, 3.0, 8.5], indexing="ij")
+    grid = (x + 1j * y) * np.exp(1j * turn)
+    straight = [(grid[:-1], grid[1:]), (grid[:, :-1], grid[:, 1:])]
+    across = [(grid[:-1, :-1], grid[1:, 1:]), (grid[:1], grid[2:])]
+    start, end = (
+        np.concatenate([pair[k].reshape(-1) for pair in straight + across]) for k in (0, 1)
+    )
+    noise = np.random.default_rng(0).normal(0, 0.05, (2, len(start), 2)) @ [1, 1j]
+    bits = np.where(np.arange(len(start)) < 12, 4.0, 3.0)
+    found = _without_repeats(start + noise[0], end + noise[1], bits)
+    assert found == pytest.approx(4 * 4.0 + (len(bits) - 4) * REPEAT_BITS)
+
+
+def test_links_between_places_without_order_nearly_all_tell():
+    """Now and then such a place lies on one line with others, both ways, by chance."""
+    places = np.random.default_rng(1).uniform(0, 60, (12, 2)) @ [1, 1j]
+    bits = np.full(11, 3.0)
+    assert 30.0 <= _without_repeats(places[:-1], places[1:], bits) <= 33.0
 
 
 def test_the_same_place_and_a_copy_of_it_are_told_apart(maze, see):
