@@ -144,9 +144,7 @@ def _plan(
             IngestJob(
                 log=log,
                 run=run,
-                map_json=place.map_json(run),
-                map_rrd=place.map_rrd(run),
-                record=place.ingest_record(run),
+                place=place,
                 read=read,
                 mapping=mapping,
                 force=force,

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -23,19 +23,18 @@ from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
+from .workspace import Workspace
 
 POLL_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class IngestJob:
-    """One log to turn into one map, and where its files go."""
+    """One log to turn into a map, and the workspace that it goes to."""
 
     log: Path
     run: str
-    map_json: Path
-    map_rrd: Path
-    record: Path
+    place: Workspace
     read: ReadSettings
     mapping: MappingSettings
     force: bool
@@ -86,24 +85,49 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started = time.monotonic()
     key = _content_key(job)
-    before = _record(job)
-    if (
-        not job.force
-        and before.get("key") == key
-        and job.map_json.exists()
-        and job.map_rrd.exists()
-    ):
+    before = _record(job.place, job.run)
+    if not job.force and before.get("key") == key and _all_there(job.place, _runs_of(before)):
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept")
     run = read_run(job.log, job.read, on_bytes=on_bytes)
     topomap = build_map(run if run.name == job.run else _renamed(run, job.run), job.mapping)
-    doc = map_to_document(topomap)
-    _refuse_other_log(job, before, doc)
-    write_json(job.map_json, doc)
-    write_map_recording(job.map_rrd, topomap, odometry=run.odometry)
+    maps = _in_one_piece(topomap)
+    runs = [m.run for m in maps]
+    docs = {m.run: map_to_document(m) for m in maps}
+    for name, doc in docs.items():
+        _refuse_other_log(job, name, doc)
+    for m in maps:
+        write_json(job.place.map_json(m.run), docs[m.run])
+        write_map_recording(job.place.map_rrd(m.run), m, odometry=run.odometry)
+    _clear_away(job.place, before, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
-    write_json(job.record, {"key": key, "log": str(job.log.resolve())})
-    text = f"{_summary(topomap, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
-    return IngestOutcome(job.log, job.run, "done", text, run.warnings)
+    for name in reversed(runs):
+        record = {"key": key, "log": str(job.log.resolve()), "runs": runs}
+        write_json(job.place.ingest_record(name), record)
+    text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
+    told = maps[0].info.get("warnings", ())
+    return IngestOutcome(job.log, job.run, "done", text, tuple(told))
+
+
+def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
+    """The map; or maps, where the odometry broke and nothing ties the pieces together."""
+    if topomap.info.get("pieces", 1) < 2:
+        return (topomap,)
+    from ..merge.pieces import joined_pieces
+
+    return joined_pieces(topomap)
+
+
+def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
+    files = [path(run) for run in runs for path in (place.map_json, place.map_rrd)]
+    return bool(files) and all(file.exists() for file in files)
+
+
+def _clear_away(place: Workspace, before: dict[str, Any], kept: Set[str]) -> None:
+    """Remove the maps of pieces that the log gave before and does not give any more."""
+    for run in set(_runs_of(before)) - kept:
+        if _record(place, run).get("log") == before.get("log"):
+            for file in (place.map_json(run), place.map_rrd(run), place.ingest_record(run)):
+                file.unlink(missing_ok=True)
 
 
 def _renamed(run: Any, name: str) -> Any:
@@ -112,12 +136,14 @@ def _renamed(run: Any, name: str) -> Any:
     return replace(run, name=name)
 
 
-def _summary(topomap: TopoMap, way_m: float) -> str:
-    visits = len(topomap.observation_vertex)
-    return (
-        f"{way_m:,.0f} m, {count(visits, 'junction pass', 'junction passes')} → "
-        f"{count(len(topomap), 'junction')}, {count(len(topomap.source), 'corridor')}"
+def _summary(maps: Sequence[TopoMap], way_m: float) -> str:
+    visits = sum(len(m.observation_vertex) for m in maps)
+    found = ", and ".join(
+        f"{count(len(m), 'junction')}, {count(len(m.source), 'corridor')}"
+        + (f" ({m.run})" if len(maps) > 1 else "")
+        for m in maps
     )
+    return f"{way_m:,.0f} m, {count(visits, 'junction pass', 'junction passes')} → {found}"
 
 
 def _content_key(job: IngestJob) -> str:
@@ -127,27 +153,33 @@ def _content_key(job: IngestJob) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _record(job: IngestJob) -> dict[str, Any]:
-    """What the map was made from; empty where that is not known."""
+def _record(place: Workspace, run: str) -> dict[str, Any]:
+    """What the map of a run was made from; empty where that is not known."""
     try:
-        found = json.loads(job.record.read_bytes())
+        found = json.loads(place.ingest_record(run).read_bytes())
     except (OSError, ValueError):
         return {}  # a cache: without it the run is just done again
     return found if isinstance(found, dict) else {}
 
 
-def _refuse_other_log(job: IngestJob, before: dict[str, Any], doc: dict[str, Any]) -> None:
+def _runs_of(record: dict[str, Any]) -> list[str]:
+    """The runs that the log of a record gave: one, or one per piece of a broken odometry."""
+    runs = record.get("runs")
+    return [r for r in runs if isinstance(r, str)] if isinstance(runs, list) else []
+
+
+def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """A map made from another log of the same name is not overwritten unasked."""
-    other = before.get("log")
-    if job.force or not other or other == str(job.log.resolve()) or not job.map_json.exists():
+    other, path = _record(job.place, run).get("log"), job.place.map_json(run)
+    if job.force or not other or other == str(job.log.resolve()) or not path.exists():
         return
     try:
-        same = json.loads(job.map_json.read_bytes()) == doc
+        same = json.loads(path.read_bytes()) == doc
     except ValueError:
         return
     if not same:
         raise DocumentError(
-            f"{job.log}: the workspace has a run {job.run!r} already, made from {other}; "
+            f"{job.log}: the workspace has a run {run!r} already, made from {other}; "
             "give this one another --name, or replace the map with --force"
         )
 

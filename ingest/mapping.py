@@ -55,8 +55,9 @@ def build_map(
 ) -> TopoMap:
     """The topological map of a run.
 
-    Raises DataError if the run has no junction pass. `on_step` hears the name of each step before
-    it begins.
+    Where the odometry broke, the map is in pieces, drawn side by side, `info["pieces"]` of them:
+    how they lie to each other is for `merge.pieces` to find out. Raises DataError if the run has
+    no junction pass. `on_step` hears the name of each step before it begins.
     """
     step = on_step or (lambda name: None)
     step("calibration")
@@ -146,17 +147,12 @@ def _info(
     run: Run, settings: MappingSettings, calibration: Calibration, walk: Walk
 ) -> dict[str, Any]:
     """What the document says about the making of the map."""
-    warnings = list(run.warnings)
     pieces = len(np.unique(walk.chain))
-    if pieces > 1:
-        warnings.append(
-            f"the odometry broke: the map is in {pieces} pieces, drawn side by side; how they lie "
-            "to each other is unknown"
-        )
     return {
         "source": dict(run.source),
         "settings": asdict(settings),
-        "warnings": warnings,
+        "warnings": list(run.warnings),
+        **({"pieces": pieces} if pieces > 1 else {}),
         "calibration": {
             name: {
                 "applied": calibration.applied[k],

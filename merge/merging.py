@@ -33,9 +33,12 @@ class MergeSettings:
     fusion: FusionSettings = DEFAULT_FUSION
 
 
+DEFAULT_MERGE = MergeSettings()
+
+
 def merge_maps(
     maps: Sequence[TopoMap],
-    settings: MergeSettings = MergeSettings(),
+    settings: MergeSettings = DEFAULT_MERGE,
     *,
     locks: Sequence[Lock] = (),
     on_pair: Callable[[int, int], None] | None = None,

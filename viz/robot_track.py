@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..topology.odometry import Odometry
 from ..topology.se2 import apply, compose, fit_rigid
 from ..topology.topomap import TopoMap
+from ..topology.track import chain_of
 from .drawing import thinned
 
 MOST_POINTS = 20_000
@@ -26,9 +27,9 @@ SHORT_CHORD_M = 0.5
 class RobotTrack:
     """A run's track in the frame of its map, thinned for drawing.
 
-    raw: (n, 3) odometry moved rigidly to where it fits the map's vertices best; bent: (n, 3) the
-    same rows, with every pass on its vertex; time_ns: (n,); starts: rows at which a new stretch
-    begins because the odometry was broken there (never 0).
+    raw: (n, 3) odometry, every stretch moved rigidly to where it fits the map's vertices best;
+    bent: (n, 3) the same rows, with every pass on its vertex; time_ns: (n,); starts: rows at which
+    a new stretch begins because the odometry was broken there (never 0).
     drift_m: (k,) how far the raw track is from the map's vertex at each observation of the map.
     """
 
@@ -48,30 +49,55 @@ class RobotTrack:
 def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
     """The track of a run on its map; None without odometry or observations to place it by.
 
+    Every unbroken stretch is placed by itself; one without observations is left out.
     O(n log k) for n poses and k observations.
     """
-    if len(odometry) == 0 or len(topomap.observation_vertex) == 0:
+    if len(odometry) == 0:
         return None
-    time_ns, first = np.unique(topomap.observation_time_ns, return_index=True)
-    seen_at = topomap.xy[topomap.observation_vertex[first]]
-    passed = odometry.at(time_ns)
-    T_map_odom = fit_rigid(seen_at, passed[:, :2])
-    drift = apply(T_map_odom, odometry.at(topomap.observation_time_ns)[:, :2])
-    drift -= topomap.xy[topomap.observation_vertex]
-
-    rows = _thinned(odometry)
-    raw = compose(T_map_odom, odometry.pose[rows])
-    bent = _bent(odometry.time_ns[rows], raw, time_ns, compose(T_map_odom, passed), seen_at)
-    starts = np.searchsorted(rows, odometry.breaks)
-    return RobotTrack(odometry.time_ns[rows], raw, bent, starts, np.hypot(drift[:, 0], drift[:, 1]))
-
-
-def _thinned(odometry: Odometry) -> NDArray[np.int64]:
-    """Rows to draw: equal steps of way, and both sides of every break."""
+    edges = pairwise([0, *odometry.breaks.tolist(), len(odometry)])
+    chain = chain_of(odometry, topomap.observation_time_ns)
     spacing = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
-    edges = np.concatenate([[0], odometry.breaks, [len(odometry)]])
-    stretches = [a + thinned(odometry.pose[a:b, :2], spacing) for a, b in pairwise(edges.tolist())]
-    return np.concatenate(stretches)
+    parts = []
+    for number, (a, b) in enumerate(edges):
+        seen = np.flatnonzero(chain == number)
+        if len(seen):
+            stretch = replace(
+                odometry,
+                time_ns=odometry.time_ns[a:b],
+                pose=odometry.pose[a:b],
+                breaks=odometry.breaks[:0],
+            )
+            parts.append((seen, _placed(topomap, seen, stretch, spacing)))
+    if not parts:
+        return None
+    drift_m = np.zeros(len(chain))
+    for seen, part in parts:
+        drift_m[seen] = part.drift_m
+    tracks = [part for _, part in parts]
+    return RobotTrack(
+        np.concatenate([part.time_ns for part in tracks]),
+        np.concatenate([part.raw for part in tracks]),
+        np.concatenate([part.bent for part in tracks]),
+        np.cumsum([len(part.time_ns) for part in tracks])[:-1],
+        drift_m,
+    )
+
+
+def _placed(
+    topomap: TopoMap, seen: NDArray[np.int64], stretch: Odometry, spacing: float
+) -> RobotTrack:
+    """The track of one unbroken stretch, placed by the observations `seen`, and their drift."""
+    times, vertices = topomap.observation_time_ns[seen], topomap.observation_vertex[seen]
+    time_ns, first = np.unique(times, return_index=True)
+    seen_at = topomap.xy[vertices[first]]
+    passed = stretch.at(time_ns)
+    T_map_odom = fit_rigid(seen_at, passed[:, :2])
+    drift = apply(T_map_odom, stretch.at(times)[:, :2]) - topomap.xy[vertices]
+    rows = thinned(stretch.pose[:, :2], spacing)
+    raw = compose(T_map_odom, stretch.pose[rows])
+    bent = _bent(stretch.time_ns[rows], raw, time_ns, compose(T_map_odom, passed), seen_at)
+    drift_m = np.hypot(drift[:, 0], drift[:, 1])
+    return RobotTrack(stretch.time_ns[rows], raw, bent, stretch.breaks, drift_m)
 
 
 def _bent(

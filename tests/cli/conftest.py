@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ import pytest
 from topobatch.cli.main import main
 from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
 from topobatch.ingest.simulation.writing import write_run
+from topobatch.topology.se2 import compose, inverse
 
 
 @dataclass(frozen=True)
@@ -59,4 +60,25 @@ def logs(tmp_path_factory) -> dict[str, Path]:
         for kind in ("mcap", "bag", "db3", "ros2-mcap")
     }
     out["other"] = write_run(folder / "other", simulated[1])
+    return out
+
+
+@pytest.fixture(scope="session")
+def reset_logs(tmp_path_factory) -> dict[str, Path]:
+    """Logs of three runs whose odometry was reset half way: of "joins" and "parts" the halves share
+    places, or too few; "whole" is the second without the reset."""
+    folder = tmp_path_factory.mktemp("reset")
+    out = {}
+    for name, seed, reset in (("joins", 1, True), ("parts", 3, True), ("whole", 3, False)):
+        settings = ScenarioSettings(
+            runs=1, junctions_per_run=14, drift="low", odometry_hz=10, seed=seed
+        )
+        simulated = simulate_scenario(settings).simulated[0]
+        if reset:
+            odometry = simulated.run.odometry
+            pose, half = odometry.pose.copy(), len(odometry) // 2
+            pose[half:] = compose(inverse(pose[half]), pose[half:])
+            run = replace(simulated.run, odometry=replace(odometry, pose=pose))
+            simulated = replace(simulated, run=run)
+        out[name] = write_run(folder / name, simulated)
     return out

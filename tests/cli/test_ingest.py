@@ -87,6 +87,45 @@ def test_finished_runs_are_kept_until_something_changes(topobatch, logs, tmp_pat
     assert document.exists()
 
 
+def test_a_reset_of_the_odometry_is_mended(topobatch, reset_logs, tmp_path):
+    log = shutil.copy(reset_logs["joins"], tmp_path / "run.mcap")
+    done = topobatch("ingest", log, "-w", tmp_path / "ws")
+    assert done.code == 0, done
+    assert "2 pieces, all joined by what they saw" in done.err
+    (document,) = (tmp_path / "ws" / "maps").glob("*.json")
+    mended = read_map(document)
+    assert len(mended) == 14
+    half = len({c.time_a_ns for c in mended.closures if "pieces of the run" in c.reason})
+    assert half >= 5
+
+
+def test_pieces_that_nothing_ties_together_are_runs_until_the_log_is_whole(
+    topobatch, reset_logs, tmp_path
+):
+    log = shutil.copy(reset_logs["parts"], tmp_path / "run.mcap")
+    call = ("ingest", log, "-w", tmp_path / "ws")
+    maps = tmp_path / "ws" / "maps"
+    done = topobatch(*call)
+    assert done.code == 0, done
+    assert "on their own: run#2" in done.err
+    assert "(run#2)" in done.out
+    assert sorted(p.name for p in maps.iterdir()) == [
+        "run#2.json",
+        "run#2.rrd",
+        "run.json",
+        "run.rrd",
+    ]
+    assert read_map(maps / "run#2.json").run == "run#2"
+    assert "unchanged" in topobatch(*call).out
+    assert topobatch("merge", "--all", "-w", tmp_path / "ws").code == 0
+    (maps / "run#2.json").unlink()
+    assert "unchanged" not in topobatch(*call).out
+    assert (maps / "run#2.json").exists()
+    shutil.copy(reset_logs["whole"], log)
+    assert topobatch(*call).code == 0
+    assert sorted(p.name for p in maps.iterdir()) == ["run.json", "run.rrd"]
+
+
 def test_one_bad_log_among_others(topobatch, logs, tmp_path):
     good = shutil.copy(logs["mcap"], tmp_path / "good.mcap")
     bad = tmp_path / "bad.mcap"

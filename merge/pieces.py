@@ -1,0 +1,157 @@
+"""Pieces of one run whose odometry broke: maps that share no frame, joined by what they saw."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..topology.topomap import Closure, TopoMap
+from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
+from .result import FusedMap, PairVerdict, Verdict
+
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> tuple[TopoMap, ...]:
+    """The map of a run in as few pieces as its evidence allows, the one of most passes first.
+
+    A map whose `info["pieces"]` is more than 1 was driven with an odometry that broke: its
+    connected parts are drawn in one frame, but how they lie to each other is unknown. They are
+    merged like the maps of different runs, with the same evidence and the same caution. What stays
+    apart becomes a map of its own, named `RUN#2`, `RUN#3`, … by time, in a frame of its own, for
+    the merge with other runs; what is too small for any merge is left out, and the warnings say so.
+    A map of one piece is returned as it is.
+    """
+    if topomap.info.get("pieces", 1) < 2:
+        return (topomap,)
+    parts = _parts(topomap)
+    result = merge_maps(parts, settings)
+    asked = [c for v in result.verdicts for c in _closures(v, {part.run: part for part in parts})]
+    whole = replace(topomap, closures=(*topomap.closures, *asked))
+    found = [_cut_out(whole, result.fused, c.id) for c in result.components]
+    found.sort(key=lambda m: -len(m.observation_vertex))
+    large = [k for k, m in enumerate(found) if k == 0 or len(m) >= settings.robust.min_matches]
+    kept = [found[0], *sorted((found[k] for k in large[1:]), key=_begin)]
+    names = [topomap.run, *(f"{topomap.run}#{k}" for k in range(2, len(kept) + 1))]
+    small = [m for k, m in enumerate(found) if k not in large]
+    said = _said(len(parts), names, small)
+    return tuple(
+        replace(m, run=name, info=_told(topomap, said)) for m, name in zip(kept, names, strict=True)
+    )
+
+
+def _begin(topomap: TopoMap) -> int:
+    return int(topomap.observation_time_ns.min(initial=np.iinfo(np.int64).max))
+
+
+def _told(topomap: TopoMap, said: str) -> dict[str, Any]:
+    info = {k: v for k, v in topomap.info.items() if k != "pieces"}
+    return info | {"warnings": [*info.get("warnings", ()), said]}
+
+
+def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
+    """One sentence on what became of the pieces."""
+    apart = len(names) + len(small)
+    text = f"the odometry broke: {pieces} pieces, "
+    if apart == 1:
+        text += "all joined by what they saw"
+    elif apart == pieces:
+        text += "none of which could be joined to another for sure"
+    else:
+        text += f"of which {pieces - apart} were joined to another by what they saw"
+    if len(names) > 1:
+        text += f"; on their own: {', '.join(names[1:])}"
+    if small:
+        passes = sum(len(m.observation_vertex) for m in small)
+        text += f"; {len(small)} too small to be placed are left out ({passes} junction passes)"
+    return text
+
+
+def _parts(topomap: TopoMap) -> list[TopoMap]:
+    """The connected parts of a map as maps of their own, named by their order in time."""
+    n = len(topomap)
+    links = coo_array(
+        (np.ones(len(topomap.source)), (topomap.source, topomap.target)), shape=(n, n)
+    )
+    count, label = connected_components(links, directed=False)
+    first = np.full(count, np.iinfo(np.int64).max)
+    np.minimum.at(first, label, _first_passes(topomap))
+    order = np.argsort(first, kind="stable")
+    width = len(str(count))
+    return [_part(topomap, label == k, f"{i:0{width}d}") for i, k in enumerate(order.tolist())]
+
+
+def _cut(graph: TopoMap | FusedMap, chosen: BoolArray) -> dict[str, Any]:
+    """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
+    number = np.cumsum(chosen) - 1
+    rows, edges = np.flatnonzero(chosen), np.flatnonzero(chosen[graph.source])
+    return {
+        "xy": graph.xy[rows],
+        "branches": graph.branches.take(rows),
+        "kind": tuple(graph.kind[r] for r in rows.tolist()),
+        "source": number[graph.source[edges]],
+        "target": number[graph.target[edges]],
+        "source_branch": graph.source_branch[edges],
+        "target_branch": graph.target_branch[edges],
+        "length": graph.length[edges],
+        "length_sigma": graph.length_sigma[edges],
+        "traversals": graph.traversals[edges],
+        "paths": tuple(graph.paths[e] for e in edges.tolist()),
+    }
+
+
+def _seen(topomap: TopoMap, vertex: IntArray, time_ns: IntArray) -> dict[str, Any]:
+    """The passes by the vertices of a part, and the closures that they take part in."""
+    times = set(time_ns.tolist())
+    return {
+        "observation_vertex": vertex,
+        "observation_time_ns": time_ns,
+        "closures": tuple(c for c in topomap.closures if times & {c.time_a_ns, c.time_b_ns}),
+    }
+
+
+def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
+    """The chosen vertices of a map, which are connected among themselves alone."""
+    seen = chosen[topomap.observation_vertex]
+    vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
+    passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
+    return replace(topomap, run=name, info={}, **_cut(topomap, chosen), **passes)
+
+
+def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
+    """One component of the merged parts as the map of a run."""
+    chosen = fused.component == component
+    seen = sorted(
+        (time_ns, vertex)
+        for vertex, row in enumerate(np.flatnonzero(chosen).tolist())
+        for _, time_ns in fused.observations[row]
+    )
+    time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
+    return replace(topomap, **_cut(fused, chosen), **_seen(topomap, vertex, time_ns))
+
+
+def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:
+    """The identifications that a verdict on two parts makes or refuses, one per matched pair."""
+    best = verdict.best
+    if best is None or verdict.verdict is Verdict.UNRELATED:
+        return
+    bits = verdict.evidence_bits / len(best.matched)
+    one, two = (_first_passes(parts[name]) for name in (verdict.a, verdict.b))
+    for u, v in best.matched.tolist():
+        first, second = sorted((int(one[u]), int(two[v])))
+        reason = f"pieces of the run: {verdict.reason}"
+        yield Closure(first, second, verdict.accepted, bits, reason)
+
+
+def _first_passes(topomap: TopoMap) -> IntArray:
+    """(n,) time of the first pass by every vertex."""
+    first = np.full(len(topomap), np.iinfo(np.int64).max)
+    np.minimum.at(first, topomap.observation_vertex, topomap.observation_time_ns)
+    return first
