@@ -7,6 +7,7 @@ branches fit and the corridors around them bear it out; whatever is doubtful sta
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -46,7 +47,8 @@ class CoincidenceSettings:
     length_share: float = 0.06
     """… plus this share of it."""
     min_chain: int = 3
-    """Runs that were not matched with each other coincide in at least so many joined places."""
+    """Runs that were not matched with each other coincide in at least so many joined places, or in
+    so many within `gate_m`."""
 
 
 DEFAULT_COINCIDENCE = CoincidenceSettings()
@@ -98,8 +100,8 @@ def coincident(
 
     pose: (n, 3) of every row in the component's frame; matched: pairs of runs with an accepted
     match. Two runs that were matched need no further support than their position; others need a
-    corridor that leads both to a place they share, or several places joined alike. A corridor
-    that leaves both by the same branch and differs in length speaks against.
+    corridor that leads both to a place they share, or several places, joined alike or very near. A
+    corridor that leaves both by the same branch and differs in length speaks against.
     """
     label = groups.labels()
     around = _Surroundings(pool, pose, label)
@@ -107,12 +109,22 @@ def coincident(
     direct = {frozenset(pair) for pair in matched}
     runs = [frozenset(r) for r in _runs_of(pool, label)]
     names = [m.run for m in pool.maps]
-    chains = _Chains(candidates, around, settings)
+    chains = _Chains([(u, v) for u, v, _ in candidates], around, settings)
+    between = [
+        {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
+        for u, v, _ in candidates
+    ]
+    near = Counter(
+        pair
+        for (u, v, distance), pairs in zip(candidates, between, strict=True)
+        if distance <= settings.gate_m and not chains.contradicted(u, v)
+        for pair in pairs
+    )
+    often = direct | {pair for pair, count in near.items() if count >= settings.min_chain}
     out = []
-    for u, v in candidates:
-        between = {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
+    for (u, v, _), pairs in zip(candidates, between, strict=True):
         support = chains.anchored(u, v) or chains.size(u, v) >= settings.min_chain
-        if not chains.contradicted(u, v) and (support or between & direct):
+        if not chains.contradicted(u, v) and (support or pairs & often):
             out.append((u, v))
     return out
 
@@ -183,8 +195,9 @@ def _candidates(
     pose: FloatArray,
     around: _Surroundings,
     settings: CoincidenceSettings,
-) -> list[tuple[int, int]]:
-    """Rows of places that no run has both of, clearly each other's nearest, branches fitting."""
+) -> list[tuple[int, int, float]]:
+    """Rows of places that no run has both of, clearly each other's nearest, branches fitting; and
+    the distances [m] of the places."""
     visits = pass_counts(pool)
     best = np.lexsort((np.arange(len(pool)), -visits, label))
     speaker = best[np.searchsorted(label[best], np.arange(int(label.max(initial=-1)) + 1))]
@@ -201,8 +214,8 @@ def _candidates(
     clear = _clearly_nearest(u, v, distance, len(centre), settings.lead)
     keep = np.flatnonzero(clear & (distance <= np.maximum(gate[u], gate[v])))
     order = keep[np.lexsort((v[keep], u[keep], distance[keep]))]
-    rows = [(int(speaker[u[k]]), int(speaker[v[k]])) for k in order]
-    return [(r, s) for r, s in rows if _branches_fit(around, r, s, settings)]
+    rows = [(int(speaker[u[k]]), int(speaker[v[k]]), float(distance[k])) for k in order]
+    return [(r, s, d) for r, s, d in rows if _branches_fit(around, r, s, settings)]
 
 
 def _branches_fit(around: _Surroundings, u: int, v: int, settings: CoincidenceSettings) -> bool:

@@ -184,6 +184,36 @@ def test_a_vertex_that_no_pair_matched_is_fused_where_it_coincides(town):
     assert len(fused) == len(TOWN)
 
 
+@pytest.mark.parametrize("shared", [2, 3])
+def test_runs_that_only_a_third_places_are_fused_where_several_places_coincide(draw, shared):
+    """a drove along, b across the same junctions: no corridor is common to both."""
+    crossings = {f"x{k}": (9.0 * k, 20.0) for k in range(shared)}
+    left = {"p": (-9, 0), "q": (-9, 8), "r": (-16, 8)}
+    right = {f"y{k}": (9.0 * k, 31.0 + k) for k in range(shared)}
+    four = [(x, heading) for x in crossings for heading in HEADINGS.values()]
+
+    def cross(inside):
+        """Branches of the crossings that none of these corridors takes."""
+        at = {**crossings, **left, **right}
+        used = {
+            (x, round(float(np.arctan2(*np.subtract(at[y], at[x])[::-1])), 6))
+            for u, v in inside
+            for x, y in ((u, v), (v, u))
+        }
+        return [(x, h) for x, h in four if (x, round(float(h), 6)) not in used]
+
+    along = [("p", "x0"), *pairwise(crossings), ("p", "q"), ("q", "r")]
+    over = [*zip(crossings, right, strict=True), *pairwise(right)]
+    a = draw("a", {**crossings, **left}, along, cross(along))
+    b = draw("b", {**crossings, **right}, over, cross(over), T=MOVED)
+    c = draw("c", {**left, **right}, [("p", "q"), ("q", "r"), ("r", "y0"), *pairwise(right)])
+    first = [(shared + k, k) for k in range(3)]
+    second = [(shared + k, 3 + k) for k in range(shared)]
+    _, fused = fuse([a, b, c], [verdict(a, c, first), verdict(b, c, second)])
+    common = [m for m in fused.members if "a" in m and "b" in m]
+    assert len(common) == (shared if shared > 2 else 0)
+
+
 def test_matches_are_transitive_but_never_put_two_vertices_of_a_run_together(draw):
     a, b, c = (
         part(draw, run, ("p", "q", "r", "s"), T)
