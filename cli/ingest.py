@@ -84,7 +84,8 @@ def ingest(
 ) -> None:
     """Turn logs into topological maps, one per run.
 
-    Writes maps/RUN.json and maps/RUN.rrd in the workspace.
+    Writes maps/RUN.json and maps/RUN.rrd in the workspace; where the odometry was reset and nothing
+    ties the pieces together, also RUN#2 and so on.
 
     Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
     Finished runs are skipped unless their log or the settings changed. One bad log does not stop
