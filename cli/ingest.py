@@ -189,8 +189,8 @@ def _show(outcome: IngestOutcome, screen: Screen) -> None:
 
 def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) -> None:
     failed = sorted(outcome.run for outcome in outcomes if outcome.status == "failed")
-    unchanged = sum(outcome.status == "unchanged" for outcome in outcomes)
-    good = len(outcomes) - len(failed)
+    unchanged = sum(outcome.maps for outcome in outcomes if outcome.status == "unchanged")
+    good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
         screen.line(f"{count(good, 'map')} in {place.maps}{same}; next: topobatch merge --all")

@@ -51,6 +51,8 @@ class IngestOutcome:
     warnings: tuple[str, ...] = ()
     needs_option: bool = False
     """The log is good, but the call must say more: which topic, for instance."""
+    maps: int = 1
+    """How many maps the log has given."""
 
 
 def job_size(job: IngestJob) -> int:
@@ -86,8 +88,9 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     started = time.monotonic()
     key = _content_key(job)
     before = _record(job.place, job.run)
-    if not job.force and before.get("key") == key and _all_there(job.place, _runs_of(before)):
-        return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept")
+    had = _runs_of(before)
+    if not job.force and before.get("key") == key and _all_there(job.place, had):
+        return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
     run = read_run(job.log, job.read, on_bytes=on_bytes)
     topomap = build_map(run if run.name == job.run else _renamed(run, job.run), job.mapping)
     maps = _in_one_piece(topomap)
@@ -105,7 +108,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         write_json(job.place.ingest_record(name), record)
     text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
     told = maps[0].info.get("warnings", ())
-    return IngestOutcome(job.log, job.run, "done", text, tuple(told))
+    return IngestOutcome(job.log, job.run, "done", text, tuple(told), maps=len(maps))
 
 
 def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
