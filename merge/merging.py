@@ -48,7 +48,7 @@ def merge_maps(
 
     locks: what a person decided about pairs; on_pair(done, total) after each pair; executor: where
     pairs are matched, here if None. The result does not depend on the order of the maps.
-    Raises DataError if two maps are of the same run.
+    Raises DataError if two maps are of the same run, or one is in pieces (`pieces.joined_pieces`).
     """
     ordered = _by_run(maps)
     verdicts: tuple[PairVerdict, ...]
@@ -99,7 +99,7 @@ def _info(
 
 
 def _by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:
-    """The maps sorted by run; DataError on two of the same run."""
+    """The maps sorted by run; DataError on two of the same run, and on one without one frame."""
     count = Counter(m.run for m in maps)
     twice = sorted(run for run, times in count.items() if times > 1)
     if twice:
@@ -107,4 +107,10 @@ def _by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:
             f"run {twice[0]!r} is given {count[twice[0]]} times; every map needs a run name of "
             "its own: rename one of the logs and ingest it again"
         )
+    for m in maps:
+        if m.info.get("pieces", 1) > 1:
+            raise DataError(
+                f"the map of run {m.run!r} is in {m.info['pieces']} pieces that share no frame, as "
+                "its odometry broke; ingest its log again, or join them by joined_pieces()"
+            )
     return sorted(maps, key=lambda m: m.run)

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
 from topobatch.topology.document import map_from_document, map_to_document
+from topobatch.topology.errors import DataError
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, fit_rigid
 from topobatch.topology.topomap import Closure
@@ -102,6 +104,11 @@ def test_what_is_too_small_for_any_merge_is_counted_and_left_out(drawn, halves):
     )
     (alone,) = joined_pieces(in_pieces(speck, drawn("other", [(0, 0), (3, 0)], [(0, 1)])))
     assert len(alone) == 3
+
+
+def test_maps_in_pieces_are_not_merged_as_if_they_had_one_frame(halves):
+    with pytest.raises(DataError, match=r"run 'run' is in 2 pieces"):
+        merge_maps([in_pieces(*halves), halves[1]])
 
 
 def test_a_map_in_one_piece_stays_as_it_is(halves):
