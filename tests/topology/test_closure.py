@@ -343,6 +343,21 @@ def test_a_pattern_is_found_by_its_steps():
     assert blurred[0] == pytest.approx(blurred[1], rel=0.2)
 
 
+def test_each_piece_of_a_broken_odometry_has_steps_of_its_own():
+    """Three pieces in frames turned against each other: together no step leads from most places."""
+    row = [(0, c) for c in range(72)]
+    odometry, passes, truth = record(aisles(72), row, breaks_before=(24, 48))
+    walk = make_walk(odometry, passes, NOISE)
+    place = np.arange(len(truth))
+    layout = lay_out(walk, place)
+    places = tabulate(walk, place, layout.pose[:, 2], 0.35)
+    turn = np.repeat([0.0, 0.7, 1.4], 24)
+    at = 3.0 * np.tile(np.arange(24), 3)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    pattern = pattern_of(places, at, core_m=2.0, typical_m=3.0)
+    asked = 3.0 * np.stack([np.cos([0.0, 0.7, 1.4, 0.35]), np.sin([0.0, 0.7, 1.4, 0.35])], axis=1)
+    assert pattern.is_step(asked).tolist() == [True, True, True, False]
+
+
 def test_a_map_of_one_place_has_no_pattern():
     odometry, passes, truth = record(aisles(2), [(0, 0)])
     walk = make_walk(odometry, passes, NOISE)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
+from scipy.sparse.csgraph import connected_components
 
 from .places import NOWHERE, Places
 
@@ -35,6 +36,8 @@ class PatternSettings:
     """So many of them stand for all."""
     width_m: float = 0.3
     """A neighbour stands where another place has one, give or take this (1 sigma)."""
+    least_places: int = 20
+    """Pieces of fewer places have no steps of their own, unless there is no larger one."""
     regular: float = 0.4
     """A step that leads from this share of all places to another one is a step of a pattern."""
 
@@ -88,7 +91,8 @@ def pattern_of(
 ) -> Pattern:
     """The pattern of a map as it stands: places at `xy` (n, 2).
 
-    core_m: what lies nearer than this may be the same junction; typical_m: length of a leg.
+    core_m: what lies nearer than this may be the same junction; typical_m: length of a leg. Pieces
+    of a run whose odometry broke may be turned against each other: each has steps of its own.
     """
     n = len(places)
     source, slot = np.nonzero(places.next_place != NOWHERE)
@@ -102,8 +106,14 @@ def pattern_of(
     shift = xy[b] - xy[a]
     way = np.hypot(*shift.T)
     reach = max(settings.reach_m, settings.reach_legs * typical_m)
-    shift = shift[(way > core_m) & (way < reach)]
-    steps, share = _steps(shift, n, settings)
+    beyond = (way > core_m) & (way < reach)
+    shift, a = shift[beyond], a[beyond]
+    _, piece = connected_components(step, directed=False)
+    size = np.bincount(piece)
+    large = np.flatnonzero(size >= min(settings.least_places, size.max(initial=0)))
+    found = [_steps(shift[piece[a] == k], int(size[k]), settings) for k in large.tolist()]
+    steps = np.concatenate([np.zeros((0, 2)), *(steps for steps, _ in found)])
+    share = np.concatenate([np.zeros(0), *(share for _, share in found)])
     if len(steps) == 0:
         return no_pattern()
     sample = shift[:: -(-len(shift) // settings.sample)]
