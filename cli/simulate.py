@@ -15,9 +15,10 @@ from .output import Screen, count
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write; must be new or empty.")],
     world: Annotated[
-        Literal["maze", "office", "organic", "city"],
+        Literal["maze", "office", "organic", "city", "rows"],
         typer.Option(
-            help="Rectilinear maze, repetitive office floor, organic ways or city blocks."
+            help="Rectilinear maze, repetitive office floor, organic ways, city blocks, or equal "
+            "rows of crops or racks."
         ),
     ] = "maze",
     runs: Annotated[int, typer.Option(help="Runs in the one world.")] = 3,

@@ -55,7 +55,7 @@ class ScenarioSettings:
     """What to simulate. Raises UsageError on what makes no sense."""
 
     world: str = "maze"
-    """Kind of world: maze, office, organic or city."""
+    """Kind of world: maze, office, organic, city or rows."""
     runs: int = 3
     overlap: float = 0.4
     """Chain layout: share of a run's junctions that the run before it also visits, 0 … 0.9."""

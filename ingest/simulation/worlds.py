@@ -1,4 +1,4 @@
-"""Four kinds of world: rectilinear mazes, repetitive offices, organic ways, city blocks.
+"""Kinds of world: rectilinear mazes, repetitive offices, organic ways, city blocks, equal rows.
 
 Corners count as junctions in mazes and offices; elsewhere a bend is no junction. `aspect` is
 length over width, so that a row of overlapping runs finds room.
@@ -53,10 +53,15 @@ def _lattice(
         np.concatenate([[0.0], np.cumsum(chance.uniform(*apart_m, count - 1))])
         for count in (columns, rows)
     )
+    return x, y, np.concatenate(_neighbours(columns, rows))
+
+
+def _neighbours(columns: int, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs (w, 2) of cells, numbered row by row, that are side by side in a row; in a column."""
     cell = np.arange(rows * columns).reshape(rows, columns)
     across = np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()])
     along = np.column_stack([cell[:-1].ravel(), cell[1:].ravel()])
-    return x, y, np.concatenate([across, along])
+    return across, along
 
 
 def _growing_tree(walls: NDArray[np.int64], cells: int, chance: Chance) -> NDArray[np.bool_]:
@@ -218,6 +223,25 @@ def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     return world_of_links(f"city-{junctions}-{seed}", "city", bent(z), links)
 
 
+def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """Rows of crops or racks: aisles 3 m apart, to 1 %, between two or three cross ways.
+
+    One aisle in twenty-five is blocked. What tells one aisle from the next is little more than how
+    far the robot thinks it has come. `aspect` has no effect: a field grows along its cross ways.
+    """
+    chance = Chance("rows", seed)
+    ways = 2 + int(chance.one_happens(0.5))
+    aisles = max(3, round(junctions / ways))
+    x = np.cumsum(3.0 * (1 + chance.normal(0.01, aisles)))
+    y = 30.0 * np.arange(ways)
+    xy = np.column_stack([np.tile(x, ways), np.repeat(y, aisles)])
+    across, along = _neighbours(aisles, ways)
+    open_to_drive = ~chance.happens(0.04, len(along))
+    links = [straight(xy, u, v) for u, v in [*across.tolist(), *along[open_to_drive].tolist()]]
+    links = without_bends(links, ~_goes_straight(len(xy), links))
+    return world_of_links(f"rows-{junctions}-{seed}", "rows", xy, links)
+
+
 def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:
     """(count, 2) points in a rectangle, no two nearer than 4.8 m, about 7.5 m apart."""
     area = count * 7.5**2 * 0.9
@@ -330,6 +354,7 @@ WORLDS: Mapping[str, Callable[[int, int, float], World]] = {
     "office": office_world,
     "organic": organic_world,
     "city": city_world,
+    "rows": rows_world,
 }
 """Generators by kind: (junctions, seed, aspect) to a world."""
 

@@ -38,12 +38,13 @@ from topobatch.ingest.simulation import (
 from topobatch.ingest.simulation.chance import Chance, quantised
 from topobatch.ingest.simulation.truth import truth_from_document
 from topobatch.ingest.simulation.walk import explore
+from topobatch.ingest.simulation.world import polyline_heading
 from topobatch.topology.errors import DocumentError, UsageError
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import TopoMap
 
-KINDS = ("maze", "office", "organic", "city")
+KINDS = ("maze", "office", "organic", "city", "rows")
 PERFECT = RunSettings(drift=DRIFTS["none"], faults=Faults(0.0, 0.0, 0.0))
 
 
@@ -124,6 +125,15 @@ def test_wings_of_an_office_repeat_one_plan() -> None:
     degree = world.branches.counts
     assert np.count_nonzero(degree == 1) > 40
     assert np.std(world.length[np.abs(world.length - 4.2) < 0.5]) < 0.15
+
+
+def test_rows_are_equal() -> None:
+    world = make_world("rows", 80, seed=3)
+    along = np.isclose(np.abs(np.sin([polyline_heading(p) for p in world.paths])), 1.0)
+    assert np.count_nonzero(along) > 20
+    np.testing.assert_allclose(world.length[along] / 30.0, np.rint(world.length[along] / 30.0))
+    step = world.length[~along] / 3.0
+    assert np.abs(step - np.rint(step)).max() < 0.15
 
 
 # --- scenarios ---------------------------------------------------------------------------------
