@@ -134,23 +134,25 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: FloatArray) -
     """
     if len(bits) == 0:
         return 0.0
+    # Few and small steps: plain numbers are faster than arrays here.
     order = (-bits).argsort(kind="stable")
-    one, two = start[order], end[order]
-    axis = (two[0] - one[0]) / max(abs(two[0] - one[0]), 1e-9)
-    places = np.concatenate([one, two]) * axis.conjugate()
-    along, across = _joins(_lines(places.real)), _joins(_lines(places.imag))
+    one, two = start[order].tolist(), end[order].tolist()
+    axis = (two[0] - one[0]).conjugate() / max(abs(two[0] - one[0]), 1e-9)
+    places = [z * axis for z in one + two]
+    along = _joins(_lines([z.real for z in places]))
+    across = _joins(_lines([z.imag for z in places]))
     total = 0.0
     for value, x, y in zip(bits[order].tolist(), along, across, strict=True):
         total += min(value, LINK_BITS if x or y else REPEAT_BITS)
     return total
 
 
-def _lines(at: FloatArray) -> list[int]:
+def _lines(at: list[float]) -> list[int]:
     """Number of the line on which each coordinate lies; a line is LINE_M wide at most."""
     number, end, line = [0] * len(at), -np.inf, -1
-    for k, x in zip(at.argsort(kind="stable").tolist(), np.sort(at).tolist(), strict=True):
-        if x > end:
-            end, line = x + LINE_M, line + 1
+    for k in sorted(range(len(at)), key=at.__getitem__):
+        if at[k] > end:
+            end, line = at[k] + LINE_M, line + 1
         number[k] = line
     return number
 
@@ -158,11 +160,14 @@ def _lines(at: FloatArray) -> list[int]:
 def _joins(line: list[int]) -> list[bool]:
     """Of k links, whose starts and then ends lie on these lines, in turn: does it join lines that
     those before it have not?"""
-    group = list(range(max(line) + 1))
+    head, half = list(range(max(line) + 1)), len(line) // 2
     out = []
-    for u, v in zip(line[: len(line) // 2], line[len(line) // 2 :], strict=True):
-        old, new = group[u], group[v]
-        out.append(old != new)
-        if old != new:
-            group = [new if g == old else g for g in group]
+    for k in range(half):
+        u, v = line[k], line[half + k]
+        while head[u] != u:
+            head[u] = u = head[head[u]]
+        while head[v] != v:
+            head[v] = v = head[head[v]]
+        head[u] = v
+        out.append(u != v)
     return out
