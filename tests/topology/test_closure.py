@@ -636,6 +636,33 @@ def test_grid_headings_follow_the_drift():
     assert grid_headings(replace(walk, passes=replace(passes, branches=branches))) is None
 
 
+def test_every_piece_of_a_broken_odometry_follows_the_grid_in_its_own_frame():
+    rng = np.random.default_rng(14)
+    world = grid_world(5, 5, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng, breaks_before=(20, 45))
+    walk = make_walk(odometry, passes, NOISE)
+    grid = grid_headings(walk)
+    assert grid is not None
+    pieces = [walk.chain[grid.row] == k for k in range(3)]
+    for piece in pieces:
+        aligned = [
+            passes.branches[i] + t for i, t in zip(grid.row[piece], grid.turn[piece], strict=True)
+        ]
+        quarter = np.exp(4j * np.concatenate(aligned))
+        spread = np.angle(quarter / quarter.mean()) / 4
+        assert np.abs(spread).max() < 0.2
+        assert grid.turn[piece][0] == 0.0
+    # Laid out, every piece is as straight as the grid.
+    layout = lay_out(walk, np.arange(len(walk)), grid=grid)
+    start = lay_out(walk, np.arange(len(walk)))
+    for k in range(3):
+        rows = np.flatnonzero(walk.chain == k)
+        along = np.diff(layout.xy[rows], axis=0)
+        plain = np.diff(start.xy[rows], axis=0)
+        heading, bent = (np.exp(4j * np.arctan2(d[:, 1], d[:, 0])) for d in (along, plain))
+        assert abs(heading.mean()) > max(0.99, abs(bent.mean()))
+
+
 def test_layout_of_a_square_spreads_the_error():
     world = grid_world(2, 2)
     odometry, passes, _ = record(world, [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0)])

@@ -146,7 +146,10 @@ def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
     centre = walk.passes.centre
     if grid is None:
         return np.column_stack([centre, np.zeros(len(centre))])
-    turn = np.interp(np.arange(len(centre)), grid.row, np.unwrap(grid.turn))
+    turn, piece = np.zeros(len(centre)), walk.chain[grid.row]
+    for k in np.unique(piece).tolist():
+        mine, known = np.flatnonzero(walk.chain == k), piece == k
+        turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
     half = 0.5 * (turn[1:] + turn[:-1])
     step = np.diff(centre, axis=0)
     c, s = np.cos(half), np.sin(half)

@@ -40,8 +40,8 @@ class RectilinearSettings:
 class GridHeadings:
     """Passes whose branches tell the turn from the odometry's frame to the map's.
 
-    The map's frame is that of the odometry at the first of them. row: (k,) pass; turn: (k,) [rad],
-    continuous along the run; sigma: (k,) [rad].
+    The map's frame is that of the odometry at the first of them, in each piece of a broken odometry
+    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; sigma: (k,) [rad].
     """
 
     row: IntArray
@@ -82,10 +82,11 @@ def grid_headings(
     joined = walk.chain[row[:-1]] == walk.chain[row[1:]]
     if excess[joined].sum() > settings.most_turn * np.count_nonzero(joined):
         return None
-    turn = -np.concatenate([[0.0], np.cumsum(step)])
-    # A break in the odometry starts anew: which quarter is unknown then.
-    fresh = walk.chain[row] == walk.chain[0]
-    return GridHeadings(row[fresh], np.asarray(wrap(turn[fresh])), sigma[fresh])
+    # A break in the odometry starts anew, in a frame of its own.
+    turn = -np.concatenate([[0.0], np.cumsum(np.where(joined, step, 0.0))])
+    begin = np.flatnonzero(np.concatenate([[True], ~joined]))
+    turn -= np.repeat(turn[begin], np.diff(begin, append=len(row)))
+    return GridHeadings(row, np.asarray(wrap(turn)), sigma)
 
 
 def _from_quarter(angle: FloatArray) -> FloatArray:
