@@ -31,16 +31,18 @@ def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> 
     """
     if topomap.info.get("pieces", 1) < 2:
         return (topomap,)
-    parts = _parts(topomap)
-    result = merge_maps(parts, settings)
-    asked = [c for v in result.verdicts for c in _closures(v, {part.run: part for part in parts})]
+    parts, least = _parts(topomap), settings.robust.min_matches
+    small = [part for part in parts if len(part) < least]
+    able = {part.run: part for part in parts if len(part) >= least}
+    result = merge_maps(list(able.values()), settings)
+    asked = [c for v in result.verdicts for c in _closures(v, able)]
     whole = replace(topomap, closures=(*topomap.closures, *asked))
     found = [_cut_out(whole, result.fused, c.id) for c in result.components]
+    if not found:
+        found = [small.pop(int(np.argmax([len(m.observation_vertex) for m in small])))]
     found.sort(key=lambda m: -len(m.observation_vertex))
-    large = [k for k, m in enumerate(found) if k == 0 or len(m) >= settings.robust.min_matches]
-    kept = [found[0], *sorted((found[k] for k in large[1:]), key=_begin)]
+    kept = [found[0], *sorted(found[1:], key=_begin)]
     names = [topomap.run, *(f"{topomap.run}#{k}" for k in range(2, len(kept) + 1))]
-    small = [m for k, m in enumerate(found) if k not in large]
     said = _said(len(parts), names, small)
     return tuple(
         replace(m, run=name, info=_told(topomap, said)) for m, name in zip(kept, names, strict=True)
