@@ -103,8 +103,8 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         write_map_recording(job.place.map_rrd(m.run), m, odometry=run.odometry)
     _clear_away(job.place, before, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
+    record = {"key": key, "log": str(job.log.resolve()), "runs": runs}
     for name in reversed(runs):
-        record = {"key": key, "log": str(job.log.resolve()), "runs": runs}
         write_json(job.place.ingest_record(name), record)
     text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
     told = maps[0].info.get("warnings", ())
@@ -113,8 +113,8 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
 
 def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
     """The map; or maps, where the odometry broke and nothing ties the pieces together."""
-    if topomap.info.get("pieces", 1) < 2:
-        return (topomap,)
+    if topomap.pieces < 2:
+        return (topomap,)  # most runs: no need to load what merges
     from ..merge.pieces import joined_pieces
 
     return joined_pieces(topomap)

@@ -55,8 +55,8 @@ def build_map(
 ) -> TopoMap:
     """The topological map of a run.
 
-    Where the odometry broke, the map is in pieces, drawn side by side, `info["pieces"]` of them:
-    how they lie to each other is for `merge.pieces` to find out. Raises DataError if the run has
+    Where the odometry broke, the map is in several `pieces`, drawn side by side: how they lie to
+    each other is for `merge.pieces` to find out. Raises DataError if the run has
     no junction pass. `on_step` hears the name of each step before it begins.
     """
     step = on_step or (lambda name: None)

@@ -110,23 +110,23 @@ def coincident(
     runs = [frozenset(r) for r in _runs_of(pool, label)]
     names = [m.run for m in pool.maps]
     chains = _Chains([(u, v) for u, v, _ in candidates], around, settings)
+    fair = [(u, v, distance) for u, v, distance in candidates if not chains.contradicted(u, v)]
     between = [
         {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
-        for u, v, _ in candidates
+        for u, v, _ in fair
     ]
     near = Counter(
         pair
-        for (u, v, distance), pairs in zip(candidates, between, strict=True)
-        if distance <= settings.gate_m and not chains.contradicted(u, v)
+        for (_, _, distance), pairs in zip(fair, between, strict=True)
+        if distance <= settings.gate_m
         for pair in pairs
     )
     often = direct | {pair for pair, count in near.items() if count >= settings.min_chain}
-    out = []
-    for (u, v, _), pairs in zip(candidates, between, strict=True):
-        support = chains.anchored(u, v) or chains.size(u, v) >= settings.min_chain
-        if not chains.contradicted(u, v) and (support or pairs & often):
-            out.append((u, v))
-    return out
+    return [
+        (u, v)
+        for (u, v, _), pairs in zip(fair, between, strict=True)
+        if pairs & often or chains.anchored(u, v) or chains.size(u, v) >= settings.min_chain
+    ]
 
 
 class _Chains:

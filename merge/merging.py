@@ -108,9 +108,9 @@ def _by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:
             "its own: rename one of the logs and ingest it again"
         )
     for m in maps:
-        if m.info.get("pieces", 1) > 1:
+        if m.pieces > 1:
             raise DataError(
-                f"the map of run {m.run!r} is in {m.info['pieces']} pieces that share no frame, as "
+                f"the map of run {m.run!r} is in {m.pieces} pieces that share no frame, as "
                 "its odometry broke; ingest its log again, or join them by joined_pieces()"
             )
     return sorted(maps, key=lambda m: m.run)

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..topology.topomap import Closure, TopoMap
 from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
-from .result import FusedMap, PairVerdict, Verdict
+from .result import FusedMap, PairVerdict, Verdict, graph_part
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -22,14 +22,14 @@ IntArray = NDArray[np.int64]
 def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> tuple[TopoMap, ...]:
     """The map of a run in as few pieces as its evidence allows, the one of most passes first.
 
-    A map whose `info["pieces"]` is more than 1 was driven with an odometry that broke: its
-    connected parts are drawn in one frame, but how they lie to each other is unknown. They are
-    merged like the maps of different runs, with the same evidence and the same caution. What stays
-    apart becomes a map of its own, named `RUN#2`, `RUN#3`, … by time, in a frame of its own, for
-    the merge with other runs; what is too small for any merge is left out, and the warnings say so.
+    A map of several `pieces` was driven with an odometry that broke: its connected parts are drawn
+    in one frame, but how they lie to each other is unknown. They are merged like the maps of
+    different runs, with the same evidence and the same caution. What stays apart becomes a map of
+    its own, named `RUN#2`, `RUN#3`, … by time, in a frame of its own, for the merge with other
+    runs; what is too small for any merge is left out, and the warnings say so.
     A map of one piece is returned as it is.
     """
-    if topomap.info.get("pieces", 1) < 2:
+    if topomap.pieces < 2:
         return (topomap,)
     parts, least = _parts(topomap), settings.robust.min_matches
     small = [part for part in parts if len(part) < least]
@@ -37,11 +37,11 @@ def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> 
     result = merge_maps(list(able.values()), settings)
     asked = [c for v in result.verdicts for c in _closures(v, able)]
     whole = replace(topomap, closures=(*topomap.closures, *asked))
+    # Components come in the order of their first parts, which are named by time.
     found = [_cut_out(whole, result.fused, c.id) for c in result.components]
-    if not found:
-        found = [small.pop(int(np.argmax([len(m.observation_vertex) for m in small])))]
-    found.sort(key=lambda m: -len(m.observation_vertex))
-    kept = [found[0], *sorted(found[1:], key=_begin)]
+    main = max(found or small, key=_passes)
+    kept = [main, *(m for m in found if m is not main)]
+    small = [m for m in small if m is not main]
     names = [topomap.run, *(f"{topomap.run}#{k}" for k in range(2, len(kept) + 1))]
     said = _said(len(parts), names, small)
     return tuple(
@@ -49,8 +49,8 @@ def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> 
     )
 
 
-def _begin(topomap: TopoMap) -> int:
-    return int(topomap.observation_time_ns.min(initial=np.iinfo(np.int64).max))
+def _passes(topomap: TopoMap) -> int:
+    return len(topomap.observation_vertex)
 
 
 def _told(topomap: TopoMap, said: str) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
     if len(names) > 1:
         text += f"; on their own: {', '.join(names[1:])}"
     if small:
-        passes = sum(len(m.observation_vertex) for m in small)
+        passes = sum(map(_passes, small))
         text += f"; {len(small)} too small to be placed are left out ({passes} junction passes)"
     return text
 
@@ -90,25 +90,6 @@ def _parts(topomap: TopoMap) -> list[TopoMap]:
     return [_part(topomap, label == k, f"{i:0{width}d}") for i, k in enumerate(order.tolist())]
 
 
-def _cut(graph: TopoMap | FusedMap, chosen: BoolArray) -> dict[str, Any]:
-    """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
-    number = np.cumsum(chosen) - 1
-    rows, edges = np.flatnonzero(chosen), np.flatnonzero(chosen[graph.source])
-    return {
-        "xy": graph.xy[rows],
-        "branches": graph.branches.take(rows),
-        "kind": tuple(graph.kind[r] for r in rows.tolist()),
-        "source": number[graph.source[edges]],
-        "target": number[graph.target[edges]],
-        "source_branch": graph.source_branch[edges],
-        "target_branch": graph.target_branch[edges],
-        "length": graph.length[edges],
-        "length_sigma": graph.length_sigma[edges],
-        "traversals": graph.traversals[edges],
-        "paths": tuple(graph.paths[e] for e in edges.tolist()),
-    }
-
-
 def _seen(topomap: TopoMap, vertex: IntArray, time_ns: IntArray) -> dict[str, Any]:
     """The passes by the vertices of a part, and the closures that they take part in."""
     times = set(time_ns.tolist())
@@ -124,7 +105,7 @@ def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
     seen = chosen[topomap.observation_vertex]
     vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
     passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
-    return replace(topomap, run=name, info={}, **_cut(topomap, chosen), **passes)
+    return replace(topomap, run=name, info={}, **graph_part(topomap, chosen), **passes)
 
 
 def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
@@ -136,7 +117,7 @@ def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
         for _, time_ns in fused.observations[row]
     )
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
-    return replace(topomap, **_cut(fused, chosen), **_seen(topomap, vertex, time_ns))
+    return replace(topomap, **graph_part(fused, chosen), **_seen(topomap, vertex, time_ns))
 
 
 def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:

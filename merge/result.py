@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..topology.frozen import frozen_array
 from ..topology.ragged import Ragged
+from ..topology.topomap import TopoMap
 
 
 class Verdict(StrEnum):
@@ -147,6 +148,25 @@ class FusedMap:
     def __len__(self) -> int:
         """Number of vertices."""
         return len(self.xy)
+
+
+def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+    """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
+    number = np.cumsum(chosen) - 1
+    rows, edges = np.flatnonzero(chosen), np.flatnonzero(chosen[graph.source])
+    return {
+        "xy": graph.xy[rows],
+        "branches": graph.branches.take(rows),
+        "kind": tuple(graph.kind[r] for r in rows.tolist()),
+        "source": number[graph.source[edges]],
+        "target": number[graph.target[edges]],
+        "source_branch": graph.source_branch[edges],
+        "target_branch": graph.target_branch[edges],
+        "length": graph.length[edges],
+        "length_sigma": graph.length_sigma[edges],
+        "traversals": graph.traversals[edges],
+        "paths": tuple(graph.paths[e] for e in edges.tolist()),
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -87,6 +87,7 @@ class MapGraph(Model):
 
     run: str
     frame: str
+    pieces: Annotated[int, Field(ge=1)] = 1
     noise: dict[str, Finite] = Field(default_factory=dict)
     closures: list[ClosureRecord] = Field(default_factory=list)
 
@@ -212,8 +213,8 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     if [node.id for node in d.nodes] != list(range(len(d.nodes))):
         raise DocumentError(f"{name}: node ids must be 0, 1, 2, … in order")
     seen = sorted((o.time_ns, node.id) for node in d.nodes for o in node.observations)
-    known = set(MapGraph.model_fields)
-    info = {k: v for k, v in d.graph.model_dump().items() if k not in known}
+    known = set(MapGraph.model_fields) - {"pieces"}
+    info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise = {k: v for k, v in d.graph.noise.items() if k in RunNoise.__dataclass_fields__}
 
     def branches(name: str) -> list[int]:

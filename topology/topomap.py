@@ -124,6 +124,13 @@ class TopoMap:
         return len(self.xy)
 
     @property
+    def pieces(self) -> int:
+        """How many parts it has of which nothing tells how they lie to each other: 1, or more where
+        the odometry broke and the parts are only drawn side by side."""
+        count: int = self.info.get("pieces", 1)
+        return count
+
+    @property
     def degree(self) -> NDArray[np.int64]:
         """(n,) number of branches seen at each vertex, explored or not."""
         return self.branches.counts

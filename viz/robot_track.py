@@ -57,6 +57,7 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
     edges = pairwise([0, *odometry.breaks.tolist(), len(odometry)])
     chain = chain_of(odometry, topomap.observation_time_ns)
     spacing = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
+    drift_m = np.zeros(len(chain))
     parts = []
     for number, (a, b) in enumerate(edges):
         seen = np.flatnonzero(chain == number)
@@ -67,18 +68,15 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
                 pose=odometry.pose[a:b],
                 breaks=odometry.breaks[:0],
             )
-            parts.append((seen, _placed(topomap, seen, stretch, spacing)))
+            parts.append(_placed(topomap, seen, stretch, spacing))
+            drift_m[seen] = parts[-1].drift_m
     if not parts:
         return None
-    drift_m = np.zeros(len(chain))
-    for seen, part in parts:
-        drift_m[seen] = part.drift_m
-    tracks = [part for _, part in parts]
     return RobotTrack(
-        np.concatenate([part.time_ns for part in tracks]),
-        np.concatenate([part.raw for part in tracks]),
-        np.concatenate([part.bent for part in tracks]),
-        np.cumsum([len(part.time_ns) for part in tracks])[:-1],
+        np.concatenate([part.time_ns for part in parts]),
+        np.concatenate([part.raw for part in parts]),
+        np.concatenate([part.bent for part in parts]),
+        np.cumsum([len(part.time_ns) for part in parts])[:-1],
         drift_m,
     )
 

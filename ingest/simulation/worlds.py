@@ -6,7 +6,7 @@ length over width, so that a row of overlapping runs finds room.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +37,7 @@ def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     x, y, walls = _lattice(junctions / 0.86, aspect, 2, (2.5, 8.0), chance)
     xy = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
     opened = _growing_tree(walls, len(xy), chance) | chance.happens(0.25, len(walls))
-    links = [straight(xy, u, v) for u, v in walls[opened].tolist()]
-    links = without_bends(links, ~_goes_straight(len(xy), links))
-    return world_of_links(f"maze-{junctions}-{seed}", "maze", xy, links)
+    return _straight_world("maze", junctions, seed, xy, walls[opened].tolist())
 
 
 def _lattice(
@@ -84,6 +82,15 @@ def _growing_tree(walls: NDArray[np.int64], cells: int, chance: Chance) -> NDArr
         reached.add(cell)
         active.append(cell)
     return opened
+
+
+def _straight_world(
+    kind: str, junctions: int, seed: int, xy: FloatArray, pairs: Iterable[Sequence[int]]
+) -> World:
+    """A world of straight corridors between pairs of points; of two in line one is made."""
+    links = [straight(xy, u, v) for u, v in pairs]
+    links = without_bends(links, ~_goes_straight(len(xy), links))
+    return world_of_links(f"{kind}-{junctions}-{seed}", kind, xy, links)
 
 
 def _goes_straight(count: int, links: list[Link]) -> NDArray[np.bool_]:
@@ -137,10 +144,7 @@ def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
                 doors=doors,
                 chance=chance,
             )
-    points = np.array(xy)
-    made = [straight(points, u, v) for u, v in links]
-    made = without_bends(made, ~_goes_straight(len(points), made))
-    return world_of_links(f"office-{junctions}-{seed}", "office", points, made)
+    return _straight_world("office", junctions, seed, np.array(xy), links)
 
 
 def _add_wing(
@@ -237,9 +241,8 @@ def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     xy = np.column_stack([np.tile(x, ways), np.repeat(y, aisles)])
     across, along = _neighbours(aisles, ways)
     open_to_drive = ~chance.happens(0.04, len(along))
-    links = [straight(xy, u, v) for u, v in [*across.tolist(), *along[open_to_drive].tolist()]]
-    links = without_bends(links, ~_goes_straight(len(xy), links))
-    return world_of_links(f"rows-{junctions}-{seed}", "rows", xy, links)
+    pairs = np.concatenate([across, along[open_to_drive]])
+    return _straight_world("rows", junctions, seed, xy, pairs.tolist())
 
 
 def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from ...topology.se2 import fit_rigid
 from ...topology.topomap import RunNoise, TopoMap
 from ..fusion import fuse
-from ..result import Alignment, FusedMap, PairVerdict, Verdict
+from ..result import Alignment, FusedMap, PairVerdict, Verdict, graph_part
 from .alignment import Candidate, match
 from .components import Components
 from .mirror import image_fits_better, mirrored
@@ -154,20 +154,10 @@ def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
     return TopoMap(
         run="+".join(m.run for m in own),
         frame="component",
-        xy=fused.xy,
-        branches=fused.branches,
-        kind=fused.kind,
-        source=fused.source,
-        target=fused.target,
-        source_branch=fused.source_branch,
-        target_branch=fused.target_branch,
-        length=fused.length,
-        length_sigma=fused.length_sigma,
-        traversals=fused.traversals,
-        paths=fused.paths,
         observation_vertex=np.repeat(np.arange(len(looks)), looks),
         observation_time_ns=times,
         noise=noise,
+        **graph_part(fused, np.ones(len(fused), np.bool_)),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import os
+from dataclasses import replace
 
 import jsonschema
 import networkx as nx
@@ -63,6 +64,15 @@ def test_round_trip_is_exact():
     assert json.dumps(map_to_document(again)) == text
 
 
+def test_a_map_in_pieces_says_so_and_one_in_one_piece_does_not():
+    broken = replace(small_map(), info={"pieces": 3})
+    again = map_from_document(map_to_document(broken))
+    assert (again.pieces, again.info) == (3, {"pieces": 3})
+    whole = map_from_document(map_to_document(small_map()))
+    assert whole.pieces == 1
+    assert "pieces" not in whole.info
+
+
 def test_networkx_loads_it_with_parallel_edges_and_loops():
     graph = nx.node_link_graph(map_to_document(small_map()), edges="edges")
     assert isinstance(graph, nx.MultiGraph)
@@ -94,6 +104,8 @@ def test_negative_zero_is_written_as_zero():
         (["edges", 0, "target"], 7, "does not exist"),
         (["edges", 0, "source_branch"], 3, "source_branch"),
         (["nodes", 0, "id"], 5, "node ids"),
+        (["graph", "pieces"], 0, "graph.pieces"),
+        (["graph", "pieces"], "several", "graph.pieces"),
     ],
 )
 def test_errors_name_the_place(path, value, place):

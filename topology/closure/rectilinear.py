@@ -83,7 +83,7 @@ def grid_headings(
     if excess[joined].sum() > settings.most_turn * np.count_nonzero(joined):
         return None
     # A break in the odometry starts anew, in a frame of its own.
-    turn = -np.concatenate([[0.0], np.cumsum(np.where(joined, step, 0.0))])
+    turn = -np.concatenate([[0.0], np.cumsum(step)])
     begin = np.flatnonzero(np.concatenate([[True], ~joined]))
     turn -= np.repeat(turn[begin], np.diff(begin, append=len(row)))
     return GridHeadings(row, np.asarray(wrap(turn)), sigma)
