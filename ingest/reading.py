@@ -318,8 +318,7 @@ def _odometry(
     """The first choice whose content serves: its poses between one pair of frames."""
     reasons = []
     for choice in choose_odometry(counts, settings.odometry_topic, log):
-        intake.check(choice.topic, log)
-        source = Source.of(intake.of_topic(choice.topic))
+        source = _source(intake, counts, choice.topic, log)
         transforms = ODOMETRY_KINDS[choice.type_name][1] == "transforms"
         pair = pair_of_transforms(source) if transforms else pair_of_poses(source)
         if pair is not None:
@@ -333,6 +332,16 @@ def _odometry(
     raise LogError(f"{log}: no odometry: {', '.join(reasons)}; {listing(counts)}")
 
 
+def _source(intake: Intake, counts: Mapping[Channel, int], topic: str, log: str) -> Source:
+    """What a topic gave; messages of its channels that have no decoder count as failed ones."""
+    intake.check(topic, log)
+    source = Source.of(intake.of_topic(topic))
+    refused = sum(counts.get(c, 0) for c in intake.refused if c.topic == topic)
+    source.messages += refused
+    source.failed += refused
+    return source
+
+
 def _because(source: Source, topic: str) -> str:
     reasons = source.warnings(topic)
     return f" ({'; '.join(reasons)})" if reasons else ""
@@ -342,8 +351,7 @@ def _junctions(
     intake: Intake, counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> tuple[Choice, Source]:
     choice = _junction_choice(counts, settings, log)
-    intake.check(choice.topic, log)
-    source = Source.of(intake.of_topic(choice.topic))
+    source = _source(intake, counts, choice.topic, log)
     if len(source) == 0:
         raise LogError(
             f"{log}: {choice.topic} holds no usable pose{_because(source, choice.topic)}"

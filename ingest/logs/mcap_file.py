@@ -29,7 +29,6 @@ from .mcap_wire import (
     RECORD_HEAD,
     SCHEMA,
     Cursor,
-    Schema,
     channel_of,
     schema_of,
 )
@@ -68,7 +67,11 @@ LARGEST_RECORD = 1 << 32
 
 
 class _ChunkHead(NamedTuple):
-    """The fixed part of a chunk record; `data_at` and `data_size` are the place of its records."""
+    """The fixed part of a chunk record; `data_at` and `data_size` are the place of its records.
+
+    start_ns, end_ns: of its messages; the C++ writer lets a chunk that holds none start at the
+    largest time and end at 0.
+    """
 
     start_ns: int
     end_ns: int
@@ -155,9 +158,11 @@ class _Walk:
         self._window = window
         self._findings = findings
         self._summary = summary
-        self._schemas: dict[int, Schema] = {}
+        self._schemas = dict(summary.schemas) if summary is not None else {}
         self._tally = Tally(want, findings, summary.channels if summary is not None else {})
         self._ahead: Ahead[_Chunk] = Ahead()
+        # What is not described there may be described in a chunk of nothing but images.
+        self._index_serves = summary is not None and summary.checked and summary.describes_all
         self._outside_chunks = False
 
     def run(self) -> Iterator[Block]:
@@ -303,7 +308,7 @@ class _Walk:
             data_size = cursor.u64()
         except DamageError:
             return None
-        if cursor.position + data_size != length or start > end:
+        if cursor.position + data_size != length:
             return None
         return _ChunkHead(start, end, size, crc, compression, at + cursor.position, data_size)
 
@@ -326,7 +331,7 @@ class _Walk:
 
     def _needed(self, position: int) -> bool:
         """Whether a chunk may hold wanted messages; only a checked index is trusted to deny it."""
-        if self._summary is None or not self._summary.checked:
+        if self._summary is None or not self._index_serves:
             return True
         numbers = self._summary.chunk_channels.get(position)
         return not numbers or any(self._tally.sink(n) != UNWANTED for n in numbers)
@@ -352,7 +357,8 @@ class _Walk:
             if task is None:
                 for number, count in chunk.counts.items():
                     self._tally.passed(number, count)
-                self._findings.span(chunk.head.start_ns, chunk.head.end_ns)
+                if chunk.head.start_ns <= chunk.head.end_ns:
+                    self._findings.span(chunk.head.start_ns, chunk.head.end_ns)
                 continue
             try:
                 data = np.frombuffer(task(), np.uint8)

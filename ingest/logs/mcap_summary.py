@@ -29,23 +29,31 @@ SUMMARY_BYTES = 1 << 27
 """Largest summary that is read: a chunk takes about 100 bytes in it."""
 
 _HEAD = struct.Struct("<BQ").unpack_from
+_NUMBERS = struct.Struct("<HH").unpack_from
+"""Numbers of a channel and of its schema, 0 for none, at the front of a channel record."""
 
 
 class McapSummary(NamedTuple):
     """What the end of a file says about it.
 
-    start: where the summary begins; chunk_starts: (c,) ascending places of the chunk records;
-    counts: messages per channel number, empty where there are no statistics; checked: whether a
-    checksum vouches for all this.
+    start: where the summary begins; channels: those whose schema it repeats as well, or that have
+    none; chunk_starts: (c,) ascending places of the chunk records; counts: messages per channel
+    number, empty where there are no statistics; checked: whether a checksum vouches for all this.
     """
 
     start: int
+    schemas: dict[int, Schema]
     channels: dict[int, Channel]
     chunk_starts: Ints
     chunk_channels: dict[int, frozenset[int]]
     counts: dict[int, int]
     span_ns: tuple[int, int]
     checked: bool
+
+    @property
+    def describes_all(self) -> bool:
+        """Whether every channel that any chunk or the statistics name is described."""
+        return self.channels.keys() >= set(self.counts).union(*self.chunk_channels.values())
 
     def survey(self) -> Survey | None:
         """Counts per channel, None where statistics or the channels they count are missing."""
@@ -94,7 +102,9 @@ def _parse(data: Bytes, start: int, checked: bool) -> McapSummary:
             schemas[number] = schema
         elif op == CHANNEL:
             number, channel = channel_of(Cursor(body), schemas)
-            channels[number] = channel
+            # A writer may repeat channels here, but not their schemas.
+            if _NUMBERS(body.data)[1] in (0, *schemas):
+                channels[number] = channel
         elif op == CHUNK_INDEX:
             place, numbers = _chunk_index(Cursor(body))
             chunks[place] = numbers
@@ -104,7 +114,7 @@ def _parse(data: Bytes, start: int, checked: bool) -> McapSummary:
     starts = np.array(sorted(chunks), np.int64)
     if len(starts) and starts[-1] >= start:
         raise DamageError("a chunk index points behind the data")
-    return McapSummary(start, channels, starts, chunks, counts, span, checked)
+    return McapSummary(start, schemas, channels, starts, chunks, counts, span, checked)
 
 
 def _chunk_index(cursor: Cursor) -> tuple[int, frozenset[int]]:
