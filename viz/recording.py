@@ -70,7 +70,8 @@ def write_recording(
 ) -> None:
     """Write a recording atomically; rerun's complaints are errors.
 
-    `fill` logs what it holds and returns how to show it: until it has, nothing is on the disk.
+    `fill` logs what it holds and returns how to show it. The recording is made in memory: rerun's
+    own writer waits for ever where the disk is full.
     """
 
     def save(temporary: Path) -> None:
@@ -79,8 +80,9 @@ def write_recording(
         )
         try:
             blueprint = fill(Recording(stream))
-            stream.save(temporary, default_blueprint=blueprint)
-            stream.flush()
+            memory = stream.memory_recording()
+            stream.send_blueprint(blueprint, make_active=False, make_default=True)
+            temporary.write_bytes(memory.drain_as_bytes())
         finally:
             stream.disconnect()
 

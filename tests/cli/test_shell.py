@@ -73,3 +73,22 @@ def test_view_without_a_display_says_how(tmp_path):
     assert done.returncode == 0
     assert "no display" in done.stdout
     assert "rerun" in done.stdout
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of processes")
+def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
+    code = (
+        "import resource, sys; from topobatch.cli.main import main; "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)); main()"
+    )
+    command = [sys.executable, "-c", code, "ingest", logs["mcap"], "-w", tmp_path / "ws"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    error = one_line_error(done, 1)
+    assert str(tmp_path / "ws" / "maps") in error
+    assert ".rrd: File too large" in error
+
+
+def test_an_output_without_arrows_is_no_error(logs, tmp_path):
+    done = run("ingest", logs["mcap"], "-w", tmp_path / "ws", PYTHONIOENCODING="latin-1")
+    assert done.returncode == 0, done
+    assert " ? " in done.stdout

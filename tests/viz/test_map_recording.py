@@ -1,3 +1,4 @@
+import errno
 import subprocess
 import sys
 from collections.abc import Callable
@@ -106,13 +107,16 @@ def test_nothing_is_left_when_writing_fails(
     import rerun as rr
 
     def fail(*_: Any, **__: Any) -> None:
-        raise RuntimeError("the disk is full")
+        raise OSError(errno.ENOSPC, "no space is left")
 
     path = tmp_path / "a.rrd"
     path.write_bytes(b"the old one")
-    monkeypatch.setattr(rr.RecordingStream, "save", fail)
-    with pytest.raises(RuntimeError, match="disk is full"):
-        write_map_recording(path, make_map("a"))
+    topomap = make_map("a")
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", fail)
+        with pytest.raises(OSError, match="no space") as raised:
+            write_map_recording(path, topomap)
+    assert raised.value.filename == str(path)
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
     assert path.read_bytes() == b"the old one"
     assert not rr.strict_mode()
