@@ -19,14 +19,16 @@ from .bag_wire import MAGIC as BAG_MAGIC
 from .inflate import WINDOW_BYTES, ZSTD_MAGIC
 from .mcap_file import McapFile
 from .mcap_wire import MAGIC as MCAP_MAGIC
-from .messages import Container
+from .messages import UNWANTED, Container, Findings
 from .sqlite_file import MAGIC as SQLITE_MAGIC
 from .sqlite_file import SqliteFile
 
 METADATA = "metadata.yaml"
+BAG_INFORMATION = "rosbag2_bagfile_information"
 METADATA_BYTES = 1 << 22
 _SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst))+$", re.IGNORECASE)
-_PART = re.compile(r"^(?P<stem>.*)_(?P<number>\d+)$")
+_PART = re.compile(r"^(?P<stem>.*?)_?(\d{4}(-\d\d){5})?_(?P<number>\d+)$")
+"""Name of a part; ROS 1 puts the time at which it was begun in front of its number."""
 
 WHOLE_BYTES = 1 << 26
 SAMPLE_BYTES = 1 << 16
@@ -144,10 +146,11 @@ def find_logs(paths: Sequence[Path]) -> list[Path]:
     """Every log at or below the given paths, sorted, each once.
 
     A ROS 2 bag folder is one log, and so is a folder that holds nothing but the parts of one
-    split recording (`NAME_0`, `NAME_1`, …, each beginning where the one before ended). Files are
-    taken by content, so a file named `.mcap` that is none, or is empty, is left out below a
-    folder; a path given directly is returned as it is. Raises LogError for a path that does not
-    exist and for a folder without any log.
+    split recording (`NAME_0`, `NAME_1`, …, each beginning where the one before ended). Below a
+    folder, files are taken by content or, so that what is broken is reported, by name; hidden
+    ones are passed over; a folder that cannot be listed stands for itself, and reading it says
+    why. A path given directly is returned as it is. Raises LogError for a path that does not exist
+    and for a folder without any log.
     """
     found: dict[Path, None] = {}
     for path in map(Path, paths):
@@ -163,21 +166,31 @@ def find_logs(paths: Sequence[Path]) -> list[Path]:
 
 
 def _below(folder: Path) -> Iterator[Path]:
-    if (folder / METADATA).is_file():
+    try:
+        entries = sorted(e for e in folder.iterdir() if not e.name.startswith("."))
+        whole = _is_bag_folder(folder)
+        files = [entry for entry in entries if entry.is_file() and _is_log(entry)]
+        folders = [entry for entry in entries if entry.is_dir() and not entry.is_symlink()]
+    except OSError:
+        whole, files, folders = True, [], []
+    if whole:
         yield folder
         return
-    try:
-        entries = sorted(folder.iterdir())
-    except OSError as error:
-        raise LogError(f"{folder}: cannot be listed ({error.strerror})") from error
-    files = [entry for entry in entries if entry.is_file() and _is_log(entry)]
     if len(files) > 1 and _is_split(files):
         yield folder
     else:
         yield from files
-    for entry in entries:
-        if entry.is_dir() and not entry.is_symlink():
-            yield from _below(entry)
+    for entry in folders:
+        yield from _below(entry)
+
+
+def _is_bag_folder(folder: Path) -> bool:
+    """Whether a folder is one ROS 2 bag: data sets have a file of that name as well."""
+    path = folder / METADATA
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return BAG_INFORMATION.encode() in file.read(METADATA_BYTES)
 
 
 def _is_log(path: Path) -> bool:
@@ -186,7 +199,7 @@ def _is_log(path: Path) -> bool:
     The second half matters: a log whose recorder died early is reported by name, not passed over.
     """
     kind = sniff(path)
-    named = re.search(r"\.(mcap|bag|db3|bag\.active)(\.zstd)?$", path.name, re.IGNORECASE)
+    named = re.search(r"\.(mcap|bag|db3|bag\.active)(\.(zstd|zst))?$", path.name, re.IGNORECASE)
     if kind in ("sqlite3", "zstd"):
         return named is not None
     return kind is not None or named is not None
@@ -206,12 +219,30 @@ def _is_split(files: Sequence[Path]) -> bool:
         return False
     spans = []
     for number in sorted(parts):
-        survey = container(parts[number]).survey() if sniff(parts[number]) != "zstd" else None
-        if survey is None:
+        span = _span(parts[number])
+        if span is None:
             return False
-        spans.append((survey.start_ns, survey.end_ns))
+        spans.append(span)
     gaps = [after[0] - before[1] for before, after in itertools.pairwise(spans)]
     return all(-SPLIT_OVERLAP_NS <= gap <= SPLIT_GAP_NS for gap in gaps)
+
+
+def _span(path: Path) -> tuple[int, int] | None:
+    """First and last log time of a part, None where it has none or is compressed as a whole.
+
+    A part that its recorder did not finish has no index and is gone through.
+    """
+    if sniff(path) in (None, "zstd"):
+        return None
+    log, findings = container(path), Findings()
+    survey = log.survey()
+    if survey is not None:
+        return survey.start_ns, survey.end_ns
+    for _ in log.blocks(lambda _: UNWANTED, findings):
+        raise AssertionError("nothing was wanted")
+    if findings.first_ns is None or findings.last_ns is None:
+        return None
+    return findings.first_ns, findings.last_ns
 
 
 SPLIT_GAP_NS = 5 * 10**9
@@ -266,8 +297,12 @@ def _unpack(path: Path, target: Path) -> Path:
 def _folder(path: Path) -> Recording:
     """The files of a bag folder: those that metadata.yaml names, and any others that are logs."""
     notes: list[str] = []
-    entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
+    try:
+        entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be listed ({error.strerror})") from error
     files = [entry for entry in entries if sniff(entry) is not None]
+    named: list[str] = []
     declared = None
     if (path / METADATA).is_file():
         named, declared = _metadata(path / METADATA, notes)
@@ -283,6 +318,10 @@ def _folder(path: Path) -> Recording:
         for f in files
         if _SUFFIX_ZSTD.sub("", f.name) == f.name or _SUFFIX_ZSTD.sub("", f.name) not in names
     ]
+    if named:
+        known = {_SUFFIX_ZSTD.sub("", name) for name in named}
+        for stranger in (f.name for f in files if _SUFFIX_ZSTD.sub("", f.name) not in known):
+            notes.append(f"{METADATA} does not name {stranger}, which is read all the same")
     if not files:
         raise LogError(f"{path}: the folder holds no log files; a bag folder or a file is needed")
     return Recording(path, tuple(files), tuple(notes), declared)
@@ -309,7 +348,7 @@ def _metadata(path: Path, notes: list[str]) -> tuple[list[str], int | None]:
         if path.stat().st_size > METADATA_BYTES:
             raise ValueError("it is implausibly long")
         document = YAML(typ="safe", pure=True).load(path.read_text("utf-8", "replace"))
-        information = document["rosbag2_bagfile_information"]
+        information = document[BAG_INFORMATION]
         names = [os.path.basename(str(name)) for name in information["relative_file_paths"]]
         count = information.get("message_count")
         return names, count if isinstance(count, int) and count > 0 else None
