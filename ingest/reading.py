@@ -38,6 +38,7 @@ from .sources import (
     Source,
     choose_clock,
     clock_without_jumps,
+    other_odometries,
     pair_of_poses,
     pair_of_transforms,
 )
@@ -125,8 +126,12 @@ def read_run(
     intake = Intake(accept, _decoders(settings))
     findings = _walk(recording, intake, on_bytes)
     warnings = _damage(recording, findings, settings)
-    odometry_choice, odometry, frames = _odometry(intake, findings.counts, settings, log)
-    junction_choice, junctions = _junctions(intake, findings.counts, settings, log)
+    try:
+        odometry_choice, odometry, frames = _odometry(intake, findings.counts, settings, log)
+        junction_choice, junctions = _junctions(intake, findings.counts, settings, log)
+    except LogError as error:
+        # What is missing may be what is damaged.
+        raise LogError("; ".join([str(error), *warnings])) from error
     clock = choose_clock(odometry, junctions, settings.time, warnings)
     clock = clock_without_jumps(odometry, clock, settings.track.backward_min_s, warnings)
     described = _described(odometry_choice, odometry), _described(junction_choice, junctions)
@@ -323,7 +328,9 @@ def _odometry(
         pair = pair_of_transforms(source) if transforms else pair_of_poses(source)
         if pair is not None:
             chosen = source.columns.frame == pair
-            if not transforms:
+            if transforms:
+                source.rivals = other_odometries(source, pair)
+            else:
                 source.elsewhere = int((~chosen).sum())
             source.keep(chosen)
             return choice, source, source.frames[pair]

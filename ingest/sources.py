@@ -21,8 +21,8 @@ class Source:
     """Everything that one topic gave.
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: how
-    many there were; failed, not_finite, zero_quaternion,
-    empty, elsewhere: what could not be used.
+    many there were; failed, not_finite, zero_quaternion, empty, elsewhere: what could not be
+    used; rivals: other frames that could be the odometry's.
     """
 
     columns: PoseColumns
@@ -34,6 +34,7 @@ class Source:
     zero_quaternion: int
     empty: int
     elsewhere: int = 0
+    rivals: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def of(cls, sinks: Sequence[Sink]) -> Source:
@@ -87,6 +88,9 @@ class Source:
         ):
             if count:
                 out.append(f"{topic}: {count} {what}; left out")
+        if self.rivals:
+            pairs = ", ".join(f"{parent} → {child}" for parent, child in self.rivals[:5])
+            out.append(f"{topic}: also holds the odometry of another robot ({pairs}); left out")
         return out
 
 
@@ -112,9 +116,19 @@ def pair_of_transforms(source: Source) -> int | None:
     fit = [
         (not child.split("/")[-1].startswith("base"), -int(counts[number]), child, number)
         for number, (parent, child) in enumerate(source.frames)
-        if parent.split("/")[-1].startswith("odom") and counts[number]
+        if _is_odometry(parent) and counts[number]
     ]
     return min(fit)[-1] if fit else None
+
+
+def _is_odometry(frame: str) -> bool:
+    return frame.rsplit("/", maxsplit=1)[-1].startswith("odom")
+
+
+def other_odometries(source: Source, pair: int) -> tuple[tuple[str, str], ...]:
+    """The frames from other odom frames than that of `pair` in a topic of transforms."""
+    chosen = source.frames[pair][0]
+    return tuple(sorted(p for p in source.frames if _is_odometry(p[0]) and p[0] != chosen))
 
 
 def pair_of_poses(source: Source) -> int | None:

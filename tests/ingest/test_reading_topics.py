@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -304,3 +305,83 @@ def test_fingerprints_follow_content_and_not_names(logs, tmp_path):
     assert log_fingerprint(a) == log_fingerprint(b)
     b.write_bytes(a.read_bytes()[:-1] + b"x")
     assert log_fingerprint(a) != log_fingerprint(b)
+
+
+def test_a_folder_that_is_no_bag_may_have_a_metadata_file(logs, tmp_path):
+    first = logs.mcap(tmp_path / "a.mcap", logs.drive())
+    second = logs.bag(tmp_path / "b.bag", logs.drive())
+    (tmp_path / "metadata.yaml").write_text("title: a data set\n")
+    assert find_logs([tmp_path]) == [first, second]
+
+
+def test_what_is_hidden_broken_or_closed_costs_no_other_log(logs, tmp_path, monkeypatch):
+    log = logs.mcap(tmp_path / "run_0.mcap", logs.drive())
+    empty, closed = tmp_path / "run_1.mcap", tmp_path / "closed"
+    empty.write_bytes(b"")
+    (tmp_path / "._run_0.mcap").write_bytes(b"\0\5\26\7")
+    closed.mkdir()
+    listed = Path.iterdir
+
+    def iterdir(path):
+        if path == closed:
+            raise PermissionError(13, "Permission denied", str(path))
+        return listed(path)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    assert find_logs([tmp_path]) == [closed, log, empty]
+    with pytest.raises(LogError, match="closed: cannot be listed"):
+        read_run(closed)
+
+
+@pytest.mark.parametrize("names", ["run_{}.bag", "x_2024-05-01-10-0{}-00_{}.bag"])
+def test_parts_of_a_bag_are_one_run_though_the_last_was_cut(logs, tmp_path, names):
+    """ROS 1 puts the time at which a part was begun into its name."""
+    drive = logs.drive()
+    for part, some in enumerate((drive[:200], drive[200:])):
+        path = logs.bag(tmp_path / names.format(part, part), some, chunk=2000)
+    assert find_logs([tmp_path]) == [tmp_path]
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert find_logs([tmp_path]) == [tmp_path]
+    run = read_run(tmp_path)
+    assert any("cut short" in text for text in run.warnings)
+    assert 200 < run.source["odometry"]["messages"] < 300
+
+
+def test_a_file_packed_by_hand_is_found_below_a_folder(logs, tmp_path):
+    import zstandard
+
+    raw = logs.mcap(tmp_path / "run.mcap", logs.drive()).read_bytes()
+    (tmp_path / "run.mcap").unlink()
+    packed = tmp_path / "run.mcap.zst"
+    packed.write_bytes(zstandard.compress(raw))
+    assert find_logs([tmp_path]) == [packed]
+
+
+def test_a_file_that_the_metadata_does_not_name_is_reported(logs, tmp_path):
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive())
+    assert read_run(folder).warnings == ()
+    logs.mcap(folder / "other.mcap", logs.drive())
+    run = read_run(folder)
+    assert "metadata.yaml does not name other.mcap, which is read all the same" in run.warnings
+
+
+def test_the_odometry_of_another_robot_in_tf_is_reported(logs, tmp_path):
+    drive = logs.drive()
+    odometry = [m for m in drive if m.topic == "/odom"]
+    tf = [
+        replace(m, topic="/tf", type_name=logs.TF, frame=f"{robot}/odom", child=f"{robot}/base")
+        for m in odometry
+        for robot in ("r1", "r2")
+    ]
+    seen = [replace(m, frame="r1/base") for m in drive if m.topic != "/odom"]
+    run = read_run(logs.mcap(tmp_path / "run.mcap", tf + seen))
+    assert len(run.odometry) == 300
+    (warning,) = run.warnings
+    assert warning == "/tf: also holds the odometry of another robot (r2/odom → r2/base); left out"
+
+
+def test_what_is_missing_is_said_with_what_is_damaged(logs, tmp_path):
+    path = logs.mcap(tmp_path / "run.mcap", [m for m in logs.drive() if m.topic == "/odom"])
+    path.write_bytes(path.read_bytes()[:-2000])
+    with pytest.raises(LogError, match=r"no junction detections found .*; the log is cut short"):
+        read_run(path)

@@ -62,6 +62,25 @@ def test_a_clock_set_back_does_not_weave_two_stretches():
     assert np.all(np.diff(result.odometry.pose[:, 0]) > 0)
 
 
+@pytest.mark.parametrize("stretches", [(1, 0), (2, 1, 0), (2, 0, 3, 1), (0, 2, 1)])
+def test_a_log_written_out_of_order_loses_nothing(stretches):
+    """Only a clock that was set back weaves two stretches into each other."""
+    time, pose = straight(100 * len(stretches))
+    rows = np.concatenate([np.arange(100 * k, 100 * k + 100) for k in stretches])
+    result = track(time[rows], pose[rows])
+    assert result.odometry.time_ns.tolist() == time.tolist()
+    assert result.odometry.pose.tolist() == pose.tolist()
+    assert [text for text in result.warnings if "out of order" not in text] == []
+
+
+def test_a_clock_set_back_behind_its_begin_is_no_order_of_writing():
+    time, pose = straight()
+    time[100:] -= 3600 * SECOND
+    result = track(time, pose)
+    assert "clock goes back 1 times; 400 odometry messages" in result.warnings[0]
+    assert len(result.odometry) == 100
+
+
 def test_a_teleport_breaks_the_chain():
     time, pose = straight()
     pose[200:] += [7.0, -3.0, 0.0]
