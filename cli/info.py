@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..topology.errors import LogError
 from .ingest import JunctionFields, JunctionTopic, OdometryTopic
-from .output import count, table
+from .output import complain, count, table
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo
 
 
 def info(
-    log: Annotated[Path, typer.Argument(help="An MCAP file, a ROS 1 bag or a ROS 2 bag folder.")],
+    log: Annotated[
+        Path,
+        typer.Argument(help="An MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a folder of logs."),
+    ],
     odometry_topic: OdometryTopic = None,
     junction_topic: JunctionTopic = None,
     junction_fields: JunctionFields = None,
@@ -25,24 +29,31 @@ def info(
 
     Its topics, their types and counts, how long it is, which topics would be used and why.
     """
-    from ..ingest.reading import ReadSettings, inspect_log
+    from ..ingest.reading import ReadSettings, find_logs, inspect_log
 
-    found = inspect_log(
-        log,
-        ReadSettings(
-            odometry_topic=odometry_topic,
-            junction_topic=junction_topic,
-            junction_fields=junction_fields,
-        ),
+    settings = ReadSettings(
+        odometry_topic=odometry_topic,
+        junction_topic=junction_topic,
+        junction_fields=junction_fields,
     )
-    for line in described(found):
-        typer.echo(line)
+    failed = False
+    for each in find_logs([log]):
+        try:
+            lines = described(inspect_log(each, settings))
+        except LogError as error:
+            complain(str(error))
+            failed = True
+            continue
+        for line in lines:
+            typer.echo(line)
+    if failed:
+        raise typer.Exit(1)
 
 
 def described(found: LogInfo) -> list[str]:
     """The lines that describe a log."""
     start = "no messages"
-    if found.start_ns:
+    if any(topic.messages for topic in found.topics):
         seconds = found.start_ns // 1_000_000_000
         start = f"{found.duration_s:,.1f} s from {_utc(seconds)}"
     head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB, {start}"

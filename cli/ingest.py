@@ -134,7 +134,14 @@ def _plan(
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
     names: dict[str, Path] = {}
     for log in logs:
-        run = checked_run_name(name if name is not None else run_name(log))
+        try:
+            run = checked_run_name(name if name is not None else run_name(log))
+        except UsageError as error:
+            text = f"{log}: {error}; give it another by --name"
+            planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))
+            continue
+        if run in names and names[run].resolve() == log.resolve():
+            continue  # the same log by another way
         if run in names:
             raise UsageError(
                 f"{names[run]} and {log} would both become run {run!r}; "

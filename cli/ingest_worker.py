@@ -103,7 +103,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         write_map_recording(job.place.map_rrd(m.run), m, odometry=run.odometry)
     _clear_away(job.place, before, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
-    record = {"key": key, "log": str(job.log.resolve()), "runs": runs}
+    record = {"key": key, "log": _origin(job.log), "runs": runs}
     for name in reversed(runs):
         write_json(job.place.ingest_record(name), record)
     text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
@@ -171,10 +171,15 @@ def _runs_of(record: dict[str, Any]) -> list[str]:
     return [r for r in runs if isinstance(r, str)] if isinstance(runs, list) else []
 
 
+def _origin(log: Path) -> str:
+    """Where a log lies; bytes of the path that are no text are written out."""
+    return str(log.resolve()).encode("utf-8", "backslashreplace").decode()
+
+
 def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """A map made from another log of the same name is not overwritten unasked."""
     other, path = _record(job.place, run).get("log"), job.place.map_json(run)
-    if job.force or not other or other == str(job.log.resolve()) or not path.exists():
+    if job.force or not other or other == _origin(job.log) or not path.exists():
         return
     try:
         same = json.loads(path.read_bytes()) == doc

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from ..merge.locks import Lock
 
 
+NAME_BYTES = 200
+"""Longest run name: files have 255 bytes for it, what is put behind it, and their suffixes."""
+
+
 @dataclass(frozen=True, slots=True)
 class Workspace:
     """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`, `cache/`."""
@@ -128,6 +132,9 @@ def shortened(names: Sequence[str], most: int = 12) -> str:
 
 def checked_run_name(name: str) -> str:
     """A run name that is a plain file name, or a UsageError."""
-    if not name or name.startswith(".") or name != Path(name).name or "\0" in name:
+    plain = name.isprintable() and not name.startswith(".") and name == Path(name).name
+    if not name or not plain:
         raise UsageError(f"{name!r} cannot name a run: it must work as a file name")
+    if len(name.encode()) > NAME_BYTES:
+        raise UsageError(f"{name[:40]!r}… cannot name a run: it is longer than {NAME_BYTES} bytes")
     return name

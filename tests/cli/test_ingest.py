@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import sys
+from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -234,6 +237,36 @@ def test_names_that_are_no_file_names(topobatch, logs, tmp_path, name):
     assert "cannot name a run" in done.error(2)
 
 
+@pytest.mark.parametrize("name", ["r" * 230, "two\nlines", ".hidden"])
+def test_a_log_whose_name_cannot_be_a_run_costs_no_other(topobatch, logs, tmp_path, name):
+    bad = shutil.copy(logs["mcap"], tmp_path / f"{name}.mcap")
+    done = topobatch("ingest", bad, logs["other"], "-w", tmp_path / "ws")
+    assert done.code == 2
+    assert "cannot name a run" in done.err
+    assert len(list((tmp_path / "ws" / "maps").glob("*.json"))) == 1
+    done = topobatch("ingest", bad, "-w", tmp_path / "ws", "--name", "good")
+    assert (done.code, done.err) == (0, "")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
+def test_a_path_that_is_no_text(topobatch, logs, tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
+    folder.mkdir()
+    shutil.copy(logs["mcap"], folder / "run.mcap")
+    done = topobatch("ingest", folder, "-w", tmp_path / "ws")
+    assert (done.code, done.err) == (0, "")
+    assert "unchanged" in topobatch("ingest", folder, "-w", tmp_path / "ws").out
+
+
+def test_one_log_by_two_ways_is_one_run(topobatch, logs, tmp_path):
+    (tmp_path / "link").symlink_to(logs["mcap"].parent)
+    done = topobatch(
+        "ingest", logs["mcap"], tmp_path / "link" / logs["mcap"].name, "-w", tmp_path / "ws"
+    )
+    assert (done.code, done.err) == (0, "")
+    assert len(list((tmp_path / "ws" / "maps").glob("*.json"))) == 1
+
+
 def test_quiet_says_nothing_but_errors(topobatch, logs, tmp_path):
     done = topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws", "--quiet")
     assert (done.code, done.out, done.err) == (0, "", "")
@@ -248,6 +281,29 @@ def test_info(topobatch, logs, tmp_path):
         assert "odometry: " in done.out
         assert "junctions: " in done.out
     assert "gone.mcap" in topobatch("info", tmp_path / "gone.mcap").error(1)
+
+
+def test_info_on_a_folder_tells_of_every_log(topobatch, logs, tmp_path):
+    for kind in ("mcap", "other"):
+        shutil.copy(logs[kind], tmp_path / f"{kind}.mcap")
+    (tmp_path / "broken.mcap").write_bytes(b"")
+    done = topobatch("info", tmp_path)
+    assert done.code == 1
+    assert ("run mcap" in done.out, "run other" in done.out) == (True, True)
+    assert "broken.mcap" in done.err
+
+
+def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
+    """It starts at 0, which is a time like any other."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/clock", "json", 0)
+        for second in range(3):
+            writer.add_message(channel, second * 10**9, b"{}", second * 10**9)
+        writer.finish()
+    assert "2.0 s from 1970-01-01 00:00:00 UTC" in topobatch("info", path).out
 
 
 def test_left_overs_of_a_killed_process_are_cleared(topobatch, logs, tmp_path):
