@@ -92,3 +92,36 @@ def test_an_output_without_arrows_is_no_error(logs, tmp_path):
     done = run("ingest", logs["mcap"], "-w", tmp_path / "ws", PYTHONIOENCODING="latin-1")
     assert done.returncode == 0, done
     assert " ? " in done.stdout
+
+
+WORKERS = """
+import multiprocessing.forkserver, os, signal
+from concurrent.futures import ProcessPoolExecutor
+from topobatch.cli.ingest_worker import _context, _start_worker
+context = _context()
+{before}
+with ProcessPoolExecutor(1, context, _start_worker, (context.Value("q", 0),)) as pool:
+    print(pool.submit(abs, -7).result(), flush=True)
+    {after}
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers come from a server")
+@pytest.mark.parametrize(
+    ("before", "after", "code"),
+    [
+        (
+            "os.kill(multiprocessing.forkserver._forkserver._forkserver_pid, signal.SIGINT)",
+            "pass",
+            0,
+        ),
+        ("pass", "os.kill(os.getpid(), signal.SIGKILL)", -9),
+    ],
+    ids=["a Ctrl-C does not end the server", "a worker ends with who started it"],
+)
+def test_workers(before, after, code):
+    """Its output is at its end only when every process that shares it has ended."""
+    command = [sys.executable, "-c", WORKERS.format(before=before, after=after)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (code, "7\n"), done
+    assert "Traceback" not in done.stderr
