@@ -30,9 +30,18 @@ DECIMALS = 6
 
 PATH_DECIMALS = 3
 
+LARGEST_M = 1e7
+"""A quarter of the way around the Earth. Larger numbers are damage, and corridors of such a length
+would take matching all the memory there is."""
+
+LARGEST_NOISE = 1e6
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Index = Annotated[int, Field(ge=0)]
+Metres = Annotated[float, Field(ge=-LARGEST_M, le=LARGEST_M, allow_inf_nan=False)]
+Extent = Annotated[float, Field(gt=0, le=LARGEST_M, allow_inf_nan=False)]
+Noise = Annotated[float, Field(ge=0, le=LARGEST_NOISE, allow_inf_nan=False)]
+Index = Annotated[int, Field(ge=0, lt=2**63)]
+Nanoseconds = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 
 
 class Model(BaseModel):
@@ -45,15 +54,15 @@ class Observation(Model):
     """One pass of a robot by a vertex."""
 
     run: str
-    time_ns: int
+    time_ns: Nanoseconds
 
 
 class MapNode(Model):
     """A vertex of a map."""
 
     id: Index
-    x: Finite
-    y: Finite
+    x: Metres
+    y: Metres
     kind: str
     branches: list[Finite]
     observations: list[Observation]
@@ -65,18 +74,18 @@ class MapEdge(Model):
     source: Index
     target: Index
     key: Index
-    length: Positive
-    length_sigma: Positive
+    length: Extent
+    length_sigma: Extent
     source_branch: Index | None
     target_branch: Index | None
-    path: list[tuple[Finite, Finite]] = Field(min_length=2)
+    path: list[tuple[Metres, Metres]] = Field(min_length=2)
     traversals: Index
 
 
 class ClosureRecord(Model):
     """An identification that was made or refused."""
 
-    time_ns: tuple[int, int]
+    time_ns: tuple[Nanoseconds, Nanoseconds]
     accepted: bool
     bits: Finite
     reason: str
@@ -88,7 +97,7 @@ class MapGraph(Model):
     run: str
     frame: str
     pieces: Annotated[int, Field(ge=1)] = 1
-    noise: dict[str, Finite] = Field(default_factory=dict)
+    noise: dict[str, Noise] = Field(default_factory=dict)
     closures: list[ClosureRecord] = Field(default_factory=list)
 
 
