@@ -6,8 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from ..topology.document import Model, validated
-from ..topology.errors import UsageError
+from pydantic import Field
+
+from ..topology.document import Index, Model, validated
+from ..topology.errors import DocumentError, UsageError
 
 LOCKS_SCHEMA: Literal["topobatch.locks/1"] = "topobatch.locks/1"
 
@@ -73,12 +75,13 @@ class LockEntry(Model):
     a: str
     b: str
     decision: Literal["same", "never"]
-    at: tuple[int, int] | None = None
+    at: tuple[Index, Index] | None = None
 
 
 class LocksDocument(Model):
     """`locks.json`."""
 
+    schema_name: Literal["topobatch.locks/1"] = Field(alias="schema")
     locks: list[LockEntry]
 
 
@@ -95,9 +98,8 @@ def locks_to_document(locks: Sequence[Lock]) -> dict[str, Any]:
 def locks_from_document(doc: Any, name: str = "locks document") -> tuple[Lock, ...]:
     """The locks that a parsed document holds; DocumentError if it follows no such schema."""
     entries = validated(LocksDocument, doc, name).locks
-    return tuple(
-        sorted(
-            lock_table(Lock(e.a, e.b, e.decision, e.at) for e in entries).values(),
-            key=lambda k: (k.a, k.b),
-        )
-    )
+    try:
+        table = lock_table(Lock(e.a, e.b, e.decision, e.at) for e in entries)
+    except UsageError as error:
+        raise DocumentError(f"{name}: {error}") from error
+    return tuple(table[pair] for pair in sorted(table))

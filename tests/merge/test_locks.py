@@ -57,7 +57,25 @@ def test_documents_come_back_as_they_were():
     assert locks_from_document(json.loads(json.dumps(doc))) == locks
 
 
-@pytest.mark.parametrize("doc", [{}, {"locks": [{"a": "x"}]}, {"locks": [{"a": 1, "b": 2}]}, []])
+def _document(*locks, schema="topobatch.locks/1"):
+    return {"schema": schema, "locks": [dict(zip("ab", k, strict=True)) | v for k, v in locks]}
+
+
+@pytest.mark.parametrize(
+    "doc",
+    [
+        {},
+        [],
+        {"schema": "topobatch.locks/1", "locks": [{"a": "x"}]},
+        {"schema": "topobatch.locks/1", "locks": [{"a": 1, "b": 2}]},
+        {"locks": []},
+        _document(schema="topobatch.locks/2"),
+        _document(("xx", {"decision": "same"})),
+        _document(("xy", {"decision": "same"}), ("yx", {"decision": "never"})),
+        _document(("xy", {"decision": "never", "at": [1, 2]})),
+        _document(("xy", {"decision": "same", "at": [-1, 2]})),
+    ],
+)
 def test_what_is_no_locks_document(doc):
     with pytest.raises(DocumentError, match=r"locks\.json"):
         locks_from_document(doc, "locks.json")
