@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,15 @@ class Components:
             self.members[into].append(run)
 
 
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why a pair was not joined in spite of its evidence; advice: what would settle it, where that
+    is no further recording."""
+
+    reason: str
+    advice: str | None = None
+
+
 def agrees(candidate: Candidate, T_a_b: NDArray[np.float64], b: Prepared) -> bool:
     """Does an alignment place b as T_a_b does, within what drift makes of chained transforms?"""
     middle = complex(b.z[candidate.b].mean())
@@ -78,27 +88,28 @@ def join_all(
     best: Mapping[Pair, Candidate],
     prepared: Sequence[Prepared],
     runs: Sequence[str],
-) -> dict[Pair, str]:
+) -> dict[Pair, Refusal]:
     """Join pairs in order of strength. Returns the pairs that were refused, with the reason.
 
     A pair that closes a cycle must place its runs as the stronger pairs around the cycle do: where
     they contradict each other, the weakest link, which comes last, gives way.
     """
-    refused: dict[Pair, str] = {}
+    refused: dict[Pair, Refusal] = {}
     for i, j in strongest_first:
         alignment = best[i, j]
         if components.together(i, j):
             if not agrees(alignment, components.relative(i, j), prepared[j]):
-                refused[i, j] = (
-                    "other runs, matched with more evidence, place the two differently: "
-                    "the weakest of these matches is set aside"
+                refused[i, j] = Refusal(
+                    "other runs, matched with more evidence or locked, place the two differently: "
+                    "this match is set aside"
                 )
             continue
         kept_apart = components.forbidden(i, j)
         if kept_apart is not None:
-            x, y = kept_apart
-            refused[i, j] = (
-                f"joining them would bring {runs[x]} and {runs[y]} together, which are locked apart"
+            x, y = (runs[k] for k in kept_apart)
+            refused[i, j] = Refusal(
+                f"joining them would bring {x} and {y} together, which are locked apart",
+                f"if {x} and {y} share places after all, clear their lock",
             )
             continue
         components.join(i, j, alignment.transform)

@@ -14,7 +14,7 @@ from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, Verdict
 from .advice import advice
 from .alignment import Candidate, same_placement, self_matches
-from .components import Components, agrees, join_all
+from .components import Components, Refusal, agrees, join_all
 from .forced import forced_alignment
 from .mirror import doubt_mirrored
 from .pairing import Candidates, Pair, match_all
@@ -68,7 +68,7 @@ def decide(
     forced = _forced(prepared, candidates, locked, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
-    best, order = _strongest_first(opinions, forced, never)
+    best, order = _strongest_first(opinions, forced, locked)
     refused = join_all(components, order, best, prepared, runs)
     kept = {pair: c for pair, c in best.items() if pair not in refused}
     reunions = Rematcher(maps, components, opinions, levels, settings).run(kept)
@@ -97,7 +97,7 @@ class _Case:
     view: Opinion
     forced: Candidate | None
     lock: Lock | None
-    refused: str | None
+    refused: Refusal | None
     reunion: Reunion | None
     seconded: Candidate | None
     together: bool
@@ -153,13 +153,16 @@ def _forced(
 
 
 def _strongest_first(
-    opinions: dict[Pair, Opinion], forced: dict[Pair, Candidate], never: Sequence[Pair]
+    opinions: dict[Pair, Opinion], forced: dict[Pair, Candidate], locked: dict[Pair, Lock]
 ) -> tuple[dict[Pair, Candidate], list[Pair]]:
-    """The alignments to join by, and their order: a person's locks first, then by evidence."""
+    """The alignments to join by, and their order: a person's locks first, then by evidence.
+
+    A locked pair is joined as the lock says or, where nothing honours it, not at all.
+    """
     best = {
         pair: o.best
         for pair, o in opinions.items()
-        if o.verdict is Verdict.MERGED and o.best is not None and pair not in never
+        if o.verdict is Verdict.MERGED and o.best is not None and pair not in locked
     }
     best |= forced
     order = sorted(best, key=lambda p: (p not in forced, -opinions[p].bits, p))
@@ -189,41 +192,58 @@ def _verdict(a: Prepared, b: Prepared, case: _Case) -> PairVerdict:
     if case.lock is not None and case.lock.decision == "never":
         reason = f"locked apart by a person; the maps alone say: {says}"
         return _entry(a, b, case, Verdict.UNRELATED, reason)
-    if case.lock is not None and case.forced is None:
-        reason = f"locked as the same, but no alignment honours the lock; the maps say: {says}"
-        return _entry(a, b, case, view.verdict, reason)
+    if case.lock is not None and case.forced is None and case.reunion is None:
+        return _dishonoured(a, b, case, case.lock, says)
     if case.refused is not None:
-        return _entry(a, b, case, Verdict.AMBIGUOUS, f"{says}; but {case.refused}")
+        reason = f"{says}; but {case.refused.reason}"
+        if case.lock is not None:
+            reason = f"locked as the same, but {case.refused.reason}; the maps alone say: {says}"
+        return _entry(a, b, case, Verdict.AMBIGUOUS, reason)
     return _by_evidence(a, b, case, says)
+
+
+def _dishonoured(a: Prepared, b: Prepared, case: _Case, lock: Lock, says: str) -> PairVerdict:
+    """The entry of a pair that is locked as the same, where no alignment can be found for that."""
+    reason = "locked as the same, but no alignment of the two honours the lock"
+    if case.together:
+        reason = f"{reason}; other runs place them in one component"
+    elif lock.at is None:
+        reason = f"{reason}: name a junction of each run in it"
+    verdict = case.view.verdict
+    if verdict is Verdict.MERGED:  # by an alignment that the lock rules out
+        verdict = Verdict.AMBIGUOUS
+    return _entry(a, b, case, verdict, f"{reason}; the maps alone say: {says}")
 
 
 def _by_evidence(a: Prepared, b: Prepared, case: _Case, says: str) -> PairVerdict:
     """The entry of a pair that nobody forbids."""
     view = case.view
     if case.forced is not None:
-        reason = f"locked as the same by a person; {summary(case.forced, None)}"
-        return _accepted(a, b, case, case.forced, reason)
+        return _accepted(a, b, case, case.forced, "locked as the same by a person; {}")
     if view.verdict is Verdict.MERGED and view.best is not None:
-        return _accepted(a, b, case, view.best, says)
+        return _accepted(a, b, case, view.best)
     if case.reunion is not None:
         said = case.reunion
         return _joined(a, b, case, said.reason, (said.alignment, None, said.margin))
     if case.seconded is not None:
-        reason = f"{summary(case.seconded, None)}; other runs place the two in the same way"
-        return _accepted(a, b, case, case.seconded, reason)
+        return _accepted(a, b, case, case.seconded, "{}; other runs place the two in the same way")
     reason = f"{says}; {view.why}" if view.why else says
     if case.together:
         reason = f"{reason}; only other runs place the two in one component"
     return _entry(a, b, case, view.verdict, reason)
 
 
-def _accepted(a: Prepared, b: Prepared, case: _Case, chosen: Candidate, reason: str) -> PairVerdict:
-    """The entry of a pair joined by an alignment of its own, which need not be its best."""
+def _accepted(
+    a: Prepared, b: Prepared, case: _Case, chosen: Candidate, reason: str = "{}"
+) -> PairVerdict:
+    """The entry of a pair joined by an alignment of its own, which need not be its best. The
+    alignment's summary stands in the reason's braces."""
     bits = next((bits for c, bits in case.view.ranked if c is chosen), chosen.bits)
     others = (r for r in case.view.ranked if not same_placement(r[0], chosen, b))
     second = next((_alignment(c, a, b, bits) for c, bits in others), None)
     margin = None if second is None else bits - second.evidence_bits
-    return _joined(a, b, case, reason, (_alignment(chosen, a, b, bits), second, margin))
+    told = reason.format(summary(chosen, margin))
+    return _joined(a, b, case, told, (_alignment(chosen, a, b, bits), second, margin))
 
 
 def _joined(
@@ -254,6 +274,9 @@ def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str)
     """The entry of a pair that is not joined."""
     view = case.view
     shown = [_alignment(c, a, b, bits) for c, bits in view.ranked[:2]]
+    settling = None if case.refused is None else case.refused.advice
+    if verdict is Verdict.AMBIGUOUS and settling is None:
+        settling = advice(a, b, view)
     return PairVerdict(
         a=a.run,
         b=b.run,
@@ -264,7 +287,7 @@ def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str)
         best=shown[0] if shown else None,
         runner_up=shown[1] if len(shown) > 1 else None,
         margin_bits=view.margin,
-        advice=advice(a, b, view) if verdict is Verdict.AMBIGUOUS else None,
+        advice=settling,
         locked=_decision(case),
         extra=_extra(case),
     )

@@ -13,13 +13,15 @@ def counted(number: int, noun: str) -> str:
 
 
 def summary(best: Candidate, margin: float | None) -> str:
-    """What agrees, what contradicts, how far the next alignment is behind."""
+    """What agrees, what contradicts, how far the next alignment is behind, or another ahead."""
     agree = f"{counted(len(best), 'junction')} and {counted(len(best.corridors), 'corridor')} agree"
     against = len(best.conflicts)
     text = f"{agree}, {against} {'contradicts' if against == 1 else 'contradict'}"
     if margin is None:
         return f"{text}; no other alignment comes near"
-    return f"{text}; next best alignment {margin:.0f} bits behind"
+    if round(margin) < 0:
+        return f"{text}; another alignment has {counted(round(-margin), 'bit')} more"
+    return f"{text}; next best alignment {counted(round(margin), 'bit')} behind"
 
 
 def contradictions(best: Candidate, a: Prepared, b: Prepared) -> tuple[str, ...]:

@@ -159,6 +159,7 @@ def test_never_holds_through_other_runs(maze, see):
     refused = held["a", "b"] if held["b", "c"].accepted else held["b", "c"]
     assert refused.verdict is Verdict.AMBIGUOUS
     assert "locked apart" in refused.reason
+    assert refused.advice == "if a and c share places after all, clear their lock"
 
 
 def test_same_joins_what_the_evidence_would_not(maze, see, right_matches):
@@ -175,6 +176,27 @@ def test_same_joins_what_the_evidence_would_not(maze, see, right_matches):
     assert v.locked == "same"
     assert list(at) in v.best.matched.tolist()
     assert "locked as the same" in v.reason
+
+
+def test_a_lock_that_no_alignment_honours_is_said_to_be_so(halves, drawn):
+    assert only(halves).accepted
+    crossing = next(v for v in range(len(halves[0])) if halves[0].degree[v] == 4)
+    end = next(v for v in range(len(halves[1])) if halves[1].degree[v] == 1)
+    third = replace(halves[1], run="third")
+    maps = [*halves, third]
+    told = {
+        (v.a, v.b): v for v in decide(maps, locks=[Lock("left", "right", "same", (crossing, end))])
+    }
+    wrong = told["left", "right"]
+    assert (wrong.verdict, wrong.accepted) == (Verdict.AMBIGUOUS, False)
+    assert "no alignment of the two honours the lock; other runs place them in" in wrong.reason
+    assert told["left", "third"].accepted
+    alone = only(halves, locks=[Lock("left", "right", "same", (crossing, end))])
+    assert (alone.verdict, alone.accepted) == (Verdict.AMBIGUOUS, False)
+    assert "one component" not in alone.reason
+    pair = drawn("zwei", [(0, 0), (5, 0)], [(0, 1)])
+    nothing = only([halves[0], pair], locks=[Lock("left", "zwei", "same")])
+    assert "name a junction of each run" in nothing.reason
 
 
 def test_locks_that_cannot_be(halves):
@@ -218,6 +240,9 @@ def test_best_runner_up_and_margin_speak_of_the_same_bits(see):
     for v in rivals:
         assert v.margin_bits == pytest.approx(v.evidence_bits - v.runner_up.evidence_bits)
         assert v.margin_bits >= 0 or v.locked
+    for v in told:
+        assert ("no other alignment comes near" in v.reason) == (v.runner_up is None)
+        assert ("another alignment has" in v.reason) == (round(v.margin_bits or 0) < 0)
 
 
 def test_a_few_junctions_with_much_evidence_are_doubtful_not_unrelated(drawn):
