@@ -34,12 +34,11 @@ def explain(
         raise UsageError(f"two runs are needed, got {a!r} twice")
     from ..merge.explain import explain as explained
     from ..merge.explain import lines, to_document
-    from ..topology.document import read_map
     from ..viz import write_explain_recording
 
     place = Workspace(workspace)
     first, second = place.chosen_runs([a, b], False)
-    map_a, map_b = (read_map(place.map_json(run)) for run in (first, second))
+    map_a, map_b = (place.read_map(run) for run in (first, second))
     found = explained(map_a, map_b)
     recording = place.root / "explain" / f"{first}+{second}.rrd"
     write_explain_recording(recording, map_a, map_b, found)

@@ -45,12 +45,14 @@ def lock(
     """
     place = Workspace(workspace)
     if a is None or b is None:
-        if a is not None or same or never or clear:
+        if a is not None or same or never or clear or at is not None:
             raise UsageError("name two runs: topobatch lock A B --same (or --never, or --clear)")
         _show(place.locks())
         return
     if same + never + clear != 1:
         raise UsageError("say one of --same, --never and --clear")
+    if clear and at is not None:
+        raise UsageError("--at goes with --same; --clear forgets all that was said about the two")
     from ..merge.locks import Lock, with_lock, without_lock
 
     with place.held(warn):
@@ -79,10 +81,8 @@ def _pair(at: str | None) -> tuple[int, int] | None:
 
 def _checked(place: Workspace, wanted: Lock) -> Lock:
     """The lock, if both junctions exist."""
-    from ..topology.document import read_map
-
     for run, vertex in zip((wanted.a, wanted.b), wanted.at or (), strict=False):
-        junctions = len(read_map(place.map_json(run)))
+        junctions = len(place.read_map(run))
         if vertex >= junctions:
             raise DataError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
     return wanted

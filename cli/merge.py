@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,6 +16,8 @@ from .output import Screen, count
 from .workspace import Workspace, shortened
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from ..merge.locks import Lock
     from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
@@ -87,16 +91,10 @@ def _read_maps(
     place: Workspace, names: list[str], screen: Screen
 ) -> tuple[list[TopoMap], list[str]]:
     """The maps that can be read, and the names of those that cannot."""
-    from ..topology.document import read_map
-
     maps, broken = [], []
     for name in names:
-        path = place.map_json(name)
         try:
-            topomap = read_map(path)
-            if topomap.run != name:
-                raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {name!r}")
-            maps.append(topomap)
+            maps.append(place.read_map(name))
         except DocumentError as error:
             screen.complain(f"{error}; left out (ingest its log again with --force)")
             broken.append(name)
@@ -151,13 +149,30 @@ def _merged(
         )
 
 
-def _executor(jobs: int, pairs: int) -> Any:
+@contextmanager
+def _executor(jobs: int, pairs: int) -> Iterator[Executor | None]:
     """Processes to match in, where there is enough to do for them."""
+    import multiprocessing
     import os
     from concurrent.futures import ProcessPoolExecutor
 
     workers = min(jobs or os.cpu_count() or 1, pairs)
-    return ProcessPoolExecutor(workers) if workers > 1 else nullcontext(None)
+    if workers < 2:
+        yield None
+        return
+    with ProcessPoolExecutor(workers, initializer=_leave_interrupts_alone) as pool:
+        try:
+            yield pool
+        except BaseException:  # Ctrl-C: nobody waits for the pairs that are left
+            for process in multiprocessing.active_children():
+                process.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _leave_interrupts_alone() -> None:
+    """In a worker process: Ctrl-C is the parent's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
@@ -174,11 +189,17 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
     def of(verdict: Verdict) -> list[PairVerdict]:
         return [pair for pair in result.verdicts if pair.verdict is verdict]
 
+    home = {run: component.id for component in result.components for run in component.poses}
     for component in result.components:
         names = sorted(component.poses)
         alone = "" if len(names) > 1 else " (alone)"
         screen.line(f"component {component.id}: {shortened(names)}{alone}")
-    merged, ambiguous = of(Verdict.MERGED), of(Verdict.AMBIGUOUS)
+    for pair in result.verdicts:
+        if pair.locked == "same" and home[pair.a] != home[pair.b]:
+            screen.warn(f"{pair.a} and {pair.b} are not joined: {pair.reason}")
+    merged = [pair for pair in of(Verdict.MERGED) if pair.accepted]
+    ambiguous, unrelated = of(Verdict.AMBIGUOUS), of(Verdict.UNRELATED)
+    kept_out = len(result.verdicts) - len(merged) - len(ambiguous) - len(unrelated)
     for pair in merged[:MOST_LINES]:
         screen.line(f"  {pair.a} + {pair.b}: {pair.reason}")
     if len(merged) > MOST_LINES:
@@ -188,10 +209,10 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
         screen.line(f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}{advice}")
     if len(ambiguous) > MOST_LINES:
         screen.line(f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs")
-    unrelated = len(result.verdicts) - len(merged) - len(ambiguous)
     screen.line(
         f"{count(len(result.verdicts), 'pair')}: {len(merged)} merged, {len(ambiguous)} ambiguous, "
-        f"{unrelated} unrelated; {count(len(result.components), 'component')}"
+        f"{len(unrelated)} unrelated{f', {kept_out} kept out' if kept_out else ''}; "
+        f"{count(len(result.components), 'component')}"
     )
     screen.line(f"{place.merged_json}")
     screen.line(f"{place.merged_rrd}  (look at it: topobatch view)")

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..topology.errors import DataError, UsageError
+from ..topology.errors import DataError, DocumentError, UsageError
 
 if TYPE_CHECKING:
     from ..merge.locks import Lock
+    from ..topology.topomap import TopoMap
 
 
 NAME_BYTES = 200
@@ -79,6 +80,16 @@ class Workspace:
                 f"no map of {', '.join(unknown)} in {self.root}; there are: {shortened(known)}"
             )
         return sorted(set(names))
+
+    def read_map(self, run: str) -> TopoMap:
+        """The map of a run; DocumentError if it cannot be read, or is another run's."""
+        from ..topology.document import read_map
+
+        path = self.map_json(run)
+        topomap = read_map(path)
+        if topomap.run != run:
+            raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
+        return topomap
 
     def locks(self) -> tuple[Lock, ...]:
         """What a person decided about pairs of runs; DocumentError if it cannot be read."""

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 
 import pytest
+
+from topobatch.cli.merge import _executor
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +90,8 @@ def test_locks_are_kept_shown_and_cleared(topobatch, workspace):
         (["A", "nobody", "--same"], "nobody"),
         (["A", "B", "--same", "--at", "3"], "--at"),
         (["A", "B", "--never", "--at", "0,0"], "never"),
+        (["A", "B", "--clear", "--at", "0,0"], "--at"),
+        (["--at", "0,0"], "two runs"),
     ],
 )
 def test_locks_that_make_no_sense(topobatch, workspace, arguments, word):
@@ -112,6 +117,34 @@ def test_a_never_lock_keeps_runs_apart(topobatch, workspace):
     assert document["merges"][0]["locked"] == "never"
 
 
+def test_a_lock_that_nothing_honours_is_told(topobatch, workspace):
+    first = min((workspace / "maps").glob("*.json"))
+    document = json.loads(first.read_bytes())
+    document["graph"]["run"] = "dot"
+    document |= {"nodes": document["nodes"][:1], "edges": []}
+    (workspace / "maps" / "dot.json").write_text(json.dumps(document))
+    topobatch("lock", "dot", first.stem, "--same", "-w", workspace)
+    done = topobatch("merge", "dot", first.stem, "-w", workspace)
+    assert done.code == 0
+    assert f"dot and {first.stem} are not joined: locked as the same, but no" in done.err
+    assert "0 merged" in done.out
+
+
+def test_processes_stop_at_an_interrupt():
+    """What is queued is dropped, not worked off first."""
+    futures = []
+
+    def interrupted():
+        with _executor(2, 100) as pool:
+            futures.extend(pool.submit(time.sleep, 20) for _ in range(4))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert len(futures) == 4
+    assert all(future.cancelled() or future.exception() is not None for future in futures)
+
+
 def test_explain(topobatch, workspace):
     a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
     shown = topobatch("explain", b, a, "-w", workspace)
@@ -125,3 +158,5 @@ def test_explain(topobatch, workspace):
     assert document["schema"] == "topobatch.explanation/1"
     assert document["verdict"]["a"] == a
     assert "twice" in topobatch("explain", a, a, "-w", workspace).error(2)
+    shutil.copy(workspace / "maps" / f"{a}.json", workspace / "maps" / "copy.json")
+    assert "not 'copy'" in topobatch("explain", a, "copy", "-w", workspace).error(1)
