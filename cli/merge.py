@@ -61,7 +61,8 @@ def merge(
         typer.Option(
             metavar="RUN@TIME,RUN@TIME",
             help="Paper's method: two robots were near each other, each at a time of its own log; "
-            "only junctions near both start hypotheses. May be given several times.",
+            "only junctions near both start hypotheses. In nanoseconds, or in seconds with a "
+            "decimal point. May be given several times.",
         ),
     ] = None,
     jobs: Annotated[

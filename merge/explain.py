@@ -100,16 +100,17 @@ def _table_lines(e: Explanation, most: int) -> Iterator[str]:
         f"{e.a} ({counted(len(e.degree_a), 'junction')}) and "
         f"{e.b} ({counted(len(e.degree_b), 'junction')}): {counted(pairs, 'compatible pair')}, "
         f"{len(e.candidate_a)} with their rotations; "
-        f"{len(e.hypotheses)} hypotheses in "
+        f"{counted(len(e.hypotheses), 'hypothesis', 'hypotheses')} in "
         f"{counted(len(e.clusters), 'cluster')}"
     )
     for degree in np.unique(e.degree_a[e.candidate_a]).tolist():
         rows, columns = (np.flatnonzero(d == degree) for d in (e.degree_a, e.degree_b))
+        branches = counted(degree, "branch", "branches")
         yield ""
         if len(rows) > most or len(columns) > most:
-            yield f"{degree} branches: a table of {len(rows)} by {len(columns)}, left out"
+            yield f"{branches}: a table of {len(rows)} by {len(columns)}, left out"
             continue
-        yield f"{degree} branches; rows {e.a}, columns {e.b}; H of each rotation, {NONE}: none"
+        yield f"{branches}; rows {e.a}, columns {e.b}; H of each rotation, {NONE}: none"
         cells = [[_cell(e, int(u), int(v)) for v in columns] for u in rows]
         width = max((len(c) for row in cells for c in row), default=1)
         width = max(width, len(str(len(e.degree_b))) + 1)

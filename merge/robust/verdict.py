@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil, floor
 
 import numpy as np
 
@@ -200,7 +201,8 @@ def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidat
 def _missing(best: Candidate, score: float, margin: float | None, level: Bar) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
     if counted_bits(best) < level.need_bits:
-        found = f"{counted_bits(best):.0f} bits, {level.need_bits:.0f} needed"
+        # Rounded apart, lest both show the same number.
+        found = f"{floor(counted_bits(best))} bits, {ceil(level.need_bits)} needed"
         return f"chance offers as much too often ({found})"
     if len(best) < level.settings.min_matches:
         return f"{level.settings.min_matches} junctions at least must agree"

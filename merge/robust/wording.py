@@ -7,9 +7,9 @@ from .alignment import Candidate
 from .prepare import Prepared
 
 
-def counted(number: int, noun: str) -> str:
+def counted(number: int, noun: str, plural: str | None = None) -> str:
     """ "1 junction", "2 junctions"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def summary(best: Candidate, margin: float | None) -> str:
