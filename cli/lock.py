@@ -55,7 +55,7 @@ def lock(
         raise UsageError("--at goes with --same; --clear forgets all that was said about the two")
     from ..merge.locks import Lock, with_lock, without_lock
 
-    with place.held(warn):
+    with place.held(warn, make=False):
         if clear:
             kept = without_lock(place.locks(), a, b)
         else:

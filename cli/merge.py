@@ -79,7 +79,7 @@ def merge(
     """
     place, screen = Workspace(workspace), Screen(quiet)
     settings = _settings(method, false_merge_rate, degree, met or [])
-    with place.held(screen.warn):
+    with place.held(screen.warn, make=False):
         maps, broken = _read_maps(place, place.chosen_runs(runs or [], everything), screen)
         result = _merged(maps, settings, place.locks(), jobs, screen)
         _write(place, result, maps)

@@ -65,9 +65,7 @@ class Workspace:
         """The runs that a command is about; UsageError or DataError where there are none."""
         known = self.runs()
         if not known:
-            raise DataError(
-                f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`"
-            )
+            raise self._no_maps()
         if everything and names:
             raise UsageError("give run names or --all, not both")
         if everything:
@@ -80,6 +78,9 @@ class Workspace:
                 f"no map of {', '.join(unknown)} in {self.root}; there are: {shortened(known)}"
             )
         return sorted(set(names))
+
+    def _no_maps(self) -> DataError:
+        return DataError(f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
 
     def read_map(self, run: str) -> TopoMap:
         """The map of a run; DocumentError if it cannot be read, or is another run's."""
@@ -108,13 +109,16 @@ class Workspace:
         write_json(self.locks_json, locks_to_document(locks))
 
     @contextmanager
-    def held(self, say: Callable[[str], None]) -> Iterator[None]:
+    def held(self, say: Callable[[str], None], *, make: bool = True) -> Iterator[None]:
         """Keep other topobatch processes out of the workspace, waiting for them if need be.
 
-        What a killed process left half-written is cleared away.
+        What a killed process left half-written is cleared away. A workspace that is not there yet
+        is made or, if told not to, a DataError.
         """
         from filelock import FileLock, Timeout
 
+        if not make and not self.root.is_dir():
+            raise self._no_maps()
         self.root.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.root / ".lock")
         try:

@@ -61,6 +61,13 @@ def test_a_broken_map_does_not_stop_the_others(topobatch, workspace):
     assert (workspace / "merged.rrd").exists()
 
 
+def test_a_workspace_that_is_not_there_is_not_made(topobatch, tmp_path):
+    nowhere = tmp_path / "nowhere"
+    for call in (["merge", "--all"], ["lock", "a", "b", "--never"], ["explain", "a", "b"]):
+        assert "no maps yet" in topobatch(*call, "-w", nowhere).error(1)
+    assert not nowhere.exists()
+
+
 def test_only_broken_maps(topobatch, tmp_path):
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "x.json").write_text("{}")
