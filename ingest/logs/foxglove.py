@@ -218,7 +218,9 @@ def stamp_of(header: Any) -> int:
 
 
 def integer(value: Any) -> int:
-    """A whole number; raises DamageError."""
+    """A whole number, which JSON may write as 7.0; raises DamageError."""
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise DamageError("a whole number is missing")
     return int(value)

@@ -87,7 +87,7 @@ def run_name(path: Path) -> str:
 def recording_at(path: Path) -> Recording:
     """The recording at a path; raises LogError where there is none."""
     path = Path(path)
-    if path.is_dir():
+    if _is_folder(path):
         return _folder(path)
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
@@ -104,6 +104,13 @@ def recording_at(path: Path) -> Recording:
             f"{path}: is no log; an MCAP file, a ROS 1 bag (format 2.0) or a ROS 2 bag is needed"
         )
     return Recording(path, (path,))
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError as error:  # within a folder that may not be entered, for instance
+        raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
 
 
 def log_size(path: Path) -> int:
@@ -154,7 +161,7 @@ def find_logs(paths: Sequence[Path]) -> list[Path]:
     """
     found: dict[Path, None] = {}
     for path in map(Path, paths):
-        if not path.is_dir():
+        if not _is_folder(path):
             recording_at(path)
             found[path] = None
             continue

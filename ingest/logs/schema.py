@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -9,6 +10,9 @@ from .messages import Channel, DamageError
 
 LINES = 4000
 """Longest definition that is parsed; the largest in use have about a thousand lines."""
+
+_BESIDE_IDL = re.compile(r"^(=+|IDL:.*|[ \t]*#.*)$", re.MULTILINE)
+"""What stands between the IDL files that a definition is made of, and the includes in them."""
 
 DEPTH = 32
 """Deepest nesting of types that is followed."""
@@ -151,7 +155,7 @@ def _store(channel: Channel) -> Any:
     store = get_typestore(Stores.EMPTY)
     try:
         if channel.schema_encoding == "ros2idl":
-            store.register(get_types_from_idl(definition))
+            store.register(get_types_from_idl(_BESIDE_IDL.sub("", definition)))
         else:
             store.register(get_types_from_msg(definition, channel.type_name))
     # The grammar meets hostile text with its own errors and with Python's.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -385,3 +387,95 @@ def test_what_is_missing_is_said_with_what_is_damaged(logs, tmp_path):
     path.write_bytes(path.read_bytes()[:-2000])
     with pytest.raises(LogError, match=r"no junction detections found .*; the log is cut short"):
         read_run(path)
+
+
+IDL = {
+    "my_msgs/msg/Junction": """// generated from my_msgs/msg/Junction.msg
+#include "geometry_msgs/msg/Point.idl"
+#include "std_msgs/msg/Header.idl"
+
+module my_msgs {
+  module msg {
+    struct Junction {
+      std_msgs::msg::Header header;
+      @verbatim (language="comment", text="in the robot's frame")
+      geometry_msgs::msg::Point center;
+      sequence<double> angles;
+    };
+  };
+};
+""",
+    "geometry_msgs/msg/Point": (
+        "module geometry_msgs { module msg { struct Point { double x; double y; double z; }; }; };"
+    ),
+    "std_msgs/msg/Header": """#include "builtin_interfaces/msg/Time.idl"
+module std_msgs { module msg {
+  struct Header { builtin_interfaces::msg::Time stamp; string frame_id; };
+}; };
+""",
+    "builtin_interfaces/msg/Time": (
+        "module builtin_interfaces { module msg { struct Time { int32 sec; uint32 nanosec; }; }; };"
+    ),
+}
+
+
+def test_a_definition_of_several_idl_files_is_read(logs, tmp_path):
+    """As ROS 2 puts them into MCAP: one behind the other, each below a line of equal signs."""
+    from mcap.writer import Writer
+
+    drive, store = logs.drive(), logs.store_of(False)
+    definition = "".join(f"{'=' * 80}\nIDL: {name}\n{text}\n" for name, text in IDL.items())
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        schema = logs._schema(writer, drive[0], "cdr", store, True)
+        odometry = writer.register_channel("/odom", "cdr", schema)
+        schema = writer.register_schema("my_msgs/msg/Junction", "ros2idl", definition.encode())
+        junctions = writer.register_channel("/junctions", "cdr", schema)
+        for message in drive:
+            channel, raw = odometry, logs.payload(message, "cdr", store)
+            if message.topic == "/junctions":
+                header = struct.pack("<iII", *divmod(message.stamp_ns, 10**9), 10) + b"base_link\0"
+                gap = bytes(-len(header) % 8)
+                raw = struct.pack("<5d", 0.5, 0.125, 0.0, -1.0, 1.0)
+                raw = raw[:24] + struct.pack("<II", 2, 0) + raw[24:]
+                channel, raw = junctions, b"\0\1\0\0" + header + gap + raw
+            writer.add_message(channel, message.log_ns, raw, message.log_ns)
+        writer.finish()
+    fields = ReadSettings(junction_fields="center=center,branches=angles[]")
+    run = read_run(path, fields)
+    assert (run.warnings, len(run.detections)) == ((), 30)
+    np.testing.assert_allclose(run.detections.centre, [[0.5, 0.125]] * 30)
+    np.testing.assert_allclose(run.detections.branches.values, [-1.0, 1.0] * 30)
+
+
+def test_json_may_write_whole_numbers_with_a_point(logs, tmp_path):
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive(), encoding="json", profile="")
+    whole = read_run(path)
+    written = logs.foxglove_json
+
+    def pointed(message):
+        value = json.loads(written(message))
+        value["timestamp"] = {name: float(part) for name, part in value["timestamp"].items()}
+        return json.dumps(value).encode()
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(logs, "foxglove_json", pointed)
+        logs.mcap(path, logs.drive(), encoding="json", profile="")
+    run = read_run(path)
+    assert run.warnings == ()
+    assert run.odometry.time_ns.tolist() == whole.odometry.time_ns.tolist()
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may enter any folder")
+def test_a_log_in_a_folder_that_may_not_be_entered(logs, tmp_path):
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    path = logs.mcap(folder / "run.mcap", logs.drive())
+    folder.chmod(0o600)
+    try:
+        with pytest.raises(LogError, match="cannot be opened"):
+            find_logs([path])
+    finally:
+        folder.chmod(0o700)
