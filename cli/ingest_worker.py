@@ -7,7 +7,6 @@ import json
 import multiprocessing
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -24,6 +23,7 @@ from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
+from .workers import start_worker
 from .workspace import Workspace
 
 POLL_S = 0.1
@@ -201,16 +201,7 @@ _bytes_done: Any = None  # in a worker process: the counter shared with the pare
 def _start_worker(counter: Any) -> None:
     global _bytes_done  # noqa: PLW0603 - set once per worker process
     _bytes_done = counter
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End a worker whose parent was killed: the workspace is no longer held, no work will come."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    start_worker()
 
 
 def _counted(job: IngestJob) -> IngestOutcome:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,6 +12,7 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
 from .output import Screen, count
+from .workers import start_worker
 from .workspace import Workspace, shortened
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ def _executor(jobs: int, pairs: int) -> Iterator[Executor | None]:
     if workers < 2:
         yield None
         return
-    with ProcessPoolExecutor(workers, initializer=_leave_interrupts_alone) as pool:
+    with ProcessPoolExecutor(workers, initializer=start_worker) as pool:
         try:
             yield pool
         except BaseException:  # Ctrl-C: nobody waits for the pairs that are left
@@ -169,11 +169,6 @@ def _executor(jobs: int, pairs: int) -> Iterator[Executor | None]:
                 process.terminate()
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-
-
-def _leave_interrupts_alone() -> None:
-    """In a worker process: Ctrl-C is the parent's to handle."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:

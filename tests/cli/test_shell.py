@@ -125,3 +125,19 @@ def test_workers(before, after, code):
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stdout) == (code, "7\n"), done
     assert "Traceback" not in done.stderr
+
+
+MATCHERS = """
+import os, signal
+from topobatch.cli.merge import _executor
+with _executor(2, 2) as pool:
+    print(pool.submit(abs, -7).result(), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
+def test_processes_that_match_end_with_who_started_them():
+    command = [sys.executable, "-c", MATCHERS]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (-9, "7\n"), done
