@@ -8,6 +8,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
+from topobatch.topology.closure.bend import bend
 from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
 from topobatch.topology.closure.drivenby import phantoms, settle
 from topobatch.topology.closure.evidence import EvidenceSettings, background, rarity
@@ -26,6 +27,7 @@ from topobatch.topology.closure.walk import (
     dead_reckoning_covariance,
     make_walk,
     relative_covariance,
+    stretch,
 )
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
@@ -705,8 +707,12 @@ def test_settings_are_the_gate_keeper():
     assert any(not q.accepted and q.bits > 0 for q in closed.asked)
 
 
-def test_a_grid_that_is_none_is_found_out_by_the_doubts_it_leaves():
-    """City blocks, and a test for grids that is made to fail: the walk closes all the same."""
+LAX = RectilinearSettings(least_share=0.5, tolerance_rad=0.45, most_wander=1e9)
+"""A test for grids that is made to fail."""
+
+
+def city_walk():
+    """Blocks whose streets meet at right angles and bend between; and the truth."""
     rng = np.random.default_rng(31)
     xy, beside = grid_world(6, 6, rng)
     flat = {v: complex(*p) - complex(*xy[3, 3]) for v, p in xy.items()}
@@ -716,9 +722,56 @@ def test_a_grid_that_is_none_is_found_out_by_the_doubts_it_leaves():
     }
     odometry, passes, truth = record((bent, beside), wander(beside, 130, rng), rng)
     walk = make_walk(odometry, passes, NOISE)
-    lax = RectilinearSettings(least_share=0.5, tolerance_rad=0.45, most_turn=1e9)
-    assert grid_headings(walk, lax) is not None
-    with_grid = full_closure(walk, RoundSettings(grid=lax, most_doubts=1.0))
-    closed = full_closure(walk, RoundSettings(grid=lax))
+    assert grid_headings(walk, LAX) is not None
+    return walk, truth
+
+
+def maze_walk():
+    """Blocks whose streets are straight; and the truth."""
+    rng = np.random.default_rng(31)
+    world = grid_world(6, 6, rng)
+    odometry, passes, truth = record(world, wander(world[1], 130, rng), rng)
+    return make_walk(odometry, passes, NOISE), truth
+
+
+@pytest.mark.parametrize("found_out", [{"most_doubts": 0.01}, {"most_bend": 3.2}])
+def test_a_grid_that_is_none_is_found_out(found_out):
+    """By the doubts it leaves, or by the map that bends without it: the walk closes all the same"""
+    walk, truth = city_walk()
+    trusting = RoundSettings(grid=LAX, most_doubts=1.0, most_bend=np.inf)
+    with_grid = full_closure(walk, trusting)
     assert len(with_grid.layout.xy) > len(set(truth))
+    closed = full_closure(walk, replace(trusting, **found_out))
     assert len(closed.layout.xy) == len(set(truth))
+
+
+def test_a_map_bends_or_not():
+    free = RoundSettings(grid=replace(LAX, most_wander=-1.0))
+    bends = []
+    for walk, truth in (maze_walk(), city_walk()):
+        closed = full_closure(walk, free)
+        assert len(closed.layout.xy) == len(set(truth))
+        bends.append(bend(closed.walk, closed.place, closed.layout))
+    assert bends[0] < 1.5
+    assert bends[1] > 4.0
+
+
+def test_a_true_grid_is_kept_where_it_wanders():
+    walk, _ = maze_walk()
+    kept = full_closure(walk, RoundSettings(least_wander=0.0))
+    trusted = full_closure(walk, RoundSettings(least_wander=np.inf))
+    np.testing.assert_array_equal(kept.layout.xy, trusted.layout.xy)
+
+
+def test_a_stretch_of_a_walk_is_as_if_driven_alone():
+    walk, _ = maze_walk()
+    part = stretch(walk, 20, 60)
+    assert len(part) == 40
+    np.testing.assert_array_equal(part.leg, walk.leg[20:59])
+    first, second = np.array([0, 5]), np.array([39, 17])
+    np.testing.assert_allclose(
+        dead_reckoning_covariance(part, first, second),
+        dead_reckoning_covariance(walk, first + 20, second + 20),
+    )
+    assert part.passes.branches[3].tolist() == walk.passes.branches[23].tolist()
+    assert stretch(walk, 0, 10_000) is walk
