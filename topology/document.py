@@ -30,15 +30,18 @@ DECIMALS = 6
 
 PATH_DECIMALS = 3
 
-LARGEST_M = 1e7
-"""A quarter of the way around the Earth. Larger numbers are damage, and corridors of such a length
-would take matching all the memory there is."""
+FARTHEST_M = 1e9
+"""Where a vertex can lie: logs are believed as far. Eastings with a zone in front reach 6e7."""
+
+LONGEST_M = 1e6
+"""A corridor can be no longer. What is, is damage, and would take matching all the memory there
+is."""
 
 LARGEST_NOISE = 1e6
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Metres = Annotated[float, Field(ge=-LARGEST_M, le=LARGEST_M, allow_inf_nan=False)]
-Extent = Annotated[float, Field(gt=0, le=LARGEST_M, allow_inf_nan=False)]
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
+Extent = Annotated[float, Field(gt=0, le=LONGEST_M, allow_inf_nan=False)]
 Noise = Annotated[float, Field(ge=0, le=LARGEST_NOISE, allow_inf_nan=False)]
 Index = Annotated[int, Field(ge=0, lt=2**63)]
 Nanoseconds = Annotated[int, Field(ge=-(2**63), lt=2**63)]
@@ -225,6 +228,10 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     known = set(MapGraph.model_fields) - {"pieces"}
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise = {k: v for k, v in d.graph.noise.items() if k in RunNoise.__dataclass_fields__}
+    paths = tuple(np.array(e.path) for e in d.edges)
+    for k, path in enumerate(paths):
+        if np.hypot(*np.diff(path, axis=0).T).sum() > LONGEST_M:
+            raise DocumentError(f"{name}: edges.{k}.path: is longer than {LONGEST_M / 1000:.0f} km")
 
     def branches(name: str) -> list[int]:
         found = (getattr(edge, name) for edge in d.edges)
@@ -244,7 +251,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             length=np.array([e.length for e in d.edges], np.float64),
             length_sigma=np.array([e.length_sigma for e in d.edges], np.float64),
             traversals=np.array([e.traversals for e in d.edges], np.int64),
-            paths=tuple(np.array(e.path) for e in d.edges),
+            paths=paths,
             observation_vertex=np.array([v for _, v in seen], np.int64),
             observation_time_ns=np.array([t for t, _ in seen], np.int64),
             noise=RunNoise(**noise),

@@ -64,6 +64,14 @@ def test_round_trip_is_exact():
     assert json.dumps(map_to_document(again)) == text
 
 
+def test_a_map_may_lie_far_from_its_origin():
+    """Eastings of some national grids begin with the number of the zone."""
+    near, far = small_map(), np.array([32_500_000.0, 5_600_000.0])
+    moved = replace(near, xy=near.xy + far, paths=tuple(path + far for path in near.paths))
+    again = map_from_document(json.loads(json.dumps(map_to_document(moved))))
+    np.testing.assert_array_equal(again.xy, moved.xy)
+
+
 def test_a_map_in_pieces_says_so_and_one_in_one_piece_does_not():
     broken = replace(small_map(), info={"pieces": 3})
     again = map_from_document(map_to_document(broken))
@@ -102,6 +110,7 @@ def test_negative_zero_is_written_as_zero():
         (["edges", 2, "length"], -1, "edges.2.length"),
         (["edges", 0, "path"], [[0, 0]], "edges.0.path"),
         (["edges", 0, "path"], [[0, 0], [1e9, 0]], "edges.0.path"),
+        (["edges", 0, "path"], [[3.2e7, 5e6], [3.2e7, 5e6 + 1.1e6]], "edges.0.path"),
         (["edges", 1, "traversals"], 10**30, "edges.1.traversals"),
         (["edges", 1, "source_branch"], 2**63, "edges.1.source_branch"),
         (["nodes", 0, "y"], -1e300, "nodes.0.y"),
