@@ -1,5 +1,19 @@
 """`python -m topobatch.cli`, the same as `topobatch`."""
 
-from .main import main
+import sys
 
-main()
+INTERRUPTED = 130
+
+
+def start() -> None:
+    """Run the command line; Ctrl-C ends it quietly, even while it is still being imported."""
+    try:
+        from .main import main
+
+        main()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    start()

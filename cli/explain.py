@@ -40,7 +40,7 @@ def explain(
     first, second = place.chosen_runs([a, b], False)
     map_a, map_b = (place.read_map(run) for run in (first, second))
     found = explained(map_a, map_b)
-    recording = place.root / "explain" / f"{first}+{second}.rrd"
+    recording = place.explain_rrd(first, second)
     write_explain_recording(recording, map_a, map_b, found)
     said = _said(place, first, second)
     if as_json:

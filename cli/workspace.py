@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -52,6 +53,15 @@ class Workspace:
     def map_rrd(self, run: str) -> Path:
         """The recording of a run."""
         return self.maps / f"{run}.rrd"
+
+    def explain_rrd(self, a: str, b: str) -> Path:
+        """The recording of how two maps match. Names too long for a file together are cut."""
+        name = f"{a}+{b}"
+        if len(name.encode()) > NAME_BYTES:
+            digest = hashlib.sha256(name.encode()).hexdigest()[:12]
+            short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
+            name = "+".join((*short, digest))
+        return self.root / "explain" / f"{name}.rrd"
 
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import MergedDocument
 from topobatch.topology.document import MapDocument
 
@@ -141,3 +142,27 @@ def test_processes_that_match_end_with_who_started_them():
     command = [sys.executable, "-c", MATCHERS]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stdout) == (-9, "7\n"), done
+
+
+def test_an_interrupt_while_the_program_is_imported_ends_it_quietly():
+    code = (
+        "import sys\n"
+        "from topobatch.cli.__main__ import start\n"
+        "class Interrupting:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'topobatch.cli.main':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupting())\n"
+        "start()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_two_long_names_make_a_file_name_of_a_length_that_can_be(tmp_path):
+    place = Workspace(tmp_path)
+    assert place.explain_rrd("a", "b").name == "a+b.rrd"
+    long = ["ü" * 100 + end for end in ("1", "2")]
+    first, second = (place.explain_rrd("a" * 150, name) for name in long)
+    assert first != second
+    assert max(len(path.name.encode()) for path in (first, second)) < 200
