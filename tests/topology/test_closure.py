@@ -11,9 +11,9 @@ import pytest
 from topobatch.topology.closure.bend import bend
 from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
 from topobatch.topology.closure.drivenby import phantoms, settle
-from topobatch.topology.closure.evidence import EvidenceSettings, background, rarity
+from topobatch.topology.closure.evidence import EvidenceSettings, align, background, rarity
 from topobatch.topology.closure.gated import Identification, gated_closure
-from topobatch.topology.closure.growth import Scene
+from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
 from topobatch.topology.closure.jointly import JointSettings, agreeing
 from topobatch.topology.closure.layout import lay_out
 from topobatch.topology.closure.pattern import pattern_of
@@ -775,3 +775,24 @@ def test_a_stretch_of_a_walk_is_as_if_driven_alone():
     )
     assert part.passes.branches[3].tolist() == walk.passes.branches[23].tolist()
     assert stretch(walk, 0, 10_000) is walk
+
+
+def test_blocks_between_the_same_two_streets_count_once():
+    """One street off, the blocks along it are as long: that makes no place of two."""
+    rng = np.random.default_rng(33)
+    world = grid_world(6, 6, rng)
+    odometry, passes, truth = record(world, wander(world[1], 150, rng), rng)
+    walk, place = make_walk(odometry, passes, NOISE), partition(truth)
+    layout = lay_out(walk, place)
+    places = tabulate(walk, place, layout.pose[:, 2], 0.35)
+    common = background(walk, walk.noise)
+    scene = Scene(walk, places, layout.xy, common, rarity(places, common, EvidenceSettings()))
+    number = {v: int(place[k]) for k, v in enumerate(truth)}
+    off = [(number[v], number[v[0] + 1, v[1]]) for v in number if (v[0] + 1, v[1]) in number]
+    a, b = np.array(off).T
+    turned = align(places, common, a, b, turn_sigma=np.full(len(a), 0.05))
+    lengths = GrowthSettings(branch_cap=0.0)
+    independent = grow(scene, a, b, turned, replace(lengths, line_m=0.0))
+    together = grow(scene, a, b, turned, lengths)
+    assert (together.gain <= independent.gain + 1e-9).all()
+    assert together.gain.mean() < 0.6 * independent.gain.mean()

@@ -36,6 +36,10 @@ class GrowthSettings:
     """Legs that differ by more sigmas disagree."""
     turn_sigma_rad: float = 0.1
     """How well the turn of a hypothesis is known to hold at its neighbours."""
+    line_m: float = 1.2
+    """Legs begin and end at the same two lines within this …"""
+    line_rad: float = 0.35
+    """… and are parallel within this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +106,7 @@ def grow(
     gain, loss, legs = np.zeros(k), np.zeros(k), np.zeros(k, np.int64)
     front = _Front(np.arange(k), a, b, aligned.turn, aligned.partner)
     seen = _keys(front.hypothesis, a, b, len(places))
+    gaps = _Gaps(k, settings)
     weight, miss = 1.0, float(np.log(common.miss_rate))
     for _ in range(settings.hops):
         pairs = _leave(places, front)
@@ -112,6 +117,7 @@ def grow(
         h = front.hypothesis[reached.row]
         var = _leg_variance(scene, reached.la, reached.lb, settings)
         odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, settings.leg_cap)
+        odds[gaps.known(h, scene.xy[front.a[reached.row]], scene.xy[reached.qa])] = 0.0
         odds = odds + miss * reached.missed
         same = reached.qa == reached.qb
         # Both corridors end at one place: by one branch it is one corridor, by two it is none.
@@ -146,6 +152,52 @@ def grow(
         )
         weight *= settings.discount
     return Support(gain, loss, legs)
+
+
+class _Gaps:
+    """Gaps between parallel lines that the legs of each hypothesis have spanned so far.
+
+    Streets and corridors run on, so that the blocks along one are as long as those along the next:
+    of parallel legs between the same two lines only the first tells something by its length. Taken
+    for independent, they speak for a place one street off as well.
+    """
+
+    _BESIDE = 4
+    """So many neighbours in order are looked at: few gaps have their middle in one place."""
+
+    def __init__(self, hypotheses: int, settings: GrowthSettings) -> None:
+        self._axis = np.full(hypotheses, np.nan)
+        self._settings = settings
+        self._spans = np.zeros((0, 3))
+
+    def known(self, hypothesis: IntArray, begin: FloatArray, end: FloatArray) -> NDArray[np.bool_]:
+        """(m,) whether a leg, from `begin` to `end` (m, 2), spans a gap that was met before.
+
+        Lines run along the first leg of a hypothesis or across it; other legs span no gap.
+        """
+        way = np.arctan2(*(end - begin).T[::-1])
+        new, first = np.unique(hypothesis, return_index=True)
+        first = first[np.isnan(self._axis[new])]
+        self._axis[hypothesis[first]] = way[first]
+        axis = self._axis[hypothesis]
+        quarter = np.round((way - axis) / (np.pi / 2))
+        across = axis + quarter % 2 * (np.pi / 2)
+        line = np.stack([np.cos(across), np.sin(across)], axis=1)
+        low, high = np.sort([(begin * line).sum(axis=1), (end * line).sum(axis=1)], axis=0)
+        aslant = np.abs(way - axis - quarter * (np.pi / 2)) > self._settings.line_rad
+        key = np.where(aslant, -1.0, 2.0 * hypothesis + quarter % 2)
+        met = len(self._spans)
+        spans = np.concatenate([self._spans, np.stack([key, low + high, high - low], axis=1)])
+        self._spans = spans
+        order = np.lexsort((spans[:, 1], spans[:, 0]))
+        again = np.zeros(len(spans), bool)
+        for k in range(1, min(self._BESIDE, len(spans) - 1) + 1):
+            i, j = np.minimum(order[k:], order[:-k]), np.maximum(order[k:], order[:-k])
+            off = np.abs(spans[i] - spans[j])
+            same = (off[:, 0] == 0) & (spans[i, 0] >= 0)
+            near = (off[:, 1] < 2 * self._settings.line_m) & (off[:, 2] < self._settings.line_m)
+            again[j[same & near]] = True
+        return again[met:]
 
 
 def _keys(hypothesis: IntArray, a: IntArray, b: IntArray, n: int) -> IntArray:
