@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.closure.certainty import laid_out_fairly, place_errors
 from ..topology.closure.drivenby import DrivenBySettings, settle
 from ..topology.closure.gated import GatedSettings, Identification, gated_closure
 from ..topology.closure.layout import lay_out
@@ -69,7 +70,8 @@ def build_map(
     step("noise")
     noise = estimate_noise(odometry, run.detections, passes, settings.noise)
     step("loop closure")
-    walk = make_walk(odometry, passes, noise, _systematic(calibration, settings))
+    walk = quiet = make_walk(odometry, passes, noise, _systematic(calibration, settings))
+    grid = None
     if settings.closure == "none":
         place = np.arange(len(passes), dtype=np.int64)
         asked: list[Identification] = []
@@ -78,9 +80,11 @@ def build_map(
     if settings.closure == "full":
         closed = full_closure(walk, settings.rounds)
         walk, place, layout, asked = closed.walk, closed.place, closed.layout, closed.asked
+        grid = closed.grid
     else:
         layout = lay_out(walk, place)
     step("map")
+    fair, layout = laid_out_fairly(quiet, place, layout, grid)
     layout = set_apart(walk, place, layout)
     settled = settle(walk, odometry, place, layout, settings.driven_by)
     noise = refine_noise(
@@ -100,6 +104,7 @@ def build_map(
         pass_vertex=settled.place,
         pass_turn=layout.pose[:, 2],
         noise=noise,
+        errors=place_errors(fair, layout, settled.kept),
         closures=_closures(asked, passes, settings.most_refusals),
         settings=settings.drawing,
     )

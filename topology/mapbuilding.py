@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from .circular import AngleClusters, cluster_angles
 from .odometry import Odometry
 from .passes import NO_BRANCH, Passes
-from .polyline import simplify
+from .polyline import join_centres, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
 from .track import track_directions, way_along, way_at
+from .vertex_errors import VertexErrors
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,9 +33,17 @@ class MapBuildingSettings:
     """A branch farther than this from the track's direction was not the one driven."""
     straight_rad: float = 0.35
     """Two branches opposite to within this are no bend."""
-    path_step_m: float = 0.25
+    path_step_m: float = 0.1
     path_tolerance_m: float = 0.08
     """Paths are thinned to polylines no farther than this from the track."""
+    junction_m: float = 0.7
+    """So near to a junction's centre the robot cuts its corner: there a corridor is straight."""
+    corner_m: float = 0.5
+    """A turn within this to either side is a corner of the corridor, cut by the robot …"""
+    corner_rad: float = 0.5
+    """… if it turns by this; gentler ones are bends, driven as they are."""
+    line_m: float = 0.05
+    """How far a robot's line through a bend is from the corridor's, 1 sigma."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,13 +73,14 @@ def build_topomap(
     pass_vertex: IntArray,
     pass_turn: FloatArray,
     noise: RunNoise,
+    errors: VertexErrors,
     closures: tuple[Closure, ...] = (),
     settings: MapBuildingSettings = MapBuildingSettings(),
 ) -> TopoMap:
     """The map of a run whose passes have been identified.
 
     xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_turn: (p,)
-    turn from the odometry's frame to the map's at each pass.
+    turn from the odometry's frame to the map's at each pass; errors: of the n vertices.
     """
     track = track_directions(odometry, visits.time_ns, visits.centre)
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
@@ -89,9 +99,9 @@ def build_topomap(
     )
     exit_ = _driven(branches, visits.vertex, leaving, settings)
     entry = _driven(branches, visits.vertex, arriving, settings)
-    legs = _legs(odometry, visits, exit_, entry, noise)
+    legs = _legs(odometry, visits, exit_, entry, xy=xy, settings=settings)
     edges = _edges(legs)
-    paths = _paths(odometry, visits, xy, legs, edges, settings=settings)
+    paths = _paths(legs, edges, settings)
     seen = np.flatnonzero(pass_vertex >= 0)
     return TopoMap(
         run=run,
@@ -104,7 +114,7 @@ def build_topomap(
         source_branch=edges.source_branch,
         target_branch=edges.target_branch,
         length=edges.length,
-        length_sigma=edges.sigma,
+        length_sigma=_length_sigma(edges, paths, xy, noise=noise, errors=errors, settings=settings),
         traversals=edges.traversals,
         paths=paths,
         observation_vertex=pass_vertex[seen],
@@ -175,42 +185,67 @@ def _kind(branches: FloatArray, settings: MapBuildingSettings) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Legs:
-    """Drives from a visit to the next: first visit, ends with their branches, length."""
+    """Drives from a visit to the next: ends with their branches, and the way from centre to centre.
 
-    visit: IntArray
+    length: (l,) of `path` [m]; path: l polylines from the first visit's vertex to the next one's.
+    """
+
     source: IntArray
     target: IntArray
     source_branch: IntArray
     target_branch: IntArray
     length: FloatArray
-    variance: FloatArray
+    path: list[FloatArray]
     turned: NDArray[np.bool_]
     """Driven from target to source."""
 
 
 def _legs(
-    odometry: Odometry, visits: Visits, exit_: IntArray, entry: IntArray, noise: RunNoise
+    odometry: Odometry,
+    visits: Visits,
+    exit_: IntArray,
+    entry: IntArray,
+    *,
+    xy: FloatArray,
+    settings: MapBuildingSettings,
 ) -> _Legs:
     """Legs within an unbroken track; turning back in a corridor makes no edge."""
-    way = way_at(odometry, visits.time_ns)
     first = np.arange(len(visits.time_ns) - 1)
     u, v = visits.vertex[:-1], visits.vertex[1:]
     a, b = exit_[:-1], entry[1:]
-    length = np.diff(way)
     loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
-    fine = (np.diff(visits.chain) == 0) & ~loop & (length > 0.05)
-    first, u, v, a, b, length = (x[fine] for x in (first, u, v, a, b, length))
-    variance = (
-        2 * noise.centre_m**2
-        + noise.along_m_per_sqrt_m**2 * length
-        + (noise.scale * length) ** 2
-        + 0.03**2
-    )
+    driven = np.diff(way_at(odometry, visits.time_ns)) > 0.05
+    fine = (np.diff(visits.chain) == 0) & ~loop & driven
+    first, u, v, a, b = (x[fine] for x in (first, u, v, a, b))
+    path = _between_centres(odometry, visits, xy, first, settings)
+    length = np.array([way_of(p)[-1] for p in path])
     # Each corridor in one direction: from the smaller (vertex, branch).
     swap = (u > v) | ((u == v) & (a > b))
     s, t = np.where(swap, v, u), np.where(swap, u, v)
     sb, tb = np.where(swap, b, a), np.where(swap, a, b)
-    return _Legs(first, s, t, sb, tb, length, variance, swap)
+    return _Legs(s, t, sb, tb, length, path, swap)
+
+
+def _between_centres(
+    odometry: Odometry,
+    visits: Visits,
+    xy: FloatArray,
+    first: IntArray,
+    settings: MapBuildingSettings,
+) -> list[FloatArray]:
+    """The way of each leg from the centre of one junction to that of the next, in the map's frame.
+
+    The robot passes beside a centre, and before it where it turns: what it drove there is no part
+    of the corridor. In between the track is drawn as both junctions see it.
+    """
+    track = draw_track(odometry, visits, xy, first, settings.path_step_m)
+    out = []
+    for k, visit in enumerate(first.tolist()):
+        drawn = track.xy[track.offsets[k] : track.offsets[k + 1]]
+        begin, end = xy[visits.vertex[visit : visit + 2]]
+        path = join_centres(drawn, begin, end, settings.junction_m)
+        out.append(with_corners(path, settings.corner_m, settings.corner_rad))
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,7 +255,6 @@ class _Edges:
     source_branch: IntArray
     target_branch: IntArray
     length: FloatArray
-    sigma: FloatArray
     traversals: IntArray
     leg: IntArray
     """The leg whose track is drawn: the one of median length."""
@@ -258,19 +292,17 @@ def _edges(legs: _Legs) -> _Edges:
         groups.setdefault(key, []).append(k)
     keys = sorted(groups)
     table = np.array(keys, np.int64).reshape(-1, 4)
-    length, sigma, leg = np.zeros(len(keys)), np.zeros(len(keys)), np.zeros(len(keys), np.int64)
+    length, leg = np.zeros(len(keys)), np.zeros(len(keys), np.int64)
     for e, key in enumerate(keys):
         member = np.array(groups[key])
         ordered = member[np.argsort(legs.length[member], kind="stable")]
         leg[e] = ordered[len(ordered) // 2]
         middle = legs.length[leg[e]]
         sound = member[np.abs(legs.length[member] - middle) < 1.0]
-        weight = 1.0 / legs.variance[sound]
-        length[e] = weight @ legs.length[sound] / weight.sum()
-        sigma[e] = weight.sum() ** -0.5
+        length[e] = legs.length[sound].mean()
     traversals = np.array([len(groups[key]) for key in keys], np.int64)
     s, t, sb, tb = table.T
-    return _Edges(s, t, sb, tb, length, sigma, traversals, leg)
+    return _Edges(s, t, sb, tb, length, traversals, leg)
 
 
 def _fitting(
@@ -341,25 +373,42 @@ def draw_track(
     return DrawnTrack(owner, offsets, s, share, odom, drawn, np.asarray(wrap(turn)))
 
 
-def _paths(
-    odometry: Odometry,
-    visits: Visits,
-    xy: FloatArray,
-    legs: _Legs,
+def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[FloatArray, ...]:
+    """The way of every edge, in the map frame, from vertex to vertex, thinned."""
+    chosen = ((legs.path[k], bool(legs.turned[k])) for k in edges.leg.tolist())
+    return tuple(
+        simplify(path[::-1] if turned else path, settings.path_tolerance_m)
+        for path, turned in chosen
+    )
+
+
+def _length_sigma(
     edges: _Edges,
+    paths: tuple[FloatArray, ...],
+    xy: FloatArray,
     *,
+    noise: RunNoise,
+    errors: VertexErrors,
     settings: MapBuildingSettings,
-) -> tuple[FloatArray, ...]:
-    """The drawn track of every edge, in the map frame, from vertex to vertex, thinned."""
-    first = legs.visit[edges.leg]
-    track = draw_track(odometry, visits, xy, first, settings.path_step_m)
-    begin_off = (xy[visits.vertex[first]] - track.xy[track.offsets[:-1]])[track.owner]
-    end_off = (xy[visits.vertex[first + 1]] - track.xy[track.offsets[1:] - 1])[track.owner]
-    w = track.share[:, None]
-    drawn = track.xy + (1 - w) * begin_off + w * end_off
-    turned = legs.turned[edges.leg]
-    paths = []
-    for e in range(len(first)):
-        path = drawn[track.offsets[e] : track.offsets[e + 1]]
-        paths.append(simplify(path[::-1] if turned[e] else path, settings.path_tolerance_m))
-    return tuple(paths)
+) -> FloatArray:
+    """(m,) 1 sigma [m] of the corridors' lengths.
+
+    A path bent onto its two ends gets longer by their error along the chord times the share of the
+    chord in it (the mean of its directions), to first order. The rest of a way that winds is
+    odometry's, and a line through a bend may lie farther in or out than the corridor's.
+    """
+    chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
+    straight = np.minimum(chord / edges.length, 1.0)
+    ends = errors.distance_sigma(xy, edges.source, edges.target)
+    odometry = noise.along_m_per_sqrt_m**2 * edges.length + (noise.scale * edges.length) ** 2
+    turns = np.array([_squared_turns(p) for p in paths])
+    line = settings.line_m**2 * turns
+    wound = ((1 - straight**2) * odometry + line) / np.maximum(edges.traversals, 1)
+    return np.asarray(np.sqrt((straight * ends) ** 2 + wound + 1e-6))
+
+
+def _squared_turns(path: FloatArray) -> float:
+    """Sum of the squared turns [rad²] of a polyline."""
+    step = np.diff(path, axis=0)
+    turn = wrap(np.diff(np.arctan2(step[:, 1], step[:, 0])))
+    return float(turn @ turn)

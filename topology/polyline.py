@@ -30,3 +30,69 @@ def simplify(path: FloatArray, tolerance: float) -> FloatArray:
             keep[middle] = True
             spans += [(a, middle), (middle, b)]
     return path[keep]
+
+
+def way_of(path: FloatArray) -> FloatArray:
+    """(k,) way from the first point of a polyline (k, 2) to each of its points [m]."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+
+
+def join_centres(
+    track: FloatArray, begin: FloatArray, end: FloatArray, junction_m: float
+) -> FloatArray:
+    """A track from one junction to the next as the corridor between their centres.
+
+    What the robot drives within `junction_m` of a centre (it passes beside it, cuts its corner,
+    turns round) is no part of the corridor, which is straight there. track: (k, 2); begin, end:
+    (2,). Returns (j, 2) from `begin` to `end`.
+    """
+    way = way_of(track)
+    reach = min(junction_m, way[-1] / 3)
+    half = way <= way[-1] / 2
+    near_begin = np.flatnonzero(half & (np.hypot(*(track - begin).T) < reach))
+    near_end = np.flatnonzero(~half & (np.hypot(*(track - end).T) < reach))
+    first = near_begin[-1] + 1 if len(near_begin) else 0
+    last = near_end[0] if len(near_end) else len(track)
+    return np.concatenate([begin[None], track[first:last], end[None]])
+
+
+def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArray:
+    """A driven path whose tight turns are made corners: where the lines before and after meet.
+
+    A turn is tight if all of it, `least_rad` or more, happens within `reach_m` to either side:
+    there a robot cuts the corner of a corridor, by some 0.1 m at a right angle.
+    """
+    way = way_of(path)
+    x, y = path.T
+
+    def at(s: FloatArray) -> FloatArray:
+        return np.column_stack([np.interp(s, way, x), np.interp(s, way, y)])
+
+    inner = way[(way > 1.5 * reach_m) & (way < way[-1] - 1.5 * reach_m)]
+    if len(inner) == 0:
+        return path
+    come, go = at(inner - reach_m), at(inner + reach_m)
+    into, out = come - at(inner - 2 * reach_m), at(inner + 2 * reach_m) - go
+    cross = into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0]
+    turn = np.abs(np.arctan2(cross, (into * out).sum(axis=1)))
+    kept, corners = np.ones(len(path), bool), []
+    while True:
+        i = int(turn.argmax())
+        if turn[i] < least_rad:
+            break
+        gap = go[i] - come[i]
+        along = (gap[0] * out[i, 1] - gap[1] * out[i, 0]) / cross[i] if cross[i] else -1.0
+        corner = come[i] + along * into[i]
+        if (
+            along > 0
+            and (go[i] - corner) @ out[i] > 0
+            and np.hypot(*(corner - go[i])) < 2 * reach_m
+        ):
+            kept &= np.abs(way - inner[i]) >= reach_m
+            corners.append((float(inner[i]), corner))
+        turn[np.abs(inner - inner[i]) < 2 * reach_m] = 0.0
+    if not corners:
+        return path
+    where = np.concatenate([way[kept], [s for s, _ in corners]])
+    points = np.concatenate([path[kept], [c for _, c in corners]])
+    return np.asarray(points[np.argsort(where, kind="stable")])

@@ -54,6 +54,29 @@ def test_maps_of_other_worlds_are_consistent(world):
     assert len(set(real.tolist())) == len(real)
 
 
+@pytest.mark.parametrize("world", ["maze", "organic", "city"])
+def test_corridors_are_as_long_as_those_of_the_world(world):
+    """A centre is seen to 0.04 m, so a length to 0.05 m; what a robot drives misses by 0.15 m."""
+    scenario = simulate_scenario(
+        ScenarioSettings(world, runs=1, junctions_per_run=25, drift="none", faults="none", seed=2)
+    )
+    ((name, run),) = scenario.runs.items()
+    topomap, truth = build_map(run), scenario.truth
+    there = truth.worlds[truth.runs[name].world]
+    label = true_vertex_of_nodes(truth, topomap)
+    ends = [
+        tuple(sorted(p)) for p in zip(there.source.tolist(), there.target.tolist(), strict=True)
+    ]
+    mine = np.sort(label[np.column_stack([topomap.source, topomap.target])], axis=1)
+    known = [k for k, pair in enumerate(mine.tolist()) if ends.count(tuple(pair)) == 1]
+    true = there.length[[ends.index(tuple(mine[k].tolist())) for k in known]]
+    off = topomap.length[known] - true
+    assert len(known) >= 20
+    assert np.sqrt(np.mean(off**2)) < 0.06
+    assert np.mean(np.abs(off) < topomap.length_sigma[known]) > 0.5
+    assert np.mean(np.abs(off) < 3 * topomap.length_sigma[known]) > 0.95
+
+
 def test_the_map_is_that_of_the_world(scenario, run, topomap):
     label = true_vertex_of_nodes(scenario.truth, topomap)
     assert MIXED not in label

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from topobatch.topology.circular import cluster_angles
 from topobatch.topology.mapbuilding import Visits, build_topomap
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
-from topobatch.topology.polyline import simplify
+from topobatch.topology.polyline import join_centres, simplify, way_of, with_corners
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import RunNoise
 from topobatch.topology.track import track_directions, way_at
+from topobatch.topology.vertex_errors import VertexErrors
 
 STEP_M = 0.1
 STEP_NS = 100_000_000
@@ -52,7 +54,7 @@ def seen(odometry, rows, branches):
     )
 
 
-def build(odometry, passes, vertex):
+def build(odometry, passes, vertex, errors=None):
     vertex = np.asarray(vertex)
     n = vertex.max() + 1
     first = [int(np.flatnonzero(vertex == k)[0]) for k in range(n)]
@@ -75,6 +77,7 @@ def build(odometry, passes, vertex):
         pass_vertex=vertex,
         pass_turn=np.zeros(len(passes)),
         noise=RunNoise(),
+        errors=VertexErrors.none(n) if errors is None else errors,
     )
 
 
@@ -179,3 +182,35 @@ def test_the_track_tells_where_the_robot_came_from():
     assert np.cos(told.arriving[1] - WEST) > 0.99
     assert told.leaving[1] == pytest.approx(NORTH)
     assert way_at(odometry, odometry.time_ns[rows]) == pytest.approx([0, 8, 14])
+
+
+def test_a_corridor_is_as_long_as_from_centre_to_centre():
+    """The robot stops short of one centre, overshoots the other and passes beside both."""
+    odometry, rows = track((0.3, 0.2), (0.7, 0), (6, 0), (8.3, 0), (8.3, 0.2))
+    passes = seen(odometry, rows[[0, 4]], [[EAST], [WEST]])
+    centres = np.array([[0.0, 0.0], [8.0, 0.0]])
+    errors = np.zeros((2, 3, 4))
+    errors[1, 0] = [0.1, -0.1, 0.1, -0.1]
+    errors[1, 1] = 5.0  # across the corridor: no error of its length
+    m = build(odometry, replace(passes, centre=centres), [0, 1], VertexErrors(errors))
+    assert m.length[0] == pytest.approx(8.0, abs=0.01)
+    assert m.length_sigma[0] == pytest.approx(0.1, rel=0.02)
+    np.testing.assert_allclose(m.paths[0], centres, atol=1e-9)
+
+
+def test_a_corner_that_was_cut_is_a_corner():
+    angle = np.linspace(-np.pi / 2, 0, 20)[:, None]
+    arc = np.array([4.6, 0.4]) + 0.4 * np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    driven = np.concatenate([[[0, 0], [2, 0]], arc, [[5, 3], [5, 6]]])
+    path = with_corners(driven, 0.5, 0.5)
+    assert way_of(driven)[-1] == pytest.approx(10.83, abs=0.01)
+    assert way_of(path)[-1] == pytest.approx(11.0, abs=0.01)
+    assert np.hypot(*(path - [5, 0]).T).min() < 0.02
+    wide = 4 * np.column_stack([np.cos(np.linspace(0, 3, 99)), np.sin(np.linspace(0, 3, 99))])
+    assert with_corners(wide, 0.5, 0.5) is wide
+
+
+def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
+    past = np.array([[0, 0.1], [-0.3, 0.2], [0.2, 0.1], [1, 0], [4, 0], [5.4, 0], [5.0, 0.3]])
+    path = join_centres(past, np.zeros(2), np.array([5.0, 0.0]), 0.7)
+    np.testing.assert_allclose(path, [[0, 0], [1, 0], [4, 0], [5, 0]])

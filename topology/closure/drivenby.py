@@ -47,12 +47,14 @@ class DrivenBySettings:
 class Settled:
     """The places that stay, and every visit to them.
 
-    place: (p,) of each pass, negative for phantoms; xy: (n, 2); visits: seen and unseen.
+    place: (p,) of each pass, negative for phantoms; xy: (n, 2); visits: seen and unseen; kept: (n,)
+    number that each had before.
     """
 
     place: IntArray
     xy: FloatArray
     visits: Visits
+    kept: IntArray
 
 
 def settle(
@@ -76,7 +78,8 @@ def settle(
     places = tabulate(walk, place, layout.pose[:, 2], gap)
     visits = visits_of(walk, place, layout)
     found = driven_by(odometry, visits, xy, places, settings)
-    return Settled(place, xy, with_driven_by(visits, found, _time_of(odometry, found.way), xy))
+    visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
+    return Settled(place, xy, visits, np.flatnonzero(keep))
 
 
 def _time_of(odometry: Odometry, way: FloatArray) -> IntArray:

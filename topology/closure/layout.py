@@ -55,7 +55,7 @@ class Layout:
     xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: a vertex of its own
     if it has several passes, else its pass. sighting: (k,) pass of each sighting edge;
     sighting_chi2: (k,) its squared error in sigmas. misfit: mean squared error in sigmas per
-    degree of freedom, 1 if the noise of the walk is right.
+    degree of freedom, 1 if the noise of the walk is right; freedom: how many degrees tell it.
     """
 
     pose: FloatArray
@@ -64,6 +64,7 @@ class Layout:
     sighting: IntArray
     sighting_chi2: FloatArray
     misfit: float
+    freedom: int
     graph: PoseGraph
     solution: Solution
 
@@ -125,13 +126,15 @@ def lay_out(
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
     )
     graph, solution, chi2 = _solved(graph, len(legs.row), settings)
+    freedom = 3 * (len(shared.row) - len(several))
     return Layout(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
         node=node,
         sighting=shared.row,
         sighting_chi2=solution.edge_chi2[len(legs.row) :],
-        misfit=_misfit(chi2, 3 * (len(shared.row) - len(several))),
+        misfit=_misfit(chi2, freedom),
+        freedom=freedom,
         graph=graph,
         solution=solution,
     )

@@ -88,12 +88,13 @@ class RoundSettings:
 class Closed:
     """place: (p,) of each pass, numbered by first visit; layout: of these places; asked: evidence
     for every identification made, and for those refused that had some; walk: the one given, its
-    noise raised if the layout asked for it."""
+    noise raised by `caution`, and as the layout asked for; grid: the headings that held it."""
 
     walk: Walk
     place: IntArray
     layout: Layout
     asked: list[Identification]
+    grid: GridHeadings | None
 
 
 def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
@@ -178,7 +179,7 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
             links = [q for q in links if q not in bad]
             place = _partition(len(walk), links)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
-    return Closed(walk, place, layout, links + _left(place, doubts))
+    return Closed(walk, place, layout, links + _left(place, doubts), grid)
 
 
 def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) -> Scene:
