@@ -13,7 +13,7 @@ from .growth import Match, grow_all
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import RobustSettings
-from .support import support
+from .support import Support, support
 
 SAME_PLACE_M = 3.0
 SAME_TURN_RAD = 0.35
@@ -31,21 +31,27 @@ class Candidate:
     """A way to lay b over a.
 
     transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a of each as
-    unit numbers; corridors: (c, 2) rows of the corridors that agree; bits: log2 odds against
-    chance, corrected for the hypotheses tested.
+    unit numbers; support, conflicts: what speaks for it and what against; tested_bits: log2 of the
+    hypotheses tested; bits: log2 odds against chance, the first less the other two.
     """
 
     transform: FloatArray
     a: IntArray
     b: IntArray
     turn: ComplexArray
-    corridors: IntArray
+    support: Support
     conflicts: Conflicts
+    tested_bits: float
     bits: float
     rmse_m: float
 
     def __len__(self) -> int:
         return len(self.a)
+
+    @property
+    def corridors(self) -> IntArray:
+        """(c, 2) directed rows of the corridors that agree."""
+        return self.support.corridors
 
     def move(self, z: complex) -> complex:
         """Where a point x + iy of b lands in a."""
@@ -104,8 +110,9 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
         a=grown.a,
         b=grown.b,
         turn=grown.turn[grown.b],
-        corridors=agree.corridors,
+        support=agree,
         conflicts=against,
+        tested_bits=tested_bits,
         bits=float(bits - against.bits),
         rmse_m=rmse,
     )
