@@ -242,6 +242,60 @@ def _by_run(members: tuple[tuple[str, int], ...]) -> dict[str, list[int]]:
     return out
 
 
+def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
+    """What a document says about a pair, as the value it was written from: rounded, and without
+    the alignments of unrelated pairs."""
+    more: dict[str, Any] = entry.model_extra or {}
+    best = None
+    if entry.transform is not None:
+        best = _alignment_from(more, entry.transform, entry.evidence_bits, entry.matched or [])
+    second = entry.runner_up
+    runner_up = None
+    if second is not None:
+        of_second: dict[str, Any] = second.model_extra or {}
+        runner_up = _alignment_from(
+            of_second, second.transform, second.evidence_bits, second.matched
+        )
+    placed = entry.placed
+    return PairVerdict(
+        a=entry.a,
+        b=entry.b,
+        verdict=entry.verdict,
+        accepted=entry.accepted,
+        evidence_bits=entry.evidence_bits,
+        reason=entry.reason,
+        best=best,
+        runner_up=runner_up,
+        margin_bits=entry.margin_bits,
+        advice=more.get("advice"),
+        locked=more.get("locked"),
+        threshold_bits=entry.threshold_bits,
+        accepted_by=entry.accepted_by,
+        through=tuple(entry.through or ()),
+        placed=None if placed is None else (placed.sigma_m, placed.sigma_rad),
+        together=_sides(entry.together),
+    )
+
+
+def _sides(
+    together: tuple[list[str], list[str]] | None,
+) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    return None if together is None else (tuple(together[0]), tuple(together[1]))
+
+
+def _alignment_from(
+    more: dict[str, Any], transform: Pose, bits: float, matched: list[tuple[int, int]]
+) -> Alignment:
+    return Alignment(
+        transform=np.array([transform.x, transform.y, transform.theta]),
+        evidence_bits=bits,
+        matched=np.array(matched, np.int64),
+        rmse_m=float(more.get("rmse_m", 0.0)),
+        corridors=int(more.get("corridors", 0)),
+        contradictions=tuple(map(str, more.get("contradictions", ()))),
+    )
+
+
 def read_merged(path: Path) -> MergedDocument:
     """A checked `merged.json`; DocumentError if it cannot be read or is no such document."""
     return validated(MergedDocument, read_json(path), str(path))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...topology.se2 import wrap
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
-from .growth import Match, grow_all
+from .growth import Match, grow_all, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import RobustSettings
@@ -92,6 +92,19 @@ def best_of(
         if not any(same_placement(candidate, other, b) for other in kept):
             kept.append(candidate)
     return tuple(kept)
+
+
+def best_seed(
+    a: Prepared, b: Prepared, settings: RobustSettings
+) -> tuple[Seed, Candidate, int] | None:
+    """The strongest hypothesis of two maps as it is before growth: itself, what speaks for it and
+    against it, and of how many it is the best; None where no two corridors are alike."""
+    links = candidate_links(a, b)
+    found = seeds(a, b, links, settings.hypotheses)
+    if not found:
+        return None
+    tested_bits = float(np.log2(len(links) + 1.0))
+    return found[0], _judge(a, b, ungrown(a, b, found[0]), tested_bits), len(found)
 
 
 def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candidate:

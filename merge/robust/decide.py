@@ -54,7 +54,7 @@ def decide(
     prepared = [prepare(m) for m in maps]
     runs = [m.run for m in maps]
     locked = _locked_pairs(runs, prepared, locks)
-    level = _levels(prepared, settings)
+    level = bars(prepared, settings)
     candidates = match_all(prepared, settings, on_pair, executor)
     levels = {pair: level(pair, len(candidates)) for pair in candidates}
     opinions = {
@@ -97,6 +97,14 @@ class Assessment:
     level: Bar
     view: Opinion
 
+    def alone(self) -> PairVerdict:
+        """The verdict on the pair, were there no locks and no other runs to say more."""
+        return _by_evidence(self.a, self.b, _Case(self.view), _says(self.view))
+
+    def alignment(self, chosen: Candidate, bits: float) -> Alignment:
+        """A candidate as an alignment of so much evidence."""
+        return _alignment(chosen, self.a, self.b, bits)
+
 
 def assess(
     maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, pairs: int
@@ -105,7 +113,7 @@ def assess(
     batch, sorted by run, `pair` two of their indices, i < j."""
     prepared = [prepare(m) for m in maps]
     i, j = pair
-    level = _levels(prepared, settings)(pair, pairs)
+    level = bars(prepared, settings)(pair, pairs)
     found = match(prepared[i], prepared[j], settings)
     view = opinion(prepared[i], prepared[j], found, level)
     view = doubt_mirrored({pair: view}, maps, prepared, settings)[pair]
@@ -117,12 +125,12 @@ class _Case:
     """All that was said about one pair: by itself, by a person, by the other runs."""
 
     view: Opinion
-    forced: Candidate | None
-    lock: Lock | None
-    refused: Refusal | None
-    reunion: Reunion | None
-    seconded: Candidate | None
-    together: bool
+    forced: Candidate | None = None
+    lock: Lock | None = None
+    refused: Refusal | None = None
+    reunion: Reunion | None = None
+    seconded: Candidate | None = None
+    together: bool = False
 
 
 def _locked_pairs(
@@ -145,7 +153,7 @@ def _locked_pairs(
     return out
 
 
-def _levels(prepared: Sequence[Prepared], settings: RobustSettings) -> Callable[[Pair, int], Bar]:
+def bars(prepared: Sequence[Prepared], settings: RobustSettings) -> Callable[[Pair, int], Bar]:
     """What each pair must reach in a batch of so many pairs."""
     copies, repetition = _repetition(prepared, settings)
 

@@ -131,6 +131,21 @@ class Rematcher:
         return sorted(pairs)
 
 
+def view_of_components(
+    maps: Sequence[TopoMap],
+    sides: tuple[Runs, Runs],
+    accepted: Mapping[Pair, Alignment],
+    level: Bar,
+    settings: RobustSettings,
+) -> tuple[_Fused, _Fused, Opinion]:
+    """What the merged maps of two components say of each other. sides: the runs of each, sorted;
+    accepted: the alignments by which each was joined."""
+    cache: dict[Runs, _Fused] = {}
+    one, two = (_fused(runs, maps, accepted, cache) for runs in sides)
+    candidates = match(one.prepared, two.prepared, settings)
+    return one, two, opinion(one.prepared, two.prepared, candidates, level)
+
+
 def _fused(
     runs: Runs,
     maps: Sequence[TopoMap],
