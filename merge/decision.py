@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import floor
 from typing import Any, Literal
 
 from ..topology.document import rounded
@@ -33,8 +34,8 @@ AGAINST: tuple[TermKind, ...] = ("unseen", "crossing")
 class Term:
     """A part of the evidence, in bits: what speaks for the placement is positive.
 
-    told: in words; a, b: the junctions of the two maps that it speaks of, as far as these runs have
-    them; size_m: for a link its length in a and in b [m].
+    told: in words; a, b: the junctions of the two maps that it speaks of, a corridor as its two
+    ends, as far as these runs have them; size_m: for a link its length in a and in b [m].
     """
 
     kind: TermKind
@@ -107,16 +108,20 @@ class Decision:
     notes: tuple[str, ...] = ()
 
 
-def rounded_terms(bits: Sequence[float], digits: int) -> list[float]:
-    """The parts rounded so that they add up to the rounded sum: each is the difference of two
-    rounded running sums, so none is off by more than one unit of the last digit."""
-    out, total, shown = [], 0.0, 0.0
-    for part in bits:
-        total += part
-        now = round(total, digits)
-        out.append(round(now - shown, digits) + 0.0)
-        shown = now
-    return out
+def rounded_terms(bits: Sequence[float], digits: int, total: float | None = None) -> list[float]:
+    """The parts rounded so that they add up to their rounded sum, or to a total rounded before: all
+    down, and then those of the largest remainders up. Their order stays."""
+    if not bits:
+        return []
+    unit = 10.0**digits
+    exact = [part * unit for part in bits]
+    whole = [floor(part) for part in exact]
+    up = round(sum(exact) if total is None else total * unit) - sum(whole)
+    largest = sorted(range(len(exact)), key=lambda k: whole[k] - exact[k])
+    step = 1 if up > 0 else -1
+    for k in range(abs(up)):
+        whole[largest[k % len(largest)]] += step
+    return [part / unit + 0.0 for part in whole]
 
 
 def to_document(decision: Decision) -> dict[str, Any]:

@@ -46,6 +46,10 @@ class MergedGraph(Model):
     """Attributes of the whole merge."""
 
     components: list[ComponentEntry]
+    method: str | None = None
+    settings: dict[str, int | float] | None = Field(
+        None, description="What the robust method was tuned to; false_merge_rate and others."
+    )
 
 
 class MergedNode(Model):

@@ -6,7 +6,7 @@ pairs of the merge: what other runs and people said is taken from its document.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 
@@ -22,11 +22,11 @@ from .conflicts import CONFLICT_BITS
 from .decide import Assessment, assess, bars
 from .forced import forced_alignment
 from .growth import FEWEST, LEAST_SHARE, given_up
-from .prepare import Prepared, prepare
+from .prepare import FloatArray, IntArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import JUNCTION_BITS, Answers, Bar, counted_bits
-from .wording import contradictions
+from .wording import told_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -207,12 +207,12 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
     terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if few < 0:
-        told = f"{len(c)} junctions carry no more than {JUNCTION_BITS} bits each"
+        told = f"junctions carry no more than {JUNCTION_BITS} bits each"
         terms.append(naming.term("few", few, told))
-    if copies < 0:
-        terms.append(
-            naming.term("copies", copies, "a copy of the place would look as much like it")
-        )
+    if answers.same_place is not None:
+        bits, need = told_bits(answers.same_place, answers.need_same).split(", ")
+        told = f"is it a copy? {bits} that it is not, {need}"
+        terms.append(naming.term("copies", copies, told))
     return tuple(terms)
 
 
@@ -230,12 +230,12 @@ def _links(naming: _Naming, c: Candidate) -> list[Term]:
         if along >= 0:
             row_a, row_b = agree.corridors[along].tolist()
             size = (float(a.length[row_a]), float(b.length[row_b]))
-            told = "corridor" if bits > 0 else "corridor of another length"
+            told = "corridor" if bits > 0 else "another length"
             out.append(naming.term("corridor", bits, told, one=va, two=vb, size_m=size))
         else:
             gap_a, gap_b = a.z[va[1]] - a.z[va[0]], b.z[vb[1]] - b.z[vb[0]]
             size = (float(abs(gap_a)), float(abs(gap_b)))
-            told = "where one lies from the other"
+            told = "distance"
             out.append(naming.term("position", bits, told, one=va, two=vb, size_m=size))
     return out
 
@@ -250,18 +250,25 @@ def _branches(naming: _Naming, c: Candidate) -> list[Term]:
 
 
 def _against(naming: _Naming, c: Candidate) -> list[Term]:
-    found = c.conflicts
-    told = contradictions(c, naming.one, naming.two)
-    unseen_b, unseen_a = found.extra_b.tolist(), found.extra_a.tolist()
-    parts: list[tuple[TermKind, float, list[int], list[int]]] = [
-        *(("unseen", bits, [], [v]) for v, bits in zip(unseen_b, found.extra_b_bits, strict=True)),
-        *(("unseen", bits, [v], []) for v, bits in zip(unseen_a, found.extra_a_bits, strict=True)),
-        *(("crossing", CONFLICT_BITS, [], []) for _ in found.crossing),
-    ]
-    return [
-        naming.term(kind, -float(bits), sentence, one=va, two=vb)
-        for (kind, bits, va, vb), sentence in zip(parts, told, strict=True)
-    ]
+    a, b, found = naming.one, naming.two, c.conflicts
+    unseen = "junction unseen in a corridor"
+    out = []
+    for v, row, bits in _rows(found.extra_b, found.extra_b_in, found.extra_b_bits):
+        out.append(naming.term("unseen", -bits, unseen, one=_ends(a, row), two=[v]))
+    for v, row, bits in _rows(found.extra_a, found.extra_a_in, found.extra_a_bits):
+        out.append(naming.term("unseen", -bits, unseen, one=[v], two=_ends(b, row)))
+    for row_a, row_b in found.crossing.tolist():
+        told, ends = "corridors that only cross", (_ends(a, row_a), _ends(b, row_b))
+        out.append(naming.term("crossing", -CONFLICT_BITS, told, one=ends[0], two=ends[1]))
+    return out
+
+
+def _rows(vertex: IntArray, row: IntArray, bits: FloatArray) -> Iterator[tuple[int, int, float]]:
+    return zip(vertex.tolist(), row.tolist(), bits.tolist(), strict=True)
+
+
+def _ends(m: Prepared, row: int) -> list[int]:
+    return [int(m.tail[row]), int(m.head[row])]
 
 
 def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requirement:

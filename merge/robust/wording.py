@@ -12,9 +12,14 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
+def decimals(bits: float, need_bits: float) -> int:
+    """How many decimals show which of two numbers is the greater one."""
+    return next((d for d in (1, 2, 3) if round(bits, d) != round(need_bits, d)), 4)
+
+
 def told_bits(bits: float, need_bits: float) -> str:
     """ "4.1 bits, 12.6 needed": with so many decimals that what falls short is seen to do so."""
-    digits = next((d for d in (1, 2, 3) if round(bits, d) != round(need_bits, d)), 4)
+    digits = decimals(bits, need_bits)
     return f"{bits:.{digits}f} bits, {need_bits:.{digits}f} needed"
 
 
