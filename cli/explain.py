@@ -1,57 +1,167 @@
-"""`topobatch explain`: what matching found between two maps, and why the verdict is what it is."""
+"""`topobatch explain`: why the verdict on two runs is what it is."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..topology.errors import UsageError
+from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
-from .workspace import Workspace
+from .output import count, warn
+from .workspace import Workspace, shortened
 
 if TYPE_CHECKING:
-    from ..merge.document import MergeEntry
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from ..merge.decision import Decision
+    from ..merge.document import MergedDocument, MergeEntry
+    from ..topology.topomap import TopoMap
 
 
 def explain(
     a: Annotated[str, typer.Argument(help="A run.")],
     b: Annotated[str, typer.Argument(help="Another run.")],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    method: Annotated[
+        Literal["robust", "paper"],
+        typer.Option(
+            help="robust: the verdict, its evidence and threshold; "
+            "paper: the tables and clusters of Huang & Beevers."
+        ),
+    ] = "robust",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     rows: Annotated[
-        int, typer.Option(min=1, help="Rows of a table, and clusters, to print at most.")
-    ] = 20,
+        int | None,
+        typer.Option(
+            min=1,
+            help="Links, or rows of a table and clusters, to print at most. Default: what fits a "
+            "screen; 20 of the paper's.",
+        ),
+    ] = None,
 ) -> None:
-    """Show how two maps match: hypotheses, clusters, verdict.
+    """Explain why two runs were merged, or not.
 
-    The figures of Huang & Beevers for any two maps: the table of vertex pairs with the hypotheses
-    they belong to (Fig. 1), the clusters in transform space with their sizes and errors (Fig. 2);
-    and what the last merge said about the pair. The same as a recording in explain/A+B.rrd.
+    The verdict; the placement with the matched junctions; the evidence for and against it, link by
+    link, in bits; the threshold and what it is made of; the next best placement and its distance.
+    With --method paper the figures of Huang & Beevers instead: the table of vertex pairs with the
+    hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). The same as a
+    recording in explain/A+B.rrd.
     """
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
+    place = Workspace(workspace)
+    first, second = place.chosen_runs([a, b], False)
+    show = _by_paper if method == "paper" else _by_evidence
+    show(place, (first, second), as_json, rows)
+
+
+def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
+    """Explain the decision of the robust method."""
+    from ..merge.decision import to_document
+    from ..merge.decision_text import lines
+    from ..viz import write_decision_recording
+
+    maps = {run: place.read_map(run) for run in pair}
+    decision = _decision(place, pair, maps)
+    if as_json:
+        typer.echo(json.dumps(to_document(decision)))
+    else:
+        for line in lines(decision, rows):
+            typer.echo(line)
+    recording = place.explain_rrd(*pair)
+    _record(
+        recording,
+        lambda: write_decision_recording(recording, maps[pair[0]], maps[pair[1]], decision),
+        as_json,
+    )
+
+
+def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -> Decision:
+    """The decision on a pair, with the settings and the runs of the merge that had both."""
+    from dataclasses import replace
+
+    from ..merge.document import read_merged, verdict_from_entry
+    from ..merge.robust.explained import Batch, explain
+    from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
+
+    document = read_merged(place.merged_json) if place.merged_json.exists() else None
+    why_not = _not_merged(document, pair)
+    said, settings, runs = {}, DEFAULT_ROBUST, place.runs()
+    if document is not None and not why_not:
+        said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
+        runs = sorted({run for both in said for run in both})
+        try:
+            settings = settings_from_document(document.graph.settings or {})
+        except ValueError as error:
+            raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
+    gone = _read_others(place, runs, maps)
+    notes = []
+    if why_not:
+        notes.append(f"{why_not}; this is what a merge of {count(len(maps), 'map')} would say")
+    elif gone:
+        notes.append(
+            f"the {count(len(gone), 'map')} of {shortened(gone, 3)} cannot be read: how much the "
+            "buildings repeat themselves is told without"
+        )
+    batch = Batch([maps[run] for run in sorted(maps)], said, settings, place.locks())
+    decision = explain(batch, *pair)
+    return replace(decision, notes=(*notes, *decision.notes))
+
+
+def _not_merged(document: MergedDocument | None, pair: tuple[str, str]) -> str:
+    """Why the workspace's merge has nothing to say of a pair, "" if it has."""
+    if document is None:
+        return "not merged yet (topobatch merge --all)"
+    if document.graph.method == "paper":
+        return "merged by --method paper (see topobatch explain --method paper)"
+    if pair not in {(entry.a, entry.b) for entry in document.merges}:
+        return "the last merge did not have both runs"
+    return ""
+
+
+def _read_others(place: Workspace, runs: list[str], maps: dict[str, TopoMap]) -> list[str]:
+    """Read the maps of these runs into `maps`; the names of those that cannot be read."""
+    gone = []
+    for run in runs:
+        if run in maps:
+            continue
+        try:
+            maps[run] = place.read_map(run)
+        except (DocumentError, FileNotFoundError):
+            gone.append(run)
+    return gone
+
+
+def _record(recording: Path, write: Callable[[], None], quiet: bool) -> None:
+    """Write a recording; a workspace that cannot be written is no reason not to answer."""
+    try:
+        write()
+    except OSError as error:
+        warn(f"{recording}: not written: {error.strerror or error}")
+        return
+    if not quiet:
+        typer.echo(f"recording: {recording}")
+
+
+def _by_paper(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
+    """Show what the paper's method finds."""
     from ..merge.explain import explain as explained
     from ..merge.explain import lines, to_document
     from ..viz import write_explain_recording
 
-    place = Workspace(workspace)
-    first, second = place.chosen_runs([a, b], False)
-    map_a, map_b = (place.read_map(run) for run in (first, second))
+    map_a, map_b = (place.read_map(run) for run in pair)
     found = explained(map_a, map_b)
-    recording = place.explain_rrd(first, second)
-    write_explain_recording(recording, map_a, map_b, found)
-    said = _said(place, first, second)
+    said = _said(place, *pair)
     if as_json:
         typer.echo(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
-        return
-    for line in lines(found, rows):
-        typer.echo(line)
-    typer.echo()
-    for line in _verdict_lines(said):
-        typer.echo(line)
-    typer.echo(f"recording: {recording}")
+    else:
+        for line in [*lines(found, rows or 20), "", *_verdict_lines(said)]:
+            typer.echo(line)
+    recording = place.explain_rrd(*pair, method="paper")
+    _record(recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json)
 
 
 def _said(place: Workspace, a: str, b: str) -> MergeEntry | None:
@@ -65,6 +175,9 @@ def _said(place: Workspace, a: str, b: str) -> MergeEntry | None:
 
 
 def _verdict_lines(said: MergeEntry | None) -> list[str]:
+    """The verdict of the last merge, whatever its method."""
+    from math import degrees
+
     if said is None:
         return ["verdict: not merged yet; topobatch merge --all"]
     lines = [f"verdict: {said.verdict}, {said.evidence_bits:.1f} bits: {said.reason}"]
@@ -74,8 +187,8 @@ def _verdict_lines(said: MergeEntry | None) -> list[str]:
         at = said.runner_up.transform
         lines.append(
             f"  next best: {said.runner_up.evidence_bits:.1f} bits, "
-            f"{len(said.runner_up.matched)} junctions, at ({at.x:.2f}, {at.y:.2f}) m, "
-            f"{at.theta:.3f} rad"
+            f"{count(len(said.runner_up.matched), 'junction')}, at ({at.x:.2f}, {at.y:.2f}) m, "
+            f"turned by {degrees(at.theta):.1f}°"
         )
     if more.get("advice"):
         lines.append(f"  to settle it: {more['advice']}")

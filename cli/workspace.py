@@ -54,14 +54,15 @@ class Workspace:
         """The recording of a run."""
         return self.maps / f"{run}.rrd"
 
-    def explain_rrd(self, a: str, b: str) -> Path:
+    def explain_rrd(self, a: str, b: str, *, method: str = "robust") -> Path:
         """The recording of how two maps match. Names too long for a file together are cut."""
+        kind = "" if method == "robust" else f".{method}"
         name = f"{a}+{b}"
         if len(name.encode()) > NAME_BYTES:
             digest = hashlib.sha256(name.encode()).hexdigest()[:12]
             short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
             name = "+".join((*short, digest))
-        return self.root / "explain" / f"{name}.rrd"
+        return self.root / "explain" / f"{name}{kind}.rrd"
 
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""

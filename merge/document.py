@@ -22,7 +22,7 @@ from ..topology.document import (
     validated,
     write_json,
 )
-from .result import Alignment, MergeResult, PairVerdict, Verdict
+from .result import AcceptedBy, Alignment, MergeResult, PairVerdict, Verdict
 
 MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
 
@@ -46,6 +46,10 @@ class MergedGraph(Model):
     """Attributes of the whole merge."""
 
     components: list[ComponentEntry]
+    method: str | None = None
+    settings: dict[str, int | float] | None = Field(
+        None, description="What the robust method was tuned to; false_merge_rate and others."
+    )
 
 
 class MergedNode(Model):
@@ -66,11 +70,19 @@ class MergedEdge(MapEdge):
     members: dict[str, list[Index]]
 
 
+_EVIDENCE = (
+    "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "
+    "speaks for the alignment less what speaks against it, less what chance offers among so many "
+    "hypotheses, at most 2.5 bits for each matched junction; where the building may repeat itself, "
+    "no more than the odds against a copy of the place allow."
+)
+
+
 class RunnerUp(Model):
     """The next best alignment and its evidence."""
 
     transform: Pose
-    evidence_bits: Finite
+    evidence_bits: Finite = Field(description=_EVIDENCE)
     matched: list[tuple[Index, Index]]
 
 
@@ -88,8 +100,33 @@ class MergeEntry(Model):
     b: str
     verdict: Verdict
     accepted: bool
-    evidence_bits: Finite
+    evidence_bits: Finite = Field(
+        description=f"{_EVIDENCE} Of the alignment in this entry, else of the best one that was "
+        "found; 0 where none was. Of pairs accepted by components: that of the two components."
+    )
+    threshold_bits: Finite | None = Field(
+        None,
+        description="The evidence that merging needs: log2(pairs of runs / false-merge rate).",
+    )
+    margin_bits: Finite | None = Field(
+        None,
+        description="evidence_bits less those of the runner-up; absent where there is none. "
+        "Negative where a person or other runs chose against the pair's own evidence.",
+    )
     reason: str
+    accepted_by: AcceptedBy | None = Field(
+        None,
+        description="pair: its own evidence; components: that of the two components it joins; "
+        "runs: others place the two as one of their own alignments does; lock: a person.",
+    )
+    together: tuple[list[str], list[str]] | None = Field(
+        None, description="accepted_by components: the runs of the two."
+    )
+    through: list[str] | None = Field(
+        None,
+        description="Of two runs that only others join: the runs between them in the shortest "
+        "chain of accepted pairs.",
+    )
     transform: Pose | None = None
     matched: list[tuple[Index, Index]] | None = None
     runner_up: RunnerUp | None = None
@@ -136,6 +173,14 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
         "evidence_bits": rounded(pair.evidence_bits, 2),
         "reason": pair.reason,
     }
+    if pair.threshold_bits is not None:
+        entry["threshold_bits"] = rounded(pair.threshold_bits, 2)
+    if pair.accepted_by is not None:
+        entry["accepted_by"] = pair.accepted_by
+    if pair.together is not None:
+        entry["together"] = [list(runs) for runs in pair.together]
+    if pair.through:
+        entry["through"] = list(pair.through)
     if pair.placed is not None:
         entry["placed"] = {"sigma_m": rounded(pair.placed[0]), "sigma_rad": rounded(pair.placed[1])}
     if pair.locked is not None:
@@ -199,6 +244,60 @@ def _by_run(members: tuple[tuple[str, int], ...]) -> dict[str, list[int]]:
     for run, index in sorted(members):
         out.setdefault(run, []).append(index)
     return out
+
+
+def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
+    """What a document says about a pair, as the value it was written from: rounded, and without
+    the alignments of unrelated pairs."""
+    more: dict[str, Any] = entry.model_extra or {}
+    best = None
+    if entry.transform is not None:
+        best = _alignment_from(more, entry.transform, entry.evidence_bits, entry.matched or [])
+    second = entry.runner_up
+    runner_up = None
+    if second is not None:
+        of_second: dict[str, Any] = second.model_extra or {}
+        runner_up = _alignment_from(
+            of_second, second.transform, second.evidence_bits, second.matched
+        )
+    placed = entry.placed
+    return PairVerdict(
+        a=entry.a,
+        b=entry.b,
+        verdict=entry.verdict,
+        accepted=entry.accepted,
+        evidence_bits=entry.evidence_bits,
+        reason=entry.reason,
+        best=best,
+        runner_up=runner_up,
+        margin_bits=entry.margin_bits,
+        advice=more.get("advice"),
+        locked=more.get("locked"),
+        threshold_bits=entry.threshold_bits,
+        accepted_by=entry.accepted_by,
+        through=tuple(entry.through or ()),
+        placed=None if placed is None else (placed.sigma_m, placed.sigma_rad),
+        together=_sides(entry.together),
+    )
+
+
+def _sides(
+    together: tuple[list[str], list[str]] | None,
+) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    return None if together is None else (tuple(together[0]), tuple(together[1]))
+
+
+def _alignment_from(
+    more: dict[str, Any], transform: Pose, bits: float, matched: list[tuple[int, int]]
+) -> Alignment:
+    return Alignment(
+        transform=np.array([transform.x, transform.y, transform.theta]),
+        evidence_bits=bits,
+        matched=np.array(matched, np.int64),
+        rmse_m=float(more.get("rmse_m", 0.0)),
+        corridors=int(more.get("corridors", 0)),
+        contradictions=tuple(map(str, more.get("contradictions", ()))),
+    )
 
 
 def read_merged(path: Path) -> MergedDocument:

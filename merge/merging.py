@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from .paper import DEFAULT_PAPER, PaperSettings
 from .result import Component, MergeResult, PairVerdict
 from .robust import DEFAULT_ROBUST, RobustSettings
 from .spread import VAGUE_M, VAGUE_RAD
+from .through import joined_through
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,31 +69,43 @@ def merge_maps(
 def _placed(
     verdicts: tuple[PairVerdict, ...], components: Sequence[Component]
 ) -> tuple[PairVerdict, ...]:
-    """The verdicts; those on runs that only others place in one component say how surely."""
+    """The verdicts; those on runs that only others place in one component say through which, and
+    how surely."""
     home = {run: c for c in components for run in c.poses}
+    chains = joined_through(verdicts)
     out = []
     for v in verdicts:
-        spread = home[v.a].spread
-        if v.accepted or home[v.a] is not home[v.b] or spread is None:
+        if (v.a, v.b) not in chains or home[v.a] is not home[v.b]:
             out.append(v)
             continue
-        (off_m, off_rad), (back_m, _) = spread.between(v.a, v.b), spread.between(v.b, v.a)
-        off_m = max(off_m, back_m)
-        vague = off_m > VAGUE_M or off_rad > VAGUE_RAD
-        reason = (
-            f"{v.reason}; placed to {off_m:.1f} m and {np.degrees(off_rad):.1f}° (1 sigma)"
-            f"{', too vaguely to count on it' if vague else ''}"
-        )
-        out.append(replace(v, reason=reason, placed=(off_m, off_rad)))
+        through = chains[v.a, v.b]
+        told, placed = f"joined through {_listed(through)}", None
+        spread = home[v.a].spread
+        if spread is not None:
+            (off_m, off_rad), (back_m, _) = spread.between(v.a, v.b), spread.between(v.b, v.a)
+            placed = (max(off_m, back_m), off_rad)
+            vague = placed[0] > VAGUE_M or off_rad > VAGUE_RAD
+            told = (
+                f"{told}, placed to {placed[0]:.1f} m and {np.degrees(off_rad):.1f}° (1 sigma)"
+                f"{', too vaguely to count on it' if vague else ''}"
+            )
+        reason = f"{told}; the two maps alone: {v.reason}"
+        out.append(replace(v, reason=reason, through=through, placed=placed))
     return tuple(out)
+
+
+def _listed(runs: Sequence[str], most: int = 3) -> str:
+    rest = len(runs) - most
+    return ", ".join(runs[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _info(
     settings: MergeSettings, components: Sequence[Component], verdicts: Sequence[PairVerdict]
 ) -> dict[str, Any]:
-    """The method, and the layers (§4.1) around the first run of every component."""
+    """The method, its settings, and the layers (§4.1) around the first run of every component."""
     firsts = [min(c.poses) for c in components if len(c.poses) > 1]
-    return {
+    robustly = {"settings": asdict(settings.robust)} if settings.method == "robust" else {}
+    return robustly | {
         "method": settings.method,
         "layers": {own: layers_to_document(own, verdicts) for own in firsts},
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,11 @@ class Verdict(StrEnum):
     MERGED = "merged"
     AMBIGUOUS = "ambiguous"
     UNRELATED = "unrelated"
+
+
+AcceptedBy = Literal["pair", "components", "runs", "lock"]
+"""What an accepted pair was accepted by: its own evidence; that of the two components it joins;
+other runs, which place the two as one of the pair's own alignments does; a person."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,15 +58,18 @@ class Alignment:
 class PairVerdict:
     """What is known about one pair of runs, `a < b` by name.
 
-    accepted: the pair joins a component (verdict MERGED and kept by every later check).
-    best: the alignment the verdict speaks of, None for most unrelated pairs; runner_up: the next
-    best one that places b elsewhere; evidence_bits: those of best; margin_bits: how many more they
-    are than those of runner_up (negative where a person or other runs chose against the pair's own
-    evidence). Of runs joined by what their components say together best, its bits and margin_bits
-    are those of the two components, and there is no runner_up. advice: what would settle an
-    ambiguous pair; locked: "same" or "never" where a person decided. placed: of two runs that only
-    others place in one component, 1 sigma [m] of where the middle of one's map lies, seen from the
-    other's (the worse of the two ways), and [rad] of the turn between them.
+    accepted: the pair joins a component (verdict MERGED and kept by every later check), by what
+    accepted_by says. threshold_bits: the evidence that merging needs, None where a method has no
+    such threshold. best: the alignment the verdict speaks of, None for most unrelated pairs;
+    runner_up: the next best one that places b elsewhere; evidence_bits: those of best; margin_bits:
+    how many more they are than those of runner_up (negative where a person or other runs chose
+    against the pair's own evidence). Of runs joined by what their components say together best, its
+    bits and margin_bits are those of the two components, and there is no runner_up. advice: what
+    would settle an ambiguous pair; locked: "same" or "never" where a person decided. through: of
+    two runs that only others place in one component, the runs of the shortest chain of accepted
+    pairs from a to b, without these two; placed: 1 sigma [m] of where the middle of one's map then
+    lies, seen from the other's (the worse of the two ways), and [rad] of the turn between them.
+    together: the runs of the two components whose evidence joined the pair.
     extra: JSON values that a method adds to its entry.
     """
 
@@ -76,7 +84,11 @@ class PairVerdict:
     margin_bits: float | None = None
     advice: str | None = None
     locked: str | None = None
+    threshold_bits: float | None = None
+    accepted_by: AcceptedBy | None = None
+    through: tuple[str, ...] = ()
     placed: tuple[float, float] | None = None
+    together: tuple[tuple[str, ...], tuple[str, ...]] | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -102,14 +102,14 @@ def test_merging_joins_the_maze_and_leaves_the_streets(merged: MergeResult) -> N
 
 
 def test_runs_joined_by_another_alone_are_told_so(merged: MergeResult) -> None:
-    through = {(v.a, v.b) for v in merged.verdicts if "only other runs place" in v.reason}
-    assert through == {("maze-1", "maze-3")}
+    through = {(v.a, v.b): v.through for v in merged.verdicts if v.through}
+    assert through == {("maze-1", "maze-3"): ("maze-2",)}
     (told,) = (v for v in merged.verdicts if v.placed is not None)
     assert (told.a, told.b) == ("maze-1", "maze-3")
     metres, radians = told.placed
     assert 0 < metres < 1
     assert 0 < radians < 0.1
-    assert f"placed to {metres:.1f} m" in told.reason
+    assert told.reason.startswith(f"joined through maze-2, placed to {metres:.1f} m")
 
 
 @pytest.mark.parametrize(("a", "b"), OVERLAPPING)

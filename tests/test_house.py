@@ -20,7 +20,7 @@ MAY_IMPORT = {
     "viz": {"topology", "merge"},
     "cli": {"topology", "ingest", "merge", "viz"},
 }
-VIZ_MAY_USE_OF_MERGE = {"result", "explain"}
+VIZ_MAY_USE_OF_MERGE = {"result", "explain", "decision", "decision_text"}
 HEAVY = ("rerun", "numpy", "scipy", "rosbags", "mcap", "networkx", "pydantic", "rich.progress")
 
 

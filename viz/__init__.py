@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..merge.decision import Decision
     from ..merge.explain import Explanation
     from ..merge.result import MergeResult
     from ..topology.odometry import Odometry
@@ -38,6 +39,17 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     from .merged_recording import write
 
     write(path, result, maps)
+
+
+def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
+    """Write why two runs were merged or not, atomically: the placements with the matched junctions
+    tied, the evidence term by term, the threshold.
+
+    Raises OSError if the file cannot be written.
+    """
+    from .decision_recording import write
+
+    write(path, a, b, decision)
 
 
 def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, explanation: Explanation) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 
 from ...topology.se2 import wrap
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
-from .growth import Match, grow_all
+from .growth import Match, grow_all, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import RobustSettings
-from .support import support
+from .support import Support, support
 
 SAME_PLACE_M = 3.0
 SAME_TURN_RAD = 0.35
@@ -31,21 +31,27 @@ class Candidate:
     """A way to lay b over a.
 
     transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a of each as
-    unit numbers; corridors: (c, 2) rows of the corridors that agree; bits: log2 odds against
-    chance, corrected for the hypotheses tested.
+    unit numbers; support, conflicts: what speaks for it and what against; tested_bits: log2 of the
+    hypotheses tested; bits: log2 odds against chance, the first less the other two.
     """
 
     transform: FloatArray
     a: IntArray
     b: IntArray
     turn: ComplexArray
-    corridors: IntArray
+    support: Support
     conflicts: Conflicts
+    tested_bits: float
     bits: float
     rmse_m: float
 
     def __len__(self) -> int:
         return len(self.a)
+
+    @property
+    def corridors(self) -> IntArray:
+        """(c, 2) directed rows of the corridors that agree."""
+        return self.support.corridors
 
     def move(self, z: complex) -> complex:
         """Where a point x + iy of b lands in a."""
@@ -88,6 +94,19 @@ def best_of(
     return tuple(kept)
 
 
+def best_seed(
+    a: Prepared, b: Prepared, settings: RobustSettings
+) -> tuple[Seed, Candidate, int] | None:
+    """The strongest hypothesis of two maps as it is before growth: itself, what speaks for it and
+    against it, and of how many it is the best; None where no two corridors are alike."""
+    links = candidate_links(a, b)
+    found = seeds(a, b, links, settings.hypotheses)
+    if not found:
+        return None
+    tested_bits = float(np.log2(len(links) + 1.0))
+    return found[0], _judge(a, b, ungrown(a, b, found[0]), tested_bits), len(found)
+
+
 def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candidate:
     """The evidence of a grown match."""
     agree = support(a, b, grown)
@@ -104,8 +123,9 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
         a=grown.a,
         b=grown.b,
         turn=grown.turn[grown.b],
-        corridors=agree.corridors,
+        support=agree,
         conflicts=against,
+        tested_bits=tested_bits,
         bits=float(bits - against.bits),
         rmse_m=rmse,
     )

@@ -30,21 +30,29 @@ CONFLICT_BITS = 6.0
 class Conflicts:
     """Contradictions. extra_b: vertices of b inside corridors of a (extra_b_in: directed rows),
     unseen there; extra_a, extra_a_in: the reverse; crossing: (k, 2) directed corridors of a and b
-    that cross where neither has a junction; bits: their weight in all, positive."""
+    that cross where neither has a junction, CONFLICT_BITS each; extra_b_bits, extra_a_bits: the
+    weight of each of the others, positive."""
 
     extra_b: IntArray
     extra_b_in: IntArray
+    extra_b_bits: FloatArray
     extra_a: IntArray
     extra_a_in: IntArray
+    extra_a_bits: FloatArray
     crossing: IntArray
-    bits: float
+
+    @property
+    def bits(self) -> float:
+        """Their weight in all, positive."""
+        unseen = float(self.extra_b_bits.sum()) + float(self.extra_a_bits.sum())
+        return unseen + CONFLICT_BITS * len(self.crossing)
 
     def __len__(self) -> int:
         return len(self.extra_b) + len(self.extra_a) + len(self.crossing)
 
 
-_NONE = np.zeros(0, np.int64)
-NO_CONFLICTS = Conflicts(_NONE, _NONE, _NONE, _NONE, np.zeros((0, 2), np.int64), 0.0)
+_NONE, _FREE = np.zeros(0, np.int64), np.zeros(0)
+NO_CONFLICTS = Conflicts(_NONE, _NONE, _FREE, _NONE, _NONE, _FREE, np.zeros((0, 2), np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,8 +96,7 @@ def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
     turned = match.turn[b.road_tail[rows]] * b.road_dir[rows]
     extra_a, in_b, bits_a = _extra_a(a, b, taken, rows=rows, turned=turned, road=road)
     crossing = _crossings(a, b, rows, turned, road)
-    total = bits_b + bits_a + CONFLICT_BITS * len(crossing)
-    return Conflicts(extra_b, in_a, extra_a, in_b, crossing, total)
+    return Conflicts(extra_b, in_a, bits_b, extra_a, in_b, bits_a, crossing)
 
 
 def _placed_road(b: Prepared, match: Match, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
@@ -114,29 +121,29 @@ def _tail_of(p: _Points, k: int) -> _Points:
     return _Points(p.where[k:], p.vague[k:], p.vertex[k:], p.gap_v[k:], p.road[k:], p.gap_r[k:])
 
 
-def _weight(missing: Prepared, edge: IntArray, extra: Prepared, vertex: IntArray) -> float:
-    """Bits against: the one run drove the corridor and missed it each time, or the other one
+def _weight(missing: Prepared, edge: IntArray, extra: Prepared, vertex: IntArray) -> FloatArray:
+    """(k,) bits against: the one run drove the corridor and missed it each time, or the other one
     invented it at each look."""
     missed = (missing.noise.miss_rate + 0.015) ** np.minimum(missing.traversals[edge], 3)
     invented = (extra.noise.phantom_rate + 0.01) ** np.minimum(extra.looks[vertex], 3)
     bits = -np.log2(np.minimum(missed + invented, 1.0))
-    return float(np.minimum(bits, CONFLICT_BITS).sum())
+    return np.asarray(np.minimum(bits, CONFLICT_BITS))
 
 
 def _extra_b(
     a: Prepared, b: Prepared, lone: IntArray, spots: _Points
-) -> tuple[IntArray, IntArray, float]:
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Unmatched vertices of b (the first of the spots) well inside corridors of a."""
     k = len(lone)
     beside = (spots.gap_r[:k] < 0.8) & (spots.gap_v[:k] > OFF_END_M + spots.vague[:k])
     inside = beside.nonzero()[0]
     if len(inside) == 0:
-        return inside, inside, 0.0
+        return inside, inside, _FREE
     r = spots.road[inside]
     across = np.abs(((spots.where[inside] - a.road[r]) * a.road_dir[r].conj()).imag)
     hit = across < ON_ROAD_M
     vertex, edge = lone[inside[hit]], a.road_edge[r[hit]]
-    return vertex, edge, _weight(a, edge, b, vertex) if len(vertex) else 0.0
+    return vertex, edge, _weight(a, edge, b, vertex)
 
 
 def _extra_a(
@@ -147,12 +154,12 @@ def _extra_a(
     rows: IntArray,
     turned: ComplexArray,
     road: _Points,
-) -> tuple[IntArray, IntArray, float]:
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Unmatched vertices of a beside points of b's corridors."""
     near = (road.gap_v < 0.8).nonzero()[0]
     near = near[~taken[road.vertex[near]]]
     if len(near) == 0:
-        return near, near, 0.0
+        return near, near, _FREE
     across = np.abs(((a.z[road.vertex[near]] - road.where[near]) * turned[near].conj()).imag)
     near = near[across < ON_ROAD_M]
     extra, first = np.unique(road.vertex[near], return_index=True)

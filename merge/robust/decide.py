@@ -11,9 +11,9 @@ import numpy as np
 from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
 from ..locks import Lock, lock_table
-from ..result import Alignment, PairVerdict, Verdict
+from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
 from .advice import advice
-from .alignment import Candidate, same_placement, self_matches
+from .alignment import Candidate, match, same_placement, self_matches
 from .components import Components, Refusal, agrees, join_all
 from .forced import forced_alignment
 from .mirror import doubt_mirrored
@@ -22,8 +22,8 @@ from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import ODD_BITS, Opinion, bar, opinion, repetition_level
-from .wording import contradictions, summary
+from .verdict import ODD_BITS, Bar, Opinion, bar, counted_bits, opinion, repetition_level
+from .wording import contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
 """The repetition of a batch is that of the map at this quantile: most maps repeat, or few do."""
@@ -54,12 +54,9 @@ def decide(
     prepared = [prepare(m) for m in maps]
     runs = [m.run for m in maps]
     locked = _locked_pairs(runs, prepared, locks)
-    copies, repetition = _repetition(prepared, settings)
+    level = bars(prepared, settings)
     candidates = match_all(prepared, settings, on_pair, executor)
-    levels = {
-        (i, j): bar(len(candidates), max(repetition[i], repetition[j]), copies, settings)
-        for i, j in candidates
-    }
+    levels = {pair: level(pair, len(candidates)) for pair in candidates}
     opinions = {
         (i, j): opinion(prepared[i], prepared[j], found, levels[i, j])
         for (i, j), found in candidates.items()
@@ -91,16 +88,49 @@ def decide(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """What two maps of a batch say by themselves, and what they must reach."""
+
+    a: Prepared
+    b: Prepared
+    candidates: tuple[Candidate, ...]
+    level: Bar
+    view: Opinion
+
+    def alone(self) -> PairVerdict:
+        """The verdict on the pair, were there no locks and no other runs to say more."""
+        return _by_evidence(self.a, self.b, _Case(self.view), _says(self.view))
+
+    def alignment(self, chosen: Candidate, bits: float) -> Alignment:
+        """A candidate as an alignment of so much evidence."""
+        return _alignment(chosen, self.a, self.b, bits)
+
+
+def assess(
+    maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, pairs: int
+) -> Assessment:
+    """Steps 1 to 3 of `decide` for one pair of a batch of so many pairs; `maps` are those of the
+    batch, sorted by run, `pair` two of their indices, i < j."""
+    prepared = [prepare(m) for m in maps]
+    i, j = pair
+    level = bars(prepared, settings)(pair, pairs)
+    found = match(prepared[i], prepared[j], settings)
+    view = opinion(prepared[i], prepared[j], found, level)
+    view = doubt_mirrored({pair: view}, maps, prepared, settings)[pair]
+    return Assessment(prepared[i], prepared[j], found, level, view)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Case:
     """All that was said about one pair: by itself, by a person, by the other runs."""
 
     view: Opinion
-    forced: Candidate | None
-    lock: Lock | None
-    refused: Refusal | None
-    reunion: Reunion | None
-    seconded: Candidate | None
-    together: bool
+    forced: Candidate | None = None
+    lock: Lock | None = None
+    refused: Refusal | None = None
+    reunion: Reunion | None = None
+    seconded: Candidate | None = None
+    together: bool = False
 
 
 def _locked_pairs(
@@ -121,6 +151,16 @@ def _locked_pairs(
                 )
         out[pair] = lock
     return out
+
+
+def bars(prepared: Sequence[Prepared], settings: RobustSettings) -> Callable[[Pair, int], Bar]:
+    """What each pair must reach in a batch of so many pairs."""
+    copies, repetition = _repetition(prepared, settings)
+
+    def level(pair: Pair, pairs: int) -> Bar:
+        return bar(pairs, max(repetition[k] for k in pair), copies, settings)
+
+    return level
 
 
 def _repetition(
@@ -188,7 +228,7 @@ def _verdict(a: Prepared, b: Prepared, case: _Case) -> PairVerdict:
     """One entry of the result. A person's word comes first, then the safety of the component, then
     the pair's own evidence, then what the other runs say."""
     view = case.view
-    says = summary(view.best, view.margin) if view.best else "nothing that chance would not offer"
+    says = _says(view)
     if case.lock is not None and case.lock.decision == "never":
         reason = f"locked apart by a person; the maps alone say: {says}"
         return _entry(a, b, case, Verdict.UNRELATED, reason)
@@ -200,6 +240,13 @@ def _verdict(a: Prepared, b: Prepared, case: _Case) -> PairVerdict:
             reason = f"locked as the same, but {case.refused.reason}; the maps alone say: {says}"
         return _entry(a, b, case, Verdict.AMBIGUOUS, reason)
     return _by_evidence(a, b, case, says)
+
+
+def _says(view: Opinion) -> str:
+    """What the two maps say by themselves, as a clause."""
+    if view.best is None:
+        return nothing(view.faint, view.bits, view.need_bits)
+    return summary(view.best, view.bits, view.need_bits, view.margin)
 
 
 def _dishonoured(a: Prepared, b: Prepared, case: _Case, lock: Lock, says: str) -> PairVerdict:
@@ -219,31 +266,34 @@ def _by_evidence(a: Prepared, b: Prepared, case: _Case, says: str) -> PairVerdic
     """The entry of a pair that nobody forbids."""
     view = case.view
     if case.forced is not None:
-        return _accepted(a, b, case, case.forced, "locked as the same by a person; {}")
+        return _accepted(
+            a, b, case, case.forced, by="lock", reason="locked as the same by a person; {}"
+        )
     if view.verdict is Verdict.MERGED and view.best is not None:
-        return _accepted(a, b, case, view.best)
+        return _accepted(a, b, case, view.best, by="pair")
     if case.reunion is not None:
         said = case.reunion
-        return _joined(a, b, case, said.reason, (said.alignment, None, said.margin))
+        found = (said.alignment, None, said.margin)
+        return _joined(a, b, case, said.reason, found, by="components")
     if case.seconded is not None:
-        return _accepted(a, b, case, case.seconded, "{}; other runs place the two in the same way")
+        told = "{}; other runs place the two in the same way"
+        return _accepted(a, b, case, case.seconded, by="runs", reason=told)
     reason = f"{says}; {view.why}" if view.why else says
-    if case.together:
-        reason = f"{reason}; only other runs place the two in one component"
     return _entry(a, b, case, view.verdict, reason)
 
 
 def _accepted(
-    a: Prepared, b: Prepared, case: _Case, chosen: Candidate, reason: str = "{}"
+    a: Prepared, b: Prepared, case: _Case, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}"
 ) -> PairVerdict:
     """The entry of a pair joined by an alignment of its own, which need not be its best. The
     alignment's summary stands in the reason's braces."""
-    bits = next((bits for c, bits in case.view.ranked if c is chosen), chosen.bits)
+    known = (bits for c, bits in case.view.ranked if c is chosen)
+    bits = next(known, counted_bits(chosen))
     others = (r for r in case.view.ranked if not same_placement(r[0], chosen, b))
     second = next((_alignment(c, a, b, bits) for c, bits in others), None)
     margin = None if second is None else bits - second.evidence_bits
-    told = reason.format(summary(chosen, margin))
-    return _joined(a, b, case, told, (_alignment(chosen, a, b, bits), second, margin))
+    told = reason.format(summary(chosen, bits, case.view.need_bits, margin))
+    return _joined(a, b, case, told, (_alignment(chosen, a, b, bits), second, margin), by=by)
 
 
 def _joined(
@@ -252,6 +302,8 @@ def _joined(
     case: _Case,
     reason: str,
     found: tuple[Alignment, Alignment | None, float | None],
+    *,
+    by: AcceptedBy,
 ) -> PairVerdict:
     """The entry of a pair that is joined; found: its alignment, the next best one, the lead."""
     best, runner_up, margin = found
@@ -261,10 +313,13 @@ def _joined(
         verdict=Verdict.MERGED,
         accepted=True,
         evidence_bits=best.evidence_bits,
+        threshold_bits=case.view.need_bits,
         reason=reason,
         best=best,
         runner_up=runner_up,
         margin_bits=margin,
+        accepted_by=by,
+        together=case.reunion.sides if by == "components" and case.reunion else None,
         locked=_decision(case),
         extra=_extra(case),
     )
@@ -283,6 +338,7 @@ def _entry(a: Prepared, b: Prepared, case: _Case, verdict: Verdict, reason: str)
         verdict=verdict,
         accepted=False,
         evidence_bits=view.bits,
+        threshold_bits=view.need_bits,
         reason=reason,
         best=shown[0] if shown else None,
         runner_up=shown[1] if len(shown) > 1 else None,

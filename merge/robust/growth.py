@@ -95,6 +95,31 @@ def grow_all(
     return out
 
 
+def given_up(a: Prepared, b: Prepared, seed: Seed, settings: RobustSettings) -> tuple[int, int]:
+    """Of a seed that does not grow: how many of the junctions of b that it lays where a has been
+    were found in its last round, and how many there are."""
+    partner = np.full((1, len(b)), -1)
+    partner[0, seed.b] = seed.a
+    found = expected = 0
+    for _ in range(settings.growth_rounds):
+        place, _, near = predict(a, b, partner, [seed.unit])
+        partner, (found,), (expected,) = _rematch(a, b, place, near, settings)
+        if found < max(FEWEST, LEAST_SHARE * expected):
+            break
+    return found, expected
+
+
+def ungrown(a: Prepared, b: Prepared, seed: Seed) -> Match:
+    """A seed as it is, as a match."""
+    partner = np.full((1, len(b)), -1)
+    partner[0, seed.b] = seed.a
+    place, turn, near = predict(a, b, partner, [seed.unit])
+    matched = np.sort(seed.b)
+    theirs = partner[0, matched]
+    bits = branch_bits(a, b, theirs, matched, turn[0, matched])
+    return Match(theirs, matched, place[0], turn[0], near[0], bits)
+
+
 def _grown(
     a: Prepared,
     b: Prepared,

@@ -30,11 +30,13 @@ OPEN_BITS = ODD_BITS
 @dataclass(frozen=True, slots=True, eq=False)
 class Reunion:
     """A pair of runs joined by what their components say together. margin: the lead of this
-    placement over the next best one of the two components, None if there was none."""
+    placement over the next best one of the two components, None if there was none; sides: the runs
+    of the two components."""
 
     alignment: Alignment
     reason: str
     margin: float | None
+    sides: tuple[tuple[str, ...], tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +49,11 @@ class _Fused:
     prepared: Prepared
     members: tuple[Mapping[str, tuple[int, ...]], ...]
     maps: Mapping[int, TopoMap]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its runs by name."""
+        return tuple(self.maps[i].run for i in self.runs)
 
 
 @dataclass(slots=True, eq=False)
@@ -75,7 +82,7 @@ class Rematcher:
             for pair, alignment in links.items():
                 accepted[pair] = alignment
                 reason = _reason(pair, one, two, view, self.maps)
-                reunions[pair] = Reunion(alignment, reason, view.margin)
+                reunions[pair] = Reunion(alignment, reason, view.margin, (one.names, two.names))
             (i, j), first = next(iter(links.items()))
             self.components.join(i, j, first.transform)
         return reunions
@@ -122,6 +129,21 @@ class Rematcher:
             if len(x) + len(y) > 2:
                 pairs.add((x, y))
         return sorted(pairs)
+
+
+def view_of_components(
+    maps: Sequence[TopoMap],
+    sides: tuple[Runs, Runs],
+    accepted: Mapping[Pair, Alignment],
+    level: Bar,
+    settings: RobustSettings,
+) -> tuple[_Fused, _Fused, Opinion]:
+    """What the merged maps of two components say of each other. sides: the runs of each, sorted;
+    accepted: the alignments by which each was joined."""
+    cache: dict[Runs, _Fused] = {}
+    one, two = (_fused(runs, maps, accepted, cache) for runs in sides)
+    candidates = match(one.prepared, two.prepared, settings)
+    return one, two, opinion(one.prepared, two.prepared, candidates, level)
 
 
 def _fused(
@@ -200,4 +222,4 @@ def _reason(pair: Pair, one: _Fused, two: _Fused, view: Opinion, maps: Sequence[
     assert view.best is not None
     names = sorted(maps[i].run for i in (*one.runs, *two.runs) if i not in pair)
     shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-    return f"together with {shown}: {summary(view.best, view.margin)}"
+    return f"together with {shown}: {summary(view.best, view.bits, view.need_bits, view.margin)}"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,3 +40,10 @@ class RobustSettings:
 
 
 DEFAULT_ROBUST = RobustSettings()
+
+
+def settings_from_document(values: Mapping[str, float]) -> RobustSettings:
+    """The settings that a merged document names; those that it does not have their defaults.
+    Raises ValueError on values that cannot be."""
+    known = {f.name for f in fields(RobustSettings)}
+    return RobustSettings(**{k: v for k, v in values.items() if k in known})  # type: ignore[arg-type]

@@ -31,10 +31,20 @@ UP_TO = np.triu(np.ones((12, 12)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
-    """Agreement. bits: in all; corridors: (k, 2) directed rows of corridors that both maps have."""
+    """Agreement, and what it is made of.
 
-    bits: float
+    corridors: (c, 2) directed rows of corridors that both maps have. ends: (m, 2) rows of the match
+    that each link ties, along: (m,) row of `corridors` or, for a relative position, -1; links: (m,)
+    bits of each. Links are the forest, the best first, and then the corridors that do not fit.
+    branches: (k,) bits of each matched junction's branches; bits: the sum of links and branches.
+    """
+
     corridors: IntArray
+    ends: IntArray
+    along: IntArray
+    links: FloatArray
+    branches: FloatArray
+    bits: float
 
 
 def support(a: Prepared, b: Prepared, match: Match) -> Support:
@@ -54,10 +64,23 @@ def support(a: Prepared, b: Prepared, match: Match) -> Support:
     value = np.concatenate([bits, near_bits])
     zb = b.z[match.b]
     chosen = _forest(source, target, value, np.abs(zb - np.add.reduce(zb) / k))
-    source, target, value = source[chosen], target[chosen], value[chosen]
-    total = _without_repeats(a.z[match.a[source]], a.z[match.a[target]], value)
-    misfit = float(np.add.reduce(np.maximum(bits[bits < 0], WORST_LINK_BITS)))
-    return Support(total + misfit + float(np.add.reduce(match.branch)), rows)
+    chosen = chosen[(-value[chosen]).argsort(kind="stable")]
+    at = a.z[match.a]
+    counted = _without_repeats(at[source[chosen]], at[target[chosen]], value[chosen].tolist())
+    misfit = (bits < 0).nonzero()[0]
+    against = np.maximum(bits[misfit], WORST_LINK_BITS)
+    total = 0.0
+    for link in counted:  # one by one: the same sum however links are stored
+        total += link
+    shown = np.concatenate([chosen, misfit])
+    return Support(
+        corridors=rows,
+        ends=np.array([source[shown], target[shown]]).T,
+        along=np.where(shown < len(bits), shown, -1),
+        links=np.concatenate([counted, against]),
+        branches=match.branch,
+        bits=total + float(np.add.reduce(against)) + float(np.add.reduce(match.branch)),
+    )
 
 
 def _corridor_links(
@@ -124,27 +147,26 @@ def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatAr
     return np.asarray(chosen[bits[chosen] > 0])
 
 
-def _without_repeats(start: ComplexArray, end: ComplexArray, bits: FloatArray) -> float:
-    """Sum of the bits of links, where those that follow from better ones count little.
+def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) -> list[float]:
+    """The bits of links, best first, where those that follow from better ones count little.
 
     In a building on a grid the corridors between two lines are all equally long, and a diagonal is
     as long as two of them say: once those fit, the others fit by construction. So every place
     counts as the crossing of two lines, one along the best link and one across it, and a link
     tells something only if the better ones leave the lines of its two ends free to move.
     """
-    if len(bits) == 0:
-        return 0.0
+    if not bits:
+        return []
     # Few and small steps: plain numbers are faster than arrays here.
-    order = (-bits).argsort(kind="stable")
-    one, two = start[order].tolist(), end[order].tolist()
+    one, two = start.tolist(), end.tolist()
     axis = (two[0] - one[0]).conjugate() / max(abs(two[0] - one[0]), 1e-9)
     places = [z * axis for z in one + two]
     along = _joins(_lines([z.real for z in places]))
     across = _joins(_lines([z.imag for z in places]))
-    total = 0.0
-    for value, x, y in zip(bits[order].tolist(), along, across, strict=True):
-        total += min(value, LINK_BITS if x or y else REPEAT_BITS)
-    return total
+    return [
+        min(value, LINK_BITS if x or y else REPEAT_BITS)
+        for value, x, y in zip(bits, along, across, strict=True)
+    ]
 
 
 def _lines(at: list[float]) -> list[int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, floor
 
 import numpy as np
 
@@ -67,21 +66,51 @@ class Bar:
         return weight * max(self.need_bits - COPY_MARGIN_BITS, 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What a placement answers to the two questions, and the one number made of it, in bits.
+
+    need: what merging needs. against_chance: all that speaks for it less all that speaks against
+    it; carried: as much of that as its junctions can carry. same_place: what says that it is the
+    place and not a copy of it, None where that was not asked; need_same: what merging needs of it.
+    """
+
+    need: float
+    against_chance: float
+    carried: float
+    same_place: float | None = None
+    need_same: float = 0.0
+
+    @property
+    def bits(self) -> float:
+        """The evidence: that of the question answered worst. The second counts on the scale of the
+        first: as many bits beyond what either needs make both answers as sure."""
+        return min(self.carried, self.from_copies)
+
+    @property
+    def from_copies(self) -> float:
+        """The answer to the second question on the scale of the first; infinite if not asked."""
+        if self.same_place is None:
+            return np.inf
+        return self.same_place + self.need - self.need_same
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Opinion:
     """A verdict on two maps, alone.
 
-    ranked: placements beyond chance, best first, each with its bits: the evidence of the question
-    that it answers worst; best, runner_up, bits and margin are read off it. same_bits: what the
-    best says to the second question, None where it was not asked; why: what was missing, "" where
-    merged; faint_bits: the bits of the best alignment where none is beyond chance.
+    need_bits: the evidence that merging needs. ranked: placements beyond chance, best first, each
+    with its evidence; best, runner_up, bits and margin are read off it; answers: how the evidence
+    of each follows. why: what was missing, "" where merged; faint: the best alignment where none is
+    beyond chance.
     """
 
     verdict: Verdict
+    need_bits: float
     ranked: tuple[tuple[Candidate, float], ...] = ()
-    same_bits: float | None = None
+    answers: tuple[Answers, ...] = ()
     why: str = ""
-    faint_bits: float = 0.0
+    faint: Candidate | None = None
 
     @property
     def best(self) -> Candidate | None:
@@ -90,8 +119,15 @@ class Opinion:
 
     @property
     def bits(self) -> float:
-        """The evidence for the best placement."""
-        return self.ranked[0][1] if self.ranked else self.faint_bits
+        """The evidence for the best placement; 0 if no placement was found at all."""
+        if self.ranked:
+            return self.ranked[0][1]
+        return 0.0 if self.faint is None else counted_bits(self.faint)
+
+    @property
+    def same_bits(self) -> float | None:
+        """What the best placement says to the second question, None where it was not asked."""
+        return self.answers[0].same_place if self.answers else None
 
     @property
     def runner_up(self) -> Candidate | None:
@@ -166,24 +202,26 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     """
     odd = _beyond_chance(candidates, level)
     if not odd:
-        return Opinion(Verdict.UNRELATED, faint_bits=candidates[0].bits if candidates else 0.0)
+        faint = candidates[0] if candidates else None
+        return Opinion(Verdict.UNRELATED, level.need_bits, faint=faint)
     regular = regularity(a, b)
     thinness = _thinness(odd[0])
     rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])
     asked = max(level.repetition, regular, thinness) > 0 or rivals
-    same = [sameness(a, b, c, level.copies).bits if asked else np.inf for c in odd]
-    score = []
-    for c, s in zip(odd, same, strict=True):
+    answers = []
+    for c in odd:
         need_same = level.need_same_bits(max(regular, thinness, _thinness(c)))
-        score.append(min(counted_bits(c), s + level.need_bits - need_same))
-    ranking = sorted(range(len(odd)), key=lambda i: -score[i])
-    first = ranking[0]
-    margin = None if len(odd) < 2 else score[first] - score[ranking[1]]
-    why = _missing(odd[first], score[first], margin, level)
+        same = sameness(a, b, c, level.copies).bits if asked else None
+        answers.append(Answers(level.need_bits, c.bits, counted_bits(c), same, need_same))
+    ranking = sorted(range(len(odd)), key=lambda i: -answers[i].bits)
+    ranked = tuple((odd[i], answers[i].bits) for i in ranking)
+    margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
+    why = _missing(odd[ranking[0]], answers[ranking[0]], margin, level)
     return Opinion(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
-        ranked=tuple((odd[i], score[i]) for i in ranking),
-        same_bits=same[first] if asked else None,
+        need_bits=level.need_bits,
+        ranked=ranked,
+        answers=tuple(answers[i] for i in ranking),
         why=why,
     )
 
@@ -198,16 +236,14 @@ def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidat
     return enough or [c for c in odd if len(c) >= FEWEST_MATCHES or c.bits > level.need_bits]
 
 
-def _missing(best: Candidate, score: float, margin: float | None, level: Bar) -> str:
+def _missing(best: Candidate, answers: Answers, margin: float | None, level: Bar) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
-    if counted_bits(best) < level.need_bits:
-        # Rounded apart, lest both show the same number.
-        found = f"{floor(counted_bits(best))} bits, {ceil(level.need_bits)} needed"
-        return f"chance offers as much too often ({found})"
+    if answers.from_copies < min(answers.carried, level.need_bits):
+        return "the building repeats itself and this may be another copy of the place"
+    if answers.carried < level.need_bits:
+        return "chance offers as much too often"
     if len(best) < level.settings.min_matches:
         return f"{level.settings.min_matches} junctions at least must agree"
-    if score < level.need_bits:
-        return "the building repeats itself and this may be another copy of the place"
     if margin is not None and margin < level.settings.lead_bits:
         return "another placement fits nearly as well"
     return ""

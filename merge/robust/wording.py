@@ -12,16 +12,37 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
-def summary(best: Candidate, margin: float | None) -> str:
-    """What agrees, what contradicts, how far the next alignment is behind, or another ahead."""
+def decimals(bits: float, need_bits: float) -> int:
+    """How many decimals show which of two numbers is the greater one."""
+    return next((d for d in (1, 2, 3) if round(bits, d) != round(need_bits, d)), 4)
+
+
+def told_bits(bits: float, need_bits: float) -> str:
+    """ "4.1 bits, 12.6 needed": with so many decimals that what falls short is seen to do so."""
+    digits = decimals(bits, need_bits)
+    return f"{bits:.{digits}f} bits, {need_bits:.{digits}f} needed"
+
+
+def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
+    """What agrees, what contradicts, the evidence that comes of it, and how far the next alignment
+    is behind, or another ahead."""
     agree = f"{counted(len(best), 'junction')} and {counted(len(best.corridors), 'corridor')} agree"
     against = len(best.conflicts)
     text = f"{agree}, {against} {'contradicts' if against == 1 else 'contradict'}"
+    text = f"{text}: {told_bits(bits, need_bits)}"
     if margin is None:
         return f"{text}; no other alignment comes near"
-    if round(margin) < 0:
-        return f"{text}; another alignment has {counted(round(-margin), 'bit')} more"
-    return f"{text}; next best alignment {counted(round(margin), 'bit')} behind"
+    if round(margin, 1) < 0:
+        return f"{text}; another alignment has {-margin:.1f} bits more"
+    return f"{text}; next best alignment {abs(margin):.1f} bits behind"
+
+
+def nothing(best: Candidate | None, bits: float, need_bits: float) -> str:
+    """Why two maps without an alignment beyond chance are unrelated."""
+    if best is None:
+        return "nothing that chance would not offer: no alignment holds"
+    agree = f"{counted(len(best), 'junction')} {'agrees' if len(best) == 1 else 'agree'}"
+    return f"nothing that chance would not offer: {agree}, {told_bits(bits, need_bits)}"
 
 
 def contradictions(best: Candidate, a: Prepared, b: Prepared) -> tuple[str, ...]:

@@ -33,12 +33,14 @@ from topobatch.merge.robust.support import REPEAT_BITS, _forest, _without_repeat
 from topobatch.merge.robust.verdict import (
     JUNCTION_BITS,
     REPEATED_JUNCTIONS,
+    _missing,
     bar,
     counted_bits,
     opinion,
     regularity,
     repetition_level,
 )
+from topobatch.merge.robust.wording import told_bits
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import compose, inverse, wrap
 
@@ -206,15 +208,15 @@ def test_on_a_grid_only_the_gaps_between_lines_tell(turn):
     )
     noise = np.random.default_rng(0).normal(0, 0.05, (2, len(start), 2)) @ [1, 1j]
     bits = np.where(np.arange(len(start)) < 12, 4.0, 3.0)
-    found = _without_repeats(start + noise[0], end + noise[1], bits)
+    found = sum(_without_repeats(start + noise[0], end + noise[1], bits.tolist()))
     assert found == pytest.approx(4 * 4.0 + (len(bits) - 4) * REPEAT_BITS)
 
 
 def test_links_between_places_without_order_nearly_all_tell():
     """Now and then such a place lies on one line with others, both ways, by chance."""
     places = np.random.default_rng(1).uniform(0, 60, (12, 2)) @ [1, 1j]
-    bits = np.full(11, 3.0)
-    assert 30.0 <= _without_repeats(places[:-1], places[1:], bits) <= 33.0
+    bits = [3.0] * 11
+    assert 30.0 <= sum(_without_repeats(places[:-1], places[1:], bits)) <= 33.0
 
 
 def test_the_same_place_and_a_copy_of_it_are_told_apart(maze, see):
@@ -312,9 +314,32 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
     view = opinion(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
-    assert view.why == "chance offers as much too often (20 bits, 30 needed)"
-    near = replace(alone, need_bits=20.3)
-    assert opinion(a, b, [told], near).why == "chance offers as much too often (20 bits, 21 needed)"
+    (answers,) = view.answers
+    assert answers.carried == JUNCTION_BITS * len(told)
+    assert view.bits == answers.from_copies < answers.carried
+    assert "another copy" in view.why
+    unasked = replace(answers, same_place=None)
+    assert unasked.bits == answers.carried
+    assert _missing(told, unasked, None, among_many) == "chance offers as much too often"
+
+
+def test_bits_that_fall_short_are_seen_to_do_so():
+    assert told_bits(30.0, 12.55) == "30.0 bits, 12.6 needed"
+    assert told_bits(20.0, 20.04) == "20.00 bits, 20.04 needed"
+
+
+def test_what_a_match_is_made_of_adds_up(halves):
+    a, b = (prepare(m) for m in halves)
+    for found in match(a, b, SETTINGS):
+        agree = found.support
+        assert len(agree.links) == len(agree.ends) == len(agree.along)
+        assert len(agree.branches) == len(found)
+        total = agree.links.sum() + agree.branches.sum() - found.conflicts.bits - found.tested_bits
+        assert total == pytest.approx(found.bits, abs=1e-9)
+        corridors = agree.corridors[agree.along[agree.along >= 0]]
+        ends = {frozenset(found.a[pair].tolist()) for pair in agree.ends[agree.along >= 0]}
+        rows = zip(a.tail[corridors[:, 0]], a.head[corridors[:, 0]], strict=True)
+        assert {frozenset(map(int, row)) for row in rows} == ends
 
 
 def test_a_building_of_few_sizes_is_regular(drawn):

@@ -1,0 +1,198 @@
+"""A verdict on two runs, with everything it rests on: the evidence term by term, the threshold.
+
+What `topobatch explain` shows. All bits are those of `merged.json`: the terms of a placement add up
+to its evidence, and the evidence is compared with the threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import floor
+from typing import Any, Literal
+
+from ..topology.document import rounded
+from .document import pose_to_document
+from .result import Alignment, PairVerdict
+
+DECISION_SCHEMA: Literal["topobatch.decision/1"] = "topobatch.decision/1"
+
+TermKind = Literal[
+    "corridor", "position", "branches", "unseen", "crossing", "hypotheses", "few", "copies"
+]
+"""What a term counts. corridor: the length of a corridor that both runs have; position: where one
+matched junction lies, seen from another near it; branches: those of one matched junction; unseen: a
+junction in the middle of the other run's corridor; crossing: corridors that cross where neither run
+saw a junction; hypotheses: among how many the placement was chosen; few: what so few junctions
+cannot carry; copies: what a copy of the place would offer as well."""
+
+LINKS: tuple[TermKind, ...] = ("corridor", "position")
+AGAINST: tuple[TermKind, ...] = ("unseen", "crossing")
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A part of the evidence, in bits: what speaks for the placement is positive.
+
+    told: in words; a, b: the junctions of the two maps that it speaks of, a corridor as its two
+    ends, as far as these runs have them; size_m: for a link its length in a and in b [m].
+    """
+
+    kind: TermKind
+    bits: float
+    told: str
+    a: tuple[int, ...] = ()
+    b: tuple[int, ...] = ()
+    size_m: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """One way to lay b over a. The terms add up to `alignment.evidence_bits`."""
+
+    alignment: Alignment
+    terms: tuple[Term, ...]
+
+    def of(self, *kinds: TermKind) -> tuple[Term, ...]:
+        """The terms of some kinds, those that tell most first, whatever they speak for."""
+        return tuple(sorted((t for t in self.terms if t.kind in kinds), key=lambda t: -abs(t.bits)))
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """What merging needs. threshold_bits = log2(pairs / false_merge_rate); least_junctions: that
+    must agree; lead_bits: by which the next best placement must be behind; junction_bits: most that
+    a matched junction carries. repetition: 0 (the building does not repeat itself) to 1; where the
+    second question is asked, same_place_bits: what says that it is the place and not a copy of it,
+    and same_place_needed: what merging needs of that."""
+
+    threshold_bits: float
+    pairs: int
+    false_merge_rate: float
+    least_junctions: int
+    lead_bits: float
+    junction_bits: float
+    repetition: float
+    same_place_bits: float | None = None
+    same_place_needed: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """The best hypothesis of a pair for which none grew: of `expected` junctions of b that it lays
+    where a has been, `found` lie on one of a's, where `needed` must."""
+
+    found: int
+    expected: int
+    needed: int
+    hypotheses: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """Why two runs were merged, or not.
+
+    said: the verdict, as the last merge gave it (see `merged`) or would give it. placements: the
+    one that the verdict speaks of, and the next best that lays b elsewhere; none if nothing in the
+    two maps is alike. start: set where the only placement is a hypothesis that did not grow: its
+    terms do not add up to the verdict's evidence, which is 0. why: what a pair that is not accepted
+    lacks; notes: what the reader must know about the documents it was made from.
+    """
+
+    said: PairVerdict
+    merged: bool
+    requirement: Requirement
+    placements: tuple[Placement, ...]
+    start: Start | None = None
+    why: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def rounded_terms(bits: Sequence[float], digits: int, total: float | None = None) -> list[float]:
+    """The parts rounded so that they add up to their rounded sum, or to a total rounded before: all
+    down, and then those of the largest remainders up. Their order stays."""
+    if not bits:
+        return []
+    unit = 10.0**digits
+    exact = [part * unit for part in bits]
+    whole = [floor(part) for part in exact]
+    up = round(sum(exact) if total is None else total * unit) - sum(whole)
+    largest = sorted(range(len(exact)), key=lambda k: whole[k] - exact[k])
+    step = 1 if up > 0 else -1
+    for k in range(abs(up)):
+        whole[largest[k % len(largest)]] += step
+    return [part / unit + 0.0 for part in whole]
+
+
+def to_document(decision: Decision) -> dict[str, Any]:
+    """The decision as JSON values; angles in radians."""
+    said, need = decision.said, decision.requirement
+    start = decision.start
+    return {
+        "schema": DECISION_SCHEMA,
+        "a": said.a,
+        "b": said.b,
+        "verdict": str(said.verdict),
+        "accepted": said.accepted,
+        "accepted_by": said.accepted_by,
+        "merged": decision.merged,
+        "reason": said.reason,
+        "why": decision.why,
+        "advice": said.advice,
+        "locked": said.locked,
+        "through": list(said.through),
+        "together": said.together and [list(side) for side in said.together],
+        "placed": said.placed
+        and {"sigma_m": rounded(said.placed[0]), "sigma_rad": rounded(said.placed[1])},
+        "evidence_bits": rounded(said.evidence_bits, 2),
+        "threshold_bits": rounded(need.threshold_bits, 2),
+        "margin_bits": None if said.margin_bits is None else rounded(said.margin_bits, 2),
+        "requirement": {
+            "pairs": need.pairs,
+            "false_merge_rate": need.false_merge_rate,
+            "least_junctions": need.least_junctions,
+            "lead_bits": need.lead_bits,
+            "junction_bits": need.junction_bits,
+            "repetition": rounded(need.repetition, 4),
+            "same_place_bits": _rounded_or_none(need.same_place_bits),
+            "same_place_needed": _rounded_or_none(need.same_place_needed),
+        },
+        "placements": [_placement(p) for p in decision.placements],
+        "start": None
+        if start is None
+        else {
+            "found": start.found,
+            "expected": start.expected,
+            "needed": start.needed,
+            "hypotheses": start.hypotheses,
+        },
+        "notes": list(decision.notes),
+    }
+
+
+def _rounded_or_none(bits: float | None) -> float | None:
+    return None if bits is None else float(rounded(bits, 2))
+
+
+def _placement(placement: Placement) -> dict[str, Any]:
+    a = placement.alignment
+    shown = rounded_terms([t.bits for t in placement.terms], 2)
+    return {
+        "transform": pose_to_document(a.transform),
+        "evidence_bits": rounded(a.evidence_bits, 2),
+        "matched": a.matched.tolist(),
+        "corridors": a.corridors,
+        "rmse_m": rounded(a.rmse_m, 4),
+        "contradictions": list(a.contradictions),
+        "terms": [
+            {
+                "kind": term.kind,
+                "bits": bits,
+                "told": term.told,
+                "a": list(term.a),
+                "b": list(term.b),
+            }
+            | ({} if term.size_m is None else {"size_m": rounded(term.size_m, 3)})
+            for term, bits in zip(placement.terms, shown, strict=True)
+        ],
+    }

@@ -1,0 +1,329 @@
+"""A decision in words: one screen of a terminal, and the parts that a recording shows.
+
+Degrees and decimals for people; documents hold radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+
+import numpy as np
+
+from .decision import (
+    AGAINST,
+    LINKS,
+    Decision,
+    Placement,
+    Start,
+    Term,
+    TermKind,
+    rounded_terms,
+)
+from .result import PairVerdict, Verdict
+from .robust.wording import counted, decimals
+
+WIDTH, HEIGHT = 79, 22
+"""Letters and lines of the smallest usual terminal, two lines left for the file and the prompt."""
+
+NOTABLE_BITS = 0.05
+"""What speaks against a placement by less than this is not shown first."""
+
+LONGEST_NAME = 18
+"""Longer names of runs are shortened in the middle."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of the table of evidence. kind: of what; told: in words; bits: of each placement, None
+    where it has no such part; a, b: the junctions concerned; level: 0 for what is added up, 1 for
+    its parts."""
+
+    told: str
+    bits: tuple[float | None, ...]
+    a: str = ""
+    b: str = ""
+    level: int = 0
+
+
+def short(run: str, most: int = LONGEST_NAME) -> str:
+    """A name that fits a column."""
+    if len(run) <= most:
+        return run
+    half = (most - 1) // 2
+    return f"{run[: most - 1 - half]}…{run[len(run) - half :]}"
+
+
+def headline(decision: Decision) -> str:
+    """The verdict and its numbers, in one line."""
+    said = decision.said
+    pair = f"{short(said.a)} and {short(said.b)}"
+    bits = f"{decision_bits(decision)} bits of evidence"
+    need = f"{threshold(decision)} needed"
+    if said.accepted:
+        by = {
+            "pair": "merged",
+            "components": "merged, together with other runs",
+            "runs": "merged, as other runs say",
+            "lock": "merged, locked as the same",
+            None: "merged",
+        }[said.accepted_by]
+        return f"{pair}: {by}: {bits}, {need}"
+    if said.through:
+        through = ", ".join(short(run) for run in said.through[:3])
+        more = f" and {len(said.through) - 3} more" if len(said.through) > 3 else ""
+        alone = f"by itself {said.verdict}, {decision_bits(decision)} bits"
+        return f"{pair}: joined through {through}{more}: {alone}"
+    verdict = "kept out" if said.verdict is Verdict.MERGED else str(said.verdict)
+    return f"{pair}: {verdict}: {bits}, {need}"
+
+
+def decision_bits(decision: Decision) -> str:
+    """The evidence, with the decimals of this decision."""
+    return f"{decision.said.evidence_bits:.{_digits(decision)}f}"
+
+
+def threshold(decision: Decision) -> str:
+    """The threshold, with the decimals of this decision."""
+    return f"{decision.requirement.threshold_bits:.{_digits(decision)}f}"
+
+
+def _digits(decision: Decision) -> int:
+    return decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
+
+
+def because(decision: Decision) -> str:
+    """Why, in one sentence."""
+    said = decision.said
+    if said.locked == "never":
+        return "Locked apart by a person."
+    if not decision.placements:
+        return "Nothing that chance would not offer: no corridor of one is like one of the other."
+    if decision.start is not None:
+        return _given_up(said, decision.start)
+    agree = agreement(decision.placements[0])
+    if said.accepted or decision.why:
+        but = f", but {decision.why}" if decision.why else ""
+        alone = "" if len(decision.placements) > 1 else "; no other placement comes near"
+        return f"{agree}{but}{alone}."
+    if said.verdict is Verdict.UNRELATED:
+        return f"Nothing that chance would not offer: {agree}; that is too little."
+    return f"{agree}; {said.reason.rsplit('; ', 1)[-1]}."
+
+
+def _given_up(said: PairVerdict, start: Start) -> str:
+    """What became of the best hypothesis."""
+    return (
+        f"Nothing that chance would not offer: the best of "
+        f"{counted(start.hypotheses, 'hypothesis', 'hypotheses')} lays "
+        f"{counted(start.expected, 'junction')} of {short(said.b)} where {short(said.a)} has been, "
+        f"and {start.found} of them {'is' if start.found == 1 else 'are'} there, where "
+        f"{start.needed} must be. It was given up, and counts as 0 bits."
+    )
+
+
+def agreement(placement: Placement) -> str:
+    """How many junctions and corridors agree, and what contradicts."""
+    alignment = placement.alignment
+    junctions = counted(len(alignment.matched), "junction")
+    corridors = counted(alignment.corridors, "corridor")
+    against = len(placement.of(*AGAINST)) or len(alignment.contradictions)
+    verb = "contradicts" if against == 1 else "contradict"
+    told = f"{against} {verb}" if against else "nothing contradicts"
+    return f"{junctions} and {corridors} agree, {told}"
+
+
+def pose(placement: Placement) -> str:
+    """Where b lies in a's frame."""
+    x, y, theta = placement.alignment.transform.tolist()
+    return f"({x:.2f}, {y:.2f}) m, turned by {np.degrees(theta):.1f}°"
+
+
+def rows(decision: Decision, links: int) -> list[Row]:
+    """The table of evidence: what is added up for every placement, and the links of the first one
+    that tell most, so many at most. The column of each placement adds up as it stands."""
+    digits = _digits(decision)
+    columns = [_groups(p, digits) for p in decision.placements]
+    if not columns:
+        return []
+    first = decision.placements[0]
+    kinds = [kind for kind in _ORDER if any(kind in column for column in columns)]
+    out = []
+    for kind in kinds:
+        bits = tuple(column.get(kind) for column in columns)
+        out.append(Row(_group_told(kind, first), bits))
+        of_kind = {"corridor": LINKS, "unseen": AGAINST}.get(kind, ())
+        if bits[0] is not None:
+            out += _parts(first.of(*of_kind), bits[0], links, digits)
+    return out
+
+
+_ORDER: tuple[TermKind, ...] = ("corridor", "branches", "unseen", "hypotheses", "few", "copies")
+
+
+def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
+    """The sum of every kind of terms, rounded so that the sums add up; contradictions are told even
+    where there are none."""
+    sums = {
+        "corridor": sum(t.bits for t in placement.of(*LINKS)),
+        "branches": sum(t.bits for t in placement.of("branches")),
+        "unseen": sum(t.bits for t in placement.of(*AGAINST)),
+        "hypotheses": sum(t.bits for t in placement.of("hypotheses")),
+        "few": sum(t.bits for t in placement.of("few")),
+        "copies": sum(t.bits for t in placement.of("copies")),
+    }
+    shown = rounded_terms(list(sums.values()), digits)
+    there = {t.kind for t in placement.terms}
+    always = ("corridor", "branches", "unseen", "hypotheses")
+    return {
+        kind: bits
+        for kind, bits in zip(_ORDER, shown, strict=True)
+        if kind in always or kind in there
+    }
+
+
+def _group_told(kind: TermKind, first: Placement) -> str:
+    count = len(first.alignment.matched)
+    against = len(first.of(*AGAINST))
+    return {
+        "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
+        "branches": f"branches of {counted(count, 'junction')}",
+        "unseen": counted(against, "contradiction") if against else "nothing contradicts",
+        "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
+        "few": next((t.told for t in first.of("few")), "junctions carry only so much"),
+        "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
+    }[kind]
+
+
+def _parts(terms: Sequence[Term], total: float, most: int, digits: int) -> list[Row]:
+    """The terms of a group, those that tell most and those against the rest first, and in one row
+    those that are left; they add up to the group's sum."""
+    ordered = sorted(terms, key=lambda t: (t.bits > -NOTABLE_BITS, -abs(t.bits)))
+    shown = ordered if len(ordered) <= most else ordered[: max(most - 1, 0)]
+    rest = ordered[len(shown) :]
+    if not shown:
+        return []
+    left = [sum(t.bits for t in rest)] if rest else []
+    bits = rounded_terms([*(t.bits for t in shown), *left], digits, total)
+    out = [_link(t, part) for t, part in zip(shown, bits, strict=False)]
+    return [*out, Row(f"{len(rest)} more", (bits[-1],), level=1)] if rest else out
+
+
+def _link(term: Term, bits: float) -> Row:
+    told = term.told
+    if term.size_m is not None:
+        told = f"{told}: {term.size_m[0]:.2f} m, {term.size_m[1]:.2f} m"
+    return Row(told, (bits,), "-".join(map(str, term.a)), "-".join(map(str, term.b)), 1)
+
+
+def needs(decision: Decision) -> str:
+    """What the threshold is made of, and what else merging needs."""
+    need = decision.requirement
+    return (
+        f"log2({counted(need.pairs, 'pair')} / rate {need.false_merge_rate:g}), "
+        f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"
+    )
+
+
+def missing(decision: Decision) -> str:
+    """What an ambiguous pair lacks and what would settle it; "" for others."""
+    said = decision.said
+    if said.verdict is not Verdict.AMBIGUOUS or said.accepted:
+        return ""
+    lacks = []
+    short_of = decision.requirement.threshold_bits - said.evidence_bits
+    if short_of > 0:
+        lacks.append(f"{short_of:.1f} bits of evidence")
+    lead = decision.requirement.lead_bits
+    if said.margin_bits is not None and said.margin_bits < lead:
+        lacks.append(f"{lead - said.margin_bits:.1f} bits of lead")
+    count = len(decision.placements[0].alignment.matched) if decision.placements else 0
+    if count < decision.requirement.least_junctions:
+        lacks.append(counted(decision.requirement.least_junctions - count, "junction"))
+    told = "Missing: " + " and ".join(lacks) if lacks else ""
+    advice = f"To settle it: {said.advice}" if said.advice else ""
+    return ". ".join(part for part in (told, advice) if part)
+
+
+def matched(placement: Placement) -> str:
+    """The matched junctions, junction of a = junction of b."""
+    return " ".join(f"{u}={v}" for u, v in placement.alignment.matched.tolist())
+
+
+def lines(decision: Decision, links: int | None = None) -> list[str]:
+    """The decision as lines of a terminal, the verdict first. links: rows of links to show at most;
+    by default as many as leave the whole on one screen."""
+    if links is not None:
+        return _lines(decision, links)
+    tried = (_lines(decision, most) for most in range(HEIGHT, 1, -1))
+    return next((found for found in tried if len(found) <= HEIGHT), _lines(decision, 2))
+
+
+def _lines(decision: Decision, links: int) -> list[str]:
+    said = decision.said
+    out = [*_folded(headline(decision)), *_folded(because(decision), "  ")]
+    if decision.placements:
+        told = "lies" if said.accepted else "would lie"
+        at = pose(decision.placements[0])
+        out += _folded(f"{short(said.b)} {told} at {at}, in {short(said.a)}'s frame", "  ")
+    if len(decision.placements) > 1:
+        out += _folded(f"the next best lays it at {pose(decision.placements[1])}", "  ")
+    out += _table(decision, links)
+    if decision.placements:
+        pairs = f"{short(said.a)} = {short(said.b)}: {matched(decision.placements[0])}"
+        out += _folded(pairs, "  ", most=1)
+    out += _folded(missing(decision), "  ", most=4)
+    for note in decision.notes:
+        out += _folded(f"Note: {note}", "  ")
+    return out
+
+
+def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
+    """A text over several lines, cut after so many."""
+    hanging = indent + "  "
+    found = wrap(text, WIDTH, initial_indent=indent, subsequent_indent=hanging)
+    if len(found) > most:
+        found = [*found[: most - 1], found[most - 1][: WIDTH - 2].rstrip() + " …"]
+    return found
+
+
+def _table(decision: Decision, links: int) -> list[str]:
+    """The table of evidence, its sum and what is needed."""
+    digits, count = _digits(decision), len(decision.placements)
+    if not count:
+        return [_row([threshold(decision)], f"bits needed: {needs(decision)}")]
+    names = (short(decision.said.a, 10), short(decision.said.b, 10))
+    head = ["this", "next"][:count] if count > 1 else ["bits"]
+    out = ["", _row(head, "for (+) and against it (-)", names)]
+    for row in rows(decision, links):
+        cells = ["" if bits is None else f"{bits:+.{digits}f}" for bits in row.bits]
+        told = row.told
+        if row.level:  # a part of the sum above: its bits stand out of the column that adds up
+            told, cells = f"{cells[0]:>7}  {told}", [""]
+        cells += [""] * (count - len(cells))
+        out.append(_row(cells, told, (row.a, row.b)))
+    sums = [f"= {p.alignment.evidence_bits:.{digits}f}" for p in decision.placements]
+    margin = decision.said.margin_bits
+    lead = f", {margin:.1f} bits ahead of the next best" if count > 1 and margin is not None else ""
+    out.append(_row(sums, f"evidence{lead}"))
+    blank = [""] * (count - 1)
+    need = wrap(f"needed: {needs(decision)}", WIDTH - 8 * count - 2, subsequent_indent="  ")
+    out.append(_row([threshold(decision), *blank], need[0]))
+    return [*out, *(_row([""] * count, line) for line in need[1:])]
+
+
+def _row(cells: Sequence[str], told: str, ends: tuple[str, str] = ("", "")) -> str:
+    left = "".join(f"{cell:>8}" for cell in cells) + "  "
+    right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
+    room = WIDTH - len(left) - len(right)
+    return f"{left}{told[:room]:<{room}}{right}".rstrip()
+
+
+def pair_headline(said: PairVerdict) -> str:
+    """The verdict on a pair in a few words, wherever a pair is listed."""
+    if said.accepted:
+        return "merged"
+    if said.through and said.verdict is Verdict.UNRELATED:
+        return "joined through " + ", ".join(said.through[:3])
+    return "kept out" if said.verdict is Verdict.MERGED else str(said.verdict)

@@ -1,0 +1,317 @@
+"""Why the robust method says what it says of two runs, from the documents of a workspace.
+
+The pair is assessed again by the functions that `decide` calls, with the settings and the number of
+pairs of the merge: what other runs and people said is taken from its document.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil
+
+import numpy as np
+
+from ...topology.se2 import between
+from ...topology.topomap import TopoMap
+from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
+from ..locks import Lock
+from ..result import Alignment, PairVerdict
+from .alignment import Candidate, best_seed, same_placement
+from .conflicts import CONFLICT_BITS
+from .decide import Assessment, assess, bars
+from .forced import forced_alignment
+from .growth import FEWEST, LEAST_SHARE, given_up
+from .prepare import FloatArray, IntArray, Prepared, prepare
+from .rematching import view_of_components
+from .settings import DEFAULT_ROBUST, RobustSettings
+from .verdict import JUNCTION_BITS, Answers, Bar, counted_bits
+from .wording import told_bits
+
+SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
+"""What is left of the digits of a document: verdicts that differ by less are the same one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """A merge as its documents hold it.
+
+    maps: of all its runs that can still be read, sorted by run; said: what it said of every pair,
+    empty if there was none: then these maps are taken to be merged; settings: its own; locks: what
+    people decided.
+    """
+
+    maps: Sequence[TopoMap]
+    said: Mapping[tuple[str, str], PairVerdict]
+    settings: RobustSettings = DEFAULT_ROBUST
+    locks: Sequence[Lock] = ()
+    row: Mapping[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "row", {m.run: i for i, m in enumerate(self.maps)})
+
+    @property
+    def pairs(self) -> int:
+        """The number of pairs that shared the false-merge rate."""
+        return len(self.said) or len(self.maps) * (len(self.maps) - 1) // 2
+
+
+def explain(batch: Batch, a: str, b: str) -> Decision:
+    """Why two runs a < b were merged or not. Raises KeyError if the map of one is missing."""
+    pair = (a, b)
+    own = assess(batch.maps, (batch.row[a], batch.row[b]), batch.settings, pairs=batch.pairs)
+    alone = own.alone()
+    told = batch.said.get(pair, alone)
+    shown, start = _shown(batch, own, told)
+    placements = tuple(placement for placement, _ in shown)
+    return Decision(
+        said=told,
+        merged=pair in batch.said,
+        requirement=_requirement(batch, own.level, shown[0][1] if shown else None),
+        placements=placements,
+        start=start,
+        why="" if told.accepted else own.view.why,
+        notes=_changed(told, alone, placements) if pair in batch.said else (),
+    )
+
+
+Shown = tuple[Placement, Answers]
+
+
+def _shown(batch: Batch, own: Assessment, told: PairVerdict) -> tuple[list[Shown], Start | None]:
+    """The placement that the verdict speaks of and the next best one, or the best hypothesis."""
+    if told.accepted_by == "components" and told.together is not None:
+        return _of_components(batch, told, told.together), None
+    chosen = _chosen(batch, own, told)
+    if chosen is None:
+        return _of_seed(own, batch.settings)
+    others = (c for c, _ in own.view.ranked if not same_placement(c, chosen, own.b))
+    rival = next(others, None)
+    found = [chosen] if rival is None else [chosen, rival]
+    return [_placement_of(own, c) for c in found], None
+
+
+def _chosen(batch: Batch, own: Assessment, told: PairVerdict) -> Candidate | None:
+    """The candidate that the verdict speaks of: the one that the document shows, else the best."""
+    known = [*(c for c, _ in own.view.ranked), *own.candidates]
+    for lock in batch.locks:
+        if (lock.a, lock.b, lock.decision) == (told.a, told.b, "same"):
+            forced = forced_alignment(own.a, own.b, own.candidates, lock, batch.settings)
+            known += [] if forced is None else [forced]
+    if told.best is not None:
+        pairs = {tuple(p) for p in told.best.matched.tolist()}
+        same = (c for c in known if set(zip(c.a.tolist(), c.b.tolist(), strict=True)) == pairs)
+        if (found := next(same, None)) is not None:
+            return found
+    return next(iter(known), None)
+
+
+def _placement_of(own: Assessment, c: Candidate) -> Shown:
+    view = own.view
+    asked = zip(view.ranked, view.answers, strict=True)
+    answers = next(
+        (a for (r, _), a in asked if r is c),
+        Answers(view.need_bits, c.bits, counted_bits(c)),
+    )
+    return Placement(
+        own.alignment(c, answers.bits), _terms(_Naming(own.a, own.b), c, answers)
+    ), answers
+
+
+def _of_seed(own: Assessment, settings: RobustSettings) -> tuple[list[Shown], Start | None]:
+    """The best hypothesis where none grew, if there was one."""
+    best = best_seed(own.a, own.b, settings)
+    if best is None:
+        return [], None
+    seed, candidate, count = best
+    found, expected = given_up(own.a, own.b, seed, settings)
+    needed = max(FEWEST, ceil(LEAST_SHARE * expected))
+    return [_placement_of(own, candidate)], Start(found, expected, needed, count)
+
+
+def _of_components(
+    batch: Batch, told: PairVerdict, sides: tuple[tuple[str, ...], tuple[str, ...]]
+) -> list[Shown]:
+    """The placement of a pair that its components joined, by the evidence of these."""
+    x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
+    level = bars([prepare(m) for m in batch.maps], batch.settings)
+    across = [level((min(i, j), max(i, j)), batch.pairs) for i in x for j in y]
+    highest = max(across, key=lambda bar: (bar.need_bits, bar.repetition))
+    inside = {
+        (batch.row[a], batch.row[b]): v.best
+        for (a, b), v in batch.said.items()
+        if v.accepted_by in ("pair", "lock", "components")
+        and a in batch.row
+        and b in batch.row
+        and v.best is not None
+    }
+    one, two, view = view_of_components(batch.maps, (x, y), inside, highest, batch.settings)
+    if view.best is None or told.best is None:
+        return []
+    swapped = told.a not in one.names
+    runs = (told.b, told.a) if swapped else (told.a, told.b)
+    naming = _Naming(
+        one.prepared,
+        two.prepared,
+        [members.get(runs[0], ())[:1] for members in one.members],
+        [members.get(runs[1], ())[:1] for members in two.members],
+        swapped,
+    )
+    answers = view.answers[0]
+    return [(Placement(told.best, _terms(naming, view.best, answers)), answers)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Naming:
+    """Two matched maps, and the junctions of the runs asked about behind each of their vertices:
+    the vertices themselves if None. swapped: `one` holds run b and `two` run a."""
+
+    one: Prepared
+    two: Prepared
+    of_one: Sequence[tuple[int, ...]] | None = None
+    of_two: Sequence[tuple[int, ...]] | None = None
+    swapped: bool = False
+
+    def term(
+        self,
+        kind: TermKind,
+        bits: float,
+        told: str,
+        *,
+        one: Sequence[int] = (),
+        two: Sequence[int] = (),
+        size_m: tuple[float, float] | None = None,
+    ) -> Term:
+        """A term about vertices of the two maps."""
+        first, second = _behind(self.of_one, one), _behind(self.of_two, two)
+        if self.swapped:
+            first, second = second, first
+            size_m = size_m and size_m[::-1]
+        return Term(kind, bits, told, first, second, size_m)
+
+
+def _behind(
+    junctions: Sequence[tuple[int, ...]] | None, vertices: Sequence[int]
+) -> tuple[int, ...]:
+    """The junctions behind all of these vertices; none if one of them has none."""
+    if junctions is None:
+        return tuple(vertices)
+    found = [v for vertex in vertices for v in junctions[vertex]]
+    return tuple(found) if len(found) == len(vertices) else ()
+
+
+def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
+    """The evidence of a placement, part by part; the parts add up to `answers.bits`."""
+    few = answers.carried - answers.against_chance
+    copies = answers.bits - answers.carried
+    terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
+    terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
+    if few < 0:
+        told = f"junctions carry no more than {JUNCTION_BITS} bits each"
+        terms.append(naming.term("few", few, told))
+    if answers.same_place is not None:
+        bits, need = told_bits(answers.same_place, answers.need_same).split(", ")
+        told = f"is it a copy? {bits} that it is not, {need}"
+        terms.append(naming.term("copies", copies, told))
+    return tuple(terms)
+
+
+def _chosen_from(c: Candidate) -> str:
+    tested = round(2.0**c.tested_bits - 1)
+    return f"chosen from {tested} pairs of corridors that look alike"
+
+
+def _links(naming: _Naming, c: Candidate) -> list[Term]:
+    a, b, agree = naming.one, naming.two, c.support
+    out = []
+    rows = zip(agree.ends.tolist(), agree.along.tolist(), agree.links.tolist(), strict=True)
+    for ends, along, bits in rows:
+        va, vb = c.a[ends].tolist(), c.b[ends].tolist()
+        if along >= 0:
+            row_a, row_b = agree.corridors[along].tolist()
+            size = (float(a.length[row_a]), float(b.length[row_b]))
+            told = "corridor" if bits > 0 else "another length"
+            out.append(naming.term("corridor", bits, told, one=va, two=vb, size_m=size))
+        else:
+            gap_a, gap_b = a.z[va[1]] - a.z[va[0]], b.z[vb[1]] - b.z[vb[0]]
+            size = (float(abs(gap_a)), float(abs(gap_b)))
+            told = "distance"
+            out.append(naming.term("position", bits, told, one=va, two=vb, size_m=size))
+    return out
+
+
+def _branches(naming: _Naming, c: Candidate) -> list[Term]:
+    rows = zip(c.a.tolist(), c.b.tolist(), c.support.branches.tolist(), strict=True)
+    out = []
+    for u, v, bits in rows:
+        told = f"{naming.one.count[u]} and {naming.two.count[v]} branches"
+        out.append(naming.term("branches", bits, told, one=[u], two=[v]))
+    return out
+
+
+def _against(naming: _Naming, c: Candidate) -> list[Term]:
+    a, b, found = naming.one, naming.two, c.conflicts
+    unseen = "junction unseen in a corridor"
+    out = []
+    for v, row, bits in _rows(found.extra_b, found.extra_b_in, found.extra_b_bits):
+        out.append(naming.term("unseen", -bits, unseen, one=_ends(a, row), two=[v]))
+    for v, row, bits in _rows(found.extra_a, found.extra_a_in, found.extra_a_bits):
+        out.append(naming.term("unseen", -bits, unseen, one=[v], two=_ends(b, row)))
+    for row_a, row_b in found.crossing.tolist():
+        told, ends = "corridors that only cross", (_ends(a, row_a), _ends(b, row_b))
+        out.append(naming.term("crossing", -CONFLICT_BITS, told, one=ends[0], two=ends[1]))
+    return out
+
+
+def _rows(vertex: IntArray, row: IntArray, bits: FloatArray) -> Iterator[tuple[int, int, float]]:
+    return zip(vertex.tolist(), row.tolist(), bits.tolist(), strict=True)
+
+
+def _ends(m: Prepared, row: int) -> list[int]:
+    return [int(m.tail[row]), int(m.head[row])]
+
+
+def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requirement:
+    settings = batch.settings
+    asked = answers is not None and answers.same_place is not None
+    return Requirement(
+        threshold_bits=level.need_bits,
+        pairs=batch.pairs,
+        false_merge_rate=settings.false_merge_rate,
+        least_junctions=settings.min_matches,
+        lead_bits=settings.lead_bits,
+        junction_bits=JUNCTION_BITS,
+        repetition=level.repetition,
+        same_place_bits=answers.same_place if answers is not None and asked else None,
+        same_place_needed=answers.need_same if answers is not None and asked else None,
+    )
+
+
+def _changed(
+    told: PairVerdict, alone: PairVerdict, placements: Sequence[Placement]
+) -> tuple[str, ...]:
+    """A note where the maps no longer give what the document says."""
+    now = alone.evidence_bits
+    if told.accepted_by not in (None, "pair") and placements:
+        now = sum(term.bits for term in placements[0].terms)
+    same = abs(now - told.evidence_bits) < SAME_BITS
+    if told.accepted_by in (None, "pair") and told.locked is None and not _set_aside(told, alone):
+        same &= told.verdict == alone.verdict
+    if told.best is not None and placements:
+        same &= _alike(told.best, placements[0].alignment)
+    if same:
+        return ()
+    return (
+        f"merged.json says {told.evidence_bits:.1f} bits, the maps now say {now:.1f}: they, the "
+        "locks or topobatch have changed since; merge again",
+    )
+
+
+def _set_aside(told: PairVerdict, alone: PairVerdict) -> bool:
+    """Would the pair be merged by itself, and was it kept out by other runs?"""
+    return alone.accepted and not told.accepted
+
+
+def _alike(x: Alignment, y: Alignment) -> bool:
+    off = between(x.transform, y.transform)
+    return bool(np.hypot(off[0], off[1]) < SAME_M and abs(off[2]) < SAME_RAD)

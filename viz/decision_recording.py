@@ -1,0 +1,345 @@
+"""The recording of why two runs were merged, or not: placements, evidence, threshold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
+from ..merge.decision_text import (
+    agreement,
+    because,
+    headline,
+    missing,
+    needs,
+    pose,
+    rows,
+    short,
+)
+from ..topology.se2 import apply, compose
+from ..topology.topomap import TopoMap
+from . import palette
+from .drawing import bounds, pen_m
+from .fused_layers import write_cards, write_own_map
+from .map_summary import bulleted, plain
+from .recording import UP, PathParts, Recording, map_view, markdown, placed, write_recording
+from .sheet import Cell, arrange, sheet_margin_m, upright_rad
+
+FloatArray = NDArray[np.float64]
+
+PLACEMENTS = "placements"
+
+LINKS_SHOWN = 8
+"""Rows of links on the first page."""
+
+FULL_BITS = 6.0
+"""A link of this many bits is drawn widest."""
+
+APART, ASIDE = 0.15, 0.2
+"""The gap between two tied maps, and how far the lower one is moved aside, so that ties do not lie
+on the corridors of a grid; in extents of both together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """One drawing of map b beside or over map a: T_a_b is how it is drawn."""
+
+    name: str
+    title: str
+    placement: Placement
+    T_a_b: FloatArray
+    tied: bool
+
+
+def write(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
+    """Write the recording of a decision; see `topobatch.viz.write_decision_recording`."""
+
+    def fill(recording: Recording) -> rrb.Blueprint:
+        cells = _pictures(recording, a, b, decision)
+        recording.static(("decision",), markdown(told(decision)))
+        recording.static(("evidence",), markdown(all_told(decision)))
+        recording.static(("legend",), markdown(_LEGEND))
+        return _blueprint(cells, headline(decision))
+
+    write_recording(path, f"{a.run} - {b.run}", fill)
+
+
+def _drawn(a: TopoMap, b: TopoMap, decision: Decision) -> list[_Picture]:
+    """The verdict's placement, the same with the maps drawn apart so that ties can be followed, and
+    the next best placement; of an undecided pair only the two placements, side by side."""
+    out: list[_Picture] = []
+    for k, placement in enumerate(decision.placements):
+        T = placement.alignment.transform
+        bits = f"{placement.alignment.evidence_bits:.1f} bits"
+        name = ("placement", "next best")[k]
+        title = f"{name}: {bits}" if decision.start is None else "best hypothesis, given up"
+        out.append(_Picture(name, title, placement, T, tied=False))
+        alone = len(decision.placements) == 1 or decision.said.accepted
+        if k == 0 and alone and len(placement.alignment.matched):
+            count = len(placement.alignment.matched)
+            title = f"the {count} matched junctions tied"
+            out.append(_Picture("tied", title, placement, _apart(a, b, T), tied=True))
+    return out
+
+
+def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
+    """T_a_b moved so that b lies below a, where a is drawn upright."""
+    turn = upright_rad(a.paths)
+    upright = np.array([0.0, 0.0, turn])
+    of_a, of_b = apply(upright, a.xy), apply(compose(upright, T_a_b), b.xy)
+    extent = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
+    drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * extent
+    away = np.array([ASIDE * extent, drop, 0.0])
+    return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
+
+
+def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) -> list[Cell]:
+    drawn = _drawn(a, b, decision)
+    if not drawn:  # nothing to lay over each other: the two maps as they are
+        return _side_by_side(recording, a, b)
+    points = [np.concatenate([a.xy, apply(p.T_a_b, b.xy)]) for p in drawn]
+    margin = sheet_margin_m(points)
+    cells = arrange(points, [upright_rad(a.paths)] * len(drawn), margin)
+    recording.static((PLACEMENTS,), UP)
+    write_cards(recording, PLACEMENTS, cells, [p.title for p in drawn])
+    pen = pen_m([a, b])
+    for picture, cell in zip(drawn, cells, strict=True):
+        here = (PLACEMENTS, picture.name)
+        recording.static(here, placed(cell.T_sheet_map))
+        write_own_map(recording, (*here, "a", a.run), a, palette.of_rank(0), pen)
+        recording.static((*here, "b"), placed(picture.T_a_b))
+        write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
+        _evidence(recording, here, picture, (a.xy, apply(picture.T_a_b, b.xy)), pen)
+        _names(recording, picture.name, cell, margin, (a.run, b.run))
+    return cells
+
+
+def _side_by_side(recording: Recording, a: TopoMap, b: TopoMap) -> list[Cell]:
+    maps = [a, b]
+    points = [m.xy for m in maps]
+    cells = arrange(points, [upright_rad(m.paths) for m in maps], sheet_margin_m(points))
+    recording.static((PLACEMENTS,), UP)
+    write_cards(recording, PLACEMENTS, cells, [short(m.run) for m in maps])
+    for k, (m, cell) in enumerate(zip(maps, cells, strict=True)):
+        here = (PLACEMENTS, "maps", m.run)
+        recording.static(here, placed(cell.T_sheet_map))
+        write_own_map(recording, here, m, palette.of_rank(k), pen_m(maps))
+    return cells
+
+
+def _names(
+    recording: Recording, name: str, cell: Cell, margin: float, runs: tuple[str, str]
+) -> None:
+    """The runs' names in their colours, at the foot of a cell."""
+    width = cell.high[0] - cell.low[0]
+    places = [(cell.low[0] + share * width, cell.low[1] + 0.8 * margin) for share in (0.3, 0.7)]
+    recording.static(
+        (PLACEMENTS, "names", name),
+        rr.Points2D(
+            places,
+            radii=0.0,
+            colors=[palette.of_rank(0), palette.of_rank(1)],
+            labels=[short(run) for run in runs],
+            show_labels=True,
+            draw_order=50.0,
+        ),
+    )
+
+
+def _evidence(
+    recording: Recording,
+    here: PathParts,
+    picture: _Picture,
+    xy: tuple[FloatArray, FloatArray],
+    pen: float,
+) -> None:
+    """Ties between matched junctions, links by their bits, and what contradicts. xy: where the
+    junctions of a and of b are drawn, in a's frame."""
+    pairs = picture.placement.alignment.matched
+    if len(pairs):
+        one, two = xy[0][pairs[:, 0]], xy[1][pairs[:, 1]]
+        lines = rr.LineStrips2D(
+            list(np.stack([one, two], axis=1)),
+            radii=0.25 * pen,
+            colors=palette.WHITE,
+            draw_order=30.0,
+        )
+        recording.static((*here, "ties"), lines, _tie_info(pairs))
+        for name, at in (("a", one), ("b", two)):
+            rings = rr.Points2D(at, radii=1.8 * pen, colors=palette.WHITE, draw_order=15.0)
+            recording.static((*here, "matched", name), rings)
+    _links(recording, (*here, "links"), picture, xy, pen)
+    _contradictions(recording, (*here, "contradictions"), picture, xy, pen)
+
+
+def _tie_info(pairs: NDArray[np.int64]) -> rr.AnyValues:
+    return rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
+
+
+def _links(
+    recording: Recording,
+    path: PathParts,
+    picture: _Picture,
+    xy: tuple[FloatArray, FloatArray],
+    pen: float,
+) -> None:
+    """Every link between two junctions of a; drawn apart, also between those of b."""
+    links = [t for t in picture.placement.of(*LINKS) if len(t.a) == 2]
+    for ends, at, name in ((0, xy[0], "a"), (1, xy[1], "b")):
+        shown = [t for t in links if len((t.a, t.b)[ends]) == 2]
+        if not shown or (ends and not picture.tied):
+            continue
+        bits = np.array([t.bits for t in shown])
+        lines = rr.LineStrips2D(
+            at[np.array([(t.a, t.b)[ends] for t in shown])],
+            radii=pen * (0.9 + 1.3 * np.minimum(np.abs(bits) / FULL_BITS, 1.0)),
+            colors=[palette.MERGED if t.bits > 0 else palette.REFUSED for t in shown],
+            draw_order=8.0,
+        )
+        recording.static((*path, name), lines, _info(shown))
+
+
+def _info(terms: list[Term]) -> rr.AnyValues:
+    return rr.AnyValues(bits=[round(t.bits, 2) for t in terms], what=[t.told for t in terms])
+
+
+def _contradictions(
+    recording: Recording,
+    path: PathParts,
+    picture: _Picture,
+    xy: tuple[FloatArray, FloatArray],
+    pen: float,
+) -> None:
+    """Junctions that the other run drove past unseen, and corridors that cross, in red."""
+    against = picture.placement.of(*AGAINST)
+    spots = [
+        (t, xy[side][ends[0]])
+        for t in against
+        for side, ends in enumerate((t.a, t.b))
+        if len(ends) == 1
+    ]
+    if spots:
+        points = rr.Points2D(
+            [at for _, at in spots], radii=2.4 * pen, colors=palette.REFUSED, draw_order=25.0
+        )
+        recording.static((*path, "junctions"), points, _info([t for t, _ in spots]))
+    crossed = [
+        (t, xy[side][list(ends)])
+        for t in against
+        for side, ends in enumerate((t.a, t.b))
+        if t.kind == "crossing" and len(ends) == 2
+    ]
+    if crossed:
+        lines = rr.LineStrips2D(
+            [line for _, line in crossed], radii=pen, colors=palette.REFUSED, draw_order=12.0
+        )
+        recording.static((*path, "corridors"), lines, _info([t for t, _ in crossed]))
+
+
+def told(decision: Decision) -> str:
+    """The first page: verdict, why, the evidence added up, what is needed, what is missing."""
+    said = decision.said
+    verdict, _, numbers = headline(decision).rpartition(": ")
+    parts = [f"# {plain(verdict)}", f"**{plain(numbers)}**", plain(because(decision))]
+    if decision.placements:
+        lies = "lies" if said.accepted else "would lie"
+        first = (
+            f"{short(said.b)} {lies} at {pose(decision.placements[0])}, in {short(said.a)}'s frame."
+        )
+        parts.append(plain(first))
+    parts.append(_table(decision, LINKS_SHOWN))
+    if len(decision.placements) > 1:
+        other = decision.placements[1]
+        parts.append(plain(f"Next best: {agreement(other)}; at {pose(other)}."))
+    for text in (missing(decision), *decision.notes):
+        if text:
+            parts.append(plain(text))
+    return "\n\n".join(parts) + "\n"
+
+
+def _table(decision: Decision, links: int) -> str:
+    table = rows(decision, links)
+    if not table:
+        return plain(f"Needed: {decision.requirement.threshold_bits:.1f} bits: {needs(decision)}")
+    count = len(decision.placements)
+    names = [plain(short(run, 12)) for run in (decision.said.a, decision.said.b)]
+    head = [*(["this", "next"][:count] if count > 1 else ["bits"]), "for and against", *names]
+    lines = [_line(head), _line(["---:"] * count + ["---"] * 3)]
+    for row in table:
+        cells = ["" if bits is None else f"{bits:+.1f}" for bits in row.bits]
+        text = plain(row.told)
+        if row.level:  # a part of the sum above
+            text, cells = f"   {cells[0]}  {text}", []
+        cells += [""] * (count - len(cells))
+        lines.append(_line([*cells, text, row.a, row.b]))
+    sums = [f"**{p.alignment.evidence_bits:.1f}**" for p in decision.placements]
+    lines.append(_line([*sums, "**evidence**", "", ""]))
+    need = f"{decision.requirement.threshold_bits:.1f}"
+    lines.append(_line([need, *[""] * (count - 1), f"needed: {plain(needs(decision))}", "", ""]))
+    return "\n".join(lines)
+
+
+def _line(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def all_told(decision: Decision) -> str:
+    """The second page: every term of every placement."""
+    parts = ["# Every term"]
+    for placement in decision.placements:
+        parts.append(
+            f"## {placement.alignment.evidence_bits:.1f} bits, at {plain(pose(placement))}"
+        )
+        lines = [_line(["bits", "what", "of a", "of b"]), _line(["---:", "---", "---", "---"])]
+        for t in placement.terms:
+            text = t.told
+            if t.size_m is not None:
+                text = f"{text}: {t.size_m[0]:.2f} m, {t.size_m[1]:.2f} m"
+            ends = ("-".join(map(str, v)) for v in (t.a, t.b))
+            lines.append(_line([f"{t.bits:+.2f}", plain(text), *ends]))
+        parts.append("\n".join(lines))
+    if not decision.placements:
+        parts.append("Nothing in the two maps is alike.")
+    return "\n\n".join(parts) + "\n"
+
+
+_LEGEND = "# How to read it\n\n" + bulleted(
+    [
+        "**Placement**: the second run laid over the first. White: matched junctions; the line "
+        "between them shows how far apart they lie.",
+        "**Green** lines are links: a corridor that both runs have, or how two matched junctions "
+        "near each other lie. The wider, the more bits. **Red**: what speaks against it.",
+        "**Tied**: the same placement with the second run drawn below the first.",
+        "Each **bit** doubles the odds that so much agrees because it is one place. The parts add "
+        "up to the evidence; it is compared with what is needed.",
+        "Point at anything for its numbers.",
+    ]
+)
+
+
+def _blueprint(cells: list[Cell], name: str) -> rrb.Blueprint:
+    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            map_view(PLACEMENTS, "Placements", *bounds([corners], margin=0.02)),
+            rrb.Tabs(
+                rrb.TextDocumentView(origin="/decision", name="Decision"),
+                rrb.TextDocumentView(origin="/evidence", name="Every term"),
+                rrb.TextDocumentView(origin="/legend", name="How to read it"),
+                active_tab=0,
+                name="Why",
+            ),
+            column_shares=[3, 2],
+            name=name,
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="hidden"),
+        auto_layout=False,
+        auto_views=False,
+    )
