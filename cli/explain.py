@@ -9,6 +9,7 @@ import typer
 
 from ..topology.errors import UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import say, say_lines
 from .workspace import Workspace
 
 if TYPE_CHECKING:
@@ -44,14 +45,14 @@ def explain(
     write_explain_recording(recording, map_a, map_b, found)
     said = _said(place, first, second)
     if as_json:
-        typer.echo(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
+        say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
         return
     for line in lines(found, rows):
-        typer.echo(line)
-    typer.echo()
+        say(line)
+    say()
     for line in _verdict_lines(said):
-        typer.echo(line)
-    typer.echo(f"recording: {recording}")
+        say(line)
+    say(f"recording: {recording}")
 
 
 def _said(place: Workspace, a: str, b: str) -> MergeEntry | None:
