@@ -130,6 +130,9 @@ def _plan(
             logs |= dict.fromkeys(find_logs([path]))
         except LogError as error:
             planned.append(IngestOutcome(path, path.name, "failed", str(error)))
+        except OSError as error:
+            text = f"{error.filename or path}: {error.strerror or error}"
+            planned.append(IngestOutcome(path, path.name, "failed", text))
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
     names: dict[str, Path] = {}
