@@ -9,7 +9,7 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
-from .output import count, warn
+from .output import count, say, say_lines, warn
 from .workspace import Workspace, shortened
 
 if TYPE_CHECKING:
@@ -67,10 +67,10 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     maps = {run: place.read_map(run) for run in pair}
     decision = _decision(place, pair, maps)
     if as_json:
-        typer.echo(json.dumps(to_document(decision)))
+        say_lines(json.dumps(to_document(decision)))
     else:
         for line in lines(decision, rows):
-            typer.echo(line)
+            say_lines(line)
     recording = place.explain_rrd(*pair)
     _record(
         recording,
@@ -143,7 +143,7 @@ def _record(recording: Path, write: Callable[[], None], quiet: bool) -> None:
         warn(f"{recording}: not written: {error.strerror or error}")
         return
     if not quiet:
-        typer.echo(f"recording: {recording}")
+        say(f"recording: {recording}")
 
 
 def _by_paper(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
@@ -156,10 +156,10 @@ def _by_paper(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int 
     found = explained(map_a, map_b)
     said = _said(place, *pair)
     if as_json:
-        typer.echo(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
+        say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
     else:
         for line in [*lines(found, rows or 20), "", *_verdict_lines(said)]:
-            typer.echo(line)
+            say_lines(line)
     recording = place.explain_rrd(*pair, method="paper")
     _record(recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json)
 

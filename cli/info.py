@@ -10,7 +10,7 @@ import typer
 
 from ..topology.errors import LogError
 from .ingest import JunctionFields, JunctionTopic, OdometryTopic
-from .output import complain, count, table
+from .output import complain, count, say, table
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo
@@ -45,7 +45,7 @@ def info(
             failed = True
             continue
         for line in lines:
-            typer.echo(line)
+            say(line)
     if failed:
         raise typer.Exit(1)
 

@@ -11,7 +11,7 @@ import typer
 from ..topology.errors import LogError, UsageError
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
 from .output import Screen, count
-from .workspace import Workspace, checked_run_name
+from .workspace import Workspace, checked_run_name, shortened
 
 if TYPE_CHECKING:
     from ..ingest.mapping import MappingSettings
@@ -130,6 +130,9 @@ def _plan(
             logs |= dict.fromkeys(find_logs([path]))
         except LogError as error:
             planned.append(IngestOutcome(path, path.name, "failed", str(error)))
+        except OSError as error:
+            text = f"{error.filename or path}: {error.strerror or error}"
+            planned.append(IngestOutcome(path, path.name, "failed", text))
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
     names: dict[str, Path] = {}
@@ -203,5 +206,5 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
         screen.line(f"{count(good, 'map')} in {place.maps}{same}; next: topobatch merge --all")
     if failed and len(outcomes) > 1:
         screen.complain(
-            f"{len(failed)} of {count(len(outcomes), 'log')} failed: {', '.join(failed)}"
+            f"{len(failed)} of {count(len(outcomes), 'log')} failed: {shortened(failed)}"
         )

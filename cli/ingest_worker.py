@@ -6,19 +6,21 @@ import hashlib
 import json
 import multiprocessing
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from .. import __version__
 from ..ingest.mapping import MappingSettings, build_map
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_run
-from ..topology.document import map_to_document, write_json
+from ..topology.document import map_to_document, read_json, write_json, write_together
 from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
@@ -89,7 +91,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     started = time.monotonic()
     key = _content_key(job)
     before = _record(job.place, job.run)
-    had = _runs_of(before)
+    had = _runs_of(before, job.run)
     if not job.force and before.get("key") == key and _all_there(job.place, had):
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
     run = read_run(job.log, job.read, on_bytes=on_bytes)
@@ -99,14 +101,16 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     docs = {m.run: map_to_document(m) for m in maps}
     for name, doc in docs.items():
         _refuse_other_log(job, name, doc)
+    writes: dict[Path, Callable[[Path], object]] = {}
     for m in maps:
-        write_json(job.place.map_json(m.run), docs[m.run])
-        write_map_recording(job.place.map_rrd(m.run), m, odometry=run.odometry)
-    _clear_away(job.place, before, set(runs))
+        drawn = partial(write_map_recording, topomap=m, odometry=run.odometry)
+        writes[job.place.map_rrd(m.run)] = drawn
+        writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
+    write_together(writes)
+    _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
-    record = {"key": key, "log": _origin(job.log), "runs": runs}
-    for name in reversed(runs):
-        write_json(job.place.ingest_record(name), record)
+    record = partial(write_json, doc={"key": key, "log": _origin(job.log), "runs": runs})
+    write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
     told = maps[0].info.get("warnings", ())
     return IngestOutcome(job.log, job.run, "done", text, tuple(told), maps=len(maps))
@@ -123,14 +127,14 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
 
 def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
     files = [path(run) for run in runs for path in (place.map_json, place.map_rrd)]
-    return bool(files) and all(file.exists() for file in files)
+    return bool(files) and all(file.is_file() and not file.is_symlink() for file in files)
 
 
-def _clear_away(place: Workspace, before: dict[str, Any], kept: Set[str]) -> None:
+def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[str]) -> None:
     """Remove the maps of pieces that the log gave before and does not give any more."""
-    for run in set(_runs_of(before)) - kept:
-        if _record(place, run).get("log") == before.get("log"):
-            for file in (place.map_json(run), place.map_rrd(run), place.ingest_record(run)):
+    for gone in set(_runs_of(before, run)) - kept:
+        if _record(place, gone).get("log") == before.get("log"):
+            for file in (place.map_json(gone), place.map_rrd(gone), place.ingest_record(gone)):
                 file.unlink(missing_ok=True)
 
 
@@ -160,16 +164,20 @@ def _content_key(job: IngestJob) -> str:
 def _record(place: Workspace, run: str) -> dict[str, Any]:
     """What the map of a run was made from; empty where that is not known."""
     try:
-        found = json.loads(place.ingest_record(run).read_bytes())
-    except (OSError, ValueError):
+        found = read_json(place.ingest_record(run))
+    except DocumentError:
         return {}  # a cache: without it the run is just done again
     return found if isinstance(found, dict) else {}
 
 
-def _runs_of(record: dict[str, Any]) -> list[str]:
-    """The runs that the log of a record gave: one, or one per piece of a broken odometry."""
-    runs = record.get("runs")
-    return [r for r in runs if isinstance(r, str)] if isinstance(runs, list) else []
+def _runs_of(record: dict[str, Any], run: str) -> list[str]:
+    """The runs that the log of a record gave: one, or one per piece of a broken odometry.
+
+    Names that ingest would not have given are none: a record is no reason to touch other files.
+    """
+    runs, own = record.get("runs"), re.compile(re.escape(run) + "(#[0-9]{1,9})?")
+    listed = runs if isinstance(runs, list) else []
+    return [name for name in listed if isinstance(name, str) and own.fullmatch(name)]
 
 
 def _origin(log: Path) -> str:
@@ -180,12 +188,12 @@ def _origin(log: Path) -> str:
 def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """A map made from another log of the same name is not overwritten unasked."""
     other, path = _record(job.place, run).get("log"), job.place.map_json(run)
-    if job.force or not other or other == _origin(job.log) or not path.exists():
+    if job.force or not isinstance(other, str) or other == _origin(job.log):
         return
     try:
-        same = json.loads(path.read_bytes()) == doc
-    except ValueError:
-        return
+        same = read_json(path) == doc
+    except DocumentError:
+        return  # nothing is lost: it is not there, or no map
     if not same:
         raise DocumentError(
             f"{job.log}: the workspace has a run {run!r} already, made from {other}; "

@@ -9,7 +9,7 @@ import typer
 
 from ..topology.errors import DataError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
-from .output import warn
+from .output import say, warn
 from .workspace import Workspace
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def lock(
             kept = with_lock(place.locks(), _checked(place, Lock(a, b, _decision(same), _pair(at))))
         place.write_locks(kept)
     _show(kept)
-    typer.echo("next: topobatch merge --all")
+    say("next: topobatch merge --all")
 
 
 def _decision(same: bool) -> Literal["same", "never"]:
@@ -90,7 +90,7 @@ def _checked(place: Workspace, wanted: Lock) -> Lock:
 
 def _show(locks: tuple[Lock, ...]) -> None:
     if not locks:
-        typer.echo("no locks")
+        say("no locks")
     for entry in locks:
         at = f", junction {entry.at[0]} = junction {entry.at[1]}" if entry.at else ""
-        typer.echo(f"{entry.a} + {entry.b}: {entry.decision}{at}")
+        say(f"{entry.a} + {entry.b}: {entry.decision}{at}")

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import sys
-from io import TextIOWrapper
-from typing import Annotated
+from io import StringIO, TextIOWrapper
+from typing import Annotated, Any, cast
 
 import typer
+from typer.exceptions import TyperException
 
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
@@ -20,7 +21,7 @@ from .info import info
 from .ingest import ingest
 from .lock import lock
 from .merge import merge
-from .output import complain
+from .output import complain, say, say_lines
 from .schema import schema
 from .simulate import simulate
 from .view import view
@@ -46,7 +47,7 @@ for command in (ingest, merge, view, info, explain, lock, simulate, schema):
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"topobatch {__version__}")
+        say(f"topobatch {__version__}")
         raise typer.Exit
 
 
@@ -72,7 +73,12 @@ def main() -> None:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # names and arrows in an encoding without them
     try:
-        app(prog_name="topobatch")
+        sys.exit(app(prog_name="topobatch", standalone_mode=False))
+    except TyperException as error:
+        shown = StringIO()
+        cast(Any, error).show(file=shown)
+        say_lines(shown.getvalue().rstrip("\n"), err=True)
+        sys.exit(error.exit_code)
     except TopobatchError as error:
         complain(str(error))
         sys.exit(EXIT_USAGE if isinstance(error, UsageError) else EXIT_DATA)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -173,10 +174,15 @@ def _executor(jobs: int, pairs: int) -> Iterator[Executor | None]:
 
 def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
     from ..merge.document import write_merged
+    from ..topology.document import write_together
     from ..viz import write_merged_recording
 
-    write_merged(place.merged_json, result)
-    write_merged_recording(place.merged_rrd, result, maps)
+    write_together(
+        {
+            place.merged_json: partial(write_merged, result=result),
+            place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
+        }
+    )
 
 
 def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:

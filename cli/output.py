@@ -2,6 +2,9 @@
 
 Results go to the standard output; progress, warnings and errors to the standard error. Away from
 a terminal there are no bars and no colours, only lines.
+
+Everything that the command shows goes through `say`, and no other module writes to a stream: names
+of files, topics and types come from others, and what would steer a terminal is shown escaped.
 """
 
 from __future__ import annotations
@@ -13,23 +16,56 @@ from typing import Any
 
 import typer
 
+LONGEST_LINE = 8000
+LONGEST_CELL = 200
+"""Characters. A name can have millions of them, and pads every row of a table."""
+
+
+def plain(text: str, most: int = LONGEST_LINE) -> str:
+    """The text in printable characters, on one line, and not without end.
+
+    Escaped are control characters, line breaks, marks that turn the direction of writing, halves of
+    characters (as \\x1b, \\n, \\u202e, \\ud800). Text that is plain already is returned as it is.
+    """
+    if len(text) > most:
+        text = f"{text[:most]}… ({len(text) - most:,} more characters)"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def say(text: str = "", *, err: bool = False) -> None:
+    """One line, on the standard output or the standard error."""
+    typer.echo(plain(text), err=err)
+
+
+def say_lines(text: str, *, err: bool = False) -> None:
+    """A text of several lines, as long as they are."""
+    for line in text.split("\n"):
+        typer.echo(plain(line, len(line)), err=err)
+
 
 def complain(message: str) -> None:
     """An error, on the standard error."""
-    typer.echo(typer.style("error: ", fg="red", bold=True) + message, err=True)
+    typer.echo(typer.style("error: ", fg="red", bold=True) + plain(message), err=True)
 
 
 def warn(message: str) -> None:
     """A warning, on the standard error."""
-    typer.echo(typer.style("warning: ", fg="yellow") + message, err=True)
+    typer.echo(typer.style("warning: ", fg="yellow") + plain(message), err=True)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
     """Lines of a table with left-aligned columns as wide as their longest cell."""
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+    shown = [[plain(cell, LONGEST_CELL) for cell in row] for row in [header, *rows]]
+    widths = [max(len(row[i]) for row in shown) for i in range(len(header))]
     return [
         (indent + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))).rstrip()
-        for row in [header, *rows]
+        for row in shown
     ]
 
 
@@ -62,9 +98,9 @@ class Screen:
 
     def _emit(self, text: str, *, err: bool) -> None:
         if self._progress is not None:
-            self._progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
+            self._progress.console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
         else:
-            typer.echo(text, err=err)
+            say(text, err=err)
 
     @contextmanager
     def progress(self, label: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from .output import say_lines
+
 
 class Document(StrEnum):
     """Documents that topobatch writes."""
@@ -28,4 +30,4 @@ def schema(
     from ..topology.document import MapDocument
 
     model = MapDocument if document is Document.MAP else MergedDocument
-    typer.echo(json.dumps(model.model_json_schema(by_alias=True), indent=2))
+    say_lines(json.dumps(model.model_json_schema(by_alias=True), indent=2))

@@ -10,6 +10,7 @@ import typer
 
 from ..topology.errors import DataError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import say
 from .workspace import Workspace, shortened
 
 
@@ -28,11 +29,9 @@ def view(
         known = shortened(place.runs()) or "none"
         raise DataError(f"{recording}: is not there; runs with a map: {known}")
     if not _has_display():
-        typer.echo(f"{recording}: there is no display here. To look at it:")
-        typer.echo(
-            f"  on a machine with a screen:  rerun {recording.name}   (pip install rerun-sdk)"
-        )
-        typer.echo(f"  in a browser, served by this machine:  rerun --web-viewer {recording}")
+        say(f"{recording}: there is no display here. To look at it:")
+        say(f"  on a machine with a screen:  rerun {recording.name}   (pip install rerun-sdk)")
+        say(f"  in a browser, served by this machine:  rerun --web-viewer {recording}")
         return
     import subprocess
 

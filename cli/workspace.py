@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import stat
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,9 +24,28 @@ NAME_BYTES = 200
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`, `cache/`."""
+    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`, `cache/`.
+
+    What lies there may come from others. Raises DataError if one of its folders is a link, or is
+    none: what is written and cleared away lies in the workspace. Names become paths only if they
+    are plain file names, else UsageError.
+    """
 
     root: Path
+
+    def __post_init__(self) -> None:
+        cache = self.root / "cache"
+        for folder in (self.maps, cache, cache / "ingest", self.root / "explain"):
+            self._require(folder, stat.S_IFDIR, "folder")
+        self._require(self.root / ".lock", stat.S_IFREG, "file")
+
+    def _require(self, path: Path, kind: int, name: str) -> None:
+        """DataError if something else than topobatch would put there lies at a path."""
+        if os.path.lexists(path) and stat.S_IFMT(os.lstat(path).st_mode) != kind:
+            from ..topology.document import kind_of
+
+            kept = f"where topobatch keeps a {name} of its own"
+            raise DataError(f"{path}: is a {kind_of(path)}, {kept}; remove it")
 
     @property
     def maps(self) -> Path:
@@ -48,16 +69,16 @@ class Workspace:
 
     def map_json(self, run: str) -> Path:
         """The map document of a run."""
-        return self.maps / f"{run}.json"
+        return self.maps / f"{plain_name(run)}.json"
 
     def map_rrd(self, run: str) -> Path:
         """The recording of a run."""
-        return self.maps / f"{run}.rrd"
+        return self.maps / f"{plain_name(run)}.rrd"
 
     def explain_rrd(self, a: str, b: str, *, method: str = "robust") -> Path:
         """The recording of how two maps match. Names too long for a file together are cut."""
         kind = "" if method == "robust" else f".{method}"
-        name = f"{a}+{b}"
+        name = f"{plain_name(a)}+{plain_name(b)}"
         if len(name.encode()) > NAME_BYTES:
             digest = hashlib.sha256(name.encode()).hexdigest()[:12]
             short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
@@ -66,7 +87,7 @@ class Workspace:
 
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""
-        return self.root / "cache" / "ingest" / f"{run}.json"
+        return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""
@@ -97,7 +118,10 @@ class Workspace:
         """The map of a run; DocumentError if it cannot be read, or is another run's."""
         from ..topology.document import read_map
 
-        path = self.map_json(run)
+        try:
+            path = self.map_json(run)
+        except UsageError as error:  # a name that a file has, but that nothing of ours gave it
+            raise DocumentError(f"{self.maps}: {error}") from error
         topomap = read_map(path)
         if topomap.run != run:
             raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
@@ -108,7 +132,7 @@ class Workspace:
         from ..merge.locks import locks_from_document
         from ..topology.document import read_json
 
-        if not self.locks_json.exists():
+        if not os.path.lexists(self.locks_json):
             return ()
         return locks_from_document(read_json(self.locks_json), str(self.locks_json))
 
@@ -145,9 +169,12 @@ class Workspace:
             lock.release()
 
     def _clear_left_overs(self) -> None:
+        from ..topology.document import LEFT_OVER
+
         for folder in (self.root, self.maps, self.ingest_record("x").parent):
-            for left_over in folder.glob(".*.tmp"):
-                left_over.unlink(missing_ok=True)
+            for path in folder.glob(".*.tmp"):
+                if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+                    path.unlink(missing_ok=True)
 
 
 def shortened(names: Sequence[str], most: int = 12) -> str:
@@ -157,10 +184,15 @@ def shortened(names: Sequence[str], most: int = 12) -> str:
 
 
 def checked_run_name(name: str) -> str:
-    """A run name that is a plain file name, or a UsageError."""
+    """A run name that is a plain file name of a length that can be, or a UsageError."""
+    if len(plain_name(name).encode()) > NAME_BYTES:
+        raise UsageError(f"{name[:40]!r}… cannot name a run: it is longer than {NAME_BYTES} bytes")
+    return name
+
+
+def plain_name(name: str) -> str:
+    """A name that stays in the folder that it is put in, or a UsageError."""
     plain = name.isprintable() and not name.startswith(".") and name == Path(name).name
     if not name or not plain:
         raise UsageError(f"{name!r} cannot name a run: it must work as a file name")
-    if len(name.encode()) > NAME_BYTES:
-        raise UsageError(f"{name[:40]!r}… cannot name a run: it is longer than {NAME_BYTES} bytes")
     return name

@@ -57,8 +57,8 @@ def build_map(
     """The topological map of a run.
 
     Where the odometry broke, the map is in several `pieces`, drawn side by side: how they lie to
-    each other is for `merge.pieces` to find out. Raises DataError if the run has
-    no junction pass. `on_step` hears the name of each step before it begins.
+    each other is for `merge.pieces` to find out. Raises DataError if the run has no junction pass, or
+    its odometry does not move. `on_step` hears the name of each step before it begins.
     """
     step = on_step or (lambda name: None)
     step("calibration")
@@ -67,6 +67,7 @@ def build_map(
     step("passes")
     passes = fuse_passes(odometry, run.detections, settings.passes)
     _require_passes(run, passes)
+    _require_motion(run, settings.passes.reach_m)
     step("noise")
     noise = estimate_noise(odometry, run.detections, passes, settings.noise)
     step("loop closure")
@@ -120,6 +121,16 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
         turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else usual.turn_rad_per_m,
         turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else usual.turn_rad_per_rad,
     )
+
+
+def _require_motion(run: Run, reach_m: float) -> None:
+    """DataError if the robot never got out of the one junction that it may have stood at."""
+    xy = run.odometry.pose[:, :2]
+    if len(xy) > 0 and np.hypot(*np.ptp(xy, axis=0)) < reach_m:
+        raise DataError(
+            f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m; "
+            "nothing can be mapped"
+        )
 
 
 def _require_passes(run: Run, passes: Passes) -> None:

@@ -77,6 +77,17 @@ def test_only_the_command_line_prints_or_exits(package: str) -> None:
             assert attribute not in ("sys.exit", "os._exit"), path
 
 
+def test_the_command_line_shows_everything_in_one_place() -> None:
+    """There, what would steer a terminal is escaped."""
+    for path in modules("cli"):
+        calls = [
+            node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)
+        ]
+        names = {ast.unparse(call.func).rsplit(".", maxsplit=1)[-1] for call in calls}
+        shown = names & {"echo", "secho", "print", "write"}
+        assert not shown or path.name == "output.py", f"{path}: {shown}"
+
+
 def test_every_module_is_below_a_declared_package() -> None:
     import tomllib
 

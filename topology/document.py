@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
 
 from .errors import DocumentError
 from .passes import NO_BRANCH
@@ -33,9 +37,19 @@ PATH_DECIMALS = 3
 FARTHEST_M = 1e9
 """Where a vertex can lie: logs are believed as far. Eastings with a zone in front reach 6e7."""
 
-LONGEST_M = 1e6
-"""A corridor can be no longer. What is, is damage, and would take matching all the memory there
-is."""
+LONGEST_M = 1e5
+LONGEST_TOGETHER_M = 1e6
+"""A corridor, and all of a map, can be no longer: merging looks at a corridor every 0.25 m, and
+takes 60 MB for 100 km."""
+
+MOST_BRANCHES = 64
+"""At one junction. Ingest holds branches closer than 0.3 rad for one, which leaves 20 at most."""
+
+LARGEST_BYTES = 1 << 30
+"""A document can be no larger: one junction with its corridors takes about 1 kB."""
+
+LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
+"""Names of the files that `write_atomically` fills; only a process that was killed leaves any."""
 
 LARGEST_NOISE = 1e6
 
@@ -67,7 +81,7 @@ class MapNode(Model):
     x: Metres
     y: Metres
     kind: str
-    branches: list[Finite]
+    branches: list[Finite] = Field(max_length=MOST_BRANCHES)
     observations: list[Observation]
 
 
@@ -229,9 +243,13 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise = {k: v for k, v in d.graph.noise.items() if k in RunNoise.__dataclass_fields__}
     paths = tuple(np.array(e.path) for e in d.edges)
-    for k, path in enumerate(paths):
-        if np.hypot(*np.diff(path, axis=0).T).sum() > LONGEST_M:
+    lengths = [np.hypot(*np.diff(path, axis=0).T).sum() for path in paths]
+    for k, length in enumerate(lengths):
+        if length > LONGEST_M:
             raise DocumentError(f"{name}: edges.{k}.path: is longer than {LONGEST_M / 1000:.0f} km")
+    if sum(lengths) > LONGEST_TOGETHER_M:
+        most = f"{LONGEST_TOGETHER_M / 1000:.0f} km"
+        raise DocumentError(f"{name}: edges: all paths together are longer than {most}")
 
     def branches(name: str) -> list[int]:
         found = (getattr(edge, name) for edge in d.edges)
@@ -280,13 +298,36 @@ def validated(model: type[M], doc: Any, name: str) -> M:
 
 
 def read_json(path: Path) -> Any:
-    """A parsed JSON file, or a DocumentError that names it."""
+    """A parsed JSON file, or a DocumentError that names it.
+
+    Refused are files that are none (links, FIFOs, devices), implausibly long ones, nesting deeper
+    than 200, text that is no UTF-8 or holds halves of characters, numbers that are none.
+    """
     try:
-        return json.loads(path.read_bytes())
+        return from_json(_content(path), allow_inf_nan=False)
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise DocumentError(f"{path}: is not JSON: {error}") from error
+
+
+def _content(path: Path) -> bytes:
+    """The bytes of a document; nothing that could block or act on being opened is opened."""
+    if not stat.S_ISREG(os.lstat(path).st_mode):
+        raise DocumentError(f"{path}: is a {kind_of(path)}, not a document; remove it")
+    # Whoever puts something else there meanwhile is refused as well.
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    with open(os.open(path, flags | getattr(os, "O_BINARY", 0)), "rb") as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
+            raise DocumentError(f"{path}: is larger than {LARGEST_BYTES >> 30} GiB")
+        return file.read()
+
+
+def kind_of(path: Path) -> str:
+    """What lies at a path, in a word."""
+    mode = os.lstat(path).st_mode
+    kinds = {stat.S_IFREG: "file", stat.S_IFDIR: "folder", stat.S_IFLNK: "link"}
+    return kinds.get(stat.S_IFMT(mode), "FIFO, a device or a socket")
 
 
 def read_map(path: Path) -> TopoMap:
@@ -302,20 +343,49 @@ def write_json(path: Path, doc: Any) -> None:
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a temporary file beside `path`, then move it there in one step."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    write_together({path: write})
+
+
+def write_together(writes: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Write files that belong together: all are filled before the first is moved to its place.
+
+    Where one cannot be written (a full disk), none is. They are moved in their order.
+    """
+    with ExitStack() as stack:
+        filled = {}
+        for path, write in writes.items():
+            with _named(path):
+                filled[path] = stack.enter_context(_temporary(path.parent))
+                write(filled[path])
+                filled[path].chmod(0o666 & ~_umask())
+        for path, temporary in filled.items():
+            with _named(path):
+                os.replace(temporary, path)
+
+
+@contextmanager
+def _temporary(folder: Path) -> Iterator[Path]:
+    """An empty file, which is gone afterwards unless it was moved."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".topobatch-", suffix=".tmp", dir=folder)
     os.close(handle)
-    temporary = Path(name)
     try:
-        write(temporary)
-        temporary.chmod(0o666 & ~_umask())
-        os.replace(temporary, path)
-    except OSError as error:
-        if error.filename is None:  # as where the disk is full
-            error.filename = str(path)
-        raise
+        yield Path(name)
     finally:
-        temporary.unlink(missing_ok=True)
+        Path(name).unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Errors name the file that was to be written, and not what stood for it meanwhile."""
+    try:
+        yield
+    except OSError as error:
+        name = error.filename
+        if name is None or LEFT_OVER.fullmatch(Path(os.fsdecode(name)).name):
+            error.filename = str(path)
+            error.filename2 = None
+        raise
 
 
 def _umask() -> int:

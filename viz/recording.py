@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+import rerun_bindings
 from numpy.typing import NDArray
 
 from ..topology.document import write_atomically
@@ -32,7 +33,9 @@ PathParts = tuple[str, ...]
 class Recording:
     """A recording being written: paths are given in parts, so that any run name may stand in one.
 
-    Nothing is stamped with the time of writing: the same results give the same recording.
+    Nothing is stamped with the time of writing, and chunks end only where the recording does: the
+    same results give the same content in the same order, by `rerun rrd compare`. The bytes differ:
+    rerun gives rows, chunks and blueprints ids of its own.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
@@ -76,18 +79,40 @@ def write_recording(
 
     def save(temporary: Path) -> None:
         stream = rr.RecordingStream(
-            APPLICATION_ID, recording_id=recording_id, send_properties=False
+            APPLICATION_ID,
+            recording_id=recording_id,
+            send_properties=False,
+            batcher_config=rr.ChunkBatcherConfig.NEVER(),
         )
         try:
             blueprint = fill(Recording(stream))
             memory = stream.memory_recording()
-            stream.send_blueprint(blueprint, make_active=False, make_default=True)
+            _send_blueprint(stream, blueprint)
             temporary.write_bytes(memory.drain_as_bytes())
         finally:
             stream.disconnect()
 
     with _strict():
-        write_atomically(path, save)
+        try:
+            write_atomically(path, save)
+        finally:
+            # rerun disconnects a stream that is gone; its threads and buffers stay until asked for.
+            rerun_bindings.flush_and_cleanup_orphaned_recordings()
+
+
+def _send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+    """Make `blueprint` the recording's default.
+
+    As `stream.send_blueprint` does, but that leaves behind a stream that its own memory holds, with
+    two threads, for every call.
+    """
+    native = rerun_bindings.new_blueprint(APPLICATION_ID, False, False, True)
+    described = rr.RecordingStream._from_native(native)
+    described.set_time("blueprint", sequence=0)
+    blueprint._log_to_stream(described)
+    memory = described.memory_recording()
+    rerun_bindings.send_blueprint(memory.storage, False, True, recording=stream.to_native())
+    described.disconnect()
 
 
 @contextmanager

@@ -27,6 +27,7 @@ METADATA = "metadata.yaml"
 BAG_INFORMATION = "rosbag2_bagfile_information"
 METADATA_BYTES = 1 << 22
 _SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst))+$", re.IGNORECASE)
+_NAMED = re.compile(r"\.(mcap|bag|db3|bag\.active)(\.(zstd|zst))?$", re.IGNORECASE)
 _PART = re.compile(r"^(?P<stem>.*?)_?(\d{4}(-\d\d){5})?_(?P<number>\d+)$")
 """Name of a part; ROS 1 puts the time at which it was begun in front of its number."""
 
@@ -173,22 +174,29 @@ def find_logs(paths: Sequence[Path]) -> list[Path]:
 
 
 def _below(folder: Path) -> Iterator[Path]:
+    # No recursion: folders can lie in each other deeper than Python's stack.
+    waiting = [folder]
+    while waiting:
+        logs, folders = _listed(waiting.pop())
+        yield from logs
+        waiting += folders
+
+
+def _listed(folder: Path) -> tuple[list[Path], list[Path]]:
+    """The logs that lie in a folder itself, and the folders to look through."""
     try:
         entries = sorted(e for e in folder.iterdir() if not e.name.startswith("."))
-        whole = _is_bag_folder(folder)
+        if _is_bag_folder(folder):
+            return [folder], []
         files = [entry for entry in entries if entry.is_file() and _is_log(entry)]
         folders = [entry for entry in entries if entry.is_dir() and not entry.is_symlink()]
     except OSError:
-        whole, files, folders = True, [], []
-    if whole:
-        yield folder
-        return
+        return [folder], []
     if len(files) > 1 and _is_split(files):
-        yield folder
-    else:
-        yield from files
-    for entry in folders:
-        yield from _below(entry)
+        files = [folder]
+    # Links that lead nowhere, and what would block or act on being opened: reading says so.
+    others = [e for e in entries if not e.is_file() and not e.is_dir() and _NAMED.search(e.name)]
+    return [*files, *others], folders
 
 
 def _is_bag_folder(folder: Path) -> bool:
@@ -206,7 +214,7 @@ def _is_log(path: Path) -> bool:
     The second half matters: a log whose recorder died early is reported by name, not passed over.
     """
     kind = sniff(path)
-    named = re.search(r"\.(mcap|bag|db3|bag\.active)(\.(zstd|zst))?$", path.name, re.IGNORECASE)
+    named = _NAMED.search(path.name)
     if kind in ("sqlite3", "zstd"):
         return named is not None
     return kind is not None or named is not None
@@ -237,11 +245,19 @@ def _is_split(files: Sequence[Path]) -> bool:
 def _span(path: Path) -> tuple[int, int] | None:
     """First and last log time of a part, None where it has none or is compressed as a whole.
 
-    A part that its recorder did not finish has no index and is gone through.
+    A part that its recorder did not finish has no index and is gone through. A broken one has
+    none: reading it will say why.
     """
     if sniff(path) in (None, "zstd"):
         return None
-    log, findings = container(path), Findings()
+    try:
+        return _times(container(path))
+    except (LogError, OSError):
+        return None
+
+
+def _times(log: Container) -> tuple[int, int] | None:
+    findings = Findings()
     survey = log.survey()
     if survey is not None:
         return survey.start_ns, survey.end_ns

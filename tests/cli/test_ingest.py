@@ -304,11 +304,3 @@ def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
             writer.add_message(channel, second * 10**9, b"{}", second * 10**9)
         writer.finish()
     assert "2.0 s from 1970-01-01 00:00:00 UTC" in topobatch("info", path).out
-
-
-def test_left_overs_of_a_killed_process_are_cleared(topobatch, logs, tmp_path):
-    maps = tmp_path / "ws" / "maps"
-    maps.mkdir(parents=True)
-    (maps / ".run.json.abc.tmp").write_text("half")
-    topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws")
-    assert not list(maps.glob(".*"))

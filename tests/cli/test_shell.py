@@ -87,6 +87,7 @@ def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
     error = one_line_error(done, 1)
     assert str(tmp_path / "ws" / "maps") in error
     assert ".rrd: File too large" in error
+    assert list((tmp_path / "ws" / "maps").iterdir()) == []  # half a run is none
 
 
 def test_an_output_without_arrows_is_no_error(logs, tmp_path):

@@ -181,10 +181,38 @@ def test_a_broken_odometry_gives_pieces(run):
     )
 
 
-def test_the_least_of_runs():
-    odometry = Odometry(
-        np.arange(100) * 10**8, np.tile([1.0, 2.0, 0.3], (100, 1)), np.zeros(0, np.int64)
+def test_a_parked_robot_is_told_that_it_does_not_move():
+    rng = np.random.default_rng(0)
+    pose = rng.normal(0, 0.01, (100, 3))
+    still = Odometry(np.arange(100) * 10**8, pose, np.zeros(0, np.int64))
+    seen = Detections(
+        np.arange(20) * 10**8 + 10**9,
+        np.where(np.arange(20) % 2, 5.0, -5.0)[:, None] * [1.0, 0.0],
+        Ragged.from_rows([[0.0, 2.0]] * 20),
     )
+    with pytest.raises(DataError, match="run parked: the odometry does not move"):
+        build_map(Run("parked", still, seen))
+
+
+def test_a_robot_that_stands_most_of_the_time():
+    """Most of its legs have no length at all: two junctions come into view in turn."""
+    pose = np.zeros((200, 3))
+    pose[190:, 0] = np.linspace(0.0, 3.0, 10)
+    odometry = Odometry(np.arange(200) * 10**8, pose, np.zeros(0, np.int64))
+    seen = Detections(
+        np.arange(60) * 3 * 10**8,
+        np.where(np.arange(60) // 6 % 2, 5.0, -5.0)[:, None] * [1.0, 0.0],
+        Ragged.from_rows([[0.0, 2.0]] * 60),
+    )
+    topomap = build_map(Run("stands", odometry, seen))
+    assert len(topomap) >= 1
+    assert np.isfinite(topomap.xy).all()
+
+
+def test_the_least_of_runs():
+    pose = np.tile([1.0, 2.0, 0.3], (100, 1))
+    pose[-20:, :2] += np.linspace(0, 1, 20)[:, None] * [1.0, 0.5]
+    odometry = Odometry(np.arange(100) * 10**8, pose, np.zeros(0, np.int64))
     seen = Detections(
         np.arange(20) * 10**8 + 10**9, np.zeros((20, 2)), Ragged.from_rows([[0.0, 2.0]] * 20)
     )

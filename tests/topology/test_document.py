@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import errno
 import json
 import os
+import sys
 from dataclasses import replace
 
 import jsonschema
@@ -19,6 +21,7 @@ from topobatch.topology.document import (
     read_map,
     write_atomically,
     write_map,
+    write_together,
 )
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.ragged import Ragged
@@ -110,7 +113,10 @@ def test_negative_zero_is_written_as_zero():
         (["edges", 2, "length"], -1, "edges.2.length"),
         (["edges", 0, "path"], [[0, 0]], "edges.0.path"),
         (["edges", 0, "path"], [[0, 0], [1e9, 0]], "edges.0.path"),
-        (["edges", 0, "path"], [[3.2e7, 5e6], [3.2e7, 5e6 + 1.1e6]], "edges.0.path"),
+        (["edges", 0, "path"], [[3.2e7, 5e6], [3.2e7, 5e6 + 1.1e5]], "edges.0.path"),
+        (["edges"], "twelve", "edges: all paths together"),
+        (["edges", 0, "length"], 999e3, "edges.0.length"),
+        (["nodes", 0, "branches"], [0.0] * 100_000, "nodes.0.branches"),
         (["edges", 1, "traversals"], 10**30, "edges.1.traversals"),
         (["edges", 1, "source_branch"], 2**63, "edges.1.source_branch"),
         (["nodes", 0, "y"], -1e300, "nodes.0.y"),
@@ -129,6 +135,8 @@ def test_errors_name_the_place(path, value, place):
     spot = doc
     for key in path[:-1]:
         spot = spot[key]
+    if value == "twelve":
+        value = [{**doc["edges"][0], "path": [[0, 0], [9e4, 0]], "length": 9e4}] * 12
     spot[path[-1]] = value
     with pytest.raises(DocumentError, match=place) as caught:
         map_from_document(doc, "maps/x.json")
@@ -136,12 +144,42 @@ def test_errors_name_the_place(path, value, place):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 100_000, b"3", b"null"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(b"", b"{", b"\xff\xfe", b"[" * 100_000, b"[" * 1000 + b"]" * 1000, b"3", b"null", b"NaN"),
+        *(b'"\\ud800"', b'{"\xed\xa0\x80": 1}', b"9" * 5000),
+    ],
+)
 def test_what_is_no_document_is_said_to_be_none(tmp_path, content):
     path = tmp_path / "x.json"
     path.write_bytes(content)
     with pytest.raises(DocumentError, match=r"x\.json"):
         read_map(path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and FIFOs")
+def test_what_is_no_file_is_not_opened(tmp_path):
+    fifo, link = tmp_path / "fifo.json", tmp_path / "link.json"
+    os.mkfifo(fifo)
+    write_map(tmp_path / "map.json", small_map())
+    link.symlink_to(tmp_path / "map.json")
+    for path, kind in ((fifo, "FIFO"), (link, "link"), (tmp_path, "folder")):
+        with pytest.raises(DocumentError, match=f"is a {kind}"):
+            read_map(path)
+
+
+def test_files_that_belong_together_are_written_all_or_none(tmp_path):
+    def fail(temporary):
+        temporary.write_text("half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    one, two = tmp_path / "one", tmp_path / "two"
+    with pytest.raises(OSError, match=f"No space left on device: '{two}'"):
+        write_together({one: lambda path: path.write_text("1"), two: fail})
+    assert os.listdir(tmp_path) == []
+    write_together({path: lambda temporary: temporary.write_text("x") for path in (one, two)})
+    assert sorted(os.listdir(tmp_path)) == ["one", "two"]
 
 
 def test_written_files_are_whole_and_the_same_each_time(tmp_path):

@@ -1,6 +1,7 @@
 import errno
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz import write_map_recording
+from topobatch.viz.recording import Recording
 
 from .readback import Readback
 
@@ -99,6 +101,46 @@ def test_the_same_map_gives_the_same_recording(
     for name in ("a.rrd", "b.rrd"):
         write_map_recording(tmp_path / name, topomap, odometry=drive(topomap))
     assert Readback(tmp_path / "a.rrd").content() == Readback(tmp_path / "b.rrd").content()
+
+
+def test_rerun_finds_no_difference_however_long_it_took_to_write(
+    tmp_path: Path, make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def differ(one: str, other: str) -> bool:
+        command = [sys.executable, "-m", "rerun", "rrd", "compare", one, other]
+        return (
+            subprocess.run(command, capture_output=True, check=False, cwd=tmp_path).returncode != 0
+        )
+
+    topomap = make_map("run1")
+    odometry = drive(topomap)
+    write_map_recording(tmp_path / "fast.rrd", topomap, odometry=odometry)
+    write_map_recording(tmp_path / "without.rrd", topomap)
+    over_time = Recording.over_time
+
+    def slowly(self: Recording, *arguments: Any) -> None:
+        time.sleep(0.3)  # more than rerun waits before it closes a chunk by itself
+        over_time(self, *arguments)
+
+    monkeypatch.setattr(Recording, "over_time", slowly)
+    write_map_recording(tmp_path / "slow.rrd", topomap, odometry=odometry)
+    assert not differ("fast.rrd", "slow.rrd")
+    assert differ("fast.rrd", "without.rrd")
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="counts threads by /proc")
+def test_no_thread_stays_behind_a_recording(tmp_path: Path, make_map: Make) -> None:
+    def threads() -> int:
+        return len(list(Path("/proc/self/task").iterdir()))
+
+    def write() -> None:
+        write_map_recording(tmp_path / "a.rrd", make_map("run1"))
+
+    write()  # starts what rerun keeps for all of them
+    before = threads()
+    for _ in range(5):
+        write()
+    assert threads() <= before
 
 
 def test_nothing_is_left_when_writing_fails(

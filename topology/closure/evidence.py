@@ -91,14 +91,16 @@ def background(
     chord = chord[np.isfinite(walk.leg)]
     moved = chord[chord > 0.8]
     shortest = float(np.quantile(moved, settings.core_quantile)) if len(moved) else 1.0
+    core_m = settings.core_share * shortest
     typical = float(np.median(legs)) if len(legs) else 5.0
     edges = np.arange(0.0, max(4 * typical, 20.0) + 0.25, 0.25)
     counts = np.histogram(legs, edges)[0].astype(np.float64)
     smooth = np.convolve(counts, [0.1, 0.2, 0.4, 0.2, 0.1], mode="same") + 0.02
     density = smooth / (smooth.sum() * 0.25)
     return Background(
-        leg_m=typical,
-        core_m=settings.core_share * shortest,
+        # Most legs of a robot that stands are of no length.
+        leg_m=max(typical, core_m),
+        core_m=core_m,
         length_edges=edges,
         length_density=density,
         branch_sigma=settings.inflation * noise.branch_rad,
