@@ -57,8 +57,8 @@ def build_map(
     """The topological map of a run.
 
     Where the odometry broke, the map is in several `pieces`, drawn side by side: how they lie to
-    each other is for `merge.pieces` to find out. Raises DataError if the run has no junction pass, or
-    its odometry does not move. `on_step` hears the name of each step before it begins.
+    each other is for `merge.pieces` to find out. Raises DataError if the run has no junction pass,
+    or its odometry does not move. `on_step` hears the name of each step before it begins.
     """
     step = on_step or (lambda name: None)
     step("calibration")
