@@ -186,10 +186,10 @@ def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
 
 
 def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
-    from ..merge.result import Verdict
+    from ..merge.result import Standing
 
-    def of(verdict: Verdict) -> list[PairVerdict]:
-        return [pair for pair in result.verdicts if pair.verdict is verdict]
+    def of(standing: Standing) -> list[PairVerdict]:
+        return [pair for pair in result.verdicts if pair.standing is standing]
 
     home = {run: component.id for component in result.components for run in component.poses}
     for component in result.components:
@@ -199,21 +199,25 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             screen.warn(f"{pair.a} and {pair.b} are not joined: {pair.reason}")
-    merged = [pair for pair in of(Verdict.MERGED) if pair.accepted]
-    ambiguous, unrelated = of(Verdict.AMBIGUOUS), of(Verdict.UNRELATED)
-    kept_out = len(result.verdicts) - len(merged) - len(ambiguous) - len(unrelated)
+    merged, joined, ambiguous = map(of, (Standing.MERGED, Standing.JOINED, Standing.AMBIGUOUS))
+    kept_out, unrelated = len(of(Standing.KEPT_OUT)), len(of(Standing.UNRELATED))
     for pair in merged[:MOST_LINES]:
         screen.line(f"  {pair.a} + {pair.b}: {pair.reason}")
     if len(merged) > MOST_LINES:
         screen.line(f"  … and {len(merged) - MOST_LINES} more merged pairs, in {place.merged_json}")
+    for pair in joined[:MOST_LINES]:
+        screen.line(f"  {pair.a} … {pair.b}: {pair.reason}")
+    if len(joined) > MOST_LINES:
+        screen.line(f"  … and {len(joined) - MOST_LINES} more pairs joined through others")
     for pair in ambiguous[:MOST_LINES]:
         advice = f"; {pair.advice}" if pair.advice else ""
         screen.line(f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}{advice}")
     if len(ambiguous) > MOST_LINES:
         screen.line(f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs")
     screen.line(
-        f"{count(len(result.verdicts), 'pair')}: {len(merged)} merged, {len(ambiguous)} ambiguous, "
-        f"{len(unrelated)} unrelated{f', {kept_out} kept out' if kept_out else ''}; "
+        f"{count(len(result.verdicts), 'pair')}: {len(merged)} merged, "
+        f"{f'{len(joined)} joined through others, ' if joined else ''}{len(ambiguous)} ambiguous, "
+        f"{unrelated} unrelated{f', {kept_out} kept out' if kept_out else ''}; "
         f"{count(len(result.components), 'component')}"
     )
     screen.line(f"{place.merged_json}")

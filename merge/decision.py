@@ -48,10 +48,12 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """One way to lay b over a. The terms add up to `alignment.evidence_bits`."""
+    """One way to lay b over a. The terms add up to `alignment.evidence_bits`. searched: were
+    contradictions looked for? Not where the rest says no more than chance."""
 
     alignment: Alignment
     terms: tuple[Term, ...]
+    searched: bool = True
 
     def of(self, *kinds: TermKind) -> tuple[Term, ...]:
         """The terms of some kinds, those that tell most first, whatever they speak for."""
@@ -183,7 +185,7 @@ def _placement(placement: Placement) -> dict[str, Any]:
         "matched": a.matched.tolist(),
         "corridors": a.corridors,
         "rmse_m": rounded(a.rmse_m, 4),
-        "contradictions": list(a.contradictions),
+        "contradictions": list(a.contradictions) if placement.searched else None,
         "terms": [
             {
                 "kind": term.kind,

@@ -75,8 +75,7 @@ def headline(decision: Decision) -> str:
         more = f" and {len(said.through) - 3} more" if len(said.through) > 3 else ""
         alone = f"by itself {said.verdict}, {decision_bits(decision)} bits"
         return f"{pair}: joined through {through}{more}: {alone}"
-    verdict = "kept out" if said.verdict is Verdict.MERGED else str(said.verdict)
-    return f"{pair}: {verdict}: {bits}, {need}"
+    return f"{pair}: {said.standing}: {bits}, {need}"
 
 
 def decision_bits(decision: Decision) -> str:
@@ -128,10 +127,14 @@ def agreement(placement: Placement) -> str:
     alignment = placement.alignment
     junctions = counted(len(alignment.matched), "junction")
     corridors = counted(alignment.corridors, "corridor")
-    against = len(placement.of(*AGAINST)) or len(alignment.contradictions)
-    verb = "contradicts" if against == 1 else "contradict"
-    told = f"{against} {verb}" if against else "nothing contradicts"
-    return f"{junctions} and {corridors} agree, {told}"
+    return f"{junctions} and {corridors} agree, {_contradicted(placement)}"
+
+
+def _contradicted(placement: Placement) -> str:
+    against = len(placement.of(*AGAINST))
+    if against:
+        return f"{against} {'contradicts' if against == 1 else 'contradict'}"
+    return "nothing contradicts" if placement.searched else "contradictions were not looked for"
 
 
 def pose(placement: Placement) -> str:
@@ -189,7 +192,7 @@ def _group_told(kind: TermKind, first: Placement) -> str:
     return {
         "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
         "branches": f"branches of {counted(count, 'junction')}",
-        "unseen": counted(against, "contradiction") if against else "nothing contradicts",
+        "unseen": counted(against, "contradiction") if against else _contradicted(first),
         "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
         "few": next((t.told for t in first.of("few")), "junctions carry only so much"),
         "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
@@ -246,6 +249,11 @@ def missing(decision: Decision) -> str:
     return ". ".join(part for part in (told, advice) if part)
 
 
+def sum_told(decision: Decision) -> str:
+    """What the terms add up to."""
+    return "evidence" if decision.start is None else "what the hypothesis had, not counted"
+
+
 def matched(placement: Placement) -> str:
     """The matched junctions, junction of a = junction of b."""
     return " ".join(f"{u}={v}" for u, v in placement.alignment.matched.tolist())
@@ -256,8 +264,8 @@ def lines(decision: Decision, links: int | None = None) -> list[str]:
     by default as many as leave the whole on one screen."""
     if links is not None:
         return _lines(decision, links)
-    tried = (_lines(decision, most) for most in range(HEIGHT, 1, -1))
-    return next((found for found in tried if len(found) <= HEIGHT), _lines(decision, 2))
+    tried = (_lines(decision, most) for most in range(HEIGHT, -1, -1))
+    return next((found for found in tried if len(found) <= HEIGHT), _lines(decision, 0))
 
 
 def _lines(decision: Decision, links: int) -> list[str]:
@@ -306,7 +314,7 @@ def _table(decision: Decision, links: int) -> list[str]:
     sums = [f"= {p.alignment.evidence_bits:.{digits}f}" for p in decision.placements]
     margin = decision.said.margin_bits
     lead = f", {margin:.1f} bits ahead of the next best" if count > 1 and margin is not None else ""
-    out.append(_row(sums, f"evidence{lead}"))
+    out.append(_row(sums, f"{sum_told(decision)}{lead}"))
     blank = [""] * (count - 1)
     need = wrap(f"needed: {needs(decision)}", WIDTH - 8 * count - 2, subsequent_indent="  ")
     out.append(_row([threshold(decision), *blank], need[0]))
@@ -318,12 +326,3 @@ def _row(cells: Sequence[str], told: str, ends: tuple[str, str] = ("", "")) -> s
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
     room = WIDTH - len(left) - len(right)
     return f"{left}{told[:room]:<{room}}{right}".rstrip()
-
-
-def pair_headline(said: PairVerdict) -> str:
-    """The verdict on a pair in a few words, wherever a pair is listed."""
-    if said.accepted:
-        return "merged"
-    if said.through and said.verdict is Verdict.UNRELATED:
-        return "joined through " + ", ".join(said.through[:3])
-    return "kept out" if said.verdict is Verdict.MERGED else str(said.verdict)

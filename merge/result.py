@@ -23,6 +23,18 @@ class Verdict(StrEnum):
     UNRELATED = "unrelated"
 
 
+class Standing(StrEnum):
+    """What became of a pair, for people: the verdict, and what other runs and later checks made of
+    it. JOINED: unrelated by itself, and yet in one component; KEPT_OUT: it fits, but a later check
+    kept it out."""
+
+    MERGED = "merged"
+    JOINED = "joined through others"
+    AMBIGUOUS = "ambiguous"
+    KEPT_OUT = "kept out"
+    UNRELATED = "unrelated"
+
+
 AcceptedBy = Literal["pair", "components", "runs", "lock"]
 """What an accepted pair was accepted by: its own evidence; that of the two components it joins;
 other runs, which place the two as one of the pair's own alignments does; a person."""
@@ -96,6 +108,17 @@ class PairVerdict:
             raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
         if self.accepted and self.best is None:
             raise ValueError("an accepted pair needs its alignment")
+
+    @property
+    def standing(self) -> Standing:
+        """What became of the pair."""
+        if self.accepted:
+            return Standing.MERGED
+        if self.verdict is Verdict.AMBIGUOUS:
+            return Standing.AMBIGUOUS
+        if self.verdict is Verdict.MERGED:
+            return Standing.KEPT_OUT
+        return Standing.JOINED if self.through else Standing.UNRELATED
 
 
 @dataclass(frozen=True, slots=True, eq=False)

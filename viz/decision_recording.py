@@ -20,6 +20,7 @@ from ..merge.decision_text import (
     pose,
     rows,
     short,
+    sum_told,
 )
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
@@ -225,7 +226,7 @@ def _contradictions(
     ]
     if spots:
         points = rr.Points2D(
-            [at for _, at in spots], radii=2.4 * pen, colors=palette.REFUSED, draw_order=25.0
+            [at for _, at in spots], radii=3.0 * pen, colors=palette.REFUSED, draw_order=25.0
         )
         recording.static((*path, "junctions"), points, _info([t for t, _ in spots]))
     crossed = [
@@ -278,7 +279,7 @@ def _table(decision: Decision, links: int) -> str:
         cells += [""] * (count - len(cells))
         lines.append(_line([*cells, text, row.a, row.b]))
     sums = [f"**{p.alignment.evidence_bits:.1f}**" for p in decision.placements]
-    lines.append(_line([*sums, "**evidence**", "", ""]))
+    lines.append(_line([*sums, f"**{sum_told(decision)}**", "", ""]))
     need = f"{decision.requirement.threshold_bits:.1f}"
     lines.append(_line([need, *[""] * (count - 1), f"needed: {plain(needs(decision))}", "", ""]))
     return "\n".join(lines)
@@ -293,7 +294,7 @@ def all_told(decision: Decision) -> str:
     parts = ["# Every term"]
     for placement in decision.placements:
         parts.append(
-            f"## {placement.alignment.evidence_bits:.1f} bits, at {plain(pose(placement))}"
+            f"## {placement.alignment.evidence_bits:.2f} bits, at {plain(pose(placement))}"
         )
         lines = [_line(["bits", "what", "of a", "of b"]), _line(["---:", "---", "---", "---"])]
         for t in placement.terms:

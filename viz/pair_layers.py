@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ..merge.result import Alignment, MergeResult, PairVerdict
+from ..merge.result import MergeResult, PairVerdict
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from . import palette
@@ -21,6 +21,7 @@ from .steps import Step
 from .verdicts import (
     AMBIGUOUS,
     DIAGONAL,
+    JOINED,
     MERGED,
     NOT_ACCEPTED,
     UNRELATED,
@@ -59,6 +60,7 @@ _CLASSES = (
     (UNRELATED, "unrelated", palette.UNRELATED),
     (AMBIGUOUS, "ambiguous", palette.AMBIGUOUS),
     (NOT_ACCEPTED, "fits, but kept out by a later check", palette.NOT_ACCEPTED),
+    (JOINED, "joined through other runs", palette.JOINED),
     (MERGED, "merged", palette.MERGED),
 )
 
@@ -118,14 +120,14 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
     )
     info = rr.AnyValues(
         pair=[f"{p.a} - {p.b}" for p in pairs],
-        verdict=[str(p.verdict) for p in pairs],
+        verdict=[str(p.standing) for p in pairs],
         accepted=[p.accepted for p in pairs],
         evidence_bits=bits,
         reason=[p.reason for p in pairs],
     )
     recording.static((MATRIX, "evidence"), dots, info)
     if len(runs) <= MOST_NUMBERS:
-        labels = [str(round(b)) for b in bits.tolist()]
+        labels = [f"{b + 0.0:.1f}" for b in np.round(bits, 1).tolist()]
         _labels(recording, "bits", ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE], labels)
 
 
@@ -174,7 +176,7 @@ def write_undecided(
     together = [pairs.index(pair) for pair, _, _ in laid]
     cells = arrange(points, turns, sheet_margin_m(points), groups=together)
     recording.static((UNDECIDED,), UP)
-    titles = [f"{p.a} - {p.b}, {name}: {_agreement(a)}" for p, name, a in laid]
+    titles = [f"{p.a} - {p.b}, {name}: {a.evidence_bits:.1f} bits" for p, name, a in laid]
     write_cards(recording, UNDECIDED, cells, titles)
     pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
     for (pair, name, alignment), cell in zip(laid, cells, strict=True):
@@ -186,13 +188,6 @@ def write_undecided(
         matched = maps[pair.a].xy[alignment.matched[:, 0]]
         _matched(recording, (*here, "matched"), matched, pen)
     return cells
-
-
-def _agreement(a: Alignment) -> str:
-    """How many junctions speak for a placement, and how many things against it."""
-    count, against = len(a.matched), len(a.contradictions)
-    told = f"{count} junction{'s' * (count != 1)} agree{'s' * (count == 1)}"
-    return f"{told}, {against} against" if against else told
 
 
 def _matched(recording: Recording, path: PathParts, xy: NDArray[np.float64], pen: float) -> None:

@@ -8,12 +8,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import Alignment, MergeResult, PairVerdict, Verdict
+from ..merge.result import Alignment, MergeResult, PairVerdict, Standing
 from .map_summary import bulleted, plain, several
 from .steps import Step
 
-DIAGONAL, UNRELATED, AMBIGUOUS, NOT_ACCEPTED, MERGED = range(5)
-"""Classes of the verdict matrix. NOT_ACCEPTED: the pair fits, but a later check kept it out."""
+DIAGONAL, UNRELATED, AMBIGUOUS, NOT_ACCEPTED, JOINED, MERGED = range(6)
+"""Classes of the verdict matrix. NOT_ACCEPTED: the pair fits, but a later check kept it out;
+JOINED: unrelated by itself, but other runs place the two in one component."""
 
 MOST_PAIRS = 60
 """Pairs told in full in the recording; `merged.json` has them all."""
@@ -21,7 +22,13 @@ MOST_PAIRS = 60
 STORY_BEFORE, STORY_AFTER = 8, 12
 """Steps that a page of the story shows around its own."""
 
-_CLASSES = {Verdict.UNRELATED: UNRELATED, Verdict.AMBIGUOUS: AMBIGUOUS}
+_CLASSES = {
+    Standing.UNRELATED: UNRELATED,
+    Standing.AMBIGUOUS: AMBIGUOUS,
+    Standing.KEPT_OUT: NOT_ACCEPTED,
+    Standing.JOINED: JOINED,
+    Standing.MERGED: MERGED,
+}
 
 
 def runs_in_order(result: MergeResult) -> list[str]:
@@ -32,7 +39,7 @@ def runs_in_order(result: MergeResult) -> list[str]:
 
 def verdict_class(pair: PairVerdict) -> int:
     """The class of a pair in the matrix."""
-    return _CLASSES.get(pair.verdict, MERGED if pair.accepted else NOT_ACCEPTED)
+    return _CLASSES[pair.standing]
 
 
 def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8]:
@@ -54,16 +61,20 @@ def merge_summary(result: MergeResult) -> str:
     shared = sum(len(members) > 1 for members in fused.members)
     runs = sum(len(c.poses) for c in result.components)
     kept_out = f", **{count[NOT_ACCEPTED]}** kept out" if count[NOT_ACCEPTED] else ""
+    joined = f"**{count[JOINED]}** joined through others, " if count[JOINED] else ""
     rows = [
         f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
         f"{several(len(fused), 'junction')}, {shared} of them seen by several runs",
         f"{several(len(fused.source), 'corridor')}, {float(fused.length.sum()):.0f} m in all",
-        f"pairs of runs: **{count[MERGED]}** merged, **{count[AMBIGUOUS]}** ambiguous, "
+        f"pairs of runs: **{count[MERGED]}** merged, {joined}**{count[AMBIGUOUS]}** ambiguous, "
         f"**{count[UNRELATED]}** unrelated{kept_out}",
     ]
     if "method" in result.info:
         rows.append(f"method: {plain(result.info['method'])}")
-    parts = ["# Merged map", bulleted(rows), _components(result), _LEGEND, _notes(result)]
+    need = next((p.threshold_bits for p in result.verdicts if p.threshold_bits is not None), None)
+    needed = "" if need is None else f" Merging needs {need:.1f}."
+    legend = f"{_LEGEND}{needed}"
+    parts = ["# Merged map", bulleted(rows), _components(result), legend, _notes(result)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -76,7 +87,8 @@ runs come together, strongest evidence first. **Undecided**, where there are any
 placements of every pair that the evidence does not decide.
 
 Point at anything for what is known about it, or select it and open the panel on the right; the \
-eye symbols on the left show and hide runs. The numbers in the matrix are bits of evidence."""
+eye symbols on the left show and hide runs. In the matrix green pairs are merged, dark green \
+ones joined through other runs, orange ones ambiguous; the numbers are bits of evidence."""
 
 
 def _components(result: MergeResult) -> str:
@@ -111,12 +123,13 @@ def pairs_told(result: MergeResult) -> str:
         (AMBIGUOUS, "Ambiguous"),
         (NOT_ACCEPTED, "Fitting, but kept out"),
         (MERGED, "Merged"),
+        (JOINED, "Joined through others"),
         (UNRELATED, "Unrelated"),
     ):
         pairs = strongest(p for p in result.verdicts if verdict_class(p) == kind)
         if pairs:
             parts.append(f"## {title} ({len(pairs)})")
-            told = _in_short if kind == UNRELATED else _in_full
+            told = _in_short if kind in (JOINED, UNRELATED) else _in_full
             parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
             if len(pairs) > MOST_PAIRS:
                 parts.append(f"… and {len(pairs) - MOST_PAIRS} more, in `merged.json`")
@@ -131,10 +144,7 @@ def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
 
 
 def _in_short(pair: PairVerdict) -> str:
-    return (
-        f"- {plain(pair.a)} - {plain(pair.b)} ({pair.evidence_bits:+.1f} bits): "
-        f"{plain(pair.reason)}"
-    )
+    return f"- {plain(pair.a)} - {plain(pair.b)}: {plain(pair.reason)}"
 
 
 def _in_full(pair: PairVerdict) -> str:
@@ -142,10 +152,9 @@ def _in_full(pair: PairVerdict) -> str:
     if pair.best is not None:
         lines.append(f"best: {pair.best.evidence_bits:.1f} bits, {_placement(pair.best)}")
     if pair.runner_up is not None:
-        # The lead says more than the runner-up's own bits: it is what the verdict rests on.
         bits = f"{pair.runner_up.evidence_bits:.1f} bits"
         if pair.margin_bits is not None:
-            bits = f"{pair.margin_bits:.1f} bits behind"
+            bits = f"{bits}, {pair.margin_bits:.1f} behind"
         lines.append(f"runner-up: {bits}, {_placement(pair.runner_up)}")
     if pair.advice:
         lines.append(f"to settle it: {plain(pair.advice)}")
@@ -176,11 +185,7 @@ def joining_told(steps: Sequence[Step]) -> list[str]:
         f"{'join' if len(step.runs) > 1 else 'joins'} component {step.component}"
         for step in steps
     ]
-    reasons = [
-        f"{plain(s.pair.a)} - {plain(s.pair.b)}, {s.pair.evidence_bits:.1f} bits: "
-        f"{plain(s.pair.reason)}"
-        for s in steps
-    ]
+    reasons = [f"{plain(s.pair.a)} - {plain(s.pair.b)}: {plain(s.pair.reason)}" for s in steps]
     pages = []
     for now in range(len(steps) + 1):
         head = f"# Step {now} of {len(steps)}\n\n"

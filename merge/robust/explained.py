@@ -17,7 +17,7 @@ from ...topology.topomap import TopoMap
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
 from ..locks import Lock
 from ..result import Alignment, PairVerdict
-from .alignment import Candidate, best_seed, same_placement
+from .alignment import CHANCE_BITS, Candidate, best_seed, same_placement
 from .conflicts import CONFLICT_BITS
 from .decide import Assessment, assess, bars
 from .forced import forced_alignment
@@ -113,9 +113,9 @@ def _placement_of(own: Assessment, c: Candidate) -> Shown:
         (a for (r, _), a in asked if r is c),
         Answers(view.need_bits, c.bits, counted_bits(c)),
     )
-    return Placement(
-        own.alignment(c, answers.bits), _terms(_Naming(own.a, own.b), c, answers)
-    ), answers
+    terms = _terms(_Naming(own.a, own.b), c, answers)
+    searched = c.support.bits - c.tested_bits > CHANCE_BITS
+    return Placement(own.alignment(c, answers.bits), terms, searched), answers
 
 
 def _of_seed(own: Assessment, settings: RobustSettings) -> tuple[list[Shown], Start | None]:

@@ -156,14 +156,64 @@ def test_explain(topobatch, workspace):
     a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
     shown = topobatch("explain", b, a, "-w", workspace)
     assert shown.code == 0, shown
-    assert "hypotheses" in shown.out
-    assert "cluster" in shown.out
     assert "not merged yet" in shown.out
     assert (workspace / "explain" / f"{a}+{b}.rrd").stat().st_size > 1000
     topobatch("merge", "--all", "-w", workspace)
+    (said,) = json.loads((workspace / "merged.json").read_bytes())["merges"]
+    shown = topobatch("explain", a, b, "-w", workspace)
+    assert shown.out.startswith(f"{a} and {b}: {said['verdict']}: {said['evidence_bits']:.1f} bits")
+    assert f"= {said['evidence_bits']:.1f}  evidence" in shown.out
+    assert "Note" not in shown.out
+    assert len(shown.out.splitlines()) <= 23
     document = json.loads(topobatch("explain", a, b, "--json", "-w", workspace).out)
-    assert document["schema"] == "topobatch.explanation/1"
-    assert document["verdict"]["a"] == a
+    assert document["schema"] == "topobatch.decision/1"
+    for field in ("a", "b", "verdict", "evidence_bits", "threshold_bits", "reason"):
+        assert document[field] == said[field]
     assert "twice" in topobatch("explain", a, a, "-w", workspace).error(2)
     shutil.copy(workspace / "maps" / f"{a}.json", workspace / "maps" / "copy.json")
     assert "not 'copy'" in topobatch("explain", a, "copy", "-w", workspace).error(1)
+
+
+def test_explain_by_the_papers_figures(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    shown = topobatch("explain", b, a, "--method", "paper", "-w", workspace)
+    assert shown.code == 0, shown
+    assert "hypotheses" in shown.out
+    assert "cluster" in shown.out
+    assert "not merged yet" in shown.out
+    assert (workspace / "explain" / f"{a}+{b}.paper.rrd").stat().st_size > 1000
+    topobatch("merge", "--all", "-w", workspace)
+    options = ("--method", "paper", "--json", "-w", workspace)
+    document = json.loads(topobatch("explain", a, b, *options).out)
+    assert document["schema"] == "topobatch.explanation/1"
+    assert document["verdict"]["a"] == a
+
+
+def test_explain_answers_where_it_cannot_write(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    (workspace / "explain").write_text("in the way")
+    shown = topobatch("explain", a, b, "-w", workspace)
+    assert shown.code == 0
+    assert "bits of evidence" in shown.out
+    assert "not written" in shown.err
+    assert json.loads(topobatch("explain", a, b, "--json", "-w", workspace).out)["a"] == a
+
+
+def test_explain_tells_what_it_does_without(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    document = json.loads((workspace / "maps" / f"{a}.json").read_bytes())
+    document["graph"]["run"] = "third"
+    third = workspace / "maps" / "third.json"
+    third.write_text(json.dumps(document))
+    topobatch("merge", "--all", "-w", workspace)
+    third.unlink()
+    assert "of third cannot be read" in topobatch("explain", a, b, "-w", workspace).out
+    merged = workspace / "merged.json"
+    document = json.loads(merged.read_bytes())
+    document["graph"]["settings"]["false_merge_rate"] = 7
+    merged.write_text(json.dumps(document))
+    assert "graph.settings" in topobatch("explain", a, b, "-w", workspace).error(1)
+    topobatch("merge", "--all", "--method", "paper", "-w", workspace)
+    assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
+    topobatch("merge", a, "-w", workspace)
+    assert "did not have both runs" in topobatch("explain", a, b, "-w", workspace).out

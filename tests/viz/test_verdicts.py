@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from topobatch.viz.steps import joining_steps
 from topobatch.viz.verdicts import (
     AMBIGUOUS,
     DIAGONAL,
+    JOINED,
     MERGED,
     UNRELATED,
     joining_told,
@@ -39,7 +41,7 @@ def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
     assert "all fits" in told
     assert "two ways" in told
     assert "to settle it: go on" in told
-    assert "runner-up: 1.0 bits behind, 2 junctions" in told
+    assert "runner-up: 38.0 bits, 1.0 behind, 2 junctions" in told
     assert "a - c" in told
     assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
 
@@ -51,6 +53,22 @@ def test_summaries_count(merge_of: Merge) -> None:
     assert "**10** junctions, 5 of them seen by several runs" in told
     assert "**1** merged, **0** ambiguous, **2** unrelated" in told
     assert "take care" in told
+
+
+def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -> None:
+    result, _ = merge_of([["a", "b"], ["c"]])
+    joined = tuple(replace(v, through=("b",)) if v.b == "c" else v for v in result.verdicts)
+    result = replace(result, verdicts=joined)
+    assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == JOINED
+    assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(result)
+    assert "Joined through others (2)" in pairs_told(result)
+
+
+def test_the_threshold_is_told_with_the_matrix(merge_of: Merge) -> None:
+    result, _ = merge_of([["a", "b"]])
+    assert "Merging needs" not in merge_summary(result)
+    needing = tuple(replace(v, threshold_bits=12.55) for v in result.verdicts)
+    assert "Merging needs 12.6." in merge_summary(replace(result, verdicts=needing))
 
 
 def test_a_merge_of_nothing_is_told(no_fused: FusedMap) -> None:

@@ -1,0 +1,141 @@
+"""Explanations come to the decision of the merge, from its documents."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.decision_text import headline, lines
+from topobatch.merge.document import MergedDocument, merged_to_document, verdict_from_entry
+from topobatch.merge.locks import Lock
+from topobatch.merge.merging import MergeSettings, merge_maps
+from topobatch.merge.result import Verdict
+from topobatch.merge.robust.explained import Batch, explain
+from topobatch.merge.robust.settings import RobustSettings, settings_from_document
+
+
+def documented(maps, settings=None, locks=()):
+    """The batch as its document holds it."""
+    chosen = MergeSettings(robust=settings or RobustSettings())
+    result = merge_maps(maps, chosen, locks=locks)
+    document = MergedDocument.model_validate(merged_to_document(result))
+    said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
+    ordered = sorted(maps, key=lambda m: m.run)
+    known = settings_from_document(document.graph.settings)
+    assert known == chosen.robust
+    return Batch(ordered, said, known, locks)
+
+
+def explained(batch, a, b):
+    """The decision on a pair, checked: its terms add up to the document's evidence."""
+    decision = explain(batch, a, b)
+    assert decision.notes == ()
+    assert decision.merged
+    for placement in decision.placements:
+        total = sum(term.bits for term in placement.terms)
+        if decision.said.accepted_by != "components":
+            assert total == pytest.approx(placement.alignment.evidence_bits, abs=1e-6)
+    if decision.start is None and decision.placements:
+        total = sum(term.bits for term in decision.placements[0].terms)
+        assert total == pytest.approx(decision.said.evidence_bits, abs=0.01)
+    assert decision.said.threshold_bits == pytest.approx(
+        decision.requirement.threshold_bits, abs=0.01
+    )
+    return decision
+
+
+def test_every_pair_of_a_batch_is_explained_as_it_was_decided(halves, other_maze, see):
+    stranger = see(other_maze, list(range(60)), 5, "stranger")
+    batch = documented([*halves, stranger])
+    merged = explained(batch, "left", "right")
+    assert merged.said.accepted_by == "pair"
+    assert np.array_equal(
+        merged.placements[0].alignment.matched, batch.said["left", "right"].best.matched
+    )
+    assert merged.requirement.pairs == 3
+    assert merged.requirement.threshold_bits == pytest.approx(np.log2(3 / 0.001))
+    for run in ("left", "right"):
+        apart = explained(batch, run, "stranger")
+        assert apart.said.verdict is Verdict.UNRELATED
+        assert lines(apart)
+
+
+def test_the_settings_of_the_merge_are_those_of_the_explanation(halves):
+    bits = documented(halves).said["left", "right"].evidence_bits
+    batch = documented(halves, RobustSettings(false_merge_rate=2.0 ** -(bits + 5)))
+    doubtful = explained(batch, "left", "right")
+    assert doubtful.said.verdict is Verdict.AMBIGUOUS
+    assert doubtful.why == "chance offers as much too often"
+    assert doubtful.requirement.threshold_bits == pytest.approx(bits + 5, abs=0.01)
+
+
+def test_a_map_that_changed_since_is_told(halves, see, maze):
+    batch = documented(halves)
+    less = see(maze, list(range(60)), 1, "left")
+    decision = explain(replace_map(batch, less), "left", "right")
+    assert "changed since; merge again" in decision.notes[0]
+
+
+def replace_map(batch, changed):
+    maps = [changed if m.run == changed.run else m for m in batch.maps]
+    return Batch(maps, batch.said, batch.settings, batch.locks)
+
+
+def test_what_a_person_locked_is_explained(maze, see):
+    across = maze.xy[:, 0]
+    a = see(maze, np.flatnonzero(across < np.quantile(across, 0.5)).tolist(), 1, "a", missed=0.0)
+    shared = sorted(a.info["truth"], key=lambda v: -across[v])[:3]
+    beyond = np.flatnonzero(across > np.quantile(across, 0.5)).tolist()
+    b = see(maze, sorted({*shared, *beyond}), 2, "b", missed=0.0)
+    vertex = next(v for v in shared if v in b.info["truth"])
+    at = (a.info["truth"].index(vertex), b.info["truth"].index(vertex))
+    decision = explained(documented([a, b], locks=[Lock("a", "b", "same", at)]), "a", "b")
+    assert "locked as the same" in headline(decision)
+    assert list(at) in decision.placements[0].alignment.matched.tolist()
+
+
+def test_what_components_say_together_is_explained(maze, see):
+    """As in `test_components_say_together_what_no_pair_can`."""
+    order = np.argsort(maze.xy[:, 0], kind="stable")
+    a = see(maze, order[:52].tolist(), 1, "a", missed=0.0)
+    b = see(maze, order[42:].tolist(), 2, "b", missed=0.0)
+    c = see(maze, order[30:66].tolist(), 3, "c", missed=0.0)
+    alone = [documented([one, c]).said[one.run, "c"].evidence_bits for one in (a, b)]
+    strict = RobustSettings(false_merge_rate=3 * 2.0 ** -(max(alone) + 3))
+    batch = documented([a, b, c], strict, locks=[Lock("a", "b", "same")])
+    for run in ("a", "b"):
+        decision = explained(batch, run, "c")
+        assert decision.said.together == (("a", "b"), ("c",))
+        assert "together with other runs" in headline(decision)
+        (shown,) = decision.placements
+        known = {tuple(pair) for pair in shown.alignment.matched.tolist()}
+        named = {
+            (u, v) for t in shown.terms for u, v in zip(t.a, t.b, strict=False) if len(t.a) == 1
+        }
+        assert named
+        assert {pair for pair in named if pair[0] >= 0} >= known & named
+
+
+def test_without_a_merge_the_maps_speak_for_themselves(halves):
+    decision = explain(Batch(halves, {}), "left", "right")
+    assert not decision.merged
+    assert decision.said.accepted
+    assert decision.requirement.pairs == 1
+    assert decision.notes == ()
+
+
+def test_maps_without_anything_alike_are_explained(halves, drawn):
+    pair = drawn("zwei", [(0, 0), (5, 0)], [(0, 1)])
+    lone = drawn("lone", [(0, 0)], [], stubs=[(0, 0.0)])
+    batch = documented([halves[0], pair, lone])
+    for a, b in (("left", "zwei"), ("left", "lone"), ("lone", "zwei")):
+        decision = explained(batch, a, b)
+        assert decision.said.evidence_bits == 0.0
+        assert lines(decision)[0] == f"{a} and {b}: unrelated: 0.0 bits of evidence, 11.6 needed"
+
+
+def test_settings_of_a_document_are_checked():
+    known = settings_from_document({"false_merge_rate": 0.01, "of_a_later_version": 3})
+    assert known == replace(RobustSettings(), false_merge_rate=0.01)
+    with pytest.raises(ValueError, match="false_merge_rate"):
+        settings_from_document({"false_merge_rate": 2.0})

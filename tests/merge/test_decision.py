@@ -1,0 +1,170 @@
+"""Decisions as values, as JSON and on a screen."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from topobatch.merge.decision import (
+    Decision,
+    Placement,
+    Requirement,
+    Start,
+    Term,
+    rounded_terms,
+    to_document,
+)
+from topobatch.merge.decision_text import HEIGHT, WIDTH, because, headline, lines, missing, rows
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
+
+NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5, 0.0)
+
+
+def placement(bits, count=12, links=9):
+    """Of so much evidence: links of 3 bits, branches, hypotheses, and what junctions carry."""
+    matched = np.column_stack([np.arange(count), np.arange(count) + 20])
+    terms = [
+        *(
+            Term("corridor", 3.04, "corridor", (k, k + 1), (k, k + 2), (5, 5.1))
+            for k in range(links)
+        ),
+        Term("branches", 8.0, "3 and 3 branches", (1,), (2,)),
+        Term("unseen", -6.0, "junction unseen in a corridor", (1, 2), (7,)),
+        Term("hypotheses", -7.0, "chosen from 127 pairs of corridors that look alike"),
+    ]
+    rest = bits - sum(t.bits for t in terms)
+    terms.append(Term("few", rest, "junctions carry no more than 2.5 bits each"))
+    return Placement(
+        Alignment(np.array([1.0, -2.0, np.pi]), bits, matched, 0.1, links), tuple(terms)
+    )
+
+
+def decision(verdict, bits, placements, **fields):
+    accepted = verdict is Verdict.MERGED
+    best = placements[0].alignment if placements else None
+    margin = None
+    if len(placements) > 1:
+        margin = bits - placements[1].alignment.evidence_bits
+    said = PairVerdict(
+        "left",
+        "right",
+        verdict,
+        accepted,
+        bits,
+        "so it is",
+        best,
+        margin_bits=margin,
+        accepted_by="pair" if accepted else None,
+        threshold_bits=12.55,
+    )
+    return Decision(said, True, NEED, tuple(placements), **fields)
+
+
+MERGED = decision(Verdict.MERGED, 30.0, [placement(30.0)])
+AMBIGUOUS = decision(
+    Verdict.AMBIGUOUS,
+    9.93,
+    [placement(9.93), placement(4.0)],
+    why="the building repeats itself and this may be another copy of the place",
+)
+AMBIGUOUS = replace(AMBIGUOUS, said=replace(AMBIGUOUS.said, advice="record " + "further " * 30))
+UNRELATED = decision(Verdict.UNRELATED, 0.0, [placement(1.5, 2, 1)], start=Start(1, 7, 4, 3))
+NOTHING = decision(Verdict.UNRELATED, 0.0, [])
+ALL = [MERGED, AMBIGUOUS, UNRELATED, NOTHING]
+
+
+@given(
+    st.lists(st.floats(-50, 50), max_size=40),
+    st.integers(0, 3),
+)
+def test_rounded_parts_add_up_to_the_rounded_sum(bits, digits):
+    shown = rounded_terms(bits, digits)
+    assert sum(shown) == pytest.approx(round(sum(bits) * 10**digits) / 10**digits, abs=1e-9)
+    assert all(abs(s - b) <= 10**-digits + 1e-9 for s, b in zip(shown, bits, strict=True))
+    in_order = np.array(shown)[np.lexsort((shown, bits))]
+    assert (np.diff(in_order) >= -1e-9).all()
+
+
+def test_parts_add_up_to_a_total_rounded_before():
+    assert sum(rounded_terms([3.26, 1.26], 1, 4.6)) == pytest.approx(4.6)
+    assert sum(rounded_terms([3.26, 1.26], 1, 4.4)) == pytest.approx(4.4)
+    assert rounded_terms([], 1, 0.0) == []
+
+
+@pytest.mark.parametrize("told", ALL)
+def test_a_decision_is_one_screen_with_the_verdict_first(told):
+    shown = lines(told)
+    assert len(shown) <= HEIGHT
+    assert max(map(len, shown)) <= WIDTH
+    assert shown[0].startswith(f"left and right: {told.said.verdict}: ")
+    assert "12.6 needed" in shown[0]
+    assert any("log2(6 pairs / rate 0.001)" in line for line in shown)
+
+
+@pytest.mark.parametrize("told", ALL)
+def test_long_names_stay_on_the_screen(told):
+    said = replace(told.said, a="a" * 180, b="b" * 180)
+    shown = lines(replace(told, said=said))
+    assert len(shown) <= HEIGHT
+    assert max(map(len, shown)) <= WIDTH
+
+
+@pytest.mark.parametrize("told", [MERGED, AMBIGUOUS, UNRELATED])
+@pytest.mark.parametrize("links", [1, 3, 50])
+def test_the_columns_add_up_to_the_evidence(told, links):
+    table = rows(told, links)
+    for k, shown in enumerate(told.placements):
+        total = sum(row.bits[k] or 0.0 for row in table if row.level == 0)
+        assert total == pytest.approx(round(shown.alignment.evidence_bits, 1))
+    parts = [row.bits[0] for row in table if row.level == 1 and row.bits[0] > 0]
+    assert not parts or sum(parts) == pytest.approx(table[0].bits[0])
+
+
+def test_the_document_adds_up_too():
+    for told in ALL:
+        document = json.loads(json.dumps(to_document(told)))
+        assert document["schema"] == "topobatch.decision/1"
+        assert document["verdict"] == told.said.verdict
+        assert document["threshold_bits"] == 12.55
+        for shown in document["placements"]:
+            total = sum(term["bits"] for term in shown["terms"])
+            assert total == pytest.approx(shown["evidence_bits"], abs=1e-9)
+    assert to_document(AMBIGUOUS)["margin_bits"] == 5.93
+    assert to_document(UNRELATED)["start"]["expected"] == 7
+
+
+def test_an_ambiguous_pair_says_what_is_missing():
+    assert "repeats itself" in because(AMBIGUOUS)
+    assert missing(AMBIGUOUS).startswith("Missing: 2.6 bits of evidence. To settle it: record")
+    close = replace(AMBIGUOUS, said=replace(AMBIGUOUS.said, evidence_bits=20.0, margin_bits=1.0))
+    assert missing(close).startswith("Missing: 3.0 bits of lead.")
+    assert missing(MERGED) == missing(UNRELATED) == ""
+    assert any("the next best lays it at" in line for line in lines(AMBIGUOUS))
+
+
+def test_an_unrelated_pair_says_why_the_best_there_was_is_nothing():
+    told = because(UNRELATED)
+    assert "lays 7 junctions of right where left has been, and 1 of them is there" in told
+    assert "no corridor of one is like one of the other" in because(NOTHING)
+    faint = replace(UNRELATED, start=None, said=replace(UNRELATED.said, evidence_bits=1.5))
+    assert "that is too little" in because(faint)
+
+
+def test_what_others_and_people_say_stands_in_the_headline():
+    through = replace(UNRELATED, said=replace(UNRELATED.said, through=("mid",)))
+    assert headline(through) == "left and right: joined through mid: by itself unrelated, 0.0 bits"
+    by = {"lock": "locked as the same", "runs": "as other runs say", "components": "together"}
+    for accepted_by, words in by.items():
+        told = replace(MERGED, said=replace(MERGED.said, accepted_by=accepted_by))
+        assert words in headline(told)
+    never = replace(UNRELATED, said=replace(UNRELATED.said, locked="never"))
+    assert because(never) == "Locked apart by a person."
+
+
+def test_people_read_degrees():
+    shown = "\n".join(lines(MERGED))
+    assert "turned by 180.0°" in shown
+    assert " rad" not in shown

@@ -1,0 +1,90 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from topobatch.merge.decision import Decision, Placement, Requirement, Start, Term
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.viz import write_decision_recording
+
+from .readback import Readback
+
+NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5, 0.0)
+EVERY = np.repeat(np.arange(5), 2).reshape(-1, 2)
+
+
+def placement(bits: float, matched: np.ndarray = EVERY) -> Placement:
+    terms = (
+        Term("corridor", bits - 1.0, "corridor", (0, 1), (0, 1), (10.0, 10.1)),
+        Term("unseen", -2.0, "junction unseen in a corridor", (2, 3), (4,)),
+        Term("crossing", -1.0, "corridors that only cross", (0, 1), (2, 3)),
+        Term("hypotheses", 4.0, "chosen from 3"),
+    )
+    return Placement(Alignment(np.array([1.0, 2.0, 0.3]), bits, matched, 0.1, 1), terms)
+
+
+def decision(verdict: Verdict, placements: list[Placement], **fields: object) -> Decision:
+    accepted = verdict is Verdict.MERGED
+    best = placements[0].alignment if placements else None
+    bits = best.evidence_bits if best and "start" not in fields else 0.0
+    said = PairVerdict("a/1", "b", verdict, accepted, bits, "so it is", best)
+    return Decision(said, True, NEED, tuple(placements), **fields)
+
+
+def written(path: Path, make_map, told: Decision) -> Readback:
+    write_decision_recording(path, make_map("a/1"), make_map("b", (1.0, 2.0, 0.4)), told)
+    return Readback(path)
+
+
+def test_a_merged_pair_is_drawn_over_and_tied(tmp_path: Path, make_map) -> None:
+    told = decision(Verdict.MERGED, [placement(30.0)])
+    got = written(tmp_path / "a.rrd", make_map, told)
+    assert got.identity == ("topobatch", "a/1 - b")
+    assert got.blueprints == 1
+    for picture in ("placement", "tied"):
+        assert len(got.value(f"/placements/{picture}/ties", "LineStrips2D:strips")) == 5
+        assert f"/placements/{picture}/a/a\\/1/corridors" in got.entities
+    assert got.value("/placements/titles", "Points2D:labels") == [
+        "placement: 30.0 bits",
+        "the 5 matched junctions tied",
+    ]
+    assert got.value("/placements/placement/contradictions/junctions", "bits") == [-2.0]
+    page = got.value("/decision", "TextDocument:text")[0]
+    assert "# a/1 and b: merged" in page
+    assert "**30.0 bits of evidence, 12.6 needed**" in page
+    assert "| **30.0** | **evidence** |" in page
+    assert "+29.00" in got.value("/evidence", "TextDocument:text")[0]
+
+
+def test_tied_maps_are_drawn_apart(tmp_path: Path, make_map) -> None:
+    got = written(tmp_path / "a.rrd", make_map, decision(Verdict.MERGED, [placement(30.0)]))
+    strips = got.value("/placements/tied/links/a", "LineStrips2D:strips")
+    below = got.value("/placements/tied/links/b", "LineStrips2D:strips")
+    assert np.min(np.array(strips)[..., 1]) > np.max(np.array(below)[..., 1])
+
+
+def test_an_ambiguous_pair_is_drawn_both_ways(tmp_path: Path, make_map) -> None:
+    told = decision(Verdict.AMBIGUOUS, [placement(9.9), placement(8.0)], why="it repeats itself")
+    got = written(tmp_path / "a.rrd", make_map, told)
+    titles = got.value("/placements/titles", "Points2D:labels")
+    assert titles == ["placement: 9.9 bits", "next best: 8.0 bits"]
+    page = got.value("/decision", "TextDocument:text")[0]
+    assert "it repeats itself" in page
+    assert "Missing: 2.7 bits of evidence" in page
+    assert "Next best: 5 junctions and 1 corridor agree, 2 contradict" in page
+
+
+def test_an_unrelated_pair_shows_the_best_there_was(tmp_path: Path, make_map) -> None:
+    told = decision(Verdict.UNRELATED, [placement(3.0, EVERY[:2])], start=Start(1, 7, 4, 3))
+    got = written(tmp_path / "a.rrd", make_map, told)
+    assert "given up" in got.value("/placements/titles", "Points2D:labels")[0]
+    assert "where 4 must be" in got.value("/decision", "TextDocument:text")[0]
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_nothing_alike_is_told(tmp_path: Path, make_map, empty_map, empty: bool) -> None:
+    told = decision(Verdict.UNRELATED, [])
+    second = empty_map if empty else make_map("b")
+    write_decision_recording(tmp_path / "a.rrd", make_map("a/1"), second, told)
+    page = Readback(tmp_path / "a.rrd").value("/decision", "TextDocument:text")[0]
+    assert "no corridor of one is like one of the other" in page
