@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..merge.result import MergeResult, PairVerdict
     from ..topology.topomap import TopoMap
 
-MOST_LINES = 20
+MOST_LINES, MOST_JOINED = 20, 5
 
 
 def merge(
@@ -186,6 +186,7 @@ def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
 
 
 def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
+    from ..merge.merging import ALONE
     from ..merge.result import Standing
 
     def of(standing: Standing) -> list[PairVerdict]:
@@ -205,10 +206,10 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
         screen.line(f"  {pair.a} + {pair.b}: {pair.reason}")
     if len(merged) > MOST_LINES:
         screen.line(f"  … and {len(merged) - MOST_LINES} more merged pairs, in {place.merged_json}")
-    for pair in joined[:MOST_LINES]:
-        screen.line(f"  {pair.a} … {pair.b}: {pair.reason}")
-    if len(joined) > MOST_LINES:
-        screen.line(f"  … and {len(joined) - MOST_LINES} more pairs joined through others")
+    for pair in joined[:MOST_JOINED]:
+        screen.line(f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
+    if len(joined) > MOST_JOINED:
+        screen.line(f"  … and {len(joined) - MOST_JOINED} more pairs joined through others")
     for pair in ambiguous[:MOST_LINES]:
         advice = f"; {pair.advice}" if pair.advice else ""
         screen.line(f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}{advice}")

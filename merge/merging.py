@@ -36,6 +36,9 @@ class MergeSettings:
 
 DEFAULT_MERGE = MergeSettings()
 
+ALONE = "; the two maps alone: "
+"""Stands in the reasons of pairs that others join, before what they say by themselves."""
+
 
 def merge_maps(
     maps: Sequence[TopoMap],
@@ -89,7 +92,7 @@ def _placed(
                 f"{told}, placed to {placed[0]:.1f} m and {np.degrees(off_rad):.1f}° (1 sigma)"
                 f"{', too vaguely to count on it' if vague else ''}"
             )
-        reason = f"{told}; the two maps alone: {v.reason}"
+        reason = f"{told}{ALONE}{v.reason}"
         out.append(replace(v, reason=reason, through=through, placed=placed))
     return tuple(out)
 

@@ -138,14 +138,15 @@ def _source(topomap: TopoMap) -> str:
 
 def _noise(topomap: TopoMap) -> str:
     n = topomap.noise
-    degrees = np.degrees([n.heading_rad_per_sqrt_m, n.heading_rad_per_sqrt_rad, n.branch_rad])
+    degrees = np.degrees([n.heading_rad_per_sqrt_m, n.branch_rad])
+    per_sqrt_degree = np.sqrt(np.degrees(1.0)) * n.heading_rad_per_sqrt_rad
     rows = [
         ("odometry, along", f"{n.along_m_per_sqrt_m:.3f} m/√m"),
         ("odometry, heading", f"{degrees[0]:.2f} °/√m"),
-        ("odometry, turning", f"{degrees[1]:.2f} °/√rad"),
+        ("odometry, turning", f"{per_sqrt_degree:.2f} °/√°"),
         ("odometry, scale", f"{100 * n.scale:.2f} %"),
         ("junction centre", f"{n.centre_m:.3f} m"),
-        ("branch heading", f"{degrees[2]:.1f} °"),
+        ("branch heading", f"{degrees[1]:.1f} °"),
         ("passes missed", f"{100 * n.miss_rate:.1f} %"),
         ("invented per corridor", f"{100 * n.phantom_rate:.1f} %"),
         ("wrong branches", f"{100 * n.branch_fault_rate:.1f} %"),
