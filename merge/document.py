@@ -47,8 +47,8 @@ class MergedGraph(Model):
 
     components: list[ComponentEntry]
     method: str | None = None
-    settings: dict[str, int | float] | None = Field(
-        None, description="What the robust method was tuned to; false_merge_rate and others."
+    settings: dict[str, Any] | None = Field(
+        None, description="What the method was tuned to; false_merge_rate and others."
     )
 
 

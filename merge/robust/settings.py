@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +43,15 @@ class RobustSettings:
 DEFAULT_ROBUST = RobustSettings()
 
 
-def settings_from_document(values: Mapping[str, float]) -> RobustSettings:
+def settings_from_document(values: Mapping[str, Any]) -> RobustSettings:
     """The settings that a merged document names; those that it does not have their defaults.
     Raises ValueError on values that cannot be."""
-    known = {f.name for f in fields(RobustSettings)}
-    return RobustSettings(**{k: v for k, v in values.items() if k in known})  # type: ignore[arg-type]
+    known: dict[str, Any] = {}
+    for field in fields(RobustSettings):
+        value = values.get(field.name, field.default)
+        whole = isinstance(field.default, int)
+        if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+            number = "a whole number" if whole else "a number"
+            raise ValueError(f"{field.name} must be {number}: {value!r}")
+        known[field.name] = value
+    return RobustSettings(**known)

@@ -191,7 +191,7 @@ def test_explain_by_the_papers_figures(topobatch, workspace):
 
 def test_explain_answers_where_it_cannot_write(topobatch, workspace):
     a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
-    (workspace / "explain").write_text("in the way")
+    (workspace / "explain" / f"{a}+{b}.rrd").mkdir(parents=True)  # is in the way
     shown = topobatch("explain", a, b, "-w", workspace)
     assert shown.code == 0
     assert "bits of evidence" in shown.out

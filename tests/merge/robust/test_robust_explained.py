@@ -139,3 +139,7 @@ def test_settings_of_a_document_are_checked():
     assert known == replace(RobustSettings(), false_merge_rate=0.01)
     with pytest.raises(ValueError, match="false_merge_rate"):
         settings_from_document({"false_merge_rate": 2.0})
+    with pytest.raises(ValueError, match="hypotheses must be a whole number"):
+        settings_from_document({"hypotheses": 2.5})
+    with pytest.raises(ValueError, match="lead_bits must be a number: 'four'"):
+        settings_from_document({"lead_bits": "four"})
