@@ -135,10 +135,10 @@ def _read_others(place: Workspace, runs: list[str], maps: dict[str, TopoMap]) ->
     return gone
 
 
-def _record(recording: Path, write: Callable[[], None], quiet: bool) -> None:
+def _record(recording: Path, draw: Callable[[], None], quiet: bool) -> None:
     """Write a recording; a workspace that cannot be written is no reason not to answer."""
     try:
-        write()
+        draw()
     except OSError as error:
         warn(f"{recording}: not written: {error.strerror or error}")
         return
