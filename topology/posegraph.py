@@ -55,11 +55,11 @@ class SolverSettings:
     """Begin from the chordal start, or from the graph's own poses (a warm start)."""
     max_iterations: int = 50
     relative_tolerance: float = 1e-7
-    """Converged when one iteration lowers the cost by less than this share …"""
+    """Converged when the cost lies above its minimum by less than this share …"""
     absolute_tolerance: float = 1e-9
     """… or by less than this, in units of χ²."""
     first_damping: float = 1e-4
-    """Damping relative to the diagonal that a rejected step brings in; tenfold at each further."""
+    """Damping relative to the diagonal that the first rejected step brings in."""
     chord_share: float = 0.01
     """A step that promises to lower the cost by no more than this share uses the last factors."""
     patience: int = 2
@@ -85,8 +85,8 @@ class Solution:
     pose: (n, 3); shared: (k,) systematic errors; chi2: Σ eᵀΩe over all edges, without kernels,
     weights and priors (g2o's metric); cost: what was minimised, with kernels, weights and priors;
     edge_chi2: (m,) eᵀΩe; edge_weight: (m,) in [0, 1], what kernels and `solve_robust` left of each
-    edge; prior_weight: (u,) likewise; iterations: factorisations made; converged: whether the last
-    step changed nothing worth having.
+    edge; prior_weight: (u,) likewise; iterations: factorisations made; converged: whether the
+    gradient vanishes: no step of full length has anything to gain (see `SolverSettings`).
     """
 
     pose: FloatArray
@@ -150,6 +150,47 @@ def _truncated_weight(chi2: FloatArray, mu: float, limit: float) -> FloatArray:
     return np.where(chi2 <= mu / (mu + 1) * limit, 1.0, np.clip(out, 0.0, 1.0))
 
 
+def _excess(promised: float, before: float) -> float:
+    """How far the cost lies above its minimum, by what two full steps in a row promised.
+
+    Along a direction whose curvature is a share s of what the factors say, a step goes the share s
+    of the way: the next one promises (1 − s)² as much, and the cost is promised / s too high.
+    Exact measurements give s = 1; kernels and factors from elsewhere less.
+    """
+    share = 1.0 - np.sqrt(min(promised / before, 1.0)) if before > 0 else 0.0
+    return promised / max(share, _LEAST_SHARE)
+
+
+def _lower(there: Solution, here: Solution, iterations: int) -> Solution:
+    """The better end of the last step."""
+    best = there if there.cost <= here.cost else here
+    return replace(best, iterations=iterations, converged=True)
+
+
+class _Damping:
+    """Damping relative to the diagonal, by what steps gain (Nielsen, IMM-REP-1999-05, § 4.1)."""
+
+    def __init__(self, first: float) -> None:
+        self.now, self._last, self._first, self._growth = 0.0, 0.0, first, 2.0
+
+    def adapt(self, gained: float, promised: float) -> None:
+        """After a step: as much as it promised is gained where curvature is what it seems."""
+        if self.now > 0 and gained < 0.5 * promised:
+            self.tighten()
+        elif gained > 0.75 * promised:
+            self.now, self._last, self._growth = 0.3 * self.now, 0.3 * self._last, 2.0
+            if self.now < 1e-3 * self._first:
+                self.now = 0.0
+
+    def tighten(self) -> None:
+        """After a step too far: more, and the more the oftener in a row."""
+        self.now = self._last = max(self._first, self._growth * max(self.now, self._last))
+        self._growth *= 2.0
+
+
+_LEAST_SHARE = 1e-3
+"""Curvature is not believed to be a smaller share than this of what the factors say."""
+
 _MOST_CHORDS = 4
 """Steps with the same factors: they converge linearly, so that some are enough."""
 
@@ -178,44 +219,41 @@ class _Problem:
         so far: the way into a narrow curved valley. Else back to the best point and damp.
         """
         best = here = self._evaluate(pose, shared, weight)
-        damping, leaps, iterations, converged = 0.0, 0, 0, False
+        damping = _Damping(settings.first_damping)
+        leaps, iterations, chords, before = 0, 0, 0, 0.0
         factor: Factor | None = None
-        chords = 0
-        while iterations < settings.max_iterations and not converged:
+        while iterations < settings.max_iterations:
             system = linearise(self.graph, self.pattern, here)
             enough = settings.relative_tolerance * best.cost + settings.absolute_tolerance
-            if factor is not None and here is best and damping == 0 and chords < _MOST_CHORDS:
+            if factor is not None and here is best and chords < _MOST_CHORDS:
                 chords += 1
                 # Near the minimum the last factors still serve: a step for a tenth of the price.
                 there, promised = self._moved(system, factor, here, weight)
-                worth = promised > settings.chord_share * best.cost
-                if promised <= enough or (not worth and there.cost <= best.cost):
-                    converged = best.cost - there.cost <= enough
-                    here = best = min(there, best, key=lambda point: point.cost)
+                if _excess(promised, before) <= enough:
+                    return _lower(there, best, iterations)
+                if promised <= settings.chord_share * best.cost and there.cost <= best.cost:
+                    here, best, before = there, there, promised
                     continue
-            iterations += 1
-            factor, chords = self._factor(system, damping), 0
-            there, promised = self._moved(system, factor, here, weight)
+            iterations, chords, full = iterations + 1, 0, damping.now == 0
+            factors = system.factorise(damping.now)
+            there, promised = self._moved(system, factors, here, weight)
+            factor = factors if full else None
+            if full and here is best:
+                if _excess(promised, before) <= enough:
+                    return _lower(there, best, iterations)
+                before = promised
             if there.cost <= best.cost:
-                converged = best.cost - there.cost <= enough
+                damping.adapt(best.cost - there.cost, promised)
+                if promised <= enough:
+                    damping.now = 0.0  # a short step promises little: a full one tells
                 here = best = there
-                damping = damping / 10 if damping > settings.first_damping else 0.0
-                leaps = 0
-            elif here is best and promised <= enough:
-                converged = True
-            elif damping == 0 and leaps < settings.patience and np.isfinite(there.cost):
+                leaps = 0 if full else leaps
+            elif full and leaps < settings.patience and np.isfinite(there.cost):
                 here, leaps = there, leaps + 1
             else:
                 here, leaps = best, settings.patience
-                damping = max(settings.first_damping, 10 * damping)
-        return replace(best, iterations=iterations, converged=converged)
-
-    def _factor(self, system: NormalEquations, damping: float) -> Factor:
-        """Factors of the damped system; more damping where it is exactly singular."""
-        try:
-            return system.factorise(damping)
-        except RuntimeError:
-            return system.factorise(max(damping, 1e-6))
+                damping.tighten()
+        return replace(best, iterations=iterations)
 
     def _moved(
         self, system: NormalEquations, factor: Factor, here: Solution, weight: FloatArray
@@ -223,7 +261,7 @@ class _Problem:
         """Where a step leads, and by how much the cost would fall were it quadratic."""
         move, shift = system.step(factor)
         pose = here.pose + move
-        pose[:, 2] = wrap(pose[:, 2])
+        pose[:, 2] = np.where(self.frame.fixed[:, 2], pose[:, 2], wrap(pose[:, 2]))
         there = self._evaluate(pose, here.shared + shift, weight)
         return there, system.promise(move, shift)
 

@@ -22,30 +22,34 @@ from .posegraph_model import PoseGraph, corrected_measurement
 from .se2 import FloatArray, compose, inverse, wrap
 
 
+_THIN = 1e-9
+"""Information with a smaller determinant than this, as that of a correlation, may be singular."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
     """What of a pose graph does not change while it is solved.
 
-    component: (n,) connected component of every pose (edges alone); order: (n,) poses in an order
-    of elimination that keeps the factors sparse (minimum degree); fixed: (n, 3) components of poses
-    that do not move: those held, and one pose per component where the frame would be free.
+    order: (n,) poses in an order of elimination that keeps the factors sparse (minimum degree);
+    fixed: (n, 3) components of poses that do not move: those held, and one pose per connected piece
+    where its frame would be free; rigid: whether that surely leaves no freedom anywhere.
     """
 
-    component: NDArray[np.int64]
     order: NDArray[np.int64]
     fixed: NDArray[np.bool_]
+    rigid: bool
 
 
 def skeleton(graph: PoseGraph) -> Skeleton:
-    """Components, elimination order and gauge of a graph. O(edges) and one n × n factorisation."""
+    """Elimination order and gauge of a graph. O(edges) and one n × n factorisation."""
     n = len(graph)
-    component = _groups(graph, np.ones(len(graph.source), bool))
     order = np.arange(n, dtype=np.int64)
     if n > 1:
         # The fill of the 3n × 3n system follows that of the n × n graph: order the small one.
         links = _connection(graph, np.ones(len(graph.source)), np.ones(n), order)
         order = np.argsort(_factor(links, "MMD_AT_PLUS_A").perm_c).astype(np.int64)
-    return Skeleton(component, order, _gauge(graph, component))
+    fixed = _gauge(graph)
+    return Skeleton(order, fixed, _is_rigid(graph, fixed))
 
 
 def summed(where: NDArray[np.int64], values: NDArray[Any], size: int) -> FloatArray:
@@ -94,26 +98,50 @@ def _solved(
     return out
 
 
-def _gauge(graph: PoseGraph, component: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(n, 3) held components, and those of the first pose of each component that nothing fixes.
+def _gauge(graph: PoseGraph) -> NDArray[np.bool_]:
+    """(n, 3) held components, and those of single poses that make up for a frame that is free.
 
-    A position is fixed by a held position or a prior of one; a heading likewise, or by positions
-    at two poses.
+    A piece that is tied together by positions may be shifted unless a position in it is known, and
+    turned about the only one that is. A heading that nothing measures fixes nothing and is fixed
+    itself. What else may be free (a pose that sees one landmark only) depends on where the poses
+    are: the factors find out (`NormalEquations.factorise`).
     """
-    n, count = len(graph), int(component.max(initial=-1)) + 1
+    n, prior = len(graph), graph.priors
+    weight = np.einsum("eii->ei", graph.information)
     known = graph.held.copy()
-    information = np.einsum("kii->ki", graph.priors.information)
     # A prior on a pose counts like a held component: either leaves no freedom there.
-    np.logical_or.at(known, graph.priors.node, information > 0)
-    per_component = [summed(component, known[:, axis], count) for axis in range(3)]
-    both = summed(component, known[:, 0] & known[:, 1], count)
-    first = np.full(count, n)
-    np.minimum.at(first, component, np.arange(n))
+    np.logical_or.at(known, prior.node, np.einsum("kii->ki", prior.information) > 0)
+    shifts, turns = weight[:, :2].any(axis=1), weight[:, 2] > 0
+    measured = np.zeros(n, bool)
+    measured[graph.source[shifts | turns]] = measured[graph.target[turns]] = True
+    piece = _groups(graph, shifts)
+    body = _groups(graph, shifts | turns) if np.any(turns & ~shifts) else piece
     fixed = graph.held.copy()
-    fixed[first, 0] |= per_component[0] == 0
-    fixed[first, 1] |= per_component[1] == 0
-    fixed[first, 2] |= (per_component[2] == 0) & (both < 2)
+    fixed[:, 2] |= ~(measured | known[:, 2])
+    for axis in range(2):
+        fixed[_first_without(piece, known[:, axis]), axis] = True
+    # A body of several pieces turns if each of them does, about a point of its own.
+    anchors = summed(piece, known[:, 0] | known[:, 1], n)[piece] > 1
+    stays = anchors | (known[:, 2] & measured)
+    fixed[_first_without(body, stays, measured), 2] = True
     return fixed
+
+
+def _is_rigid(graph: PoseGraph, fixed: NDArray[np.bool_]) -> bool:
+    """Whether edges that tell a whole pose join every pose to a fixed x, y and heading."""
+    xx, xy, xt, _, yy, yt, _, _, tt = graph.information.reshape(-1, 9).T
+    volume = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
+    body = _groups(graph, (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy))
+    return all(np.all(summed(body, fixed[:, k], len(body))[body] > 0) for k in range(3))
+
+
+def _first_without(
+    group: NDArray[np.int64], has: NDArray[np.bool_], among: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """First member (`among` some) of every group in which nobody `has` it."""
+    lacks = summed(group, has, len(group))[group] == 0
+    rows = np.flatnonzero(lacks if among is None else lacks & among)
+    return rows[np.unique(group[rows], return_index=True)[1]]
 
 
 def chordal_start(graph: PoseGraph, frame: Skeleton, shared: FloatArray) -> FloatArray:
@@ -139,10 +167,7 @@ def _chordal_headings(graph: PoseGraph, frame: Skeleton, measured: FloatArray) -
     # Held headings, and one pose of every group that nothing else fixes, pull to their first guess.
     scale = float(np.mean(weight)) if len(weight) else 1.0
     pinned = frame.fixed[:, 2].copy()
-    fixed_groups = np.bincount(group, pinned | (known > 0)) > 0
-    first = np.full(len(fixed_groups), n)
-    np.minimum.at(first, group, np.arange(n))
-    pinned[first[~fixed_groups]] = True
+    pinned[_first_without(group, pinned | (known > 0))] = True
     anchor = known + np.where(pinned, scale or 1.0, 0.0)
     target += np.where(pinned, (scale or 1.0) * np.exp(1j * graph.pose[:, 2]), 0.0)
     coupling = weight * np.exp(-1j * measured[:, 2])
@@ -163,12 +188,15 @@ def _positions(
     known = 0.5 * (prior.information[:, 0, 0] + prior.information[:, 1, 1])
     at = known * (prior.value[:, 0] + 1j * prior.value[:, 1])
     pull += summed(prior.node, at.real, n) + 1j * summed(prior.node, at.imag, n)
-    held = frame.fixed[:, 0] & frame.fixed[:, 1]
-    anchor = summed(prior.node, known, n) + np.where(held, 1e6 * weight.max(initial=1.0), 0.0)
-    pull += np.where(held, anchor * (graph.pose[:, 0] + 1j * graph.pose[:, 1]), 0.0)
-    links = _connection(graph, weight, anchor, frame.order)
+    # Held positions, and one pose of every group that nothing else fixes, stay at the first guess.
+    pinned = frame.fixed[:, 0] | frame.fixed[:, 1]
+    anchor = summed(prior.node, known, n)
+    pinned[_first_without(_groups(graph, weight > 0), pinned | (anchor > 0))] = True
+    hold = np.where(pinned, 1e6 * weight.max(initial=1.0), 0.0)
+    pull += hold * (graph.pose[:, 0] + 1j * graph.pose[:, 1])
+    links = _connection(graph, weight, anchor + hold, frame.order)
     z = _solved(links, np.column_stack([pull.real, pull.imag]), frame.order)
-    return np.where(held[:, None], graph.pose[:, :2], z)
+    return np.where(frame.fixed[:, :2], graph.pose[:, :2], z)
 
 
 def chained_start(graph: PoseGraph) -> FloatArray:

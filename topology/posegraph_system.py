@@ -24,6 +24,14 @@ from .se2 import FloatArray
 
 _FIXED = -1
 
+_LOADING = 1e-14
+"""Added to the diagonal, relative to it: beyond what rounding may take from a pivot, so that one
+that is zero does no harm to those after it; far below any information."""
+
+_FREE = 1e-12
+"""A pivot of less than this share of its diagonal tells nothing: its variable follows from those
+before it but for rounding. Chains of thousands of poses keep 1e-8 (CSAIL: 3e-8)."""
+
 
 class Point(Protocol):
     """Where to linearise: poses, shared errors, and the weights of edges and priors there."""
@@ -44,7 +52,7 @@ class Pattern:
 
     variable: (n, 3) column of each pose component, -1 where it is fixed; indices, indptr: pattern
     of A (CSC); slot: (4 m + u, 9) where the entries of each block land, one behind the last for
-    fixed components; diagonal: (size,) slots of the diagonal.
+    fixed components; diagonal: (size,) slots of the diagonal; rigid: as in `Skeleton`.
     """
 
     variable: NDArray[np.int64]
@@ -53,6 +61,7 @@ class Pattern:
     indptr: NDArray[np.int32]
     slot: NDArray[np.int64]
     diagonal: NDArray[np.int64]
+    rigid: bool
 
 
 def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
@@ -101,12 +110,17 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
         np.concatenate([[0], np.cumsum(per_column)]).astype(np.int32),
         slot[which[: 4 * m + len(u)]],
         diagonal[free],
+        frame.rigid,
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """Linearisation at one point: `A` data in the pattern's slots, gradient, and the border."""
+    """Linearisation at one point: `A` data in the pattern's slots, gradient, and the border.
+
+    belief: (k,) 1 / σ² of the shared errors, which the corner contains; definite: whether A surely
+    tells something in every direction.
+    """
 
     pattern: Pattern
     data: FloatArray
@@ -114,26 +128,48 @@ class NormalEquations:
     border: FloatArray
     border_gradient: FloatArray
     corner: FloatArray
+    belief: FloatArray
+    definite: bool
 
     def factorise(self, damping: float = 0.0) -> Factor:
-        """Factors of the damped system. Raises RuntimeError where it is singular."""
-        data, corner, p = self.data, self.corner, self.pattern
-        if damping > 0:
-            data = data.copy()
-            floor = 1e-9 * float(np.mean(data[p.diagonal])) if p.size else 0.0
-            data[p.diagonal] += damping * (data[p.diagonal] + floor)
-            corner = corner + damping * np.diag(np.diag(corner))
-        matrix = sparse.csc_array((data, p.indices, p.indptr), shape=(p.size, p.size))
-        lu = None
-        if p.size:
-            lu = splu(
-                matrix,
-                permc_spec="NATURAL",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+        """Factors of the damped system; they are positive definite whatever the graph.
+
+        A matrix without information in some direction has a pivot that is zero but for rounding,
+        of either sign: steps along it would be noise, or uphill. The variable of such a pivot is
+        held back, which leaves the others what they are: the system is consistent.
+        """
+        p = self.pattern
+        diagonal = self.data[p.diagonal]
+        scale = np.where(diagonal > 0, diagonal, 1.0)
+        loading = np.where(diagonal > 0, damping + _LOADING, 1.0) * scale
+        lu = self._factored(loading) if p.size else None
+        if lu is not None and damping < _FREE and not self.definite:
+            free = lu.U.diagonal() <= _FREE * scale
+            if free.any():
+                lu = self._factored(loading + np.where(free, scale, 0.0))
         solved = lu.solve(self.border) if lu is not None and self.border.size else self.border
-        return Factor(p, lu, self.border, solved, corner - self.border.T @ solved)
+        corner = self.corner + damping * np.diag(np.diag(self.corner))
+        return Factor(p, lu, self.border, solved, self._schur(corner - self.border.T @ solved))
+
+    def _factored(self, loading: FloatArray) -> SuperLU:
+        """Factors of A with (size,) `loading` on its diagonal, pivots taken from there."""
+        data, p = self.data.copy(), self.pattern
+        data[p.diagonal] += loading
+        matrix = sparse.csc_array((data, p.indices, p.indptr), shape=(p.size, p.size))
+        return splu(
+            matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+
+    def _schur(self, schur: FloatArray) -> FloatArray:
+        """S, which is no less than what is believed of b beforehand: rounding may say less."""
+        sigma = 1.0 / np.sqrt(self.belief)
+        share = sigma[:, None] * (0.5 * (schur + schur.T)) * sigma
+        if not len(schur) or np.linalg.eigvalsh(share)[0] >= 1:
+            return schur
+        values, vectors = np.linalg.eigh(share)
+        root = vectors / sigma[:, None]
+        out: FloatArray = (root * np.maximum(values, 1.0)) @ root.T
+        return out
 
     def step(self, factor: Factor) -> tuple[FloatArray, FloatArray]:
         """Gauss–Newton step: (n, 3) of the poses, zero where fixed, and (k,) of the border."""
@@ -207,16 +243,17 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
     gradient = _scatter(pattern, ends, (pull_i, pull_j, known))
     k = len(graph.shared)
     border, corner, slope = np.zeros((pattern.size, k)), np.zeros((k, k)), np.zeros(k)
+    belief = 1.0 / np.square(graph.shared.sigma)
     if k:
         J_b = np.matmul(measurement_jacobian(graph, pose, shared), graph.shared.sensitivity)
         for column in range(k):
             G_b = _pulled(G, _turned_back(J_b[:, :, column], c, s))
             border[:, column] = -_scatter(pattern, ends[:2], (_through(G_b, x, y), G_b))
         weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
-        belief = 1.0 / np.square(graph.shared.sigma)
         corner = np.einsum("eik,eil->kl", J_b, weighted) + np.diag(belief)
         slope = -np.einsum("eik,ei->k", weighted, error) - belief * (shared - graph.shared.mean)
-    return NormalEquations(pattern, data, gradient, border, slope, corner)
+    definite = pattern.rigid and bool(np.all(at.edge_weight > _FREE))
+    return NormalEquations(pattern, data, gradient, border, slope, corner, belief, definite)
 
 
 def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
