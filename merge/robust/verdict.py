@@ -156,7 +156,7 @@ def repetition_level(own: Sequence[Candidate]) -> float:
     for c in own:
         pairs = len({frozenset(pair) for pair in zip(c.a.tolist(), c.b.tolist(), strict=True)})
         if pairs >= REPEATED_JUNCTIONS:
-            bits = max(bits, c.bits * pairs / len(c))
+            bits = max(bits, counted_bits(c) * pairs / len(c))
     level = (bits - PLAIN_SELF_BITS) / (REPETITIVE_SELF_BITS - PLAIN_SELF_BITS)
     return _share(float(level))
 

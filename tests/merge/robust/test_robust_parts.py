@@ -310,6 +310,8 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     told = replace(match(a, b, SETTINGS)[0], bits=99.0)
     assert counted_bits(told) == JUNCTION_BITS * len(told)
     assert counted_bits(replace(told, bits=7.0)) == 7.0
+    doubted = replace(told, conflicts=replace(told.conflicts, crossing=np.zeros((2, 2), np.int64)))
+    assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
     alone, among_many = (bar(pairs, 0.0, COPIES, SETTINGS) for pairs in (1, 10**6))
     assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
     view = opinion(a, b, [told], among_many)
