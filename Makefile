@@ -4,21 +4,24 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := topobatch-workspace
 # posegraph.py is not among them: it wants the names of public graph files.
-BENCHMARKS := startup paper merging calibration odometry closure chain ingest
+BENCHMARKS := startup paper merging calibration odometry closure chain ingest soak audit
+LOCK := requirements-dev.lock
+UV := uv==0.13.9
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint types samples bench clean
+.PHONY: help demo test check lint types samples bench attack lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
 
-# Made anew whenever the dependencies change.
-$(VENV)/.ready: pyproject.toml
+# Made anew whenever the dependencies change: exactly what the lock file names, checked by hashes.
+$(VENV)/.ready: pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "Python 3.11 or newer is needed; try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $(LOCK)
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps --no-build-isolation --editable .
 	@touch $@
 
 demo: $(VENV)/.ready  ## ingest and merge the sample logs, say where to look
@@ -50,6 +53,17 @@ bench: $(VENV)/.ready  ## the long suites: slow tests and every benchmark
 	for name in $(BENCHMARKS); do \
 		echo "== benchmarks/$$name.py"; $(BIN)/python benchmarks/$$name.py || exit 1; \
 	done
+
+attack: $(VENV)/.ready  ## thousands of hostile logs, documents, kills and races (some 40 minutes)
+	$(BIN)/python tests/hostile/attack.py
+
+# Releases younger than a week are passed over: bad ones are mostly found by then.
+lock:  ## raise the locked dependencies to their newest versions
+	$(PYTHON) -m venv $(VENV)/lock
+	$(VENV)/lock/bin/python -m pip install --quiet --disable-pip-version-check '$(UV)'
+	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
+		--generate-hashes --upgrade --exclude-newer '7 days' --quiet \
+		--custom-compile-command 'make lock' --output-file $(LOCK)
 
 clean:  ## remove what the targets above made
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

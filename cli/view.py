@@ -23,7 +23,7 @@ def view(
     """Open the merged map, or a run's, in the rerun viewer."""
     place = Workspace(workspace)
     recording = place.merged_rrd if run is None else place.map_rrd(run)
-    if not recording.exists():
+    if not recording.is_file():
         if run is None:
             raise DataError(f"{recording}: is not there yet; make it with `topobatch merge --all`")
         known = shortened(place.runs()) or "none"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import shutil
 import subprocess
 import sys
@@ -97,6 +98,34 @@ def test_every_module_is_below_a_declared_package() -> None:
         for path in modules(package):
             dotted = ".".join(("topobatch", *path.relative_to(ROOT).parent.parts))
             assert dotted in declared, f"{path} would not be installed"
+
+
+def test_what_is_imported_is_declared_and_locked() -> None:
+    import tomllib
+    from importlib.metadata import packages_distributions
+
+    from packaging.requirements import Requirement
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = [Requirement(text) for text in project["dependencies"]]
+    tools = [Requirement(text) for text in project["optional-dependencies"]["dev"]]
+    lines = (ROOT / "requirements-dev.lock").read_text().splitlines()
+    locked: dict[str, list[str]] = {}
+    for name, version in re.findall(r"^([\w.-]+)==([\w.+-]+)", "\n".join(lines), re.MULTILINE):
+        locked.setdefault(name.lower(), []).append(version)
+    for requirement in [*needed, *tools]:
+        found = locked[re.sub("[._]", "-", requirement.name.lower())]
+        assert all(requirement.specifier.contains(version) for version in found), requirement
+    declared = {re.sub("[._]", "-", requirement.name.lower()) for requirement in needed}
+    origin = packages_distributions()
+    for path in [path for package in PACKAGES for path in modules(package)]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module or ""]
+            for name in {name.split(".")[0] for name in names} - sys.stdlib_module_names:
+                homes = {re.sub("[._]", "-", home.lower()) for home in origin[name]}
+                assert homes & declared, f"{path}: {name} is not declared"
 
 
 def test_help_loads_nothing_heavy() -> None:

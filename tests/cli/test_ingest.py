@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -304,3 +305,40 @@ def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
             writer.add_message(channel, second * 10**9, b"{}", second * 10**9)
         writer.finish()
     assert "2.0 s from 1970-01-01 00:00:00 UTC" in topobatch("info", path).out
+
+
+def test_what_is_broken_in_a_folder_costs_no_other_log(topobatch, logs, tmp_path):
+    folder = tmp_path / "fleet"
+    (folder / "parts").mkdir(parents=True)
+    shutil.copy(logs["mcap"], folder / "good.mcap")
+    shutil.copy(logs["mcap"], folder / "parts" / "run_0.mcap")
+    (folder / "parts" / "run_1.mcap").write_bytes(logs["mcap"].read_bytes()[:8])
+    broken = {folder / "parts" / "run_1.mcap"}
+    if sys.platform != "win32":
+        (folder / "away.bag").symlink_to(tmp_path / "gone.bag")
+        os.mkfifo(folder / "fifo.mcap")
+        broken |= {folder / "away.bag", folder / "fifo.mcap"}
+    done = topobatch("ingest", folder, tmp_path / ("x" * 5000), "-w", tmp_path / "ws")
+    assert done.code == 1
+    maps = {path.name for path in (tmp_path / "ws" / "maps").glob("*.json")}
+    assert maps == {"good.json", "run_0.json"}
+    *told, last = done.err.splitlines()
+    assert len(told) == len(broken) + 1
+    assert all(any(str(path) in line for line in told) for path in broken)
+    assert f"{len(broken) + 1} of {len(broken) + 3} logs failed" in last
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="paths are short there")
+def test_folders_deeper_than_the_stack(topobatch, logs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(1500):
+        os.mkdir("d")
+        os.chdir("d")
+    shutil.copy(logs["mcap"], "deep.mcap")
+    os.chdir(tmp_path)
+    shutil.copy(logs["mcap"], tmp_path / "good.mcap")
+    assert topobatch("ingest", tmp_path, "-w", tmp_path / "ws").code == 0
+    assert {p.stem for p in (tmp_path / "ws" / "maps").glob("*.json")} == {"deep", "good"}
+    # What removes folders is not as patient.
+    os.rename(tmp_path / "d", tmp_path / "left")
+    subprocess.run(["rm", "-rf", str(tmp_path / "left")], check=True)

@@ -1,0 +1,50 @@
+"""What a generator of hostile logs hands over, and what the generators share.
+
+A module `logs_*.py` beside this file exposes `CASES: dict[str, Generator]`. A generator is called
+with a seeded `random.Random` and an empty folder, writes one log below the folder, and says what is
+true of it. The same seed gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import random
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+TOPICS = ("/odom", "/junctions")
+"""The topics that every generated log is read for."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One hostile log.
+
+    log: file or folder to read; intact: how many messages of the wanted topics are whole in it,
+    lost: how many were written but are not whole any more; None where that cannot be known;
+    note: what was done, for the report.
+    """
+
+    log: Path
+    intact: int | None
+    lost: int | None
+    note: str
+
+
+Generator = Callable[[random.Random, Path], Case]
+
+
+def writers() -> ModuleType:
+    """The writers of small sound logs (`tests/ingest/log_writers.py`)."""
+    name = "topobatch_test_ingest_log_writers"
+    if name not in sys.modules:
+        path = Path(__file__).parents[1] / "ingest" / "log_writers.py"
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]

@@ -1,0 +1,8 @@
+"""The modules of this folder import each other by name, in tests as in scripts run from here."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
