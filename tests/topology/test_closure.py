@@ -258,6 +258,56 @@ def _scene(walk, layout):
     return Scene(walk, places, layout.xy, common, rarity(places, common, EvidenceSettings()))
 
 
+def revisions(closed):
+    """Standing and revised answers, after checking what must hold of any."""
+    made = [q for q in closed.asked if q.accepted]
+    refused = [q for q in closed.asked if not q.accepted]
+    assert all(q.round >= 1 for q in closed.asked + closed.revised)
+    assert all(q.accepted_round is None for q in made)
+    assert not any(q.accepted for q in closed.revised)
+    place = closed.place
+
+    def apart(q):
+        return tuple(sorted((place[q.first], place[q.second])))
+
+    # One entry per question and reason: pairs of places, or of passes now by one place.
+    both = [(apart(q), q.reason, q.accepted_round) for q in refused + closed.revised]
+    between = [entry for entry in both if entry[0][0] != entry[0][1]]
+    assert len(set(between)) == len(between)
+    within = [q for q in closed.revised if place[q.first] == place[q.second]]
+    entries = {(q.first, q.second, q.reason, q.accepted_round) for q in within}
+    assert len(entries) == len(within)
+    return made, refused, closed.revised
+
+
+def test_what_was_put_off_keeps_the_round_and_the_reason():
+    rng = np.random.default_rng(17)
+    world = grid_world(7, 7)
+    loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
+    odometry, passes, _ = record(world, wander(world[1], 40, rng), rng, noise=loud)
+    closed = full_closure(make_walk(odometry, passes, loud))
+    made, refused, revised = revisions(closed)
+    assert revised
+    joined = {(q.first, q.second): q.round for q in made}
+    later = [q for q in revised if (q.first, q.second) in joined]
+    assert later
+    assert all(q.round < joined[q.first, q.second] for q in later)
+    assert max(q.round for q in refused) >= max(q.round for q in made)
+
+
+def test_what_is_taken_back_is_kept_with_both_rounds():
+    """With hardly any strain allowed, passes are torn away from places that are right."""
+    rng = np.random.default_rng(10)
+    world = grid_world(4, 4, rng)
+    odometry, passes, _ = record(world, wander(world[1], 50, rng), rng)
+    closed = full_closure(make_walk(odometry, passes, NOISE), RoundSettings(strain=2.0))
+    _, refused, revised = revisions(closed)
+    back = [q for q in refused + revised if q.accepted_round is not None]
+    assert back
+    assert all(q.reason.startswith("taken back") for q in back)
+    assert all(1 <= q.accepted_round <= q.round for q in back)
+
+
 def test_a_place_is_split_where_it_hangs_together_least():
     def link(i, j, bits):
         return Identification(i, j, True, bits, "")
