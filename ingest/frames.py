@@ -38,8 +38,8 @@ class FixedTransforms:
     value: Mapping[Pair, FloatArray] = field(default_factory=dict)
     moving: frozenset[Pair] = frozenset()
 
-    def between(self, target: str, source: str) -> FloatArray | None:
-        """(7,) T_target_source by the fewest transforms that lead there; None if none do.
+    def joined_to(self, target: str) -> dict[str, FloatArray]:
+        """(7,) T_target_source of every frame that fixed transforms join, by the fewest of them.
 
         O(number of transforms).
         """
@@ -49,13 +49,13 @@ class FixedTransforms:
             beside.setdefault(child, []).append((parent, _inverse(T_parent_child)))
         reached = {target: np.array(NOWHERE_ELSE)}
         front = deque([target])
-        while front and source not in reached:
+        while front:
             here = front.popleft()
             for there, T_here_there in beside.get(here, ()):
                 if there not in reached:
                     reached[there] = seen_from(reached[here], T_here_there[None])[0]
                     front.append(there)
-        return reached.get(source)
+        return reached
 
     @property
     def groups(self) -> list[list[str]]:

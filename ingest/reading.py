@@ -10,12 +10,11 @@ from typing import Any
 from ..topology.errors import LogError, UsageError
 from ..topology.odometry import Odometry
 from .carried import split_where_carried
+from .channels import acceptance, check_mapping, decoders, junction_choice, kept_whole
 from .frames import NO_TRANSFORMS, FixedCollector, FixedTransforms
-from .logs.field_check import check_fields
-from .logs.fields import JunctionFields, fields_decoder
-from .logs.intake import Intake, decoder_for, no_columns
-from .logs.messages import Channel, Findings, Survey, first_messages
-from .logs.poses import PoseDecoder
+from .logs.fields import JunctionFields
+from .logs.intake import Intake, no_columns
+from .logs.messages import Channel, Findings, Survey
 from .logs.recording import (
     Recording,
     find_logs,
@@ -27,11 +26,9 @@ from .logs.recording import (
     sniff,
 )
 from .logs.topics import (
-    JUNCTION_KINDS,
     ODOMETRY_KINDS,
     TRANSFORM_KINDS,
     Choice,
-    choose_junctions,
     choose_odometry,
     listing,
 )
@@ -60,9 +57,6 @@ __all__ = [
     "read_run",
     "run_name",
 ]
-
-TRIED = 100
-"""So many messages are tried before all are read, where only messages tell what is in them."""
 
 OnBytes = Callable[[int], None]
 
@@ -142,10 +136,10 @@ def read_run(
     log = str(path)
     recording = recording_at(Path(path))
     recording, survey = _surveyed(recording)
-    accept = _acceptance(survey.counts if survey else None, settings, log)
+    accept = acceptance(survey.counts if survey else None, settings, log)
     if survey is not None:
-        _check_fields(recording, survey.counts, settings, log)
-    intake = Intake(accept, _decoders(settings, log), _whole(settings))
+        check_mapping(recording, survey.counts, settings, log)
+    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     findings = _walk(recording, intake, on_bytes)
     warnings = _damage(recording, findings, settings)
     try:
@@ -263,95 +257,12 @@ def _uses(
     except (LogError, UsageError) as error:
         problems.append(str(error))
     try:
-        choice = _junction_choice(counts, settings, log)
+        choice = junction_choice(counts, settings, log)
         uses[choice.topic] = ("junctions", choice.why)
-        _check_fields(recording, counts, settings, log)
+        check_mapping(recording, counts, settings, log)
     except (LogError, UsageError) as error:
         problems.append(str(error))
     return uses
-
-
-def _acceptance(
-    counts: Mapping[Channel, int] | None, settings: ReadSettings, log: str
-) -> Callable[[Channel], bool]:
-    """Which channels to keep: the chosen ones if the index tells, else all that may be chosen."""
-    named = {
-        f"/{name.strip('/')}"
-        for name in (settings.odometry_topic, settings.junction_topic)
-        if name is not None
-    }
-    if settings.junction_fields is not None:
-        named.add("/junctions")
-    types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
-    if counts is None:
-        return lambda channel: channel.topic in named or channel.type_name in types
-    listed = {channel.topic for channel in counts}
-    chosen = {c.topic for c in choose_odometry(counts, settings.odometry_topic, log)}
-    chosen.add(_junction_choice(counts, settings, log).topic)
-    # A topic that the index forgot is kept as well: the choice is made again at the end.
-    return lambda channel: (
-        channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
-    )
-
-
-def _decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecoder]:
-    """How channels are decoded: by their types, but the junctions by the fields that are named."""
-    if settings.junction_fields is None:
-        return decoder_for
-    fields = JunctionFields.parse(settings.junction_fields)
-    named = settings.mapped_topic
-
-    def by_topic(channel: Channel) -> PoseDecoder:
-        if channel.topic != named:
-            return decoder_for(channel)
-        check_fields(channel, fields, log)
-        return fields_decoder(channel, fields, log)
-
-    return by_topic
-
-
-def _whole(settings: ReadSettings) -> Callable[[Channel], bool]:
-    """Channels of detections: how a sensor is mounted is found out when all is read."""
-    return lambda channel: (
-        channel.topic == settings.mapped_topic or channel.type_name in JUNCTION_KINDS
-    )
-
-
-def _check_fields(
-    recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings, log: str
-) -> None:
-    """UsageError where --junction-fields leads nowhere in the topic, before all of it is read.
-
-    What the definition of the messages leaves open, the first messages tell.
-    """
-    if settings.junction_fields is None:
-        return
-    fields = JunctionFields.parse(settings.junction_fields)
-    channels = [c for c, n in counts.items() if n and c.topic == settings.mapped_topic]
-    sure = [check_fields(channel, fields, log) for channel in channels]
-    if channels and not all(sure):
-        _try_fields(recording, settings, log)
-
-
-def _try_fields(recording: Recording, settings: ReadSettings, log: str) -> None:
-    """UsageError if nothing comes of the first messages of the mapped topic."""
-    topic = settings.mapped_topic
-    intake = Intake(
-        lambda channel: channel.topic == topic, _decoders(settings, log), _whole(settings)
-    )
-    for file in recording.files:
-        with opened(file) as container:
-            for block in container.blocks(intake.want, Findings(), None):
-                intake.take(first_messages(block, TRIED))
-                break
-    found = Source.of(intake.of_topic(topic or ""))
-    if found.messages and found.failed == found.messages:
-        raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")
-
-
-def _junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
-    any_type = settings.junction_fields is not None
-    return choose_junctions(counts, settings.junction_topic, any_type, log)
 
 
 # Reading
@@ -440,7 +351,7 @@ def _because(source: Source, topic: str) -> str:
 def _junctions(
     intake: Intake, counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> tuple[Choice, Source]:
-    choice = _junction_choice(counts, settings, log)
+    choice = junction_choice(counts, settings, log)
     source = _source(intake, counts, choice.topic, log)
     if len(source) == 0:
         raise LogError(

@@ -140,22 +140,18 @@ def _mounted(
     """The poses as seen from the odometry's frames, where fixed transforms lead there."""
     pose, rise = columns.pose, np.zeros(len(columns.pose))
     sides: list[Side] = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
+    # The robot's own frame comes last, so that it counts where a frame is fixed to both.
+    joins: dict[str, tuple[Side, NDArray[np.float64]]] = {}
+    if "foreign" in sides:
+        pose = pose.copy()
+        joins |= {name: ("odometry", T) for name, T in fixed.joined_to(odometry.frame).items()}
+        joins |= {name: ("robot", T) for name, T in fixed.joined_to(odometry.child_frame).items()}
     for number, name in enumerate(frames):
-        if sides[number] != "foreign":
-            continue
-        own: tuple[tuple[Side, str], ...] = (
-            ("robot", odometry.child_frame),
-            ("odometry", odometry.frame),
-        )
-        for side, own_frame in own:
-            T_own_sensor = fixed.between(own_frame, name)
-            if T_own_sensor is not None:
-                rows = columns.frame == number
-                pose = pose.copy()
-                pose[rows] = seen_from(T_own_sensor, pose[rows])
-                rise[rows] = _rise(pose[rows])
-                sides[number] = side
-                break
+        if sides[number] == "foreign" and name in joins:
+            sides[number], T_own_sensor = joins[name]
+            rows = columns.frame == number
+            pose[rows] = seen_from(T_own_sensor, pose[rows])
+            rise[rows] = _rise(pose[rows])
     foreign = {name for name, side in zip(frames, sides, strict=True) if side == "foreign"}
     return _Mounted(pose, tuple(sides), rise, tuple(sorted(foreign)))
 
