@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .logs.intake import decoder_for
+from .logs.intake import decoder_for, usable_poses
 from .logs.messages import Bytes, Channel, Ints
 from .logs.poses import Frames, PoseDecoder, Poses, no_poses
 
@@ -69,7 +69,7 @@ class FixedTransforms:
 
     def __str__(self) -> str:
         if not self.value and not self.moving:
-            return "the log holds no transforms between frames"
+            return "the log holds no transforms between frames; record /tf_static"
         told = [f"fixed to each other are {_some([' = '.join(names) for names in self.groups])}"]
         if not self.value:
             told = ["no frames are fixed to each other"]
@@ -149,8 +149,7 @@ class _Listener:
     def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
         """No poses."""
         poses = self._decoder.decode(data, start, size)
-        turn = poses.value[:, 3:]
-        usable = np.isfinite(poses.value).all(axis=1) & (np.einsum("ij,ij->i", turn, turn) > 1e-12)
+        usable = usable_poses(poses.value)
         for number in np.unique(poses.frame[usable]).tolist():
             rows = usable & (poses.frame == number)
             self._hear(self.frames.pairs[number], poses.value[rows])

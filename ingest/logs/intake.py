@@ -80,6 +80,24 @@ class PoseColumns:
     pose: NDArray[np.float64]
 
 
+def usable_poses(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(k,) which poses (k, 7) have finite, believable numbers and an orientation."""
+    inside = np.asarray(_inside(value).all(axis=1))
+    # What is not inside may overflow.
+    return np.asarray(inside & _turned(np.where(inside[:, None], value, 0.0)))
+
+
+def _inside(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+    # NaN compares as false, so that it is never inside.
+    return np.asarray(np.abs(value) <= FARTHEST)
+
+
+def _turned(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+    # Far below any unit quaternion, far above what rounding leaves of a zero one.
+    rotation = value[:, 3:]
+    return np.asarray(np.einsum("ij,ij->i", rotation, rotation) > 1e-12)
+
+
 def in_plane(value: NDArray[np.float64]) -> NDArray[np.float64]:
     """(k, 3) x, y and the heading of the x axis, of poses (k, 7) in space."""
     x, y, _, qx, qy, qz, qw = value.T
@@ -247,15 +265,12 @@ class Sink:
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
-        # NaN compares as false, so that it is never inside.
-        inside = np.abs(poses.value) <= FARTHEST
+        inside = _inside(poses.value)
         if not inside.all():
             finite = np.asarray(inside.all(axis=1))
             self.not_finite += int((~finite).sum())
             poses = poses.rows(finite)
-        # Far below any unit quaternion, far above what rounding leaves of a zero one.
-        rotation = poses.value[:, 3:]
-        turned = np.asarray(np.einsum("ij,ij->i", rotation, rotation) > 1e-12)
+        turned = _turned(poses.value)
         if not turned.all():
             self.zero_quaternion += int((~turned).sum())
             poses = poses.rows(turned)

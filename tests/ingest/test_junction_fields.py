@@ -142,10 +142,17 @@ WRONG = {
 }
 
 
+@pytest.fixture(scope="module")
+def of_both_kinds(logs, tmp_path_factory):
+    """The same log with ROS 2's messages, and with ROS 1's."""
+    folders = [tmp_path_factory.mktemp("ros") / "run" for _ in range(2)]
+    return [written(logs, folder, [0.0, 1.0], ros1=ros1) for ros1, folder in enumerate(folders)]
+
+
 @pytest.mark.parametrize("fields", WRONG)
 @pytest.mark.parametrize("ros1", [False, True])
-def test_a_path_that_leads_nowhere_is_named(logs, tmp_path, monkeypatch, fields, ros1):
-    folder = written(logs, tmp_path / "run", [0.0, 1.0], ros1=ros1)
+def test_a_path_that_leads_nowhere_is_named(of_both_kinds, monkeypatch, fields, ros1):
+    folder = of_both_kinds[ros1]
     problems = inspect_log(folder, settings(fields)).problems
     assert any(WRONG[fields] in problem for problem in problems), problems
     monkeypatch.setattr("topobatch.ingest.reading._walk", None)  # nothing is read

@@ -21,7 +21,12 @@ from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.closure.rates import measured_rates
 from topobatch.topology.closure.rectilinear import RectilinearSettings, grid_headings
-from topobatch.topology.closure.rounds import RoundSettings, full_closure, weakest_cut
+from topobatch.topology.closure.rounds import (
+    RoundSettings,
+    _explained,
+    full_closure,
+    weakest_cut,
+)
 from topobatch.topology.closure.walk import (
     SystematicErrors,
     dead_reckoning_covariance,
@@ -308,6 +313,15 @@ def test_what_is_taken_back_is_kept_with_both_rounds():
     assert all(1 <= q.accepted_round <= q.round for q in back)
 
 
+def test_a_better_reason_replaces_only_that_nothing_was_sure():
+    unsure = Identification(0, 5, False, 2.0, "not sure enough", round=4)
+    other = replace(unsure, second=6, reason="corridors disagree")
+    doubts = {(0, 5): unsure, (0, 6): other}
+    found = _explained(doubts, {(0, 5): "rivals", (0, 6): "rivals", (1, 2): "rivals"})
+    assert list(found) == [(0, 5)]
+    assert astuple(found[0, 5]) == astuple(replace(unsure, reason="rivals"))
+
+
 def test_a_place_is_split_where_it_hangs_together_least():
     def link(i, j, bits):
         return Identification(i, j, True, bits, "")
@@ -519,9 +533,9 @@ def test_identifications_that_agree_on_one_position_are_sure_together(offsets, t
     a, b = np.arange(k), 8 + np.arange(k)
     position = np.full(k, -2.0)
     found = _asked(a, b, position, np.full(k, 4.0))
-    rows, odds = agreeing(layout, found, common, EvidenceSettings())
+    rows, odds, reason = agreeing(layout, found, common, EvidenceSettings())
     assert (rows.tolist() == list(range(k))) is together
-    assert np.all(odds > 4.5)
+    assert (np.all(odds > 4.5), reason) == (True, "")
 
 
 @pytest.mark.parametrize(("off", "expected"), [(3.0, []), (0.4, [0, 1, 2])])
@@ -530,8 +544,11 @@ def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
     walk, layout = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
     a, b = np.array([0, 1, 2, 1, 2, 3]), np.array([8, 9, 10, 8, 9, 10])
     found = _asked(a, b, np.full(6, -2.0), np.full(6, 5.0))
-    rows, _ = agreeing(layout, found, background(walk, walk.noise), EvidenceSettings())
-    assert rows.tolist() == expected
+    agreed = agreeing(layout, found, background(walk, walk.noise), EvidenceSettings())
+    accepted = [] if agreed.reason else agreed.rows.tolist()
+    assert accepted == expected
+    assert ("exclude" in agreed.reason) is (expected == [])
+    assert len(agreed.odds) == len(accepted)
 
 
 def test_layout_begins_with_the_headings_of_the_grid():

@@ -160,9 +160,10 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
             threshold = max(settings.thresholds[stage], _least(scene, settings))
             new = _certain(places, found, threshold, barred, settings)
             stage += not new
-        if not new and exact:
-            new, stage = _together(scene, found, layout, settings), 0
         doubts = _doubted(doubts, places, found, settings, number)
+        if not new and exact:
+            (new, reasons), stage = _together(scene, found, layout, settings), 0
+            doubts |= _explained(doubts, reasons)
         new = [replace(q, round=number) for q in new]
         made = {(q.first, q.second) for q in new}
         _noted(answers, (q for pair, q in doubts.items() if _open(q, place) and pair not in made))
@@ -307,14 +308,31 @@ def _certain(
 
 def _together(
     scene: Scene, found: Candidates, layout: Layout, settings: RoundSettings
-) -> list[Identification]:
-    """The candidates that are sure only together."""
+) -> tuple[list[Identification], dict[tuple[int, int], str]]:
+    """The candidates that are sure only together; by their passes, why those were refused."""
     evidence = settings.candidates.evidence
-    rows, odds = agreeing(layout, found, scene.common, evidence, settings.joint)
-    return [
+    agreed = agreeing(layout, found, scene.common, evidence, settings.joint)
+    rows = agreed.rows.tolist()
+    if agreed.reason:
+        firsts = scene.places.first
+        ends = [(int(firsts[found.a[k]]), int(firsts[found.b[k]])) for k in rows]
+        return [], {(min(pair), max(pair)): agreed.reason for pair in ends}
+    answers = [
         _answer(scene.places, found, row, value, reason=_TOGETHER, accepted=True)
-        for row, value in zip(rows.tolist(), odds.tolist(), strict=True)
+        for row, value in zip(rows, agreed.odds.tolist(), strict=True)
     ]
+    return answers, {}
+
+
+def _explained(
+    doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
+) -> dict[tuple[int, int], Identification]:
+    """Doubts that were only not sure enough, with the better reason that there is."""
+    return {
+        pair: replace(doubts[pair], reason=reason)
+        for pair, reason in reasons.items()
+        if pair in doubts and doubts[pair].reason == _UNSURE
+    }
 
 
 def _answer(
