@@ -9,7 +9,7 @@ LOCK := requirements-dev.lock
 UV := uv==0.13.9
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint types samples bench attack lock clean
+.PHONY: help demo test check lint types samples docs bench attack lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
@@ -47,6 +47,9 @@ check: lint types test  ## everything that CI runs
 
 samples: $(VENV)/.ready  ## write sample_logs/ anew (the same bytes)
 	$(BIN)/python -m topobatch.ingest.simulation.samples sample_logs
+
+docs: $(VENV)/.ready  ## make the README's picture anew (wants a Vulkan driver: mesa-vulkan-drivers)
+	$(BIN)/python benchmarks/picture.py
 
 bench: $(VENV)/.ready  ## the long suites: slow tests and every benchmark
 	$(BIN)/python -m pytest -m slow

@@ -32,6 +32,10 @@ def explain(
             "paper: the tables and clusters of Huang & Beevers."
         ),
     ] = "robust",
+    merge: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="The merge to ask, by its --output NAME."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     rows: Annotated[
         int | None,
@@ -52,7 +56,9 @@ def explain(
     """
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
-    place = Workspace(workspace)
+    place = Workspace(workspace) if merge is None else Workspace(workspace, merge)
+    if merge is not None and not place.merged_json.exists():
+        raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
     first, second = place.chosen_runs([a, b], False)
     show = _by_paper if method == "paper" else _by_evidence
     show(place, (first, second), as_json, rows)

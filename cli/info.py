@@ -27,7 +27,8 @@ def info(
 ) -> None:
     """Show what a log holds and what ingest would use.
 
-    Its topics, their types and counts, how long it is, which topics would be used and why.
+    Its topics, their types and counts, how long it is, which topics would be used and why. Exits
+    with 1 if a log is damaged, or if ingest could not use it as it is.
     """
     from ..ingest.reading import ReadSettings, find_logs, inspect_log
 
@@ -39,13 +40,14 @@ def info(
     failed = False
     for each in find_logs([log]):
         try:
-            lines = described(inspect_log(each, settings))
+            found = inspect_log(each, settings)
         except LogError as error:
             complain(str(error))
             failed = True
             continue
-        for line in lines:
+        for line in described(found):
             say(line)
+        failed |= bool(found.problems)
     if failed:
         raise typer.Exit(1)
 

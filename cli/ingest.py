@@ -40,7 +40,14 @@ JunctionFields = Annotated[
     typer.Option(
         metavar="MAPPING",
         help="How to read junctions from messages of another type, for instance "
-        '"center=pose.position,branches=frontiers[].angle".',
+        '"center=pose.position,branches=frontiers[].angle,unit=deg"; see docs/detections.md.',
+    ),
+]
+BaseFrame = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FRAME",
+        help="The robot's frame, where a topic (tf, say) holds the odometry of several.",
     ),
 ]
 TimeSource = Annotated[
@@ -61,6 +68,7 @@ def ingest(
     odometry_topic: OdometryTopic = None,
     junction_topic: JunctionTopic = None,
     junction_fields: JunctionFields = None,
+    base_frame: BaseFrame = None,
     time: TimeSource = "header",
     closure: Annotated[
         Literal["none", "gated", "full"],
@@ -98,6 +106,7 @@ def ingest(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
+        base_frame=base_frame,
         time=time,
         strict=strict,
     )

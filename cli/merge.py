@@ -14,7 +14,7 @@ from ..topology.errors import DataError, DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
 from .output import Screen, count
 from .workers import start_worker
-from .workspace import Workspace, shortened
+from .workspace import MERGED, Workspace, shortened
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -66,6 +66,17 @@ def merge(
             "decimal point. May be given several times.",
         ),
     ] = None,
+    output: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Write NAME.json and NAME.rrd instead of merged.json and merged.rrd.",
+        ),
+    ] = None,
+    replace_last: Annotated[
+        bool,
+        typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
+    ] = False,
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=0, help="Processes to match with; 0: one per core.")
     ] = 1,
@@ -73,20 +84,48 @@ def merge(
 ) -> None:
     """Merge the maps of many runs, where they overlap.
 
-    Writes merged.json and merged.rrd in the workspace. Every pair of runs gets a verdict: merged
+    Writes merged.json and merged.rrd in the workspace; those of more runs are not overwritten
+    unasked. Every pair of runs gets a verdict: merged
     (the same place, and the evidence says so), ambiguous (an alignment fits, but the evidence
     falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of
     the runs does not matter.
     """
     place, screen = Workspace(workspace), Screen(quiet)
+    if output is not None:
+        place = Workspace(workspace, output)
+        place.check_merge()
     settings = _settings(method, false_merge_rate, degree, met or [])
     with place.held(screen.warn, make=False):
-        maps, broken = _read_maps(place, place.chosen_runs(runs or [], everything), screen)
+        chosen = place.chosen_runs(runs or [], everything)
+        # A merge of all loses nothing but runs that the workspace has lost.
+        if not replace_last and (output is not None or not everything):
+            _keep_larger(place, chosen)
+        maps, broken = _read_maps(place, chosen, screen)
         result = _merged(maps, settings, place.locks(), jobs, screen)
         _write(place, result, maps)
     _summarise(result, place, screen)
     if broken:
         raise typer.Exit(1)
+
+
+def _keep_larger(place: Workspace, chosen: list[str]) -> None:
+    """UsageError where the result of a merge with other runs would be overwritten."""
+    from ..merge.document import read_merged
+
+    path = place.merged_json
+    if not path.exists():
+        return
+    advice = "give this merge another --output NAME, or overwrite with --replace"
+    try:
+        before = {run for c in read_merged(path).graph.components for run in c.runs}
+    except DocumentError as error:
+        raise UsageError(f"{error}; {advice}") from error
+    lost = sorted(before - set(chosen))
+    if lost:
+        raise UsageError(
+            f"{path}: is the merge of {count(len(before), 'run')}, and this one leaves out "
+            f"{shortened(lost)}; {advice}"
+        )
 
 
 def _read_maps(
@@ -222,4 +261,5 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
         f"{count(len(result.components), 'component')}"
     )
     screen.line(f"{place.merged_json}")
-    screen.line(f"{place.merged_rrd}  (look at it: topobatch view)")
+    name = "" if place.merge == MERGED else f" {place.merge}"
+    screen.line(f"{place.merged_rrd}  (look at it: topobatch view{name})")

@@ -16,13 +16,22 @@ from .workspace import Workspace, shortened
 
 def view(
     run: Annotated[
-        str | None, typer.Argument(help="Run whose map to open; the merged map without it.")
+        str | None,
+        typer.Argument(
+            help="Run whose map to open, or the --output NAME of a merge; the merged map without."
+        ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Open the merged map, or a run's, in the rerun viewer."""
     place = Workspace(workspace)
     recording = place.merged_rrd if run is None else place.map_rrd(run)
+    if (
+        run is not None
+        and not recording.is_file()
+        and Workspace(workspace, run).merged_json.is_file()
+    ):
+        recording = Workspace(workspace, run).merged_rrd
     if not recording.is_file():
         if run is None:
             raise DataError(f"{recording}: is not there yet; make it with `topobatch merge --all`")

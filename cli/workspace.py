@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from ..topology.topomap import TopoMap
 
 
+RUN, MERGE = "a run", "a merge"
+"""What is named."""
+
+MERGED = "merged"
+"""Name of a merge that was given none."""
+
 NAME_BYTES = 200
 """Longest run name: files have 255 bytes for it, what is put behind it, and their suffixes."""
 
@@ -29,9 +35,12 @@ class Workspace:
     What lies there may come from others. Raises DataError if one of its folders is a link, or is
     none: what is written and cleared away lies in the workspace. Names become paths only if they
     are plain file names, else UsageError.
+
+    merge: name of the merge that is meant, where it is not the usual one.
     """
 
     root: Path
+    merge: str = MERGED
 
     def __post_init__(self) -> None:
         cache = self.root / "cache"
@@ -55,12 +64,18 @@ class Workspace:
     @property
     def merged_json(self) -> Path:
         """The merged document."""
-        return self.root / "merged.json"
+        return self.root / f"{plain_name(self.merge, MERGE)}.json"
 
     @property
     def merged_rrd(self) -> Path:
         """The merged recording."""
-        return self.root / "merged.rrd"
+        return self.root / f"{plain_name(self.merge, MERGE)}.rrd"
+
+    def check_merge(self) -> None:
+        """UsageError if the name of the merge is too long, or another file's."""
+        checked_file_name(self.merge, MERGE)
+        if self.merge.casefold() in (MERGED, self.locks_json.stem) or self.merge in self.runs():
+            raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
 
     @property
     def locks_json(self) -> Path:
@@ -185,14 +200,19 @@ def shortened(names: Sequence[str], most: int = 12) -> str:
 
 def checked_run_name(name: str) -> str:
     """A run name that is a plain file name of a length that can be, or a UsageError."""
-    if len(plain_name(name).encode()) > NAME_BYTES:
-        raise UsageError(f"{name[:40]!r}… cannot name a run: it is longer than {NAME_BYTES} bytes")
+    return checked_file_name(name, RUN)
+
+
+def checked_file_name(name: str, what: str) -> str:
+    """A name for `what` that is a plain file name of a length that can be, or a UsageError."""
+    if len(plain_name(name, what).encode()) > NAME_BYTES:
+        raise UsageError(f"{name[:40]!r}… cannot name {what}: it is longer than {NAME_BYTES} bytes")
     return name
 
 
-def plain_name(name: str) -> str:
+def plain_name(name: str, what: str = RUN) -> str:
     """A name that stays in the folder that it is put in, or a UsageError."""
     plain = name.isprintable() and not name.startswith(".") and name == Path(name).name
     if not name or not plain:
-        raise UsageError(f"{name!r} cannot name a run: it must work as a file name")
+        raise UsageError(f"{name!r} cannot name {what}: it must work as a file name")
     return name

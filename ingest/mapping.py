@@ -27,6 +27,8 @@ from .run import Run
 
 IntArray = NDArray[np.int64]
 
+_PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
+
 
 @dataclass(frozen=True, slots=True)
 class MappingSettings:
@@ -44,8 +46,6 @@ class MappingSettings:
     gated: GatedSettings = field(default_factory=GatedSettings)
     driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
     drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)
-    most_refusals: int = 200
-    """Refused identifications kept in the map: those with the most evidence."""
 
 
 def build_map(
@@ -76,12 +76,13 @@ def build_map(
     if settings.closure == "none":
         place = np.arange(len(passes), dtype=np.int64)
         asked: list[Identification] = []
+        revised: list[Identification] = []
     elif settings.closure == "gated":
-        place, asked = gated_closure(walk, settings.gated)
+        (place, asked), revised = gated_closure(walk, settings.gated), []
     if settings.closure == "full":
         closed = full_closure(walk, settings.rounds)
-        walk, place, layout, asked = closed.walk, closed.place, closed.layout, closed.asked
-        grid = closed.grid
+        walk, place, layout = closed.walk, closed.place, closed.layout
+        grid, asked, revised = closed.grid, closed.asked, closed.revised
     else:
         layout = lay_out(walk, place)
     step("map")
@@ -106,7 +107,7 @@ def build_map(
         pass_turn=layout.pose[:, 2],
         noise=noise,
         errors=place_errors(fair, layout, settled.kept),
-        closures=_closures(asked, passes, settings.most_refusals),
+        closures=_closures(asked, revised, passes, settled.place),
         settings=settings.drawing,
     )
     return replace(topomap, info=_info(run, settings, calibration, walk))
@@ -147,16 +148,39 @@ def _require_passes(run: Run, passes: Passes) -> None:
 
 
 def _closures(
-    asked: list[Identification], passes: Passes, most_refusals: int
+    asked: list[Identification],
+    revised: list[Identification],
+    passes: Passes,
+    place: IntArray,
 ) -> tuple[Closure, ...]:
-    """The record of the map: every identification, and the most doubtful refusals."""
-    refused = sorted((q for q in asked if not q.accepted), key=lambda q: (-q.bits, q.first))
-    kept = [q for q in asked if q.accepted] + refused[:most_refusals]
+    """The record of the map: every identification made, refused and taken back.
+
+    revised: answers that others replaced; place: (p,) of each pass, negative for phantoms.
+    """
+    standing = [_without_phantoms(q, place) for q in asked]
+    answers = [(q, False) for q in standing] + [(q, True) for q in revised]
+    answers.sort(key=lambda a: (a[0].second, a[0].first, a[0].round, a[1]))
     times = passes.time_ns.tolist()
     return tuple(
-        Closure(times[q.first], times[q.second], q.accepted, q.bits, q.reason)
-        for q in sorted(kept, key=lambda q: (q.second, q.first))
+        Closure(
+            times[q.first],
+            times[q.second],
+            accepted=q.accepted,
+            bits=q.bits,
+            reason=q.reason,
+            round=q.round or None,
+            accepted_round=q.accepted_round or None,
+            revised=earlier,
+        )
+        for q, earlier in answers
     )
+
+
+def _without_phantoms(q: Identification, place: IntArray) -> Identification:
+    """An identification is taken back with the place that it made, if that was a phantom."""
+    if not q.accepted or min(place[q.first], place[q.second]) >= 0:
+        return q
+    return replace(q, accepted=False, reason=_PHANTOM, round=0, accepted_round=q.round)
 
 
 def _info(

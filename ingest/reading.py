@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from ..topology.errors import LogError, UsageError
+from ..topology.odometry import Odometry
 from .carried import split_where_carried
-from .logs.fields import JunctionFields, fields_decoder
-from .logs.intake import Intake, decoder_for, no_columns
+from .channels import acceptance, check_mapping, decoders, junction_choice, kept_whole
+from .frames import NO_TRANSFORMS, FixedCollector, FixedTransforms
+from .logs.fields import JunctionFields
+from .logs.intake import Intake, no_columns
 from .logs.messages import Channel, Findings, Survey
-from .logs.poses import PoseDecoder
 from .logs.recording import (
     Recording,
     find_logs,
@@ -24,15 +26,14 @@ from .logs.recording import (
     sniff,
 )
 from .logs.topics import (
-    JUNCTION_KINDS,
     ODOMETRY_KINDS,
+    TRANSFORM_KINDS,
     Choice,
-    choose_junctions,
     choose_odometry,
     listing,
 )
 from .run import Run
-from .sightings import Sightings, SightingSettings, robot_frame_sightings
+from .sightings import Sightings, SightingSettings, robot_frame_sightings, side_of
 from .sources import (
     Clock,
     Source,
@@ -41,6 +42,7 @@ from .sources import (
     other_odometries,
     pair_of_poses,
     pair_of_transforms,
+    told_pairs,
 )
 from .track import Track, TrackSettings, sane_track
 
@@ -63,14 +65,16 @@ OnBytes = Callable[[int], None]
 class ReadSettings:
     """What to read out of a log, and how.
 
-    odometry_topic, junction_topic, scan_topic: None finds them; junction_fields: which fields of
-    any other message are the junction ("center=pose.position,branches=frontiers[].angle"); time:
-    the clock to go by; strict: refuse a damaged log instead of using what it still holds.
+    odometry_topic, junction_topic, scan_topic: None finds them; base_frame: the robot's frame,
+    where a topic holds the odometry of several; junction_fields: which fields of any other message
+    are the junction ("center=pose.position,branches=frontiers[].angle"); time: the clock to go by;
+    strict: refuse a damaged log instead of using what it still holds.
     """
 
     odometry_topic: str | None = None
     junction_topic: str | None = None
     scan_topic: str | None = None
+    base_frame: str | None = None
     junction_fields: str | None = None
     time: Clock = "header"
     strict: bool = False
@@ -82,6 +86,16 @@ class ReadSettings:
             raise UsageError(f"--time is {self.time!r}, expected header or log")
         if self.junction_fields is not None:
             JunctionFields.parse(self.junction_fields)
+            named = self.odometry_topic
+            if named is not None and f"/{named.strip('/')}" == self.mapped_topic:
+                raise UsageError(f"{self.mapped_topic} cannot be both odometry and junctions")
+
+    @property
+    def mapped_topic(self) -> str | None:
+        """The topic that `junction_fields` is about."""
+        if self.junction_fields is None:
+            return None
+        return "/" + (self.junction_topic or "junctions").strip("/")
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +136,10 @@ def read_run(
     log = str(path)
     recording = recording_at(Path(path))
     recording, survey = _surveyed(recording)
-    accept = _acceptance(survey.counts if survey else None, settings, log)
-    intake = Intake(accept, _decoders(settings))
+    accept = acceptance(survey.counts if survey else None, settings, log)
+    if survey is not None:
+        check_mapping(recording, survey.counts, settings, log)
+    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     findings = _walk(recording, intake, on_bytes)
     warnings = _damage(recording, findings, settings)
     try:
@@ -136,8 +152,15 @@ def read_run(
     clock = clock_without_jumps(odometry, clock, settings.track.backward_min_s, warnings)
     described = _described(odometry_choice, odometry), _described(junction_choice, junctions)
     track = _track(odometry_choice, odometry, frames=frames, clock=clock, settings=settings)
+    fixed = _fixed_transforms(recording, junctions, track.odometry)
     sightings = _sightings(
-        junction_choice, junctions, clock=clock, track=track, settings=settings, log=log
+        junction_choice,
+        junctions,
+        clock=clock,
+        track=track,
+        fixed=fixed,
+        settings=settings,
+        log=log,
     )
     source = {"odometry": described[0], "junctions": described[1], "time": clock}
     warnings += [*track.warnings, *sightings.warnings]
@@ -160,7 +183,7 @@ def inspect_log(path: Path, settings: ReadSettings = ReadSettings()) -> LogInfo:
         findings = _walk(recording, Intake(lambda _: False), None)
         problems += findings.damage
         survey = _Survey(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
-    uses = _uses(survey.counts, settings, str(path), problems)
+    uses = _uses(recording, survey.counts, settings, problems)
     topics: dict[tuple[str, str], int] = {}
     for channel, count in survey.counts.items():
         key = channel.topic, channel.type_name
@@ -219,9 +242,13 @@ def _surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, _Su
 
 
 def _uses(
-    counts: Mapping[Channel, int], settings: ReadSettings, log: str, problems: list[str]
+    recording: Recording,
+    counts: Mapping[Channel, int],
+    settings: ReadSettings,
+    problems: list[str],
 ) -> dict[str, tuple[str, str]]:
     """Per topic what it would be used for and why; what is missing becomes a problem."""
+    log = str(recording.path)
     uses: dict[str, tuple[str, str]] = {}
     try:
         for rank, choice in enumerate(choose_odometry(counts, settings.odometry_topic, log)):
@@ -230,50 +257,12 @@ def _uses(
     except (LogError, UsageError) as error:
         problems.append(str(error))
     try:
-        choice = _junction_choice(counts, settings, log)
+        choice = junction_choice(counts, settings, log)
         uses[choice.topic] = ("junctions", choice.why)
+        check_mapping(recording, counts, settings, log)
     except (LogError, UsageError) as error:
         problems.append(str(error))
     return uses
-
-
-def _acceptance(
-    counts: Mapping[Channel, int] | None, settings: ReadSettings, log: str
-) -> Callable[[Channel], bool]:
-    """Which channels to keep: the chosen ones if the index tells, else all that may be chosen."""
-    named = {
-        f"/{name.strip('/')}"
-        for name in (settings.odometry_topic, settings.junction_topic)
-        if name is not None
-    }
-    if settings.junction_fields is not None:
-        named.add("/junctions")
-    types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
-    if counts is None:
-        return lambda channel: channel.topic in named or channel.type_name in types
-    listed = {channel.topic for channel in counts}
-    chosen = {c.topic for c in choose_odometry(counts, settings.odometry_topic, log)}
-    chosen.add(_junction_choice(counts, settings, log).topic)
-    # A topic that the index forgot is kept as well: the choice is made again at the end.
-    return lambda channel: (
-        channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
-    )
-
-
-def _decoders(settings: ReadSettings) -> Callable[[Channel], PoseDecoder]:
-    """How channels are decoded: by their types, but the junctions by the fields that are named."""
-    if settings.junction_fields is None:
-        return decoder_for
-    fields = JunctionFields.parse(settings.junction_fields)
-    named = "/" + (settings.junction_topic or "junctions").strip("/")
-    return lambda channel: (
-        fields_decoder(channel, fields) if channel.topic == named else decoder_for(channel)
-    )
-
-
-def _junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
-    any_type = settings.junction_fields is not None
-    return choose_junctions(counts, settings.junction_topic, any_type, log)
 
 
 # Reading
@@ -321,11 +310,13 @@ def _odometry(
     intake: Intake, counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> tuple[Choice, Source, tuple[str, str]]:
     """The first choice whose content serves: its poses between one pair of frames."""
+    base = settings.base_frame.lstrip("/") if settings.base_frame else None
     reasons = []
     for choice in choose_odometry(counts, settings.odometry_topic, log):
         source = _source(intake, counts, choice.topic, log)
         transforms = ODOMETRY_KINDS[choice.type_name][1] == "transforms"
-        pair = pair_of_transforms(source) if transforms else pair_of_poses(source)
+        find = pair_of_transforms if transforms else pair_of_poses
+        pair = find(source, base)
         if pair is not None:
             chosen = source.columns.frame == pair
             if transforms:
@@ -333,8 +324,11 @@ def _odometry(
             else:
                 source.elsewhere = int((~chosen).sum())
             source.keep(chosen)
-            return choice, source, source.frames[pair]
+            parent, child = source.frames[pair]
+            return choice, source, (parent, child or base or "")
         lack = "no transform from an odom frame" if transforms else "no usable pose"
+        if base is not None and len(source):
+            lack += f" to {base} (--base-frame); it has {told_pairs(source.frames)}"
         reasons.append(f"{choice.topic} holds {lack}" + _because(source, choice.topic))
     raise LogError(f"{log}: no odometry: {', '.join(reasons)}; {listing(counts)}")
 
@@ -357,7 +351,7 @@ def _because(source: Source, topic: str) -> str:
 def _junctions(
     intake: Intake, counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> tuple[Choice, Source]:
-    choice = _junction_choice(counts, settings, log)
+    choice = junction_choice(counts, settings, log)
     source = _source(intake, counts, choice.topic, log)
     if len(source) == 0:
         raise LogError(
@@ -393,14 +387,41 @@ def _track(
     return replace(track, warnings=(*warnings, *track.warnings))
 
 
+def _fixed_transforms(
+    recording: Recording, junctions: Source, odometry: Odometry
+) -> FixedTransforms:
+    """How frames of the robot lie to each other; the log is read again only where that is asked."""
+    names = {frame for frame, _ in junctions.frames}
+    if all(side_of(name, odometry.frame, odometry.child_frame) != "foreign" for name in names):
+        return NO_TRANSFORMS
+    collector = FixedCollector()
+    intake = Intake(lambda channel: channel.type_name in TRANSFORM_KINDS, collector.decoder_for)
+    _walk(recording, intake, None)
+    for sink in intake.sinks:
+        sink.flush()
+    return collector.found
+
+
 def _sightings(
-    choice: Choice, source: Source, *, clock: Clock, track: Track, settings: ReadSettings, log: str
+    choice: Choice,
+    source: Source,
+    *,
+    clock: Clock,
+    track: Track,
+    fixed: FixedTransforms,
+    settings: ReadSettings,
+    log: str,
 ) -> Sightings:
     """The detections in the robot's frame; raises LogError if none is left."""
     odometry = track.odometry
     frames = [frame for frame, _ in source.frames]
     sightings = robot_frame_sightings(
-        source.columns, source.time_ns(clock), frames, odometry, settings.sightings
+        source.columns,
+        source.time_ns(clock),
+        frames,
+        odometry,
+        fixed=fixed,
+        settings=settings.sightings,
     )
     warnings = [*source.warnings(choice.topic), *sightings.warnings]
     if len(sightings.detections) == 0:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ..topology.odometry import Odometry
 from ..topology.ragged import Ragged
 from ..topology.se2 import apply, inverse, wrap
-from .logs.intake import PoseColumns
+from .frames import NO_TRANSFORMS, FixedTransforms, seen_from
+from .logs.intake import PoseColumns, in_plane
 from .run import Detections
 
 Ints = NDArray[np.int64]
@@ -24,12 +25,15 @@ class SightingSettings:
     """What is believed to be a sighting of one junction.
 
     outside_s: how far beyond the odometry's first and last time a sighting may lie; centre_m: how
-    far apart the poses of one message may lie before it is reported.
+    far apart the poses of one message may lie before it is reported; steepest: sine of how far a
+    branch may point up or down after a sensor's mount is taken into account, 45 degrees: beyond,
+    its direction in the plane is less of it than what is lost.
     """
 
     max_branches: int = 32
     outside_s: float = 1.0
     centre_m: float = 0.5
+    steepest: float = 0.71
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +56,39 @@ def robot_frame_sightings(
     time_ns: Ints,
     frames: Sequence[str],
     odometry: Odometry,
+    *,
+    fixed: FixedTransforms = NO_TRANSFORMS,
     settings: SightingSettings = SightingSettings(),
 ) -> Sightings:
     """One sighting per junction of a message, in the robot's frame at the message's time, by time.
 
-    time_ns: (k,) time of each pose's message; frames: name of every frame number. Messages in a
-    frame that is neither of the odometry's, with implausibly many branches, or outside the
-    odometry's time are left out.
+    columns: poses in space; time_ns: (k,) time of each pose's message; frames: name of every frame
+    number. Messages in a frame that is neither of the odometry's nor fixed to one, with branches
+    that point up or down, with implausibly many, or outside the odometry's time are left out.
     """
     warnings: list[str] = []
+    mounted = _mounted(columns, frames, odometry, fixed)
+    pose = in_plane(mounted.pose)
     new = np.diff(columns.message, prepend=-1) != 0
     new[1:] |= np.diff(columns.part.astype(np.int64)) != 0
     first = np.flatnonzero(new)
     counts = np.diff(np.append(first, len(columns.message)))
-    rows = Ragged(np.append(first, len(columns.message)).astype(np.int64), columns.pose[:, 2])
-    centre = _centres(columns.pose[:, :2], first, counts, settings, warnings)
+    rows = Ragged(np.append(first, len(columns.message)).astype(np.int64), pose[:, 2])
+    centre = _centres(pose[:, :2], first, counts, settings, warnings)
     time = time_ns[first]
-    sides = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
-    foreign = [frame for frame, side in zip(frames, sides, strict=True) if side == "foreign"]
-    side = np.array(sides, dtype="U8")[columns.frame[first]]
+    side = np.array(mounted.sides, dtype="U8")[columns.frame[first]]
 
     outside = settings.outside_s * 1e9
     keep = _leave_out(
-        np.ones(len(side), bool), side != "foreign", warnings, _expected(foreign, odometry)
+        np.ones(len(side), bool), side != "foreign", warnings, mounted.expected(odometry, fixed)
+    )
+    steep = np.maximum.reduceat(mounted.rise, first) if len(first) else np.zeros(0)
+    keep = _leave_out(
+        keep,
+        steep <= settings.steepest,
+        warnings,
+        f"point a branch up or down, seen from {odometry.child_frame!r} (angles turn about the z "
+        "axis of their frame)",
     )
     keep = _leave_out(
         keep,
@@ -99,9 +113,53 @@ def robot_frame_sightings(
     return Sightings(Detections(time, centre, branches), tuple(warnings))
 
 
-def _expected(foreign: Sequence[str], odometry: Odometry) -> str:
-    names = ", ".join(map(repr, sorted(set(foreign))[:5]))
-    return f"are in frame {names}, expected {odometry.child_frame!r} or {odometry.frame!r}"
+@dataclass(frozen=True, slots=True)
+class _Mounted:
+    """Poses (k, 7) in the odometry's two frames, and which of the two that is by frame number.
+
+    rise: (k,) sine of how far each x axis points up or down where a mount turned it, else 0.
+    """
+
+    pose: NDArray[np.float64]
+    sides: tuple[Side, ...]
+    rise: NDArray[np.float64]
+    foreign: tuple[str, ...]
+
+    def expected(self, odometry: Odometry, fixed: FixedTransforms) -> str:
+        """What is wrong with frames that nothing joins to the odometry's."""
+        names = ", ".join(map(repr, self.foreign[:5]))
+        return (
+            f"are in frame {names}, expected {odometry.child_frame!r} or {odometry.frame!r}, or "
+            f"one fixed to them ({fixed})"
+        )
+
+
+def _mounted(
+    columns: PoseColumns, frames: Sequence[str], odometry: Odometry, fixed: FixedTransforms
+) -> _Mounted:
+    """The poses as seen from the odometry's frames, where fixed transforms lead there."""
+    pose, rise = columns.pose, np.zeros(len(columns.pose))
+    sides: list[Side] = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
+    # The robot's own frame comes last, so that it counts where a frame is fixed to both.
+    joins: dict[str, tuple[Side, NDArray[np.float64]]] = {}
+    if "foreign" in sides:
+        pose = pose.copy()
+        joins |= {name: ("odometry", T) for name, T in fixed.joined_to(odometry.frame).items()}
+        joins |= {name: ("robot", T) for name, T in fixed.joined_to(odometry.child_frame).items()}
+    for number, name in enumerate(frames):
+        if sides[number] == "foreign" and name in joins:
+            sides[number], T_own_sensor = joins[name]
+            rows = columns.frame == number
+            pose[rows] = seen_from(T_own_sensor, pose[rows])
+            rise[rows] = _rise(pose[rows])
+    foreign = {name for name, side in zip(frames, sides, strict=True) if side == "foreign"}
+    return _Mounted(pose, tuple(sides), rise, tuple(sorted(foreign)))
+
+
+def _rise(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(k,) sine of the angle between the x axis of poses (k, 7) and the plane."""
+    x, y, z, w = pose[:, 3:].T
+    return np.asarray(np.abs(2 * (x * z - w * y)))
 
 
 def _centres(

@@ -22,7 +22,8 @@ class Source:
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: how
     many there were; failed, not_finite, zero_quaternion, empty, elsewhere: what could not be
-    used; rivals: other frames that could be the odometry's.
+    used; reason: why the first of `failed` could not be decoded; rivals: other frames that could be
+    the odometry's.
     """
 
     columns: PoseColumns
@@ -34,6 +35,7 @@ class Source:
     zero_quaternion: int
     empty: int
     elsewhere: int = 0
+    reason: str = ""
     rivals: tuple[tuple[str, str], ...] = ()
 
     @classmethod
@@ -60,6 +62,7 @@ class Source:
             sum(sink.not_finite for sink in sinks),
             sum(sink.zero_quaternion for sink in sinks),
             sum(sink.empty for sink in sinks),
+            reason=next((sink.decoder.reason for sink in sinks if sink.decoder.reason), ""),
         )
 
     def __len__(self) -> int:
@@ -79,8 +82,9 @@ class Source:
     def warnings(self, topic: str) -> list[str]:
         """Sentences about the messages that could not be used."""
         out = []
+        because = f" ({self.reason})" if self.reason else ""
         for count, what in (
-            (self.failed, "messages could not be decoded"),
+            (self.failed, f"messages could not be decoded{because}"),
             (self.empty, "messages hold no pose"),
             (self.elsewhere, "poses are between other frames"),
             (self.not_finite, "poses hold numbers that are not finite or absurdly large"),
@@ -89,9 +93,18 @@ class Source:
             if count:
                 out.append(f"{topic}: {count} {what}; left out")
         if self.rivals:
-            pairs = ", ".join(f"{parent} → {child}" for parent, child in self.rivals[:5])
-            out.append(f"{topic}: also holds the odometry of another robot ({pairs}); left out")
+            pairs = told_pairs(self.rivals)
+            out.append(
+                f"{topic}: also holds the odometry of another robot ({pairs}); left out; "
+                "--base-frame chooses"
+            )
         return out
+
+
+def told_pairs(pairs: Sequence[tuple[str, str]]) -> str:
+    """Pairs of frames in one line."""
+    shown = ", ".join(f"{parent} → {child}" if child else parent for parent, child in pairs[:5])
+    return f"{shown} and {len(pairs) - 5} more" if len(pairs) > 5 else shown
 
 
 def _joined(parts: Sequence[PoseColumns]) -> PoseColumns:
@@ -106,17 +119,17 @@ def _joined(parts: Sequence[PoseColumns]) -> PoseColumns:
     return PoseColumns(*(column[order] for column in joined))
 
 
-def pair_of_transforms(source: Source) -> int | None:
+def pair_of_transforms(source: Source, base: str | None = None) -> int | None:
     """The frames (odom → base) in a topic of transforms, None if it holds none.
 
-    The parent is called `odom`, whatever stands before the last slash; of several children a
-    `base…` one is preferred, then the one with the most messages.
+    base: the child frame to look for. The parent is called `odom`, whatever stands before the last
+    slash; of several children a `base…` one is preferred, then the one with the most messages.
     """
     counts = np.bincount(source.columns.frame, minlength=len(source.frames))
     fit = [
         (not child.split("/")[-1].startswith("base"), -int(counts[number]), child, number)
         for number, (parent, child) in enumerate(source.frames)
-        if _is_odometry(parent) and counts[number]
+        if _is_odometry(parent) and counts[number] and base in (None, child)
     ]
     return min(fit)[-1] if fit else None
 
@@ -131,11 +144,17 @@ def other_odometries(source: Source, pair: int) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(p for p in source.frames if _is_odometry(p[0]) and p[0] != chosen))
 
 
-def pair_of_poses(source: Source) -> int | None:
-    """The frames that most poses have, None if there are no poses."""
+def pair_of_poses(source: Source, base: str | None = None) -> int | None:
+    """The frames that most poses have, None if there are no poses.
+
+    base: the child frame to look for; a topic that names no child frame may be anyone's.
+    """
     if len(source) == 0:
         return None
-    return int(np.bincount(source.columns.frame).argmax())
+    count = np.bincount(source.columns.frame, minlength=len(source.frames))
+    if base is not None:
+        count[[child not in ("", base) for _, child in source.frames]] = 0
+    return int(count.argmax()) if count.any() else None
 
 
 def choose_clock(odometry: Source, junctions: Source, wanted: Clock, warnings: list[str]) -> Clock:

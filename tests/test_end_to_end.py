@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from itertools import combinations
 from pathlib import Path
@@ -21,6 +22,7 @@ from topobatch.ingest.simulation import (
     write_run,
 )
 from topobatch.ingest.simulation.samples import sample_scenario
+from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import MergeResult, Verdict
 from topobatch.topology.document import map_from_document, map_to_document
@@ -163,3 +165,14 @@ def test_maps_survive_their_documents(maps: dict[str, TopoMap]) -> None:
     for topomap in maps.values():
         doc = map_to_document(topomap)
         assert map_to_document(map_from_document(doc)) == doc
+
+
+def test_the_picture_shows_what_is_made_of_the_sample_logs_today(merged: MergeResult) -> None:
+    """`make docs` makes it anew."""
+    script = SAMPLES.parent / "benchmarks" / "picture.py"
+    spec = importlib.util.spec_from_file_location("topobatch_picture", script)
+    assert spec is not None
+    assert spec.loader is not None
+    picture = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(picture)
+    assert picture.shown_by(picture.PICTURE) == picture.facts(merged_to_document(merged))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,23 @@ def test_every_log_holds_the_run_that_was_simulated() -> None:
         assert run.odometry.time_ns.tolist() == want.odometry.time_ns.tolist()
         assert run.detections.time_ns.tolist() == want.detections.time_ns.tolist()
         assert run.detections.branches.counts.tolist() == want.detections.branches.counts.tolist()
+
+
+def test_the_figures_of_the_readme_are_those_of_the_logs(truth: Truth) -> None:
+    lines = (SAMPLES / "README.md").read_text().splitlines()
+    for log in LOGS:
+        run = read_run(SAMPLES / log)
+        way_m, seen = run.odometry.step_m.sum(), truth.runs[run.name].detected
+        row = next(line for line in lines if line.startswith(f"| `{log}` |"))
+        assert row.endswith(f"| {way_m:.0f} m | {len(seen)} |")
+    text = " ".join(" ".join(lines).split())
+    common = {
+        (a, b): len(truth.runs[a].detected & truth.runs[b].detected)
+        for a, b in combinations(("maze-1", "maze-2", "maze-3"), 2)
+    }
+    assert f"maze-1 and maze-2 have {common['maze-1', 'maze-2']} junctions in common" in text
+    assert f"maze-2 and maze-3 have {common['maze-2', 'maze-3']}," in text
+    assert f"maze-1 and maze-3 only {common['maze-1', 'maze-3']}" in text
 
 
 def test_the_readme_names_every_log_and_its_command() -> None:

@@ -100,12 +100,19 @@ class MapEdge(Model):
 
 
 class ClosureRecord(Model):
-    """An identification that was made or refused."""
+    """An identification that was made, refused, or taken back.
+
+    round: of the loop closure, from 1 on; accepted_round: in which it had been accepted, where this
+    takes it back; revised: a later round answered otherwise.
+    """
 
     time_ns: tuple[Nanoseconds, Nanoseconds]
     accepted: bool
     bits: Finite
     reason: str
+    round: Index | None = None
+    accepted_round: Index | None = None
+    revised: bool = False
 
 
 class MapGraph(Model):
@@ -177,15 +184,7 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
     graph |= {k: v for k, v in sorted(topomap.info.items()) if k not in graph}
     names = RunNoise.__dataclass_fields__
     graph["noise"] = {name: rounded(getattr(topomap.noise, name), 9) for name in names}
-    graph["closures"] = [
-        {
-            "time_ns": [c.time_a_ns, c.time_b_ns],
-            "accepted": c.accepted,
-            "bits": rounded(c.bits, 3),
-            "reason": c.reason,
-        }
-        for c in topomap.closures
-    ]
+    graph["closures"] = [_closure_to_document(c) for c in topomap.closures]
     return {
         "schema": MAP_SCHEMA,
         "directed": False,
@@ -204,6 +203,19 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
         ],
         "edges": edges_to_document(topomap),
     }
+
+
+def _closure_to_document(closure: Closure) -> dict[str, Any]:
+    record = {
+        "time_ns": [closure.time_a_ns, closure.time_b_ns],
+        "accepted": closure.accepted,
+        "bits": rounded(closure.bits, 3),
+        "reason": closure.reason,
+        "round": closure.round,
+        "accepted_round": closure.accepted_round,
+        "revised": closure.revised or None,
+    }
+    return {name: value for name, value in record.items() if value is not None}
 
 
 def edges_to_document(graph: Any) -> list[dict[str, Any]]:
@@ -274,7 +286,15 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             observation_time_ns=np.array([t for t, _ in seen], np.int64),
             noise=RunNoise(**noise),
             closures=tuple(
-                Closure(*c.time_ns, accepted=c.accepted, bits=c.bits, reason=c.reason)
+                Closure(
+                    *c.time_ns,
+                    accepted=c.accepted,
+                    bits=c.bits,
+                    reason=c.reason,
+                    round=c.round,
+                    accepted_round=c.accepted_round,
+                    revised=c.revised,
+                )
                 for c in d.graph.closures
             ),
             info=info,

@@ -40,13 +40,20 @@ class RunNoise:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """One question "are these two visits the same place?" and its answer."""
+    """One question "are these two visits the same place?" and its answer.
+
+    round: of the loop closure in which it was answered, from 1 on; accepted_round: in which it had
+    been accepted, if this takes it back; revised: it was answered otherwise later on.
+    """
 
     time_a_ns: int
     time_b_ns: int
     accepted: bool
     bits: float
     reason: str
+    round: int | None = None
+    accepted_round: int | None = None
+    revised: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

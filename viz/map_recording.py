@@ -165,7 +165,7 @@ def _refused(recording: Recording, topomap: TopoMap) -> None:
     visits = [
         (c, seen.get(c.time_a_ns), seen.get(c.time_b_ns))
         for c in topomap.closures
-        if not c.accepted
+        if not c.accepted and not c.revised
     ]
     # A visit that ended in no vertex (a phantom, say) has no place to draw a line from.
     apart = [(c, a, b) for c, a, b in visits if a is not None and b is not None and a != b]
@@ -198,12 +198,17 @@ def _visits(recording: Recording, topomap: TopoMap) -> None:
         (*MAP, "last junction"),
         rr.Points2D.from_fields(colors=palette.TRAIL, draw_order=15.0),
     )
-    log = sorted([*_pass_lines(topomap), *(_closure_line(c) for c in topomap.closures)])
+    log = sorted([*_pass_lines(topomap), *map(_closure_line, _standing(topomap))])
     recording.over_time(
         ("events",),
         np.array([t for t, _, _ in log], np.int64),
         rr.TextLog.columns(text=[text for _, _, text in log], level=[level for _, level, _ in log]),
     )
+
+
+def _standing(topomap: TopoMap) -> list[Closure]:
+    """Answers that no later round replaced."""
+    return [c for c in topomap.closures if not c.revised]
 
 
 def _pass_lines(topomap: TopoMap) -> list[tuple[int, str, str]]:

@@ -103,8 +103,9 @@ def _legend(topomap: TopoMap) -> str:
 def _closures(closures: tuple[Closure, ...]) -> str:
     if not closures:
         return ""
-    refused = [c for c in closures if not c.accepted]
-    head = f"## Loops\n\n{several(len(closures) - len(refused), 'visit')} recognised"
+    # What was only put off, and answered later, is told by its last answer.
+    refused = [c for c in closures if not c.accepted and not c.revised]
+    head = f"## Loops\n\n{several(sum(c.accepted for c in closures), 'visit')} recognised"
     if not refused:
         return f"{head}, none refused."
     lines = (

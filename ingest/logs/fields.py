@@ -1,24 +1,25 @@
 """Junctions out of any message, by a mapping that names its fields.
 
     center=pose.position,branches=frontiers[].angle
-    each=detections[],center=bbox.center.position,branches=results[].hypothesis.angle
-    center=data.at,branches=data.headings          (std_msgs/String that holds JSON)
+    each=detections[],center=bbox.center.position,branches=results[].pose.pose.orientation
+    center=data.at,branches=data.headings,unit=deg      (std_msgs/String that holds JSON)
 
-`center` is a point; `branches` are angles [rad], quaternions, poses, or points (whose direction is
-seen from the centre). `each` names a list of which every item is one junction; the other paths
-then begin at the item. `stamp` and `frame` name a time and a frame, the header's by default.
+`center` is a point or a pose; `branches` are angles (`unit` rad or deg), quaternions, poses, or
+points (whose direction is seen from the centre). `each` names a list of which every item is one
+junction; the other paths then begin at the item. `stamp` and `frame` name a time and a frame, of
+the item or of the message, the header's by default. docs/detections.md has an example of each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, is_dataclass
+from dataclasses import fields as members_of
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from ...topology.errors import UsageError
-from ...topology.se2 import yaw_from_quaternion
 from .foxglove import (
     POSES,
     RowDecoder,
@@ -33,65 +34,114 @@ from .messages import Channel, DamageError
 from .poses import Frames, Row
 from .schema import object_decoder
 
-Path = tuple[tuple[str, bool], ...]
-"""Names of members from outside in, each with whether it is a list to go through."""
+_KEYS = ("center", "branches", "each", "stamp", "frame", "unit")
 
-_KEYS = ("center", "branches", "each", "stamp", "frame")
+_WHOLE_TURN = 2 * np.pi * (1 + 1e-6)
+"""Headings in radians that were rounded stay below; in degrees few junctions do."""
+
+
+class FieldPath(NamedTuple):
+    """A path into a message, as typed ("center=pose.position").
+
+    steps: names of members from outside in, each with whether it is a list to go through.
+    """
+
+    text: str
+    steps: tuple[tuple[str, bool], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class JunctionFields:
-    """Where in a message a junction is; see the module's text."""
+    """Where in a message a junction is; see the module's text.
 
-    center: Path
-    branches: Path
-    each: Path = ()
-    stamp: Path = ()
-    frame: Path = ()
+    unit: of angles; None are radians that nobody has vouched for: none can be beyond a whole turn.
+    """
+
+    center: FieldPath
+    branches: FieldPath
+    each: FieldPath | None = None
+    stamp: FieldPath | None = None
+    frame: FieldPath | None = None
+    unit: Literal["rad", "deg"] | None = None
 
     @classmethod
     def parse(cls, mapping: str) -> JunctionFields:
         """Read a mapping as typed by a user; raises UsageError."""
-        found: dict[str, Path] = {}
+        found: dict[str, Any] = {}
         for part in mapping.split(","):
             key, equals, value = (piece.strip() for piece in part.partition("="))
             key = "center" if key == "centre" else key
             if not equals or key not in _KEYS or key in found:
                 raise UsageError(
                     f"--junction-fields: {part.strip()!r} is not one of "
-                    f"{', '.join(f'{k}=PATH' for k in _KEYS)}, each once"
+                    f"{', '.join(f'{k}=PATH' for k in _KEYS[:-1])} and unit=rad or unit=deg, "
+                    "each once"
                 )
-            found[key] = _path(value)
+            found[key] = _unit(value) if key == "unit" else _path(key, value)
         for key in ("center", "branches"):
             if key not in found:
                 raise UsageError(f"--junction-fields {mapping!r} lacks {key}=PATH")
         return cls(**found)
 
+    @property
+    def times_and_frames(self) -> list[FieldPath]:
+        """The paths that may also begin at the message."""
+        return [path for path in (self.stamp, self.frame) if path is not None]
+
     def rows(self, message: Any, frames: Frames) -> list[Row]:
-        """One row per junction in a decoded message; raises DamageError."""
-        items = _values(message, self.each) if self.each else [message]
-        if self.each and not self.each[-1][1]:
-            items = [item for listed in items for item in sequence(listed)]
+        """One row per junction in a decoded message; raises DamageError, UsageError for units."""
+        items = [message]
+        if self.each is not None:
+            items = _values(message, self.each)
         return [self._row(item, message, frames) for item in items]
 
     def _row(self, item: Any, message: Any, frames: Frames) -> Row:
         centers = [_point(value) for value in _values(item, self.center)]
         if not centers:
             raise DamageError("a junction has no centre")
-        x, y = (float(sum(axis)) / len(centers) for axis in zip(*centers, strict=True))
-        yaws = [_heading(value, x, y) for value in _values(item, self.branches)]
-        header = get(item, "header") or get(message, "header") or message
-        stamp_source = _one(item, self.stamp) if self.stamp else None
-        stamp = stamp_of({"stamp": stamp_source} if self.stamp else header)
-        frame = _one(item, self.frame) if self.frame else get(header, "frame_id")
-        poses: list[tuple[float, ...]] = [
-            (x, y, 0.0, 0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))) for yaw in yaws
+        center = tuple(float(sum(axis)) / len(centers) for axis in zip(*centers, strict=True))
+        poses = [
+            (*center, *self._orientation(value, center)) for value in _values(item, self.branches)
         ]
-        return stamp, frames.number(as_text(frame)), poses
+        headers = [h for h in (get(item, "header"), get(message, "header")) if h is not None]
+        headers = headers or [message]
+        # Items of a list often have headers that nobody filled in.
+        stamp = next((time for time in map(stamp_of, headers) if time), 0)
+        frame = next((name for h in headers if (name := as_text(get(h, "frame_id")))), "")
+        if self.stamp is not None:
+            stamp = stamp_of({"stamp": _one(_holder(self.stamp, item, message), self.stamp)})
+        if self.frame is not None:
+            frame = as_text(_one(_holder(self.frame, item, message), self.frame))
+        return stamp, frames.number(frame), poses
+
+    def _orientation(self, value: Any, center: tuple[float, ...]) -> tuple[float, ...]:
+        """Quaternion (x, y, z, w) whose x axis points along a branch; raises DamageError."""
+        turn = get(value, "orientation")
+        turn = value if turn is None else turn
+        if get(turn, "w") is not None:
+            return tuple(real(get(turn, name)) for name in "xyzw")
+        if get(turn, "x") is not None or get(turn, "position") is not None:
+            return _towards(_point(turn, center[2]), center)
+        return _about_z(self._angle(value))
+
+    def _angle(self, value: Any) -> float:
+        """An angle [rad]; raises DamageError, UsageError if it can hardly be one."""
+        angle = real(value)
+        if self.unit == "deg":
+            return float(np.deg2rad(angle))
+        if self.unit is None and np.isfinite(angle) and abs(angle) > _WHOLE_TURN:
+            raise UsageError(
+                f"{self.branches.text}: a heading of {angle:g} is beyond ± 2π; add unit=deg to "
+                "--junction-fields for degrees, or unit=rad if these are radians all the same"
+            )
+        return angle
 
 
-def fields_decoder(channel: Channel, fields: JunctionFields) -> RowDecoder:
-    """The decoder of a channel by such a mapping; raises DamageError if there is none."""
+def fields_decoder(channel: Channel, fields: JunctionFields, log: str) -> RowDecoder:
+    """The decoder of a channel by such a mapping; raises DamageError if there is none.
+
+    Decoding raises UsageError that names the log where headings are beyond any in radians.
+    """
     decode: Callable[[bytes], Any]
     if channel.encoding == "json":
         decode = load_json
@@ -99,24 +149,38 @@ def fields_decoder(channel: Channel, fields: JunctionFields) -> RowDecoder:
         decode = object_decoder(channel)
     else:
         raise DamageError(f"fields of {channel.encoding[:40]!r} messages cannot be named")
-    return RowDecoder(lambda raw, frames: fields.rows(decode(raw), frames))
+
+    def rows(raw: bytes, frames: Frames) -> list[Row]:
+        message = decode(raw)
+        try:
+            return fields.rows(message, frames)
+        except UsageError as error:
+            raise UsageError(f"{log}: {channel.topic}: {error}") from error
+
+    return RowDecoder(rows)
 
 
-def _path(value: str) -> Path:
-    names = []
+def _unit(value: str) -> str:
+    if value not in ("rad", "deg"):
+        raise UsageError(f"--junction-fields: unit={value} is neither unit=rad nor unit=deg")
+    return value
+
+
+def _path(key: str, value: str) -> FieldPath:
+    steps = []
     for name in value.split("."):
         bare = name.removesuffix("[]")
         if not bare.isidentifier() or bare.startswith("_"):
             raise UsageError(f"--junction-fields: {value!r} is no path like pose.position or a[].b")
-        names.append((bare, bare != name))
-    return tuple(names)
+        steps.append((bare, bare != name))
+    return FieldPath(f"{key}={value}", tuple(steps))
 
 
-def _values(message: Any, path: Path) -> list[Any]:
+def _values(message: Any, path: FieldPath) -> list[Any]:
     """The values that a path leads to: one, or as many as its lists hold; raises DamageError."""
     values = [message]
-    for name, listed in path:
-        values = [_member(value, name) for value in values]
+    for name, listed in path.steps:
+        values = [_member(value, name, path) for value in values]
         if listed:
             values = [item for value in values for item in sequence(value)]
         if len(values) > POSES:
@@ -126,38 +190,67 @@ def _values(message: Any, path: Path) -> list[Any]:
     return [item for items in last for item in items]
 
 
-def _member(value: Any, name: str) -> Any:
+def _member(value: Any, name: str, path: FieldPath) -> Any:
     """A member of a message, of a JSON object, or of JSON in a string; raises DamageError."""
     if isinstance(value, str):
         value = load_json(value)
     member = get(value, name)
     if member is None:
-        raise DamageError(f"a message lacks the field {name!r}")
+        raise DamageError(f"{path.text}: {_described(value)}")
     return load_json(member) if isinstance(member, str) and member[:1] in ("{", "[") else member
 
 
-def _one(message: Any, path: Path) -> Any:
+def _described(value: Any) -> str:
+    """What there is instead of the member that a path asks for."""
+    if isinstance(value, list | tuple | np.ndarray):
+        return "a list is met where [] does not say so"
+    names = list(value) if isinstance(value, dict) else []
+    if is_dataclass(value):  # as rosbags makes them of definitions
+        names = [member.name for member in members_of(value)]
+    return f"the message has {listed(names)}" if names else "leads into a value without fields"
+
+
+def listed(names: list[Any]) -> str:
+    """Names in one line, the first dozen of them."""
+    shown = ", ".join(as_text(name) for name in names[:12])
+    return f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown
+
+
+def _holder(path: FieldPath, item: Any, message: Any) -> Any:
+    """Where a time or a frame begins: at the item of a list, or else at the whole message."""
+    return message if get(item, path.steps[0][0]) is None else item
+
+
+def _one(message: Any, path: FieldPath) -> Any:
+    """The single value that a path leads to; several that are equal count as one."""
     values = _values(message, path)
-    if len(values) != 1:
-        raise DamageError("a time or frame is not a single value")
+    if not values or any(value != values[0] for value in values):
+        raise DamageError(f"{path.text}: is not a single value")
     return values[0]
 
 
-def _point(value: Any) -> tuple[float, float]:
-    """x, y of a point, of a pose, or of anything else with a position; raises DamageError."""
+def _point(value: Any, z: float = 0.0) -> tuple[float, float, float]:
+    """x, y, z of a point, of a pose, or of anything else with a position; raises DamageError.
+
+    z: of points in the plane.
+    """
     inner = get(value, "position")
     value = value if inner is None else inner
-    return real(get(value, "x")), real(get(value, "y"))
+    height = get(value, "z")
+    return real(get(value, "x")), real(get(value, "y")), z if height is None else real(height)
 
 
-def _heading(value: Any, x: float, y: float) -> float:
-    """Heading [rad] of a branch; raises DamageError."""
-    turn = get(value, "orientation")
-    turn = value if turn is None else turn
-    if get(turn, "w") is not None:
-        q = [real(get(turn, name)) for name in "xyzw"]
-        return float(yaw_from_quaternion(*q))
-    if get(turn, "x") is not None:
-        px, py = _point(turn)
-        return float(np.arctan2(py - y, px - x))
-    return real(value)
+def _towards(point: tuple[float, ...], center: tuple[float, ...]) -> tuple[float, ...]:
+    """Quaternion of the direction from a centre to a point; raises DamageError if there is none."""
+    dx, dy, dz = (float(p - c) for p, c in zip(point, center, strict=True))
+    level = float(np.hypot(dx, dy))
+    if level == 0.0:
+        raise DamageError("a branch points to its own centre")
+    yaw, pitch = float(np.arctan2(dy, dx)), -float(np.arctan2(dz, level))
+    _, _, sz, cz = _about_z(yaw)
+    sp, cp = float(np.sin(pitch / 2)), float(np.cos(pitch / 2))
+    return -sz * sp, cz * sp, sz * cp, cz * cp
+
+
+def _about_z(yaw: float) -> tuple[float, ...]:
+    return 0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))

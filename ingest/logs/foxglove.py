@@ -26,6 +26,7 @@ class RowDecoder:
         self._parse = parse
         self.frames = Frames()
         self.failed = 0
+        self.reason = ""
 
     def heads(self, data: Bytes, start: Ints, size: Ints) -> None:
         """Nothing: no two messages need be alike."""
@@ -38,8 +39,9 @@ class RowDecoder:
                 if length > MESSAGE_BYTES:
                     raise DamageError("a message is implausibly long")
                 rows = self._parse(data[at : at + length].tobytes(), self.frames)
-            except DamageError:
+            except DamageError as damage:
                 self.failed += 1
+                self.reason = self.reason or str(damage)
                 continue
             parts += [_poses(number, part, row) for part, row in enumerate(rows) if row[2]]
         return join(parts) if parts else no_poses()
@@ -78,6 +80,23 @@ def protobuf_rows(raw: bytes, frames: Frames) -> list[Row]:
     if len(poses) > POSES:
         raise DamageError("implausibly many poses")
     return [(_bounded(seconds * 10**9 + nanoseconds), frames.number(frame), poses)]
+
+
+# foxglove.FrameTransform {1: timestamp, 2: parent_frame_id, 3: child_frame_id, 4: translation,
+# 5: rotation}, foxglove.FrameTransforms {1: repeated FrameTransform}.
+
+
+def protobuf_transform(raw: bytes, frames: Frames) -> list[Row]:
+    """The transform of a foxglove.FrameTransform; raises DamageError."""
+    parts = {n: v for n, v in _fields(raw) if isinstance(v, bytes)}
+    pair = frames.number(text(parts.get(2, b"")), text(parts.get(3, b"")))
+    return [(0, pair, [_doubles(parts.get(4, b""), 3) + _doubles(parts.get(5, b""), 4)])]
+
+
+def protobuf_transforms(raw: bytes, frames: Frames) -> list[Row]:
+    """The transforms of a foxglove.FrameTransforms; raises DamageError."""
+    each = [value for number, value in _fields(raw) if number == 1 and isinstance(value, bytes)]
+    return [row for value in each[:POSES] for row in protobuf_transform(value, frames)]
 
 
 def _pose(raw: bytes) -> tuple[float, ...]:
@@ -155,8 +174,11 @@ def json_rows(raw: bytes, frames: Frames) -> list[Row]:
 def object_rows(message: Any, frames: Frames) -> list[Row]:
     """Poses of a decoded message, by the names of its fields; raises DamageError.
 
-    Knows headers (`header.stamp`, `timestamp`), `pose`, `pose.pose`, `poses` and `transforms`.
+    Knows headers (`header.stamp`, `timestamp`), `pose`, `pose.pose`, `poses`, `transforms`, and
+    Foxglove's transforms (`parent_frame_id`).
     """
+    if get(message, "parent_frame_id") is not None:
+        return [_transform_row(message, frames)]
     transforms = get(message, "transforms")
     if transforms is not None:
         return [_transform_row(item, frames) for item in sequence(transforms)]
@@ -174,12 +196,16 @@ def object_rows(message: Any, frames: Frames) -> list[Row]:
 
 def _transform_row(item: Any, frames: Frames) -> Row:
     header = get(item, "header")
-    pair = frames.number(as_text(get(header, "frame_id")), as_text(get(item, "child_frame_id")))
+    parent = get(header, "frame_id")
+    if parent is None:
+        parent = get(item, "parent_frame_id")
+    pair = frames.number(as_text(parent), as_text(get(item, "child_frame_id")))
     transform = get(item, "transform")
+    transform = item if transform is None else transform
     value = vector(get(transform, "translation"), "xyz") + vector(
         get(transform, "rotation"), "xyzw"
     )
-    return stamp_of(header), pair, [value]
+    return stamp_of(item if header is None else header), pair, [value]
 
 
 def get(message: Any, name: str) -> Any:
@@ -204,12 +230,17 @@ def as_text(value: Any) -> str:
 
 
 def stamp_of(header: Any) -> int:
-    """Time of a header [ns]: `stamp` or `timestamp` of seconds and nanoseconds; 0 if missing."""
+    """Time of a header [ns]: `stamp` or `timestamp`, 0 if missing.
+
+    They are seconds and nanoseconds, or a number of seconds.
+    """
     stamp = get(header, "stamp")
     if stamp is None:
         stamp = get(header, "timestamp")
     if stamp is None:
         return 0
+    if isinstance(stamp, int | float) and 0 <= stamp < LATEST_NS / 1e9:
+        return _bounded(round(stamp * 1e9))
     for seconds, nanoseconds in (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs")):
         whole, part = get(stamp, seconds), get(stamp, nanoseconds)
         if whole is not None and part is not None:

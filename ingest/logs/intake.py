@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
 from .columns import Growing, words
-from .foxglove import RowDecoder, json_rows, object_rows, protobuf_rows
+from .foxglove import (
+    RowDecoder,
+    json_rows,
+    object_rows,
+    protobuf_rows,
+    protobuf_transform,
+    protobuf_transforms,
+)
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError, Ints
 from .poses import Heads, PoseDecoder, Poses
@@ -30,6 +37,13 @@ HEADS = 4096
 FARTHEST = 1e9
 """No robot's odometry goes farther [m]; what does is taken for a broken number."""
 
+PROTOBUF = {
+    "foxglove.PoseInFrame": protobuf_rows,
+    "foxglove.PosesInFrame": protobuf_rows,
+    "foxglove.FrameTransform": protobuf_transform,
+    "foxglove.FrameTransforms": protobuf_transforms,
+}
+
 _MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
 
 
@@ -44,8 +58,8 @@ def decoder_for(channel: Channel) -> PoseDecoder:
         return RowDecoder(lambda raw, frames: object_rows(decode(raw), frames))
     if channel.encoding == "json":
         return RowDecoder(json_rows)
-    if channel.encoding == "protobuf" and channel.type_name.startswith("foxglove."):
-        return RowDecoder(protobuf_rows)
+    if channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
+        return RowDecoder(PROTOBUF[channel.type_name])
     raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
 
 
@@ -54,7 +68,8 @@ class PoseColumns:
     """Poses of one channel: one row per pose, in the order of the log.
 
     message: number of the message; part: of the junction in it; log_ns, stamp_ns: its times;
-    frame: number of the frames; pose: x, y [m], theta [rad].
+    frame: number of the frames; pose: x, y [m], theta [rad]; or, of a sink that keeps poses whole,
+    x, y, z [m], qx, qy, qz, qw.
     """
 
     message: Ints
@@ -65,40 +80,69 @@ class PoseColumns:
     pose: NDArray[np.float64]
 
 
+def usable_poses(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(k,) which poses (k, 7) have finite, believable numbers and an orientation."""
+    inside = np.asarray(_inside(value).all(axis=1))
+    # What is not inside may overflow.
+    return np.asarray(inside & _turned(np.where(inside[:, None], value, 0.0)))
+
+
+def _inside(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+    # NaN compares as false, so that it is never inside.
+    return np.asarray(np.abs(value) <= FARTHEST)
+
+
+def _turned(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+    # Far below any unit quaternion, far above what rounding leaves of a zero one.
+    rotation = value[:, 3:]
+    return np.asarray(np.einsum("ij,ij->i", rotation, rotation) > 1e-12)
+
+
+def in_plane(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(k, 3) x, y and the heading of the x axis, of poses (k, 7) in space."""
+    x, y, _, qx, qy, qz, qw = value.T
+    return np.stack([x, y, yaw_from_quaternion(qx, qy, qz, qw)], axis=1)
+
+
 def no_columns() -> PoseColumns:
     """Columns without a row."""
     none = np.zeros(0, np.int64)
     return PoseColumns(none, none, none, none, none, np.zeros((0, 3)))
 
 
-def _empty_columns() -> tuple[Growing, ...]:
+def _empty_columns(whole: bool) -> tuple[Growing, ...]:
     """Room for the fields of `PoseColumns`, in their order."""
     kinds = ("i4", "u2", "i8", "i8", "i2")
-    return (*(Growing(kind) for kind in kinds), Growing("f8", 3))
+    return (*(Growing(kind) for kind in kinds), Growing("f8", 7 if whole else 3))
 
 
 @dataclass(slots=True)
 class Sink:
     """Everything read from one channel.
 
-    messages: taken in; failed: messages that do not decode; not_finite, zero_quaternion: poses
-    left out; empty: messages without any pose.
+    whole: whether poses are kept in space, or as what they are in the plane; messages: taken in;
+    failed: messages that do not decode; not_finite, zero_quaternion: poses left out; empty:
+    messages without any pose.
     """
 
     channel: Channel
     decoder: PoseDecoder
+    whole: bool = False
     messages: int = 0
     not_finite: int = 0
     zero_quaternion: int = 0
     undecoded: int = 0
     empty: int = 0
-    _columns: tuple[Growing, ...] = field(default_factory=_empty_columns)
+    _columns: tuple[Growing, ...] = ()
     _heads: list[Heads] = field(default_factory=list)
     _heads_ns: list[Ints] = field(default_factory=list)
     _heads_count: int = 0
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
+
+    def __post_init__(self) -> None:
+        self._columns = _empty_columns(self.whole)
 
     @property
     def failed(self) -> int:
@@ -207,15 +251,13 @@ class Sink:
         told = int(changes) + (len(decoded.message) > 0)
         self.empty += len(log_ns) - failed - told
         poses = self._usable(decoded)
-        x, y, _, qx, qy, qz, qw = poses.value.T
-        theta = yaw_from_quaternion(qx, qy, qz, qw)
         rows = (
             poses.message + self.messages,
             poses.part,
             log_ns[poses.message],
             poses.stamp_ns,
             poses.frame,
-            np.stack([x, y, theta], axis=1),
+            poses.value if self.whole else in_plane(poses.value),
         )
         for column, more in zip(self._columns, rows, strict=True):
             column.add(more)
@@ -223,15 +265,12 @@ class Sink:
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
-        # NaN compares as false, so that it is never inside.
-        inside = np.abs(poses.value) <= FARTHEST
+        inside = _inside(poses.value)
         if not inside.all():
             finite = np.asarray(inside.all(axis=1))
             self.not_finite += int((~finite).sum())
             poses = poses.rows(finite)
-        # Far below any unit quaternion, far above what rounding leaves of a zero one.
-        rotation = poses.value[:, 3:]
-        turned = np.asarray(np.einsum("ij,ij->i", rotation, rotation) > 1e-12)
+        turned = _turned(poses.value)
         if not turned.all():
             self.zero_quaternion += int((~turned).sum())
             poses = poses.rows(turned)
@@ -245,9 +284,11 @@ class Intake:
         self,
         accept: Callable[[Channel], bool],
         decoder: Callable[[Channel], PoseDecoder] = decoder_for,
+        whole: Callable[[Channel], bool] = lambda channel: False,
     ) -> None:
         self._accept = accept
         self._decoder = decoder
+        self._whole = whole
         self.sinks: list[Sink] = []
         self.refused: dict[Channel, str] = {}
         self._number: dict[Channel, int] = {}
@@ -260,7 +301,8 @@ class Intake:
         number = UNWANTED
         if self._accept(channel):
             try:
-                self.sinks.append(Sink(channel, self._decoder(channel)))
+                decoder = self._decoder(channel)
+                self.sinks.append(Sink(channel, decoder, self._whole(channel)))
                 number = len(self.sinks) - 1
             except DamageError as damage:
                 self.refused[channel] = str(damage)

@@ -80,6 +80,12 @@ class Block(NamedTuple):
     size: Ints
 
 
+def first_messages(block: Block, count: int) -> Block:
+    """A block without what follows its first messages."""
+    log_time_ns, start, size = (a[:count] for a in (block.log_time_ns, block.start, block.size))
+    return block._replace(log_time_ns=log_time_ns, start=start, size=size)
+
+
 Want = Callable[[Channel], int]
 """Gives a channel its sink number, or UNWANTED."""
 

@@ -73,10 +73,14 @@ class Heads(NamedTuple):
 
 
 class PoseDecoder(Protocol):
-    """Turns payloads into poses; what cannot be decoded is left out and counted in `failed`."""
+    """Turns payloads into poses; what cannot be decoded is left out and counted in `failed`.
+
+    reason: why the first of them could not be decoded.
+    """
 
     frames: Frames
     failed: int
+    reason: str
 
     def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
         """What is needed of the messages, if all have one shape that was met before; else None."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from .messages import Channel, DamageError
 
@@ -141,6 +141,37 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
             raise DamageError(f"a message does not decode ({type(error).__name__})") from error
 
     return decode
+
+
+class Member(NamedTuple):
+    """A field of a message type: the type of its value, or of the items if it is a list."""
+
+    type_name: str
+    listed: bool
+
+
+def members(channel: Channel) -> dict[str, dict[str, Member]]:
+    """Fields by name, of the channel's type and of every type that is known beside it.
+
+    Raises DamageError where the type has no definition that can be read.
+    """
+    definitions = _store(channel).fielddefs
+    if channel.type_name not in definitions:
+        raise DamageError(f"no definition of {channel.type_name} is known")
+    return {
+        type_name: {name: _member(*described) for name, described in fields}
+        for type_name, (_, fields) in definitions.items()
+    }
+
+
+def _member(node: int, described: Any) -> Member:
+    """A field as rosbags describes it: Nodetype, and a name or what the items are."""
+    from rosbags.interfaces import Nodetype
+
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        inner = _member(*described[0])
+        return Member(inner.type_name, listed=True)
+    return Member(described[0] if node == Nodetype.BASE else described, listed=False)
 
 
 def _store(channel: Channel) -> Any:

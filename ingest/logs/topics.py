@@ -31,6 +31,16 @@ JUNCTION_KINDS: Mapping[str, Kind] = {
     "foxglove_msgs/msg/PosesInFrame": "foxglove_poses",
 }
 
+TRANSFORM_KINDS: Mapping[str, Kind | None] = {
+    "tf2_msgs/msg/TFMessage": "transforms",
+    "tf/msg/tfMessage": "transforms",
+    "foxglove.FrameTransform": None,
+    "foxglove.FrameTransforms": None,
+    "foxglove_msgs/msg/FrameTransform": None,
+    "foxglove_msgs/msg/FrameTransforms": None,
+}
+"""Types that tell how frames lie to each other; None: they are decoded message by message."""
+
 ODOMETRY_TYPES = "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped or foxglove.PoseInFrame"
 JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
 

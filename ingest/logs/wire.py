@@ -155,6 +155,7 @@ class WireDecoder:
         self._ros1 = ros1
         self.frames = Frames()
         self.failed = 0
+        self.reason = ""
         self._templates: dict[int, list[Template]] = {}
 
     def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
@@ -192,8 +193,9 @@ class WireDecoder:
             raw = data[start[0] : start[0] + size].tobytes()
             try:
                 template = parse(self._kind, raw, self._ros1, self.frames)
-            except DamageError:
+            except DamageError as damage:
                 self.failed += 1
+                self.reason = self.reason or str(damage)
                 start, message = start[1:], message[1:]
                 continue
             if len(known) < TEMPLATES:

@@ -294,6 +294,17 @@ def test_info_on_a_folder_tells_of_every_log(topobatch, logs, tmp_path):
     assert "broken.mcap" in done.err
 
 
+def test_info_of_a_damaged_or_unusable_log_fails(topobatch, logs, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(logs["mcap"].read_bytes()[:-5000])
+    done = topobatch("info", cut)
+    assert done.code == 1
+    assert "problem: the log is cut short" in done.out
+    done = topobatch("info", logs["mcap"], "--junction-topic", "/nothing")
+    assert done.code == 1
+    assert "problem: " in done.out
+
+
 def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
     """It starts at 0, which is a time like any other."""
     path = tmp_path / "run.mcap"

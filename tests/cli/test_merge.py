@@ -52,6 +52,56 @@ def test_the_order_of_names_does_not_matter(topobatch, workspace):
     assert (workspace / "merged.json").read_bytes() == first
 
 
+def test_a_merge_of_fewer_runs_does_not_replace_a_larger_one(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    assert topobatch("merge", "--all", "-w", workspace).code == 0
+    files = [workspace / f"merged.{kind}" for kind in ("json", "rrd")]
+    before = [path.read_bytes() for path in files]
+    error = topobatch("merge", a, "-w", workspace).error(2)
+    assert f"merge of 2 runs, and this one leaves out {b}" in error
+    assert "another --output NAME" in error
+    assert "--replace" in error
+    done = topobatch("merge", a, "--output", "alone", "-w", workspace)
+    assert "topobatch view alone" in done.out
+    assert done.code == 0
+    assert [path.read_bytes() for path in files] == before
+    document = json.loads((workspace / "alone.json").read_bytes())
+    assert [list(c["runs"]) for c in document["graph"]["components"]] == [[a]]
+    assert "alone.rrd" in topobatch("view", "alone", "-w", workspace).out
+    assert "another --output" in topobatch("merge", b, "--output", "alone", "-w", workspace).error(
+        2
+    )
+    assert topobatch("merge", a, b, "--output", "alone", "-w", workspace).code == 0
+    assert topobatch("merge", b, "--replace", "-w", workspace).code == 0
+    document = json.loads(files[0].read_bytes())
+    assert [list(c["runs"]) for c in document["graph"]["components"]] == [[b]]
+
+
+def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
+    other = workspace / "notes.json"
+    other.write_text('{"my": "notes"}')
+    for chosen in ("--all", "run1"):
+        error = topobatch("merge", chosen, "--output", "notes", "-w", workspace).error(2)
+        assert "--replace" in error
+    assert other.read_text() == '{"my": "notes"}'
+
+
+@pytest.mark.parametrize("name", ["merged", "Locks", "../x", ".hidden", "", "run1", "x" * 300])
+def test_names_that_cannot_be_a_merges(topobatch, workspace, name):
+    assert (workspace / "maps" / "run1.json").exists()
+    error = topobatch("merge", "--all", "--output", name, "-w", workspace).error(2)
+    assert "cannot name a merge" in error
+
+
+def test_explain_asks_the_merge_that_is_named(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    assert "not there" in topobatch("explain", a, b, "--merge", "mine", "-w", workspace).error(2)
+    assert topobatch("merge", a, b, "--output", "mine", "-w", workspace).code == 0
+    shown = topobatch("explain", a, b, "--merge", "mine", "-w", workspace).out
+    assert "not merged yet" not in shown
+    assert "not merged yet" in topobatch("explain", a, b, "-w", workspace).out
+
+
 def test_a_broken_map_does_not_stop_the_others(topobatch, workspace):
     (workspace / "maps" / "broken.json").write_text('{"schema": "topobatch.map/1"}')
     done = topobatch("merge", "--all", "-w", workspace)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.mapping import MappingSettings, build_map
+from topobatch.ingest.mapping import MappingSettings, _without_phantoms, build_map
 from topobatch.ingest.run import Detections, Run
 from topobatch.ingest.simulation import (
     MIXED,
@@ -16,6 +16,7 @@ from topobatch.ingest.simulation import (
     simulate_scenario,
     true_vertex_of_nodes,
 )
+from topobatch.topology.closure.gated import Identification
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
@@ -222,3 +223,14 @@ def test_the_least_of_runs():
     assert topomap.kind == ("bend",)
     np.testing.assert_allclose(topomap.xy, [[1.0, 2.0]], atol=1e-9)
     np.testing.assert_allclose(topomap.branches[0], [0.3, 2.3], atol=1e-9)
+
+
+def test_identifications_of_a_phantom_are_taken_back():
+    made = Identification(0, 2, accepted=True, bits=9.0, reason="agree", round=3)
+    dissolved = np.array([-1, 0, -1])
+    back = _without_phantoms(made, dissolved)
+    assert (back.accepted, back.accepted_round, back.bits) == (False, 3, 9.0)
+    assert back.reason.startswith("taken back")
+    assert _without_phantoms(made, np.array([0, 1, 0])) is made
+    refused = replace(made, accepted=False)
+    assert _without_phantoms(refused, dissolved) is refused

@@ -379,7 +379,8 @@ def test_the_odometry_of_another_robot_in_tf_is_reported(logs, tmp_path):
     run = read_run(logs.mcap(tmp_path / "run.mcap", tf + seen))
     assert len(run.odometry) == 300
     (warning,) = run.warnings
-    assert warning == "/tf: also holds the odometry of another robot (r2/odom → r2/base); left out"
+    said = "/tf: also holds the odometry of another robot (r2/odom → r2/base); left out"
+    assert warning == f"{said}; --base-frame chooses"
 
 
 def test_what_is_missing_is_said_with_what_is_damaged(logs, tmp_path):

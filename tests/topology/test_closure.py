@@ -21,7 +21,12 @@ from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.closure.rates import measured_rates
 from topobatch.topology.closure.rectilinear import RectilinearSettings, grid_headings
-from topobatch.topology.closure.rounds import RoundSettings, full_closure, weakest_cut
+from topobatch.topology.closure.rounds import (
+    RoundSettings,
+    _explained,
+    full_closure,
+    weakest_cut,
+)
 from topobatch.topology.closure.walk import (
     SystematicErrors,
     dead_reckoning_covariance,
@@ -258,6 +263,65 @@ def _scene(walk, layout):
     return Scene(walk, places, layout.xy, common, rarity(places, common, EvidenceSettings()))
 
 
+def revisions(closed):
+    """Standing and revised answers, after checking what must hold of any."""
+    made = [q for q in closed.asked if q.accepted]
+    refused = [q for q in closed.asked if not q.accepted]
+    assert all(q.round >= 1 for q in closed.asked + closed.revised)
+    assert all(q.accepted_round is None for q in made)
+    assert not any(q.accepted for q in closed.revised)
+    place = closed.place
+
+    def apart(q):
+        return tuple(sorted((place[q.first], place[q.second])))
+
+    # One entry per question and reason: pairs of places, or of passes now by one place.
+    both = [(apart(q), q.reason, q.accepted_round) for q in refused + closed.revised]
+    between = [entry for entry in both if entry[0][0] != entry[0][1]]
+    assert len(set(between)) == len(between)
+    within = [q for q in closed.revised if place[q.first] == place[q.second]]
+    entries = {(q.first, q.second, q.reason, q.accepted_round) for q in within}
+    assert len(entries) == len(within)
+    return made, refused, closed.revised
+
+
+def test_what_was_put_off_keeps_the_round_and_the_reason():
+    rng = np.random.default_rng(17)
+    world = grid_world(7, 7)
+    loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
+    odometry, passes, _ = record(world, wander(world[1], 40, rng), rng, noise=loud)
+    closed = full_closure(make_walk(odometry, passes, loud))
+    made, refused, revised = revisions(closed)
+    assert revised
+    joined = {(q.first, q.second): q.round for q in made}
+    later = [q for q in revised if (q.first, q.second) in joined]
+    assert later
+    assert all(q.round < joined[q.first, q.second] for q in later)
+    assert max(q.round for q in refused) >= max(q.round for q in made)
+
+
+def test_what_is_taken_back_is_kept_with_both_rounds():
+    """With hardly any strain allowed, passes are torn away from places that are right."""
+    rng = np.random.default_rng(10)
+    world = grid_world(4, 4, rng)
+    odometry, passes, _ = record(world, wander(world[1], 50, rng), rng)
+    closed = full_closure(make_walk(odometry, passes, NOISE), RoundSettings(strain=2.0))
+    _, refused, revised = revisions(closed)
+    back = [q for q in refused + revised if q.accepted_round is not None]
+    assert back
+    assert all(q.reason.startswith("taken back") for q in back)
+    assert all(1 <= q.accepted_round <= q.round for q in back)
+
+
+def test_a_better_reason_replaces_only_that_nothing_was_sure():
+    unsure = Identification(0, 5, False, 2.0, "not sure enough", round=4)
+    other = replace(unsure, second=6, reason="corridors disagree")
+    doubts = {(0, 5): unsure, (0, 6): other}
+    found = _explained(doubts, {(0, 5): "rivals", (0, 6): "rivals", (1, 2): "rivals"})
+    assert list(found) == [(0, 5)]
+    assert astuple(found[0, 5]) == astuple(replace(unsure, reason="rivals"))
+
+
 def test_a_place_is_split_where_it_hangs_together_least():
     def link(i, j, bits):
         return Identification(i, j, True, bits, "")
@@ -469,9 +533,9 @@ def test_identifications_that_agree_on_one_position_are_sure_together(offsets, t
     a, b = np.arange(k), 8 + np.arange(k)
     position = np.full(k, -2.0)
     found = _asked(a, b, position, np.full(k, 4.0))
-    rows, odds = agreeing(layout, found, common, EvidenceSettings())
+    rows, odds, reason = agreeing(layout, found, common, EvidenceSettings())
     assert (rows.tolist() == list(range(k))) is together
-    assert np.all(odds > 4.5)
+    assert (np.all(odds > 4.5), reason) == (True, "")
 
 
 @pytest.mark.parametrize(("off", "expected"), [(3.0, []), (0.4, [0, 1, 2])])
@@ -480,8 +544,11 @@ def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
     walk, layout = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
     a, b = np.array([0, 1, 2, 1, 2, 3]), np.array([8, 9, 10, 8, 9, 10])
     found = _asked(a, b, np.full(6, -2.0), np.full(6, 5.0))
-    rows, _ = agreeing(layout, found, background(walk, walk.noise), EvidenceSettings())
-    assert rows.tolist() == expected
+    agreed = agreeing(layout, found, background(walk, walk.noise), EvidenceSettings())
+    accepted = [] if agreed.reason else agreed.rows.tolist()
+    assert accepted == expected
+    assert ("exclude" in agreed.reason) is (expected == [])
+    assert len(agreed.odds) == len(accepted)
 
 
 def test_layout_begins_with_the_headings_of_the_grid():

@@ -55,7 +55,11 @@ def small_map(run: str = "run1") -> TopoMap:
             2**62,
             2**62 + 1,
         ],
-        closures=(Closure(1, 2, True, 12.5, "same branches"),),
+        closures=(
+            Closure(1, 2, True, 12.5, "same branches", round=2),
+            Closure(1, 3, False, 4.5, "taken back", round=5, accepted_round=3, revised=True),
+            Closure(2, 3, False, -1.5, "weak"),
+        ),
         info={"source": {"odometry": "/odom"}},
     )
 

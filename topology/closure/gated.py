@@ -38,7 +38,8 @@ class Identification:
     """Passes `first` and `second` were asked to be one place.
 
     turn_rad: by how much the branches around `second` had to be turned to meet those around
-    `first`, on top of the layout at that time.
+    `first`, on top of the layout at that time. round: in which the answer was given, from 1 on; 0
+    if not by rounds. accepted_round: in which it had been accepted, if this takes it back.
     """
 
     first: int
@@ -47,6 +48,8 @@ class Identification:
     bits: float
     reason: str
     turn_rad: float = 0.0
+    round: int = 0
+    accepted_round: int | None = None
 
 
 def gated_closure(

@@ -8,6 +8,7 @@ Mapping Using the Joint Compatibility Test (T-RO 2001), here with odds in place 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from .layout import Layout
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+RIVALS = "sure together with others, but as many that exclude one of them are nearly as sure"
+STEP_OFF = "sure together with others, but all might be one step of the map's pattern off"
 
 _DIRECTIONS = 16
 """In so many directions a step of the pattern is tried, besides those known."""
@@ -44,6 +48,21 @@ class JointSettings:
     stiff: tuple[float, ...] = (0.3, 1.0, 1e3)
     """Candidates whose errors differ by less than this share of a step of the map's pattern (1
     sigma) may be a step off together."""
+
+
+class Agreement(NamedTuple):
+    """Candidates that are certain together, or a set that nearly was.
+
+    rows: (k,) of the candidates; odds: (k,) log odds of each given the others, none where refused;
+    reason: why they are refused, empty where they are certain or where no set is worth it.
+    """
+
+    rows: IntArray
+    odds: FloatArray
+    reason: str = ""
+
+
+_NOBODY = Agreement(np.zeros(0, np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,18 +106,17 @@ def agreeing(
     common: Background,
     evidence: EvidenceSettings,
     settings: JointSettings = JointSettings(),
-) -> tuple[IntArray, FloatArray]:
-    """Rows of the candidates that are certain together, and the log odds of each given the others.
+) -> Agreement:
+    """The candidates that are certain together.
 
-    Empty where no set is certain, or where another set that excludes one of it is nearly as good,
-    or the map repeats itself and all might be one step off.
+    There are none where no set is certain, or where another set that excludes one of it is nearly
+    as good, or the map repeats itself and all might be one step off.
     """
     total = found.total
     rows = np.flatnonzero(total > settings.least)
     rows = np.sort(rows[np.argsort(-total[rows], kind="stable")[: settings.most]])
-    nothing = np.zeros(0, np.int64), np.zeros(0)
     if len(rows) < 2:
-        return nothing
+        return _NOBODY
     a, b = found.a[rows], found.b[rows]
     start = _Beliefs(*_shifts(layout, a, b), found.alike[rows], common, evidence)
     shared, excluded = _sharing(a, b)
@@ -108,22 +126,24 @@ def agreeing(
     best = int(worth.argmax())
     members = np.sort(np.array(sets[best][1]))
     if len(members) < 2 or worth[best] < settings.threshold:
-        return nothing
+        return _NOBODY
     rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
     if worth[best] - max(rivals, default=-np.inf) < settings.lead:
-        return nothing
+        return Agreement(rows[members], np.zeros(0), RIVALS)
     left = float(worth[best])
     while len(members) > 1:
         each = np.array([_odds_given(start, k, members) for k in members.tolist()])
         weakest = int(each.argmin())
         if each[weakest] >= settings.member:
             one_off = _one_step_off(start, members, settings)
-            return nothing if one_off > -settings.lead else (rows[members], each)
+            if one_off > -settings.lead:
+                return Agreement(rows[members], np.zeros(0), STEP_OFF)
+            return Agreement(rows[members], each)
         left -= float(each[weakest])
         members = np.delete(members, weakest)
         if left < settings.threshold:
             break
-    return nothing
+    return _NOBODY
 
 
 def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -> float:

@@ -7,6 +7,7 @@ sure, lay the walk out again, look again with the smaller uncertainty that this 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,6 +37,10 @@ _DISAGREE = "corridors disagree"
 _COMMON = "places that are certainly two look as much alike"
 _APART = "too far apart once the run was laid out anew"
 _TORN = "taken back: a pass was torn away"
+
+
+_Answer = tuple[int | str | None, ...]
+"""Which question was answered, and how: two passes or places, and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +93,15 @@ class RoundSettings:
 class Closed:
     """place: (p,) of each pass, numbered by first visit; layout: of these places; asked: evidence
     for every identification made, and for those refused that had some; walk: the one given, its
-    noise raised by `caution`, and as the layout asked for; grid: the headings that held it."""
+    noise raised by `caution`, and as the layout asked for; grid: the headings that held it;
+    revised: earlier answers, where a later round gave another one."""
 
     walk: Walk
     place: IntArray
     layout: Layout
     asked: list[Identification]
     grid: GridHeadings | None
+    revised: list[Identification] = field(default_factory=list)
 
 
 def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
@@ -139,10 +146,11 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
     strikes: Counter[tuple[int, int]] = Counter()
     torn: Counter[int] = Counter()
     doubts: dict[tuple[int, int], Identification] = {}
+    answers: dict[_Answer, Identification] = {}
     place = np.arange(len(walk), dtype=np.int64)
     layout = lay_out(walk, place, grid=grid, settings=settings.layout)
     stage, exact = 0, False
-    for _ in range(settings.most_rounds):
+    for number in range(1, settings.most_rounds + 1):
         places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
         scene = _scene(walk, places, layout, settings)
         found = candidates(scene, place, layout, settings.candidates, exact=exact)
@@ -152,9 +160,13 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
             threshold = max(settings.thresholds[stage], _least(scene, settings))
             new = _certain(places, found, threshold, barred, settings)
             stage += not new
+        doubts = _doubted(doubts, places, found, settings, number)
         if not new and exact:
-            new, stage = _together(scene, found, layout, settings), 0
-        doubts = _doubted(doubts, places, found, settings)
+            (new, reasons), stage = _together(scene, found, layout, settings), 0
+            doubts |= _explained(doubts, reasons)
+        new = [replace(q, round=number) for q in new]
+        made = {(q.first, q.second) for q in new}
+        _noted(answers, (q for pair, q in doubts.items() if _open(q, place) and pair not in made))
         if not new and exact:
             break
         if not exact:
@@ -173,13 +185,14 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         bad = _strained(place, layout, links, torn, settings)
         if bad:
             strikes.update((q.first, q.second) for q in bad)
-            doubts.update(
-                ((q.first, q.second), replace(q, accepted=False, reason=_TORN)) for q in bad
-            )
+            back = [_taken_back(q, number) for q in bad]
+            _noted(answers, back)
+            doubts.update(((q.first, q.second), q) for q in back)
             links = [q for q in links if q not in bad]
             place = _partition(len(walk), links)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
-    return Closed(walk, place, layout, links + _left(place, doubts), grid)
+    asked = links + _left(place, doubts)
+    return Closed(walk, place, layout, asked, grid, _revised(place, answers.values(), asked))
 
 
 def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) -> Scene:
@@ -295,14 +308,31 @@ def _certain(
 
 def _together(
     scene: Scene, found: Candidates, layout: Layout, settings: RoundSettings
-) -> list[Identification]:
-    """The candidates that are sure only together."""
+) -> tuple[list[Identification], dict[tuple[int, int], str]]:
+    """The candidates that are sure only together; by their passes, why those were refused."""
     evidence = settings.candidates.evidence
-    rows, odds = agreeing(layout, found, scene.common, evidence, settings.joint)
-    return [
+    agreed = agreeing(layout, found, scene.common, evidence, settings.joint)
+    rows = agreed.rows.tolist()
+    if agreed.reason:
+        firsts = scene.places.first
+        ends = [(int(firsts[found.a[k]]), int(firsts[found.b[k]])) for k in rows]
+        return [], {(min(pair), max(pair)): agreed.reason for pair in ends}
+    answers = [
         _answer(scene.places, found, row, value, reason=_TOGETHER, accepted=True)
-        for row, value in zip(rows.tolist(), odds.tolist(), strict=True)
+        for row, value in zip(rows, agreed.odds.tolist(), strict=True)
     ]
+    return answers, {}
+
+
+def _explained(
+    doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
+) -> dict[tuple[int, int], Identification]:
+    """Doubts that were only not sure enough, with the better reason that there is."""
+    return {
+        pair: replace(doubts[pair], reason=reason)
+        for pair, reason in reasons.items()
+        if pair in doubts and doubts[pair].reason == _UNSURE
+    }
 
 
 def _answer(
@@ -360,13 +390,15 @@ def _doubted(
     places: Places,
     found: Candidates,
     settings: RoundSettings,
+    number: int,
 ) -> dict[tuple[int, int], Identification]:
-    """Doubtful identifications by their passes: those of before, and today's candidates.
+    """Doubtful identifications by their passes: those of before, and the candidates of this round.
 
     What was doubted before and is no candidate any more was excluded by the layout.
     """
     out = {
-        pair: q if q.reason == _TORN else replace(q, reason=_APART) for pair, q in before.items()
+        pair: q if q.reason in (_TORN, _APART) else replace(q, reason=_APART, round=number)
+        for pair, q in before.items()
     }
     total, least = found.total, settings.thresholds[-1]
     for k in np.flatnonzero(found.position + found.branches > 0).tolist():
@@ -376,8 +408,42 @@ def _doubted(
         elif total[k] + found.commonness[k] >= least > total[k]:
             reason = _COMMON
         q = _answer(places, found, k, float(total[k]), reason=reason, accepted=False)
-        out[q.first, q.second] = q
+        out[q.first, q.second] = replace(q, round=number)
     return out
+
+
+def _open(q: Identification, place: IntArray) -> bool:
+    """Whether the two passes are by different places as yet."""
+    return bool(place[q.first] != place[q.second])
+
+
+def _taken_back(q: Identification, number: int) -> Identification:
+    return replace(q, accepted=False, reason=_TORN, round=number, accepted_round=q.round)
+
+
+def _noted(answers: dict[_Answer, Identification], given: Iterable[Identification]) -> None:
+    """Keep, for two passes, the last answer of each kind."""
+    for q in given:
+        answers[q.first, q.second, q.reason, q.accepted_round] = q
+
+
+def _revised(
+    place: IntArray, answers: Iterable[Identification], asked: list[Identification]
+) -> list[Identification]:
+    """Refusals that do not stand any more: of each reason the last, for each pair of places.
+
+    asked: what stands. Passes that were found to be by one place later on keep theirs.
+    """
+
+    def key(q: Identification) -> _Answer:
+        a, b = sorted((int(place[q.first]), int(place[q.second])))
+        pair = (a, b) if a != b else (q.first, q.second)
+        return *pair, a == b, q.reason, q.accepted_round
+
+    last = {key(q): q for q in sorted(answers, key=lambda q: (q.round, q.first, q.second))}
+    for q in asked:
+        last.pop(key(q), None)
+    return list(last.values())
 
 
 def _left(place: IntArray, doubts: dict[tuple[int, int], Identification]) -> list[Identification]:

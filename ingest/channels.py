@@ -1,0 +1,112 @@
+"""Which channels of a log are read, how they are decoded, and whether that can work at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from ..topology.errors import UsageError
+from .logs.field_check import check_fields
+from .logs.fields import JunctionFields, fields_decoder
+from .logs.intake import Intake, decoder_for
+from .logs.messages import Channel, Findings, first_messages
+from .logs.poses import PoseDecoder
+from .logs.recording import Recording, opened
+from .logs.topics import (
+    JUNCTION_KINDS,
+    ODOMETRY_KINDS,
+    Choice,
+    choose_junctions,
+    choose_odometry,
+)
+from .sources import Source
+
+if TYPE_CHECKING:
+    from .reading import ReadSettings
+
+TRIED = 100
+"""So many messages are tried before all are read, where only messages tell what is in them."""
+
+
+def acceptance(
+    counts: Mapping[Channel, int] | None, settings: ReadSettings, log: str
+) -> Callable[[Channel], bool]:
+    """Which channels to keep: the chosen ones if the index tells, else all that may be chosen."""
+    named = {
+        f"/{name.strip('/')}"
+        for name in (settings.odometry_topic, settings.junction_topic)
+        if name is not None
+    }
+    if settings.junction_fields is not None:
+        named.add("/junctions")
+    types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
+    if counts is None:
+        return lambda channel: channel.topic in named or channel.type_name in types
+    listed = {channel.topic for channel in counts}
+    chosen = {c.topic for c in choose_odometry(counts, settings.odometry_topic, log)}
+    chosen.add(junction_choice(counts, settings, log).topic)
+    # A topic that the index forgot is kept as well: the choice is made again at the end.
+    return lambda channel: (
+        channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
+    )
+
+
+def decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecoder]:
+    """How channels are decoded: by their types, but the junctions by the fields that are named."""
+    if settings.junction_fields is None:
+        return decoder_for
+    fields = JunctionFields.parse(settings.junction_fields)
+    named = settings.mapped_topic
+
+    def by_topic(channel: Channel) -> PoseDecoder:
+        if channel.topic != named:
+            return decoder_for(channel)
+        check_fields(channel, fields, log)
+        return fields_decoder(channel, fields, log)
+
+    return by_topic
+
+
+def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
+    """Channels of detections: how a sensor is mounted is found out when all is read."""
+    return lambda channel: (
+        channel.topic == settings.mapped_topic or channel.type_name in JUNCTION_KINDS
+    )
+
+
+def check_mapping(
+    recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> None:
+    """UsageError where --junction-fields leads nowhere in the topic, before all of it is read.
+
+    What the definition of the messages leaves open, the first messages tell.
+    """
+    if settings.junction_fields is None:
+        return
+    fields = JunctionFields.parse(settings.junction_fields)
+    channels = [c for c, n in counts.items() if n and c.topic == settings.mapped_topic]
+    sure = [check_fields(channel, fields, log) for channel in channels]
+    if channels and not all(sure):
+        _try_mapping(recording, settings, log)
+
+
+def _try_mapping(recording: Recording, settings: ReadSettings, log: str) -> None:
+    """UsageError if nothing comes of the first messages of the mapped topic."""
+    topic = settings.mapped_topic
+    intake = Intake(
+        lambda channel: channel.topic == topic, decoders(settings, log), kept_whole(settings)
+    )
+    for file in recording.files:
+        with opened(file) as container:
+            for block in container.blocks(intake.want, Findings(), None):
+                intake.take(first_messages(block, TRIED))
+                break
+    found = Source.of(intake.of_topic(topic or ""))
+    if found.messages and found.failed == found.messages:
+        raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")
+
+
+def junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
+    """The topic of the junction detections; raises LogError or UsageError if there is none."""
+    any_type = settings.junction_fields is not None
+    return choose_junctions(counts, settings.junction_topic, any_type, log)

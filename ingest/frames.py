@@ -1,0 +1,156 @@
+"""Which frames of a robot the fixed transforms of a log join: a sensor to its base, say."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .logs.intake import decoder_for, usable_poses
+from .logs.messages import Bytes, Channel, Ints
+from .logs.poses import Frames, PoseDecoder, Poses, no_poses
+
+FloatArray = NDArray[np.float64]
+Pair = tuple[str, str]
+
+NOWHERE_ELSE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+"""The transform from a frame to itself."""
+
+FIXED = 1e-3
+"""A transform is fixed if no translation [m] or quaternion component of it changes by more: what is
+computed from joints that stand is rounded, what moves at all moves further."""
+
+LISTED = 6
+"""Most groups of frames that an error names."""
+
+
+@dataclass(frozen=True, slots=True)
+class FixedTransforms:
+    """Transforms that stay the same all through a log.
+
+    value: by (parent, child) T_parent_child as x, y, z [m], qx, qy, qz, qw; moving: pairs whose
+    transform changes.
+    """
+
+    value: Mapping[Pair, FloatArray] = field(default_factory=dict)
+    moving: frozenset[Pair] = frozenset()
+
+    def joined_to(self, target: str) -> dict[str, FloatArray]:
+        """(7,) T_target_source of every frame that fixed transforms join, by the fewest of them.
+
+        O(number of transforms).
+        """
+        beside: dict[str, list[tuple[str, FloatArray]]] = {}
+        for (parent, child), T_parent_child in sorted(self.value.items()):
+            beside.setdefault(parent, []).append((child, T_parent_child))
+            beside.setdefault(child, []).append((parent, _inverse(T_parent_child)))
+        reached = {target: np.array(NOWHERE_ELSE)}
+        front = deque([target])
+        while front:
+            here = front.popleft()
+            for there, T_here_there in beside.get(here, ()):
+                if there not in reached:
+                    reached[there] = seen_from(reached[here], T_here_there[None])[0]
+                    front.append(there)
+        return reached
+
+    @property
+    def groups(self) -> list[list[str]]:
+        """Names of the frames that are fixed to each other, group by group."""
+        group = {name: {name} for pair in self.value for name in pair}
+        for parent, child in self.value:
+            joined = group[parent] | group[child]
+            for name in joined:
+                group[name] = joined
+        return sorted({tuple(sorted(names)): sorted(names) for names in group.values()}.values())
+
+    def __str__(self) -> str:
+        if not self.value and not self.moving:
+            return "the log holds no transforms between frames; record /tf_static"
+        told = [f"fixed to each other are {_some([' = '.join(names) for names in self.groups])}"]
+        if not self.value:
+            told = ["no frames are fixed to each other"]
+        if self.moving:
+            told.append(f"{_some([f'{a} → {b}' for a, b in sorted(self.moving)])} moves")
+        return "; ".join(told)
+
+
+NO_TRANSFORMS = FixedTransforms()
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
+
+
+def seen_from(T_a_b: FloatArray, poses: FloatArray) -> FloatArray:
+    """Poses (k, 7) given in frame b, in frame a. T_a_b: (7,)."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(T_a_b[3:])
+    turned = turn * Rotation.from_quat(poses[:, 3:])
+    return np.hstack([T_a_b[:3] + turn.apply(poses[:, :3]), turned.as_quat()])
+
+
+def _inverse(T_a_b: FloatArray) -> FloatArray:
+    """(7,) T_b_a."""
+    from scipy.spatial.transform import Rotation
+
+    back = Rotation.from_quat(T_a_b[3:]).inv()
+    return np.concatenate([-back.apply(T_a_b[:3]), back.as_quat()])
+
+
+class FixedCollector:
+    """Takes in transforms of any number of channels, and keeps one value of each."""
+
+    def __init__(self) -> None:
+        self._known: dict[Pair, FloatArray] = {}
+        self._moving: set[Pair] = set()
+
+    def decoder_for(self, channel: Channel) -> PoseDecoder:
+        """Stands in for the decoder of a channel; raises DamageError if there is none."""
+        return _Listener(decoder_for(channel), self._compare)
+
+    @property
+    def found(self) -> FixedTransforms:
+        """What was collected, without what moves, and without frames that have no name."""
+        value = {
+            pair: first
+            for pair, first in sorted(self._known.items())
+            if pair not in self._moving and pair[0] != pair[1] and all(pair)
+        }
+        return FixedTransforms(value, frozenset(self._moving))
+
+    def _compare(self, pair: Pair, value: FloatArray) -> None:
+        """Whether (k, 7) transforms are what was heard of the pair before."""
+        value[:, 3:] /= np.linalg.norm(value[:, 3:], axis=1)[:, None]
+        first = self._known.setdefault(pair, value[0].copy())
+        # q and -q are the same rotation.
+        value[:, 3:] *= np.where(value[:, 3:] @ first[3:] < 0, -1.0, 1.0)[:, None]
+        if (np.abs(value - first) > FIXED).any():
+            self._moving.add(pair)
+
+
+class _Listener:
+    """A decoder of transforms that hands them on by their pair of frames, and gives no poses."""
+
+    def __init__(self, decoder: PoseDecoder, hear: Callable[[Pair, FloatArray], None]) -> None:
+        self._decoder, self._hear = decoder, hear
+        self.frames: Frames = decoder.frames
+        self.failed = 0
+        self.reason = ""
+
+    def heads(self, data: Bytes, start: Ints, size: Ints) -> None:
+        """Nothing: messages are not kept."""
+
+    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+        """No poses."""
+        poses = self._decoder.decode(data, start, size)
+        usable = usable_poses(poses.value)
+        for number in np.unique(poses.frame[usable]).tolist():
+            rows = usable & (poses.frame == number)
+            self._hear(self.frames.pairs[number], poses.value[rows])
+        return no_poses()

@@ -1,0 +1,211 @@
+"""--junction-fields: units, and paths that lead nowhere, found out before a log is read whole."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
+from topobatch.topology.errors import LogError, UsageError
+
+SEEN = """\
+std_msgs/Header header
+geometry_msgs/PoseWithCovariance at
+geometry_msgs/Point[] corners
+float64[] ways
+string note
+builtin_interfaces/Time[] times
+float32 width
+"""
+
+
+def written(logs, folder, angles, *, encoding="cdr", ros1=False, last=None, index=True):
+    """A drive whose detections are of a type of our own; `angles` of all but perhaps the last."""
+    from mcap.writer import Writer
+    from rosbags.typesys import get_types_from_msg
+
+    store = logs.store_of(ros1)
+    name = "a/msg/Seen"
+    text = SEEN.replace("builtin_interfaces/Time", "time") if ros1 else SEEN
+    store.register(get_types_from_msg(text, name))
+    definition, _ = store.generate_msgdef(name, ros_version=1 if ros1 else 2)
+    folder.mkdir(exist_ok=True)
+    drive = logs.drive()
+    logs.mcap(folder / "a.mcap", [m for m in drive if m.topic == "/odom"], use_statistics=index)
+    seen = [m for m in drive if m.topic == "/junctions"]
+    with (folder / "b.mcap").open("wb") as file:
+        writer = Writer(file, chunk_size=500, use_statistics=index)
+        writer.start()
+        kinds = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
+        encoding = "ros1" if ros1 else encoding
+        schema = writer.register_schema(
+            "a/Seen" if ros1 else name,
+            kinds[encoding],
+            b"{}" if encoding == "json" else definition.encode(),
+        )
+        channel = writer.register_channel("/seen", encoding, schema)
+        for k, message in enumerate(seen):
+            ways = last if last is not None and k == len(seen) - 1 else angles
+            raw = payload(logs, store, name, message=message, ways=ways, encoding=encoding)
+            writer.add_message(channel, message.log_ns, raw, message.log_ns)
+        writer.finish()
+    return folder
+
+
+def payload(logs, store, name, *, message, ways, encoding):
+    if encoding == "json":
+        stamp = {"sec": message.stamp_ns // 10**9, "nsec": message.stamp_ns % 10**9}
+        header = {"frame_id": "base_link", "stamp": stamp}
+        at = {"pose": {"position": {"x": 0.5, "y": 0.25}}}
+        return json.dumps({"header": header, "at": at, "ways": ways}).encode()
+    t, ros1 = store.types, encoding == "ros1"
+    pose = logs.ros_object(message, store, ros1)
+    covariance = t["geometry_msgs/msg/PoseWithCovariance"](
+        pose=pose.poses[0], covariance=np.zeros(36)
+    )
+    value = t[name](
+        header=pose.header,
+        at=covariance,
+        corners=[],
+        ways=np.array(ways, float),
+        note="",
+        times=[],
+        width=1.0,
+    )
+    return bytes((store.serialize_ros1 if ros1 else store.serialize_cdr)(value, name))
+
+
+def settings(fields):
+    return ReadSettings(junction_topic="/seen", junction_fields=fields)
+
+
+CENTER = "center=at.pose.position"
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_degrees_must_be_said(logs, tmp_path, encoding):
+    folder = written(logs, tmp_path / "run", [0.0, 90.0, -170.0], encoding=encoding)
+    with pytest.raises(UsageError) as caught:
+        read_run(folder, settings(f"{CENTER},branches=ways"))
+    assert str(folder) in str(caught.value)
+    assert "branches=ways: a heading of 90 is beyond ± 2π; add unit=deg" in str(caught.value)
+    run = read_run(folder, settings(f"{CENTER},branches=ways,unit=deg"))
+    np.testing.assert_allclose(run.detections.branches[0], np.deg2rad([0, 90, -170]))
+    # Whoever says that they are radians is believed: some detectors count whole turns.
+    run = read_run(folder, settings(f"{CENTER},branches=ways,unit=rad"))
+    assert len(run.detections) == 30
+
+
+def test_one_heading_too_large_is_enough(logs, tmp_path):
+    """Small headings in degrees look like radians; a log is of one unit."""
+    folder = written(logs, tmp_path / "run", [0.0, 3.0], last=[0.0, 183.0])
+    with pytest.raises(UsageError, match="a heading of 183 is beyond"):
+        read_run(folder, settings(f"{CENTER},branches=ways"))
+
+
+def test_a_whole_turn_in_rounded_radians_is_no_degrees(logs, tmp_path):
+    folder = written(logs, tmp_path / "run", [6.28319, -6.28319, 1.0])
+    run = read_run(folder, settings(f"{CENTER},branches=ways"))
+    np.testing.assert_allclose(run.detections.branches.values.reshape(-1, 3)[:, 2], 1.0)
+
+
+@pytest.mark.parametrize("unit", ["unit=grad", "unit=", "unit=deg,unit=deg"])
+def test_units_that_are_none(unit):
+    with pytest.raises(UsageError, match="unit=deg"):
+        settings(f"center=a,branches=b,{unit}")
+
+
+WRONG = {
+    "center=positon,branches=ways": "`center=positon`: a/Seen has header, at, corners, ways, note,",
+    "center=at.pose.positon,branches=ways": (
+        "`center=at.pose.positon`: geometry_msgs/Pose has position, orientation"
+    ),
+    "center=at,branches=ways": (
+        "`center=at`: is geometry_msgs/PoseWithCovariance with covariance, pose; "
+        "expected a point or a pose"
+    ),
+    "center=width,branches=ways": "`center=width`: is float32; expected a point or a pose",
+    "center=at.pose,branches=ways[].angle": "`branches=ways[].angle`: float64 has no fields",
+    "center=at.pose,branches=corners.x": "`branches=corners.x`: corners is a list; write corners[]",
+    "center=at.pose[],branches=ways": "`center=at.pose[]`: pose is no list; leave out its []",
+    "center=at.pose,branches=header": "expected angles, quaternions, poses or points",
+    "center=at.pose,branches=ways,stamp=note.x,frame=width": "`frame=width`: is float32; expected",
+    "center=at.pose,branches=ways,stamp=header.frame_id.x,frame=header.frame": (
+        "`frame=header.frame`: std_msgs/Header has"
+    ),
+    "center=at.pose,branches=ways,stamp=at": "`stamp=at`: is geometry_msgs/PoseWithCovariance",
+    "each=corners[],center=y,branches=ways": "`center=y`: is float64; expected a point",
+    "each=corners[],center=z.x,branches=x": "`center=z.x`: float64 has no fields",
+    "each=width,center=x,branches=y": "`each=width`: is float32; expected a list of messages",
+}
+
+
+@pytest.fixture(scope="module")
+def of_both_kinds(logs, tmp_path_factory):
+    """The same log with ROS 2's messages, and with ROS 1's."""
+    folders = [tmp_path_factory.mktemp("ros") / "run" for _ in range(2)]
+    return [written(logs, folder, [0.0, 1.0], ros1=ros1) for ros1, folder in enumerate(folders)]
+
+
+@pytest.mark.parametrize("fields", WRONG)
+@pytest.mark.parametrize("ros1", [False, True])
+def test_a_path_that_leads_nowhere_is_named(of_both_kinds, monkeypatch, fields, ros1):
+    folder = of_both_kinds[ros1]
+    problems = inspect_log(folder, settings(fields)).problems
+    assert any(WRONG[fields] in problem for problem in problems), problems
+    monkeypatch.setattr("topobatch.ingest.reading._walk", None)  # nothing is read
+    with pytest.raises(UsageError) as caught:
+        read_run(folder, settings(fields))
+    assert WRONG[fields] in str(caught.value)
+    assert f"{folder}: /seen: --junction-fields: " in str(caught.value)
+
+
+def test_without_an_index_it_is_named_when_the_topic_is_met(logs, tmp_path):
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], index=False)
+    fields = settings("center=at.pose.positon,branches=ways")
+    with pytest.raises(UsageError, match="has position, orientation"):
+        read_run(folder, fields)
+    assert any("has position" in text for text in inspect_log(folder, fields).problems)
+
+
+def test_what_only_messages_tell_is_tried_on_the_first(logs, tmp_path, monkeypatch):
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json")
+    good = settings(f"{CENTER},branches=ways")
+    assert inspect_log(folder, good).problems == ()
+    wrong = settings("center=at.pose.positon,branches=ways")
+    told = "/seen: --junction-fields: center=at.pose.positon: the message has position"
+    assert any(told in text for text in inspect_log(folder, wrong).problems)
+    monkeypatch.setattr("topobatch.ingest.reading._walk", None)
+    with pytest.raises(UsageError, match="the message has position"):
+        read_run(folder, wrong)
+
+
+def test_what_some_messages_lack_is_told_with_the_reason(logs, tmp_path):
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", last="none")
+    run = read_run(folder, settings(f"{CENTER},branches=ways"))
+    assert run.warnings == (
+        "/seen: 1 messages could not be decoded (a number is missing); left out",
+    )
+
+
+def test_points_at_the_centre_are_no_branch(logs, tmp_path):
+    where = {"x": 0.5, "y": 0.25}
+    folder = written(logs, tmp_path / "run", [{"x": 2.0, "y": 0.25}], encoding="json", last=[where])
+    run = read_run(folder, settings(f"{CENTER},branches=ways"))
+    assert len(run.detections) == 29
+    assert "a branch points to its own centre" in run.warnings[0]
+
+
+def test_a_topic_is_not_odometry_and_junctions():
+    with pytest.raises(UsageError, match="both"):
+        ReadSettings(
+            odometry_topic="odom", junction_topic="/odom", junction_fields="center=a,branches=b"
+        )
+
+
+def test_times_that_differ_are_no_time_of_a_junction(logs, tmp_path):
+    folder = written(logs, tmp_path / "run", [0.0], encoding="json")
+    with pytest.raises((UsageError, LogError), match="stamp=ways"):
+        read_run(folder, settings(f"{CENTER},branches=ways,stamp=ways.x"))
