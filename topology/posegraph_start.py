@@ -21,7 +21,6 @@ from scipy.sparse.linalg import SuperLU, splu
 from .posegraph_model import PoseGraph, corrected_measurement
 from .se2 import FloatArray, compose, inverse, wrap
 
-
 _THIN = 1e-9
 """Information with a smaller determinant than this, as that of a correlation, may be singular."""
 

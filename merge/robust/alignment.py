@@ -53,6 +53,14 @@ class Candidate:
         """(c, 2) directed rows of the corridors that agree."""
         return self.support.corridors
 
+    @property
+    def contradicting_bits(self) -> float:
+        """All that speaks against it, positive: contradictions, corridors whose lengths do not fit
+        and matched junctions whose branches differ."""
+        links, branches = self.support.links, self.support.branches
+        misfit = float(links[links < 0].sum() + branches[branches < 0].sum())
+        return self.conflicts.bits - misfit
+
     def move(self, z: complex) -> complex:
         """Where a point x + iy of b lands in a."""
         x, y, theta = self.transform.tolist()

@@ -174,8 +174,15 @@ def regularity(a: Prepared, b: Prepared) -> float:
 
 
 def counted_bits(c: Candidate) -> float:
-    """The evidence of an alignment against chance, as far as its junctions can carry it."""
-    return min(c.bits, JUNCTION_BITS * len(c))
+    """The evidence of an alignment against chance: what agrees, as far as its junctions can carry
+    it, less all that contradicts.
+
+    What agrees hangs together (a room or a tunnel piece of a standard form brings its junctions,
+    corridors and angles with it), so that its sum overstates what it tells; a contradiction needs a
+    fault of its own to explain it, so that each counts in full.
+    """
+    against = c.contradicting_bits
+    return min(c.bits + against, JUNCTION_BITS * len(c)) - against
 
 
 def _thinness(c: Candidate) -> float:
