@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from ..topology.document import (
@@ -244,6 +245,15 @@ def _by_run(members: tuple[tuple[str, int], ...]) -> dict[str, list[int]]:
     for run, index in sorted(members):
         out.setdefault(run, []).append(index)
     return out
+
+
+def poses_from_document(document: MergedDocument) -> dict[str, NDArray[np.float64]]:
+    """(3,) pose of every run in its component."""
+    return {
+        run: np.array([pose.x, pose.y, pose.theta])
+        for component in document.graph.components
+        for run, pose in component.runs.items()
+    }
 
 
 def verdict_from_entry(entry: MergeEntry) -> PairVerdict:

@@ -31,7 +31,7 @@ def placement(bits, count=12, links=9):
             Term("corridor", 3.04, "corridor", (k, k + 1), (k, k + 2), (5, 5.1))
             for k in range(links)
         ),
-        Term("branches", 8.0, "3 and 3 branches", (1,), (2,)),
+        *(Term("branches", 8.0 / count, "3 and 3 branches", (k,), (k + 20,)) for k in range(count)),
         Term("unseen", -6.0, "junction unseen in a corridor", (1, 2), (7,)),
         Term("hypotheses", -7.0, "chosen from 127 pairs of corridors that look alike"),
     ]
@@ -156,7 +156,11 @@ def test_an_unrelated_pair_says_why_the_best_there_was_is_nothing():
 def test_what_others_and_people_say_stands_in_the_headline():
     through = replace(UNRELATED, said=replace(UNRELATED.said, through=("mid",)))
     assert headline(through) == "left and right: joined through mid: by itself unrelated, 0.0 bits"
-    by = {"lock": "locked as the same", "runs": "as other runs say", "components": "together"}
+    by = {
+        "lock": "locked as the same",
+        "runs": "as other runs say",
+        "components": "merged, together with",
+    }
     for accepted_by, words in by.items():
         told = replace(MERGED, said=replace(MERGED.said, accepted_by=accepted_by))
         assert words in headline(told)
