@@ -222,7 +222,7 @@ def _group_told(kind: TermKind, first: Placement) -> str:
         "branches": f"branches of {counted(count, 'junction')}",
         "unseen": counted(against, "contradiction") if against else _contradicted(first),
         "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
-        "few": next((t.told for t in first.of("few")), "junctions carry only so much"),
+        "few": next((t.told for t in first.of("few")), "junctions count only so much"),
         "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
     }[kind]
 

@@ -73,8 +73,8 @@ class MergedEdge(MapEdge):
 
 _EVIDENCE = (
     "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "
-    "speaks for the alignment less what speaks against it, less what chance offers among so many "
-    "hypotheses, at most 2.5 bits for each matched junction; where the building may repeat itself, "
+    "speaks for the alignment, less what chance offers among so many hypotheses, at most 2.5 bits "
+    "for each matched junction, less what speaks against it; where the building may repeat itself, "
     "no more than the odds against a copy of the place allow."
 )
 

@@ -23,6 +23,7 @@ from ..merge.decision_text import (
     rows,
     short,
     sum_told,
+    threshold,
 )
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
@@ -39,7 +40,7 @@ Drawn = tuple[FloatArray, FloatArray]
 
 PLACEMENTS = "placements"
 
-LINKS_SHOWN = 8
+LINKS_SHOWN = 6
 """Rows of links on the first page."""
 
 FULL_BITS = 6.0
@@ -252,22 +253,21 @@ def told(decision: Decision) -> str:
     """The first page: verdict, why, the evidence added up, what is needed, what is missing."""
     verdict, _, numbers = headline(decision).rpartition(": ")
     parts = [f"# {plain(verdict)}", f"**{plain(numbers)}**", plain(because(decision))]
-    if placed_at := lies(decision):
-        parts.append(plain(f"{placed_at}."))
+    for text in (missing(decision), lies(decision)):
+        if text:
+            parts.append(plain(f"{text}."))
     parts.append(_table(decision, LINKS_SHOWN))
     if len(decision.placements) > 1:
         other = decision.placements[1]
         parts.append(plain(f"Next best: {agreement(other)}; at {pose(other)}."))
-    for text in (missing(decision), *decision.notes):
-        if text:
-            parts.append(plain(text))
+    parts += [plain(f"Note: {note}.") for note in decision.notes]
     return "\n\n".join(parts) + "\n"
 
 
 def _table(decision: Decision, links: int) -> str:
     table = rows(decision, links)
     if not table:
-        return plain(f"Needed: {decision.requirement.threshold_bits:.1f} bits: {needs(decision)}")
+        return plain(f"Needed: {threshold(decision)} bits: {needs(decision)}")
     count = len(decision.placements)
     names = [plain(short(run, 12)) for run in (decision.said.a, decision.said.b)]
     head = [*(["this", "next"][:count] if count > 1 else ["bits"]), "for and against", *names]
@@ -281,8 +281,10 @@ def _table(decision: Decision, links: int) -> str:
         lines.append(_line([*cells, text, row.a, row.b]))
     sums = [f"**{p.alignment.evidence_bits:.1f}**" for p in decision.placements]
     lines.append(_line([*sums, f"**{sum_told(decision)}**", "", ""]))
-    need = f"{decision.requirement.threshold_bits:.1f}"
-    lines.append(_line([need, *[""] * (count - 1), f"needed: {plain(needs(decision))}", "", ""]))
+    need, _, more = needs(decision).partition(", ")
+    blank = [""] * (count - 1)
+    lines.append(_line([threshold(decision), *blank, f"needed: {plain(need)}", "", ""]))
+    lines.append(_line(["", *blank, f"and {plain(more)}", "", ""]))
     return "\n".join(lines)
 
 

@@ -26,7 +26,7 @@ from .prepare import FloatArray, IntArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import JUNCTION_BITS, Answers, Bar, counted_bits
-from .wording import told_bits
+from .wording import counted, told_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -217,18 +217,18 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
     terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if few < 0:
-        told = f"junctions carry no more than {JUNCTION_BITS} bits each"
+        told = f"what agrees counts {JUNCTION_BITS} bits a junction at most"
         terms.append(naming.term("few", few, told))
     if answers.same_place is not None:
         bits, need = told_bits(answers.same_place, answers.need_same).split(", ")
-        told = f"is it a copy? {bits} that it is not, {need}"
+        told = f"is it a copy? {bits} say no, {need}"
         terms.append(naming.term("copies", copies, told))
     return tuple(terms)
 
 
 def _chosen_from(c: Candidate) -> str:
     tested = round(2.0**c.tested_bits - 1)
-    return f"chosen from {tested} pairs of corridors that look alike"
+    return f"chosen from {counted(tested, 'pair')} of like corridors"
 
 
 def _links(naming: _Naming, c: Candidate) -> list[Term]:
