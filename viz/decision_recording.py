@@ -40,7 +40,7 @@ Drawn = tuple[FloatArray, FloatArray]
 
 PLACEMENTS = "placements"
 
-LINKS_SHOWN = 6
+LINKS_SHOWN = 5
 """Rows of links on the first page."""
 
 FULL_BITS = 6.0
