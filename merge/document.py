@@ -114,6 +114,11 @@ class MergeEntry(Model):
         description="evidence_bits less those of the runner-up; absent where there is none. "
         "Negative where a person or other runs chose against the pair's own evidence.",
     )
+    same_place_bits: Finite | None = Field(
+        None,
+        description="What says that it is the place itself and not a copy of it, on a scale of its "
+        "own; absent where that was not asked.",
+    )
     reason: str
     accepted_by: AcceptedBy | None = Field(
         None,
