@@ -265,5 +265,5 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     assert "graph.settings" in topobatch("explain", a, b, "-w", workspace).error(1)
     topobatch("merge", "--all", "--method", "paper", "-w", workspace)
     assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
-    topobatch("merge", a, "-w", workspace)
+    topobatch("merge", a, "--replace", "-w", workspace)
     assert "did not have both runs" in topobatch("explain", a, b, "-w", workspace).out
