@@ -89,16 +89,17 @@ def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap])
     """The decision on a pair, with the settings and the runs of the merge that had both."""
     from dataclasses import replace
 
-    from ..merge.document import read_merged, verdict_from_entry
+    from ..merge.document import poses_from_document, read_merged, verdict_from_entry
     from ..merge.robust.explained import Batch, explain
     from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
 
     document = read_merged(place.merged_json) if place.merged_json.exists() else None
     why_not = _not_merged(document, pair)
-    said, settings, runs = {}, DEFAULT_ROBUST, place.runs()
+    said, poses, settings, runs = {}, {}, DEFAULT_ROBUST, place.runs()
     if document is not None and not why_not:
         said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
         runs = sorted({run for both in said for run in both})
+        poses = poses_from_document(document)
         try:
             settings = settings_from_document(document.graph.settings or {})
         except ValueError as error:
@@ -112,7 +113,8 @@ def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap])
             f"the {count(len(gone), 'map')} of {shortened(gone, 3)} cannot be read: how much the "
             "buildings repeat themselves is told without"
         )
-    batch = Batch([maps[run] for run in sorted(maps)], said, settings, place.locks())
+    ordered = [maps[run] for run in sorted(maps)]
+    batch = Batch(ordered, said, settings, place.locks(), poses)
     decision = explain(batch, *pair)
     return replace(decision, notes=(*notes, *decision.notes))
 

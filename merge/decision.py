@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from math import floor
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..topology.document import rounded
 from .document import pose_to_document
 from .result import Alignment, PairVerdict
@@ -97,8 +100,9 @@ class Decision:
     said: the verdict, as the last merge gave it (see `merged`) or would give it. placements: the
     one that the verdict speaks of, and the next best that lays b elsewhere; none if nothing in the
     two maps is alike. start: set where the only placement is a hypothesis that did not grow: its
-    terms do not add up to the verdict's evidence, which is 0. why: what a pair that is not accepted
-    lacks; notes: what the reader must know about the documents it was made from.
+    terms do not add up to the verdict's evidence, which is 0. by_others: (3,) T_a_b of runs that
+    only others join, as these place them. why: what a pair that is not accepted lacks; notes: what
+    the reader must know about the documents it was made from.
     """
 
     said: PairVerdict
@@ -106,6 +110,7 @@ class Decision:
     requirement: Requirement
     placements: tuple[Placement, ...]
     start: Start | None = None
+    by_others: NDArray[np.float64] | None = None
     why: str = ""
     notes: tuple[str, ...] = ()
 
@@ -146,6 +151,7 @@ def to_document(decision: Decision) -> dict[str, Any]:
         "together": said.together and [list(side) for side in said.together],
         "placed": said.placed
         and {"sigma_m": rounded(said.placed[0]), "sigma_rad": rounded(said.placed[1])},
+        "by_others": None if decision.by_others is None else pose_to_document(decision.by_others),
         "evidence_bits": rounded(said.evidence_bits, 2),
         "threshold_bits": rounded(need.threshold_bits, 2),
         "margin_bits": None if said.margin_bits is None else rounded(said.margin_bits, 2),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from textwrap import wrap
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .decision import (
     AGAINST,
@@ -62,20 +63,25 @@ def headline(decision: Decision) -> str:
     bits = f"{decision_bits(decision)} bits of evidence"
     need = f"{threshold(decision)} needed"
     if said.accepted:
+        others = sorted({*(run for side in said.together or () for run in side)} - {said.a, said.b})
         by = {
             "pair": "merged",
-            "components": "merged, together with other runs",
+            "components": f"merged, together with {listed(others)}",
             "runs": "merged, as other runs say",
             "lock": "merged, locked as the same",
             None: "merged",
         }[said.accepted_by]
         return f"{pair}: {by}: {bits}, {need}"
     if said.through:
-        through = ", ".join(short(run) for run in said.through[:3])
-        more = f" and {len(said.through) - 3} more" if len(said.through) > 3 else ""
         alone = f"by itself {said.verdict}, {decision_bits(decision)} bits"
-        return f"{pair}: joined through {through}{more}: {alone}"
+        return f"{pair}: joined through {listed(said.through)}: {alone}"
     return f"{pair}: {said.standing}: {bits}, {need}"
+
+
+def listed(runs: Sequence[str], most: int = 3) -> str:
+    """The first names, shortened, and how many more there are."""
+    rest = len(runs) - most
+    return ", ".join(map(short, runs[:most])) + (f" and {rest} more" if rest > 0 else "")
 
 
 def decision_bits(decision: Decision) -> str:
@@ -125,7 +131,7 @@ def _given_up(said: PairVerdict, start: Start) -> str:
 def agreement(placement: Placement) -> str:
     """How many junctions and corridors agree, and what contradicts."""
     alignment = placement.alignment
-    junctions = counted(len(alignment.matched), "junction")
+    junctions = counted(len(placement.of("branches")), "junction")
     corridors = counted(alignment.corridors, "corridor")
     return f"{junctions} and {corridors} agree, {_contradicted(placement)}"
 
@@ -139,8 +145,30 @@ def _contradicted(placement: Placement) -> str:
 
 def pose(placement: Placement) -> str:
     """Where b lies in a's frame."""
-    x, y, theta = placement.alignment.transform.tolist()
+    return pose_told(placement.alignment.transform)
+
+
+def pose_told(transform: NDArray[np.float64]) -> str:
+    """A transform in metres and degrees."""
+    x, y, theta = transform.tolist()
     return f"({x:.2f}, {y:.2f}) m, turned by {np.degrees(theta):.1f}°"
+
+
+def lies(decision: Decision) -> str:
+    """Where b lies in a's frame, or would lie; "" where nothing says so."""
+    said = decision.said
+    frame = f"in {short(said.a)}'s frame"
+    if decision.by_others is not None:
+        sure = ""
+        if said.placed is not None:
+            sure = f", to {said.placed[0]:.1f} m and {np.degrees(said.placed[1]):.1f}° (1 sigma)"
+        return (
+            f"By the others {short(said.b)} lies at {pose_told(decision.by_others)}, {frame}{sure}"
+        )
+    if not decision.placements:
+        return ""
+    told = "lies" if said.accepted else "would lie"
+    return f"{short(said.b)} {told} at {pose(decision.placements[0])}, {frame}"
 
 
 def rows(decision: Decision, links: int) -> list[Row]:
@@ -187,14 +215,14 @@ def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
 
 
 def _group_told(kind: TermKind, first: Placement) -> str:
-    count = len(first.alignment.matched)
+    count = len(first.of("branches"))
     against = len(first.of(*AGAINST))
     return {
         "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
         "branches": f"branches of {counted(count, 'junction')}",
         "unseen": counted(against, "contradiction") if against else _contradicted(first),
         "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
-        "few": next((t.told for t in first.of("few")), "junctions carry only so much"),
+        "few": next((t.told for t in first.of("few")), "junctions count only so much"),
         "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
     }[kind]
 
@@ -271,10 +299,7 @@ def lines(decision: Decision, links: int | None = None) -> list[str]:
 def _lines(decision: Decision, links: int) -> list[str]:
     said = decision.said
     out = [*_folded(headline(decision)), *_folded(because(decision), "  ")]
-    if decision.placements:
-        told = "lies" if said.accepted else "would lie"
-        at = pose(decision.placements[0])
-        out += _folded(f"{short(said.b)} {told} at {at}, in {short(said.a)}'s frame", "  ")
+    out += _folded(lies(decision), "  ")
     if len(decision.placements) > 1:
         out += _folded(f"the next best lays it at {pose(decision.placements[1])}", "  ")
     out += _table(decision, links)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from ..topology.document import (
@@ -72,8 +73,8 @@ class MergedEdge(MapEdge):
 
 _EVIDENCE = (
     "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "
-    "speaks for the alignment less what speaks against it, less what chance offers among so many "
-    "hypotheses, at most 2.5 bits for each matched junction; where the building may repeat itself, "
+    "speaks for the alignment, less what chance offers among so many hypotheses, at most 2.5 bits "
+    "for each matched junction, less what speaks against it; where the building may repeat itself, "
     "no more than the odds against a copy of the place allow."
 )
 
@@ -112,6 +113,11 @@ class MergeEntry(Model):
         None,
         description="evidence_bits less those of the runner-up; absent where there is none. "
         "Negative where a person or other runs chose against the pair's own evidence.",
+    )
+    same_place_bits: Finite | None = Field(
+        None,
+        description="What says that it is the place itself and not a copy of it, on a scale of its "
+        "own; absent where that was not asked.",
     )
     reason: str
     accepted_by: AcceptedBy | None = Field(
@@ -244,6 +250,15 @@ def _by_run(members: tuple[tuple[str, int], ...]) -> dict[str, list[int]]:
     for run, index in sorted(members):
         out.setdefault(run, []).append(index)
     return out
+
+
+def poses_from_document(document: MergedDocument) -> dict[str, NDArray[np.float64]]:
+    """(3,) pose of every run in its component."""
+    return {
+        run: np.array([pose.x, pose.y, pose.theta])
+        for component in document.graph.components
+        for run, pose in component.runs.items()
+    }
 
 
 def verdict_from_entry(entry: MergeEntry) -> PairVerdict:

@@ -15,12 +15,15 @@ from ..merge.decision_text import (
     agreement,
     because,
     headline,
+    lies,
+    listed,
     missing,
     needs,
     pose,
     rows,
     short,
     sum_told,
+    threshold,
 )
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
@@ -32,10 +35,12 @@ from .recording import UP, PathParts, Recording, map_view, markdown, placed, wri
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 FloatArray = NDArray[np.float64]
+Drawn = tuple[FloatArray, FloatArray]
+"""Where the junctions of a and of b are drawn, in a's frame."""
 
 PLACEMENTS = "placements"
 
-LINKS_SHOWN = 8
+LINKS_SHOWN = 5
 """Rows of links on the first page."""
 
 FULL_BITS = 6.0
@@ -52,7 +57,7 @@ class _Picture:
 
     name: str
     title: str
-    placement: Placement
+    placement: Placement | None
     T_a_b: FloatArray
     tied: bool
 
@@ -72,8 +77,12 @@ def write(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
 
 def _drawn(a: TopoMap, b: TopoMap, decision: Decision) -> list[_Picture]:
     """The verdict's placement, the same with the maps drawn apart so that ties can be followed, and
-    the next best placement; of an undecided pair only the two placements, side by side."""
+    the next best placement; of an undecided pair only the two placements, side by side. Before
+    these, of runs that only others join, how these place them."""
     out: list[_Picture] = []
+    if decision.by_others is not None:
+        title = f"joined through {listed(decision.said.through, 2)}"
+        out.append(_Picture("joined", title, None, decision.by_others, tied=False))
     for k, placement in enumerate(decision.placements):
         T = placement.alignment.transform
         bits = f"{placement.alignment.evidence_bits:.1f} bits"
@@ -81,6 +90,7 @@ def _drawn(a: TopoMap, b: TopoMap, decision: Decision) -> list[_Picture]:
         title = f"{name}: {bits}" if decision.start is None else "best hypothesis, given up"
         out.append(_Picture(name, title, placement, T, tied=False))
         alone = len(decision.placements) == 1 or decision.said.accepted
+        alone &= decision.by_others is None
         if k == 0 and alone and len(placement.alignment.matched):
             count = len(placement.alignment.matched)
             title = f"the {count} matched junctions tied"
@@ -115,7 +125,11 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
         write_own_map(recording, (*here, "a", a.run), a, palette.of_rank(0), pen)
         recording.static((*here, "b"), placed(picture.T_a_b))
         write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
-        _evidence(recording, here, picture, (a.xy, apply(picture.T_a_b, b.xy)), pen)
+        if picture.placement is not None:
+            xy = (a.xy, apply(picture.T_a_b, b.xy))
+            _ties(recording, here, picture.placement, xy, pen=pen)
+            _links(recording, here, picture.placement, xy, pen=pen, both=picture.tied)
+            _contradictions(recording, here, picture.placement, xy, pen=pen)
         _names(recording, picture.name, cell, margin, (a.run, b.run))
     return cells
 
@@ -152,48 +166,41 @@ def _names(
     )
 
 
-def _evidence(
-    recording: Recording,
-    here: PathParts,
-    picture: _Picture,
-    xy: tuple[FloatArray, FloatArray],
-    pen: float,
+def _ties(
+    recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
 ) -> None:
-    """Ties between matched junctions, links by their bits, and what contradicts. xy: where the
-    junctions of a and of b are drawn, in a's frame."""
-    pairs = picture.placement.alignment.matched
-    if len(pairs):
-        one, two = xy[0][pairs[:, 0]], xy[1][pairs[:, 1]]
-        lines = rr.LineStrips2D(
-            list(np.stack([one, two], axis=1)),
-            radii=0.25 * pen,
-            colors=palette.WHITE,
-            draw_order=30.0,
-        )
-        recording.static((*here, "ties"), lines, _tie_info(pairs))
-        for name, at in (("a", one), ("b", two)):
-            rings = rr.Points2D(at, radii=1.8 * pen, colors=palette.WHITE, draw_order=15.0)
-            recording.static((*here, "matched", name), rings)
-    _links(recording, (*here, "links"), picture, xy, pen)
-    _contradictions(recording, (*here, "contradictions"), picture, xy, pen)
-
-
-def _tie_info(pairs: NDArray[np.int64]) -> rr.AnyValues:
-    return rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
+    """Matched junctions, and a line from each to its partner."""
+    pairs = placement.alignment.matched
+    if not len(pairs):
+        return
+    one, two = xy[0][pairs[:, 0]], xy[1][pairs[:, 1]]
+    lines = rr.LineStrips2D(
+        list(np.stack([one, two], axis=1)),
+        radii=0.25 * pen,
+        colors=palette.WHITE,
+        draw_order=30.0,
+    )
+    info = rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
+    recording.static((*here, "ties"), lines, info)
+    for name, at in (("a", one), ("b", two)):
+        rings = rr.Points2D(at, radii=1.8 * pen, colors=palette.WHITE, draw_order=15.0)
+        recording.static((*here, "matched", name), rings)
 
 
 def _links(
     recording: Recording,
-    path: PathParts,
-    picture: _Picture,
-    xy: tuple[FloatArray, FloatArray],
+    here: PathParts,
+    placement: Placement,
+    xy: Drawn,
+    *,
     pen: float,
+    both: bool,
 ) -> None:
-    """Every link between two junctions of a; drawn apart, also between those of b."""
-    links = [t for t in picture.placement.of(*LINKS) if len(t.a) == 2]
+    """Every link between two junctions of a; `both`: also between those of b."""
+    links = placement.of(*LINKS)
     for ends, at, name in ((0, xy[0], "a"), (1, xy[1], "b")):
         shown = [t for t in links if len((t.a, t.b)[ends]) == 2]
-        if not shown or (ends and not picture.tied):
+        if not shown or (ends and not both):
             continue
         bits = np.array([t.bits for t in shown])
         lines = rr.LineStrips2D(
@@ -202,7 +209,7 @@ def _links(
             colors=[palette.MERGED if t.bits > 0 else palette.REFUSED for t in shown],
             draw_order=8.0,
         )
-        recording.static((*path, name), lines, _info(shown))
+        recording.static((*here, "links", name), lines, _info(shown))
 
 
 def _info(terms: list[Term]) -> rr.AnyValues:
@@ -210,14 +217,10 @@ def _info(terms: list[Term]) -> rr.AnyValues:
 
 
 def _contradictions(
-    recording: Recording,
-    path: PathParts,
-    picture: _Picture,
-    xy: tuple[FloatArray, FloatArray],
-    pen: float,
+    recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
 ) -> None:
     """Junctions that the other run drove past unseen, and corridors that cross, in red."""
-    against = picture.placement.of(*AGAINST)
+    against = placement.of(*AGAINST)
     spots = [
         (t, xy[side][ends[0]])
         for t in against
@@ -228,7 +231,9 @@ def _contradictions(
         points = rr.Points2D(
             [at for _, at in spots], radii=3.0 * pen, colors=palette.REFUSED, draw_order=25.0
         )
-        recording.static((*path, "junctions"), points, _info([t for t, _ in spots]))
+        recording.static(
+            (*here, "contradictions", "junctions"), points, _info([t for t, _ in spots])
+        )
     crossed = [
         (t, xy[side][list(ends)])
         for t in against
@@ -239,34 +244,30 @@ def _contradictions(
         lines = rr.LineStrips2D(
             [line for _, line in crossed], radii=pen, colors=palette.REFUSED, draw_order=12.0
         )
-        recording.static((*path, "corridors"), lines, _info([t for t, _ in crossed]))
+        recording.static(
+            (*here, "contradictions", "corridors"), lines, _info([t for t, _ in crossed])
+        )
 
 
 def told(decision: Decision) -> str:
     """The first page: verdict, why, the evidence added up, what is needed, what is missing."""
-    said = decision.said
     verdict, _, numbers = headline(decision).rpartition(": ")
     parts = [f"# {plain(verdict)}", f"**{plain(numbers)}**", plain(because(decision))]
-    if decision.placements:
-        lies = "lies" if said.accepted else "would lie"
-        first = (
-            f"{short(said.b)} {lies} at {pose(decision.placements[0])}, in {short(said.a)}'s frame."
-        )
-        parts.append(plain(first))
+    for text in (missing(decision), lies(decision)):
+        if text:
+            parts.append(plain(f"{text}."))
     parts.append(_table(decision, LINKS_SHOWN))
     if len(decision.placements) > 1:
         other = decision.placements[1]
         parts.append(plain(f"Next best: {agreement(other)}; at {pose(other)}."))
-    for text in (missing(decision), *decision.notes):
-        if text:
-            parts.append(plain(text))
+    parts += [plain(f"Note: {note}.") for note in decision.notes]
     return "\n\n".join(parts) + "\n"
 
 
 def _table(decision: Decision, links: int) -> str:
     table = rows(decision, links)
     if not table:
-        return plain(f"Needed: {decision.requirement.threshold_bits:.1f} bits: {needs(decision)}")
+        return plain(f"Needed: {threshold(decision)} bits: {needs(decision)}")
     count = len(decision.placements)
     names = [plain(short(run, 12)) for run in (decision.said.a, decision.said.b)]
     head = [*(["this", "next"][:count] if count > 1 else ["bits"]), "for and against", *names]
@@ -280,8 +281,10 @@ def _table(decision: Decision, links: int) -> str:
         lines.append(_line([*cells, text, row.a, row.b]))
     sums = [f"**{p.alignment.evidence_bits:.1f}**" for p in decision.placements]
     lines.append(_line([*sums, f"**{sum_told(decision)}**", "", ""]))
-    need = f"{decision.requirement.threshold_bits:.1f}"
-    lines.append(_line([need, *[""] * (count - 1), f"needed: {plain(needs(decision))}", "", ""]))
+    need, _, more = needs(decision).partition(", ")
+    blank = [""] * (count - 1)
+    lines.append(_line([threshold(decision), *blank, f"needed: {plain(need)}", "", ""]))
+    lines.append(_line(["", *blank, f"and {plain(more)}", "", ""]))
     return "\n".join(lines)
 
 

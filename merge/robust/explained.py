@@ -7,7 +7,7 @@ pairs of the merge: what other runs and people said is taken from its document.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
@@ -26,7 +26,7 @@ from .prepare import FloatArray, IntArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import JUNCTION_BITS, Answers, Bar, counted_bits
-from .wording import told_bits
+from .wording import counted, told_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -37,14 +37,15 @@ class Batch:
     """A merge as its documents hold it.
 
     maps: of all its runs that can still be read, sorted by run; said: what it said of every pair,
-    empty if there was none: then these maps are taken to be merged; settings: its own; locks: what
-    people decided.
+    empty if there was none: then these maps are taken to be merged; poses: (3,) of every run in its
+    component; settings: its own; locks: what people decided.
     """
 
     maps: Sequence[TopoMap]
     said: Mapping[tuple[str, str], PairVerdict]
     settings: RobustSettings = DEFAULT_ROBUST
     locks: Sequence[Lock] = ()
+    poses: Mapping[str, FloatArray] = field(default_factory=dict)
     row: Mapping[str, int] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -70,9 +71,17 @@ def explain(batch: Batch, a: str, b: str) -> Decision:
         requirement=_requirement(batch, own.level, shown[0][1] if shown else None),
         placements=placements,
         start=start,
+        by_others=_by_others(batch, told),
         why="" if told.accepted else own.view.why,
         notes=_changed(told, alone, placements) if pair in batch.said else (),
     )
+
+
+def _by_others(batch: Batch, told: PairVerdict) -> FloatArray | None:
+    """T_a_b of two runs that only others join."""
+    if not told.through or told.a not in batch.poses or told.b not in batch.poses:
+        return None
+    return between(batch.poses[told.a], batch.poses[told.b])
 
 
 Shown = tuple[Placement, Answers]
@@ -158,7 +167,8 @@ def _of_components(
         swapped,
     )
     answers = view.answers[0]
-    return [(Placement(told.best, _terms(naming, view.best, answers)), answers)]
+    shown = replace(told.best, corridors=len(view.best.corridors))
+    return [(Placement(shown, _terms(naming, view.best, answers)), answers)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,18 +217,18 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
     terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if few < 0:
-        told = f"junctions carry no more than {JUNCTION_BITS} bits each"
+        told = f"what agrees counts {JUNCTION_BITS} bits a junction at most"
         terms.append(naming.term("few", few, told))
     if answers.same_place is not None:
         bits, need = told_bits(answers.same_place, answers.need_same).split(", ")
-        told = f"is it a copy? {bits} that it is not, {need}"
+        told = f"is it a copy? {bits} say no, {need}"
         terms.append(naming.term("copies", copies, told))
     return tuple(terms)
 
 
 def _chosen_from(c: Candidate) -> str:
     tested = round(2.0**c.tested_bits - 1)
-    return f"chosen from {tested} pairs of corridors that look alike"
+    return f"chosen from {counted(tested, 'pair')} of like corridors"
 
 
 def _links(naming: _Naming, c: Candidate) -> list[Term]:
@@ -230,7 +240,7 @@ def _links(naming: _Naming, c: Candidate) -> list[Term]:
         if along >= 0:
             row_a, row_b = agree.corridors[along].tolist()
             size = (float(a.length[row_a]), float(b.length[row_b]))
-            told = "corridor" if bits > 0 else "another length"
+            told = "corridor" if bits > 0 else "misfit"
             out.append(naming.term("corridor", bits, told, one=va, two=vb, size_m=size))
         else:
             gap_a, gap_b = a.z[va[1]] - a.z[va[0]], b.z[vb[1]] - b.z[vb[0]]

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,16 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from topobatch.merge.decision import (
+    DECISION_SCHEMA,
     Decision,
     Placement,
     Requirement,
     Start,
     Term,
+    TermKind,
     rounded_terms,
     to_document,
 )
 from topobatch.merge.decision_text import HEIGHT, WIDTH, because, headline, lines, missing, rows
-from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.merge.document import MergeEntry
+from topobatch.merge.result import AcceptedBy, Alignment, PairVerdict, Standing, Verdict
+from topobatch.merge.robust.settings import RobustSettings
+from topobatch.merge.robust.verdict import bar
 
 NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5, 0.0)
 
@@ -31,7 +38,7 @@ def placement(bits, count=12, links=9):
             Term("corridor", 3.04, "corridor", (k, k + 1), (k, k + 2), (5, 5.1))
             for k in range(links)
         ),
-        Term("branches", 8.0, "3 and 3 branches", (1,), (2,)),
+        *(Term("branches", 8.0 / count, "3 and 3 branches", (k,), (k + 20,)) for k in range(count)),
         Term("unseen", -6.0, "junction unseen in a corridor", (1, 2), (7,)),
         Term("hypotheses", -7.0, "chosen from 127 pairs of corridors that look alike"),
     ]
@@ -156,7 +163,11 @@ def test_an_unrelated_pair_says_why_the_best_there_was_is_nothing():
 def test_what_others_and_people_say_stands_in_the_headline():
     through = replace(UNRELATED, said=replace(UNRELATED.said, through=("mid",)))
     assert headline(through) == "left and right: joined through mid: by itself unrelated, 0.0 bits"
-    by = {"lock": "locked as the same", "runs": "as other runs say", "components": "together"}
+    by = {
+        "lock": "locked as the same",
+        "runs": "as other runs say",
+        "components": "merged, together with",
+    }
     for accepted_by, words in by.items():
         told = replace(MERGED, said=replace(MERGED.said, accepted_by=accepted_by))
         assert words in headline(told)
@@ -168,3 +179,21 @@ def test_people_read_degrees():
     shown = "\n".join(lines(MERGED))
     assert "turned by 180.0°" in shown
     assert " rad" not in shown
+
+
+def test_the_page_on_verdicts_names_all_there_is():
+    page = (Path(__file__).parents[2] / "docs" / "verdicts.md").read_text()
+    kinds = [f"`{kind}`" for kind in get_args(TermKind)]
+    fields = [f"`{name}" for name in MergeEntry.model_fields if name.endswith("_bits")]
+    more = ["`through`", "`placed`", "`together`", "accepted_by", "`notes`", DECISION_SCHEMA]
+    missing_words = [w for w in [*kinds, *fields, *more, *get_args(AcceptedBy)] if w not in page]
+    assert missing_words == []
+    assert all(str(standing).split(" through")[0] in page for standing in Standing)
+
+
+def test_the_page_on_verdicts_has_the_thresholds_of_today():
+    page = (Path(__file__).parents[2] / "docs" / "verdicts.md").read_text()
+    for runs in (2, 4, 50, 200):
+        pairs = runs * (runs - 1) // 2
+        bars = [bar(pairs, 0.0, None, RobustSettings(rate)).need_bits for rate in (0.001, 0.05)]
+        assert f"| {runs} | {pairs:,} | {bars[0]:.1f} | {bars[1]:.1f} |" in page

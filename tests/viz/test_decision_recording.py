@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ def placement(bits: float, matched: np.ndarray = EVERY) -> Placement:
         Term("corridor", bits - 1.0, "corridor", (0, 1), (0, 1), (10.0, 10.1)),
         Term("unseen", -2.0, "junction unseen in a corridor", (2, 3), (4,)),
         Term("crossing", -1.0, "corridors that only cross", (0, 1), (2, 3)),
-        Term("hypotheses", 4.0, "chosen from 3"),
+        *(Term("branches", 1.0, "3 and 3 branches", (v,), (v,)) for v in range(len(matched))),
+        Term("hypotheses", 4.0 - len(matched), "chosen from 3"),
     )
     return Placement(Alignment(np.array([1.0, 2.0, 0.3]), bits, matched, 0.1, 1), terms)
 
@@ -79,6 +81,17 @@ def test_an_unrelated_pair_shows_the_best_there_was(tmp_path: Path, make_map) ->
     got = written(tmp_path / "a.rrd", make_map, told)
     assert "given up" in got.value("/placements/titles", "Points2D:labels")[0]
     assert "where 4 must be" in got.value("/decision", "TextDocument:text")[0]
+
+
+def test_runs_that_others_join_are_drawn_as_these_place_them(tmp_path: Path, make_map) -> None:
+    told = decision(Verdict.UNRELATED, [placement(3.0, EVERY[:2])], start=Start(1, 7, 4, 3))
+    said = replace(told.said, through=("mid",))
+    told = replace(told, said=said, by_others=np.array([5.0, 0.0, 0.0]))
+    got = written(tmp_path / "a.rrd", make_map, told)
+    titles = got.value("/placements/titles", "Points2D:labels")
+    assert titles == ["joined through mid", "best hypothesis, given up"]
+    (shift,) = got.value("/placements/joined/b", "Transform3D:translation")
+    assert shift == [5.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("empty", [False, True])

@@ -5,13 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.decision_text import headline, lines
-from topobatch.merge.document import MergedDocument, merged_to_document, verdict_from_entry
+from topobatch.merge.decision_text import agreement, headline, lines
+from topobatch.merge.document import (
+    MergedDocument,
+    merged_to_document,
+    poses_from_document,
+    verdict_from_entry,
+)
 from topobatch.merge.locks import Lock
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust.explained import Batch, explain
 from topobatch.merge.robust.settings import RobustSettings, settings_from_document
+from topobatch.topology.se2 import between
 
 
 def documented(maps, settings=None, locks=()):
@@ -106,7 +112,11 @@ def test_what_components_say_together_is_explained(maze, see):
     for run in ("a", "b"):
         decision = explained(batch, run, "c")
         assert decision.said.together == (("a", "b"), ("c",))
-        assert "together with other runs" in headline(decision)
+        other = "b" if run == "a" else "a"
+        assert headline(decision).startswith(f"{run} and c: merged, together with {other}: ")
+        assert agreement(decision.placements[0]) in decision.said.reason.replace(
+            "0 contradict", "nothing contradicts"
+        )
         (shown,) = decision.placements
         known = {tuple(pair) for pair in shown.alignment.matched.tolist()}
         named = {
@@ -114,6 +124,20 @@ def test_what_components_say_together_is_explained(maze, see):
         }
         assert named
         assert {pair for pair in named if pair[0] >= 0} >= known & named
+
+
+def test_runs_that_others_join_lie_where_these_place_them(maze, see):
+    order = np.argsort(maze.xy[:, 0], kind="stable")
+    parts = {"a": order[:45], "b": order[25:85], "c": order[65:]}
+    maps = [see(maze, part.tolist(), k, run) for k, (run, part) in enumerate(parts.items())]
+    document = MergedDocument.model_validate(merged_to_document(merge_maps(maps)))
+    said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
+    poses = poses_from_document(document)
+    decision = explain(Batch(maps, said, poses=poses), "a", "c")
+    assert decision.said.through == ("b",)
+    assert decision.said.verdict is Verdict.UNRELATED
+    assert np.allclose(decision.by_others, between(poses["a"], poses["c"]))
+    assert explain(Batch(maps, said, poses=poses), "a", "b").by_others is None
 
 
 def test_without_a_merge_the_maps_speak_for_themselves(halves):
