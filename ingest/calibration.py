@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.digits import significant
 from ..topology.odometry import Odometry
 from ..topology.se2 import wrap
 from .heading_evidence import TERMS, EvidenceSettings, HeadingEvidence, heading_evidence
@@ -176,7 +177,8 @@ def _without(
 
 
 def _terms(values: FloatArray) -> Terms:
-    a, b, c = (float(v) for v in values)
+    # As documents state them: what is applied is what is stated, the same on every processor.
+    a, b, c = (significant(float(v)) for v in values)
     return a, b, c
 
 

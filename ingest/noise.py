@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.digits import significant
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.se2 import apply, wrap
@@ -75,7 +76,7 @@ def estimate_noise(
     along, scale = _along(thirds, settings)
     # Half of the variance of a reading is taken to be common to its pass (a junction is seen
     # askew from one side): what does not scatter cannot be seen to.
-    return replace(
+    return _stated(
         prior,
         along_m_per_sqrt_m=along,
         heading_rad_per_sqrt_m=walk_m,
@@ -194,13 +195,19 @@ def refine_noise(
     invented = len(passes) - seen
     visits = Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad, settings.match_rad)
     faulty, judged = visits.faults()
-    return replace(
+    return _stated(
         noise,
         branch_rad=visits.branch_sigma(noise.branch_rad, settings.prior_messages),
         miss_rate=_rate(drive_bys, seen + drive_bys, prior.miss_rate, worth),
         phantom_rate=_rate(invented, legs, prior.phantom_rate, worth),
         branch_fault_rate=_rate(faulty, judged, prior.branch_fault_rate, worth),
     )
+
+
+def _stated(before: RunNoise, **measured: float) -> RunNoise:
+    """The noise with what was measured, in the digits of documents: all that follows from it is
+    the same on every processor, though the searches above multiply the error of sums."""
+    return replace(before, **{name: significant(value) for name, value in measured.items()})
 
 
 def _rate(events: float, trials: float, prior: float, worth: float) -> float:

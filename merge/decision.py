@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.document import rounded
+from ..topology.digits import BITS, METRES, rounded, significant
 from .document import pose_to_document
 from .result import Alignment, PairVerdict
 
@@ -150,11 +150,11 @@ def to_document(decision: Decision) -> dict[str, Any]:
         "through": list(said.through),
         "together": said.together and [list(side) for side in said.together],
         "placed": said.placed
-        and {"sigma_m": rounded(said.placed[0]), "sigma_rad": rounded(said.placed[1])},
+        and {"sigma_m": significant(said.placed[0]), "sigma_rad": significant(said.placed[1])},
         "by_others": None if decision.by_others is None else pose_to_document(decision.by_others),
-        "evidence_bits": rounded(said.evidence_bits, 2),
-        "threshold_bits": rounded(need.threshold_bits, 2),
-        "margin_bits": None if said.margin_bits is None else rounded(said.margin_bits, 2),
+        "evidence_bits": rounded(said.evidence_bits, BITS),
+        "threshold_bits": rounded(need.threshold_bits, BITS),
+        "margin_bits": None if said.margin_bits is None else rounded(said.margin_bits, BITS),
         "requirement": {
             "pairs": need.pairs,
             "false_merge_rate": need.false_merge_rate,
@@ -179,7 +179,7 @@ def to_document(decision: Decision) -> dict[str, Any]:
 
 
 def _rounded_or_none(bits: float | None) -> float | None:
-    return None if bits is None else float(rounded(bits, 2))
+    return None if bits is None else float(rounded(bits, BITS))
 
 
 def _placement(placement: Placement) -> dict[str, Any]:
@@ -187,10 +187,10 @@ def _placement(placement: Placement) -> dict[str, Any]:
     shown = rounded_terms([t.bits for t in placement.terms], 2)
     return {
         "transform": pose_to_document(a.transform),
-        "evidence_bits": rounded(a.evidence_bits, 2),
+        "evidence_bits": rounded(a.evidence_bits, BITS),
         "matched": a.matched.tolist(),
         "corridors": a.corridors,
-        "rmse_m": rounded(a.rmse_m, 4),
+        "rmse_m": rounded(a.rmse_m, METRES),
         "contradictions": list(a.contradictions) if placement.searched else None,
         "terms": [
             {
@@ -200,7 +200,7 @@ def _placement(placement: Placement) -> dict[str, Any]:
                 "a": list(term.a),
                 "b": list(term.b),
             }
-            | ({} if term.size_m is None else {"size_m": rounded(term.size_m, 3)})
+            | ({} if term.size_m is None else {"size_m": rounded(term.size_m, METRES)})
             for term, bits in zip(placement.terms, shown, strict=True)
         ],
     }

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
+from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import (
     Finite,
     Index,
@@ -19,7 +20,6 @@ from ..topology.document import (
     Undirected,
     edges_to_document,
     read_json,
-    rounded,
     validated,
     write_json,
 )
@@ -155,17 +155,17 @@ class MergedDocument(Model):
 
 def pose_to_document(pose: Any) -> dict[str, float]:
     """{"x", "y", "theta"} of a (3,) pose."""
-    x, y, theta = rounded(pose)
-    return {"x": x, "y": y, "theta": theta}
+    x, y = rounded(pose[:2], METRES)
+    return {"x": x, "y": y, "theta": rounded(pose[2], TURN)}
 
 
 def _alignment(alignment: Alignment) -> dict[str, Any]:
     return {
         "transform": pose_to_document(alignment.transform),
-        "evidence_bits": rounded(alignment.evidence_bits, 2),
+        "evidence_bits": rounded(alignment.evidence_bits, BITS),
         "matched": alignment.matched.tolist(),
         "corridors": alignment.corridors,
-        "rmse_m": rounded(alignment.rmse_m, 4),
+        "rmse_m": rounded(alignment.rmse_m, METRES),
         "contradictions": list(alignment.contradictions),
     }
 
@@ -176,11 +176,11 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
         "b": pair.b,
         "verdict": str(pair.verdict),
         "accepted": pair.accepted,
-        "evidence_bits": rounded(pair.evidence_bits, 2),
+        "evidence_bits": rounded(pair.evidence_bits, BITS),
         "reason": pair.reason,
     }
     if pair.threshold_bits is not None:
-        entry["threshold_bits"] = rounded(pair.threshold_bits, 2)
+        entry["threshold_bits"] = rounded(pair.threshold_bits, BITS)
     if pair.accepted_by is not None:
         entry["accepted_by"] = pair.accepted_by
     if pair.together is not None:
@@ -188,7 +188,8 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
     if pair.through:
         entry["through"] = list(pair.through)
     if pair.placed is not None:
-        entry["placed"] = {"sigma_m": rounded(pair.placed[0]), "sigma_rad": rounded(pair.placed[1])}
+        sigma_m, sigma_rad = (significant(sigma) for sigma in pair.placed)
+        entry["placed"] = {"sigma_m": sigma_m, "sigma_rad": sigma_rad}
     if pair.locked is not None:
         entry["locked"] = pair.locked
     if pair.verdict is Verdict.UNRELATED:
@@ -200,7 +201,7 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
     if pair.runner_up is not None:
         entry["runner_up"] = _alignment(pair.runner_up)
     if pair.margin_bits is not None:
-        entry["margin_bits"] = rounded(pair.margin_bits, 2)
+        entry["margin_bits"] = rounded(pair.margin_bits, BITS)
     if pair.advice is not None:
         entry["advice"] = pair.advice
     return entry | dict(pair.extra)
@@ -209,7 +210,7 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
 def merged_to_document(result: MergeResult) -> dict[str, Any]:
     """The node-link dict of a merge, ready for `json`."""
     fused = result.fused
-    xy = rounded(np.asarray(fused.xy).reshape(-1, 2))
+    xy = rounded(np.asarray(fused.xy).reshape(-1, 2), METRES)
     edges = edges_to_document(fused)
     for edge, members in zip(edges, fused.edge_members, strict=True):
         edge["members"] = _by_run(members)
@@ -232,7 +233,7 @@ def merged_to_document(result: MergeResult) -> dict[str, Any]:
                 "x": xy[i][0],
                 "y": xy[i][1],
                 "kind": fused.kind[i],
-                "branches": rounded(fused.branches[i]),
+                "branches": rounded(fused.branches[i], BRANCH),
                 "members": {run: list(ids) for run, ids in sorted(fused.members[i].items())},
                 "observations": [
                     {"run": run, "time_ns": time_ns} for run, time_ns in fused.observations[i]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.correspondence import candidate_nodes, node_rotations
-from ..topology.document import rounded
+from ..topology.digits import rounded
 from ..topology.topomap import TopoMap
 from .clustering import Clusters
 from .document import pose_to_document

@@ -22,17 +22,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from .digits import BITS, BRANCH, METRES, rounded, significant
 from .errors import DocumentError
 from .passes import NO_BRANCH
 from .ragged import Ragged
 from .topomap import Closure, RunNoise, TopoMap
 
 MAP_SCHEMA: Literal["topobatch.map/1"] = "topobatch.map/1"
-
-DECIMALS = 6
-"""Documents keep micrometres and microradians: far below any noise, and the same on any machine."""
-
-PATH_DECIMALS = 3
 
 FARTHEST_M = 1e9
 """Where a vertex can lie: logs are believed as far. Eastings with a zone in front reach 6e7."""
@@ -50,6 +46,9 @@ LARGEST_BYTES = 1 << 30
 
 LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
 """Names of the files that `write_atomically` fills; only a process that was killed leaves any."""
+
+SHORTEST_M = 10.0**-METRES
+"""Nor shorter, or known better, than a document can say."""
 
 LARGEST_NOISE = 1e6
 
@@ -155,12 +154,6 @@ class MapDocument(Model):
     edges: list[MapEdge]
 
 
-def rounded(values: Any, decimals: int = DECIMALS) -> Any:
-    """Numbers as they stand in documents: rounded, and never the two zeros 0.0 and -0.0."""
-    array = np.round(np.asarray(values, np.float64), decimals) + 0.0
-    return array.tolist()
-
-
 def edge_keys(source: NDArray[np.int64], target: NDArray[np.int64]) -> list[int]:
     """The `key` of every edge: its number among the edges that join the same two vertices."""
     seen: dict[tuple[int, int], int] = {}
@@ -179,11 +172,11 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
         topomap.observation_vertex.tolist(), topomap.observation_time_ns.tolist(), strict=True
     ):
         observations[vertex].append({"run": topomap.run, "time_ns": time_ns})
-    xy = rounded(topomap.xy)
+    xy = rounded(topomap.xy, METRES)
     graph: dict[str, Any] = {"run": topomap.run, "frame": topomap.frame}
     graph |= {k: v for k, v in sorted(topomap.info.items()) if k not in graph}
     names = RunNoise.__dataclass_fields__
-    graph["noise"] = {name: rounded(getattr(topomap.noise, name), 9) for name in names}
+    graph["noise"] = {name: significant(getattr(topomap.noise, name)) for name in names}
     graph["closures"] = [_closure_to_document(c) for c in topomap.closures]
     return {
         "schema": MAP_SCHEMA,
@@ -196,7 +189,7 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
                 "x": xy[i][0],
                 "y": xy[i][1],
                 "kind": topomap.kind[i],
-                "branches": rounded(topomap.branches[i]),
+                "branches": rounded(topomap.branches[i], BRANCH),
                 "observations": observations[i],
             }
             for i in range(len(topomap))
@@ -209,7 +202,7 @@ def _closure_to_document(closure: Closure) -> dict[str, Any]:
     record = {
         "time_ns": [closure.time_a_ns, closure.time_b_ns],
         "accepted": closure.accepted,
-        "bits": rounded(closure.bits, 3),
+        "bits": rounded(closure.bits, BITS),
         "reason": closure.reason,
         "round": closure.round,
         "accepted_round": closure.accepted_round,
@@ -225,17 +218,17 @@ def edges_to_document(graph: Any) -> list[dict[str, Any]]:
         return None if index == NO_BRANCH else index
 
     keys = edge_keys(graph.source, graph.target)
-    length, sigma = rounded(graph.length), rounded(np.maximum(graph.length_sigma, 1e-6))
+    length = rounded(np.maximum(graph.length, SHORTEST_M), METRES)
     return [
         {
             "source": int(graph.source[i]),
             "target": int(graph.target[i]),
             "key": keys[i],
             "length": length[i],
-            "length_sigma": sigma[i],
+            "length_sigma": significant(max(float(graph.length_sigma[i]), SHORTEST_M)),
             "source_branch": branch(int(graph.source_branch[i])),
             "target_branch": branch(int(graph.target_branch[i])),
-            "path": rounded(graph.paths[i], PATH_DECIMALS),
+            "path": rounded(graph.paths[i], METRES),
             "traversals": int(graph.traversals[i]),
         }
         for i in range(len(keys))

@@ -47,8 +47,9 @@ def skeleton(graph: PoseGraph) -> Skeleton:
         # The fill of the 3n × 3n system follows that of the n × n graph: order the small one.
         links = _connection(graph, np.ones(len(graph.source)), np.ones(n), order)
         order = np.argsort(_factor(links, "MMD_AT_PLUS_A").perm_c).astype(np.int64)
-    fixed = _gauge(graph)
-    return Skeleton(order, fixed, _is_rigid(graph, fixed))
+    piece = _groups(graph, graph.information[:, 0, 0] + graph.information[:, 1, 1] > 0)
+    fixed = _gauge(graph, piece)
+    return Skeleton(order, fixed, _is_rigid(graph, piece, fixed))
 
 
 def summed(where: NDArray[np.int64], values: NDArray[Any], size: int) -> FloatArray:
@@ -97,23 +98,21 @@ def _solved(
     return out
 
 
-def _gauge(graph: PoseGraph) -> NDArray[np.bool_]:
+def _gauge(graph: PoseGraph, piece: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(n, 3) held components, and those of single poses that make up for a frame that is free.
 
-    A piece that is tied together by positions may be shifted unless a position in it is known, and
-    turned about the only one that is. A heading that nothing measures fixes nothing and is fixed
-    itself. What else may be free (a pose that sees one landmark only) depends on where the poses
-    are: the factors find out (`NormalEquations.factorise`).
+    piece: (n,) numbers of the pieces that positions tie together. One may be shifted unless a
+    position in it is known, and turned about the only one that is. A heading that nothing measures
+    fixes nothing and is fixed itself. What else may be free (a pose that sees one landmark only)
+    depends on where the poses are: the factors find out (`NormalEquations.factorise`).
     """
-    n, prior = len(graph), graph.priors
-    weight = np.einsum("eii->ei", graph.information)
+    n, prior, weight = len(graph), graph.priors, graph.information
     known = graph.held.copy()
     # A prior on a pose counts like a held component: either leaves no freedom there.
     np.logical_or.at(known, prior.node, np.einsum("kii->ki", prior.information) > 0)
-    shifts, turns = weight[:, :2].any(axis=1), weight[:, 2] > 0
+    shifts, turns = weight[:, 0, 0] + weight[:, 1, 1] > 0, weight[:, 2, 2] > 0
     measured = np.zeros(n, bool)
     measured[graph.source[shifts | turns]] = measured[graph.target[turns]] = True
-    piece = _groups(graph, shifts)
     body = _groups(graph, shifts | turns) if np.any(turns & ~shifts) else piece
     fixed = graph.held.copy()
     fixed[:, 2] |= ~(measured | known[:, 2])
@@ -126,12 +125,13 @@ def _gauge(graph: PoseGraph) -> NDArray[np.bool_]:
     return fixed
 
 
-def _is_rigid(graph: PoseGraph, fixed: NDArray[np.bool_]) -> bool:
+def _is_rigid(graph: PoseGraph, piece: NDArray[np.int64], fixed: NDArray[np.bool_]) -> bool:
     """Whether edges that tell a whole pose join every pose to a fixed x, y and heading."""
     xx, xy, xt, _, yy, yt, _, _, tt = graph.information.reshape(-1, 9).T
     volume = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
-    body = _groups(graph, (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy))
-    return all(np.all(summed(body, fixed[:, k], len(body))[body] > 0) for k in range(3))
+    whole = (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy)
+    body = piece if whole.all() else _groups(graph, whole)
+    return not any(len(_first_without(body, fixed[:, k])) for k in range(3))
 
 
 def _first_without(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...topology.digits import BITS, rounded
 from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
 from ..locks import Lock, lock_table
@@ -355,7 +356,7 @@ def _decision(case: _Case) -> str | None:
 
 def _extra(case: _Case) -> dict[str, float]:
     said = case.view.same_bits
-    return {} if said is None else {"same_place_bits": round(said, 3)}
+    return {} if said is None else {"same_place_bits": rounded(said, BITS)}
 
 
 def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:
