@@ -42,7 +42,8 @@ def held(process: int) -> tuple[int, float, int]:
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
     status = dict(line.split(":", 1) for line in lines)
     files = len(list(Path(f"/proc/{process}/fd").iterdir()))
-    return int(status["Threads"]), int(status["VmRSS"].split()[0]) / 1000, files
+    # A process that has just ended holds no memory any more.
+    return int(status["Threads"]), int(status.get("VmRSS", "0 kB").split()[0]) / 1000, files
 
 
 def main() -> int:

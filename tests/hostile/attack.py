@@ -170,7 +170,7 @@ def main() -> int:
         if result["problem"]:
             print(f"FAILED {result['class']} {result['number']} ({result['note']}): ", end="")
             print(ascii(result["problem"]), flush=True)
-        if len(found) % 500 == 0:
+        if len(found) % 100 == 0:
             print(f"{len(found)} tries, {time.monotonic() - started:.0f} s", flush=True)
     print("\n".join(["", *table(found), ""]))
     print(
