@@ -5,22 +5,37 @@ from __future__ import annotations
 import bz2
 import functools
 import threading
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from .messages import DamageError
+from .messages import MESSAGE_BYTES, DamageError
 
-CHUNK_BYTES = 1 << 29
-"""Largest chunk that is inflated. Real writers use 1 to 16 MiB; one image may be 100 MB."""
+WHOLE_BYTES = 1 << 24
+"""A chunk is inflated at once up to this size, a larger one in pieces. Writers use 1 to 16 MiB."""
 
-WINDOW_BYTES = 1 << 27
-"""Largest zstd window that is allocated when a stream is read piece by piece."""
+PIECE_BYTES = 1 << 20
+INPUT_BYTES = 1 << 16
+
+WINDOW_BYTES = 1 << 26
+"""Largest zstd window that is allocated when a stream is read piece by piece (zstd -19 uses 8 MiB,
+its longest mode 128 MiB)."""
+
+INFLATED_BYTES = 1 << 28
+"""What the chunks of one file may inflate to beyond any plausible ratio, all together: a second of
+zstd, four of bz2."""
+
+RATIOS = {"zstd": 1000, "bz2": 100}
+"""Plausible ratios, in which chunks may inflate without end: empty cost maps reach 500. lz4 cannot
+do more than 255."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 SLOW = frozenset({"zstd", "bz2"})
 """Compressions worth another thread: lz4 inflates faster than a chunk goes from core to core."""
+
+COMPRESSIONS = frozenset({"zstd", "lz4", "bz2"})
 
 _local = threading.local()
 
@@ -36,45 +51,149 @@ def keep_freed_memory() -> None:
     np.empty(8 << 20, np.uint8)
 
 
+class WrongSizeError(DamageError):
+    """Data inflate to another size than they are said to."""
+
+    def __init__(self) -> None:
+        super().__init__("a chunk does not decompress to its declared size")
+
+
+class Allowance:
+    """How much the chunks of one file may inflate to beyond plausible ratios."""
+
+    def __init__(self) -> None:
+        self._left = INFLATED_BYTES
+
+    def take(self, compression: str, packed: int, size: int) -> None:
+        """Count a chunk that inflates from `packed` to `size` bytes; raises DamageError."""
+        excess = max(size - RATIOS.get(compression, 1000) * packed, 0)
+        if excess > self._left:
+            raise WrongSizeError
+        self._left -= excess
+
+    def counted(self, compression: str, packed: int, stream: Iterator[bytes]) -> Iterator[bytes]:
+        """The pieces that `packed` bytes inflate to; raises DamageError where they are too many."""
+        most = RATIOS.get(compression, 1000) * packed + self._left
+        found = 0
+        try:
+            for piece in stream:
+                found += len(piece)
+                if found > most:
+                    raise DamageError("a chunk inflates to far more than its bytes can hold")
+                yield piece
+        finally:
+            self.take(compression, packed, min(found, most))
+
+
 def inflate(compression: str, data: Any, size: int) -> bytes:
     """Exactly `size` bytes out of `data`, or DamageError. Nothing above `size` is ever allocated.
 
-    compression: "zstd", "lz4" or "bz2"; data: a buffer.
+    compression: "zstd", "lz4" or "bz2"; data: a buffer; size: at most WHOLE_BYTES.
     """
-    if size > CHUNK_BYTES:
-        raise DamageError(f"a chunk declares more than {CHUNK_BYTES >> 20} MiB")
-    try:
-        inflater = _INFLATERS[compression]
-    except KeyError:
-        raise DamageError(f"compression {compression[:40]!r} is not known") from None
-    out = inflater(data, size)
+    if size > WHOLE_BYTES:
+        raise WrongSizeError
+    out = _inflater(compression)(data, size)
     if len(out) != size:
-        raise DamageError("a chunk does not decompress to its declared size")
+        raise WrongSizeError
     return out
 
 
-def inflate_part(compression: str, data: Any, limit: int) -> bytes:
-    """As many bytes as a cut or damaged stream still gives, at most `limit`; never fails."""
-    limit = min(limit, CHUNK_BYTES)
-    feed = _FEEDERS.get(compression)
-    if feed is None or limit <= 0:
-        return b""
-    step = feed()
-    view, out, done = memoryview(data), [], 0
-    # Small bites: what was decoded before the broken place is kept.
-    for at in range(0, len(view), 4096):
-        try:
-            piece = step(bytes(view[at : at + 4096]))
-        except _errors():
-            break
-        out.append(piece[: limit - done])
-        done += len(out[-1])
-        if done >= limit:
-            break
+def inflate_anyhow(compression: str, data: Any, allowance: Allowance) -> bytes:
+    """All that `data` inflates to, whatever is declared; DamageError above WHOLE_BYTES."""
+    out, done = [], 0
+    for piece in allowance.counted(compression, len(data), pieces(compression, _reader_of(data))):
+        out.append(piece)
+        done += len(piece)
+        if done > WHOLE_BYTES:
+            raise WrongSizeError
     return b"".join(out)
 
 
-def inflate_message(data: Any, limit: int = CHUNK_BYTES) -> bytes:
+def inflate_part(compression: str, data: Any, limit: int = WHOLE_BYTES) -> bytes:
+    """As many bytes as a cut or damaged stream still gives, at most `limit`; never fails."""
+    out, done = [], 0
+    try:
+        # Small bites: what was decoded before the broken place is kept.
+        for piece in pieces(compression, _reader_of(data), 4096):
+            out.append(piece[: limit - done])
+            done += len(out[-1])
+            if done >= limit:
+                break
+    except DamageError:
+        pass
+    return b"".join(out)
+
+
+Read = Callable[[int], bytes]
+"""Gives the next bytes of a source, at most so many; none at its end."""
+
+
+def _reader_of(data: Any) -> Read:
+    view, at = memoryview(data), 0
+
+    def read(size: int) -> bytes:
+        nonlocal at
+        at += size
+        return bytes(view[at - size : at])
+
+    return read
+
+
+def pieces(compression: str, read: Read, bite: int = INPUT_BYTES) -> Iterator[bytes]:
+    """What a stream inflates to, in pieces of at most PIECE_BYTES, to its end or its data's.
+
+    Raises DamageError at a broken place, after everything in front of it.
+    """
+    if compression == "":
+        while piece := read(PIECE_BYTES):
+            yield piece
+        return
+    _inflater(compression)
+    make = {"zstd": _zstd_pieces, "lz4": _lz4_pieces, "bz2": _bz2_pieces}[compression]
+    try:
+        yield from make(read, bite)
+    except _errors() as error:
+        raise DamageError(_BROKEN[compression]) from error
+
+
+def _zstd_pieces(read: Read, bite: int) -> Iterator[bytes]:
+    import zstandard
+
+    class Source:
+        """What the library reads from."""
+
+        def read(self, size: int) -> bytes:
+            return read(min(size, bite))
+
+    # The buffer is filled as far as it goes before an error is raised.
+    with zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(
+        Source(), read_size=bite
+    ) as reader:
+        while piece := reader.read1(PIECE_BYTES):
+            yield piece
+
+
+def _lz4_pieces(read: Read, bite: int) -> Iterator[bytes]:
+    import lz4.frame
+
+    yield from _fed(lz4.frame.LZ4FrameDecompressor(), read, bite)
+
+
+def _bz2_pieces(read: Read, bite: int) -> Iterator[bytes]:
+    yield from _fed(bz2.BZ2Decompressor(), read, bite)
+
+
+def _fed(decompressor: Any, read: Read, bite: int) -> Iterator[bytes]:
+    """What a decompressor gives that takes its input in bites."""
+    while not decompressor.eof:
+        data = read(bite) if decompressor.needs_input else b""
+        if decompressor.needs_input and not data:
+            return
+        if piece := decompressor.decompress(data, PIECE_BYTES):
+            yield piece
+
+
+def inflate_message(data: Any, limit: int = MESSAGE_BYTES) -> bytes:
     """One zstd payload of unknown size, at most `limit` bytes; else DamageError."""
     import zstandard
 
@@ -99,6 +218,20 @@ def _errors() -> tuple[type[BaseException], ...]:
     return (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError)
 
 
+def _inflater(compression: str) -> Callable[[Any, int], bytes]:
+    try:
+        return _INFLATERS[compression]
+    except KeyError:
+        raise DamageError(f"compression {compression[:40]!r} is not known") from None
+
+
+_BROKEN = {
+    "zstd": "a zstd chunk does not decompress",
+    "lz4": "an lz4 chunk does not decompress",
+    "bz2": "a bz2 chunk does not decompress",
+}
+
+
 def _zstd(data: Any, size: int) -> bytes:
     import zstandard
 
@@ -107,10 +240,11 @@ def _zstd(data: Any, size: int) -> bytes:
         context = _local.zstd = zstandard.ZstdDecompressor()
     try:
         if zstandard.frame_content_size(data) not in (-1, size):
-            raise DamageError("a chunk does not decompress to its declared size")
-        out: bytes = context.decompress(data, max_output_size=size) if size else b""
+            raise WrongSizeError
+        # No size would mean any size to the library.
+        out: bytes = context.decompress(data, max_output_size=max(size, 1))
     except (zstandard.ZstdError, MemoryError) as error:
-        raise DamageError("a zstd chunk does not decompress") from error
+        raise DamageError(_BROKEN["zstd"]) from error
     return out
 
 
@@ -120,13 +254,13 @@ def _lz4(data: Any, size: int) -> bytes:
     try:
         declared = lz4.frame.get_frame_info(data)["content_size"]
         if declared not in (0, size):
-            raise DamageError("a chunk does not decompress to its declared size")
+            raise WrongSizeError
         if declared:
             out: bytes = lz4.frame.decompress(data)
         else:
             out = lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), size + 1)
     except (RuntimeError, ValueError, EOFError, MemoryError) as error:
-        raise DamageError("an lz4 chunk does not decompress") from error
+        raise DamageError(_BROKEN["lz4"]) from error
     return out
 
 
@@ -134,24 +268,7 @@ def _bz2(data: Any, size: int) -> bytes:
     try:
         return bz2.BZ2Decompressor().decompress(data, size + 1)
     except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise DamageError("a bz2 chunk does not decompress") from error
+        raise DamageError(_BROKEN["bz2"]) from error
 
 
-def _feed_zstd() -> Any:
-    import zstandard
-
-    return zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).decompressobj().decompress
-
-
-def _feed_lz4() -> Any:
-    import lz4.frame
-
-    return lz4.frame.LZ4FrameDecompressor().decompress
-
-
-def _feed_bz2() -> Any:
-    return bz2.BZ2Decompressor().decompress
-
-
-_INFLATERS = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
-_FEEDERS = {"zstd": _feed_zstd, "lz4": _feed_lz4, "bz2": _feed_bz2}
+_INFLATERS: dict[str, Callable[[Any, int], bytes]] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}

@@ -22,7 +22,7 @@ from .foxglove import (
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError, Ints
 from .poses import Heads, PoseDecoder, Poses
-from .schema import as_expected, object_decoder
+from .schema import UnreadableError, as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
 from .wire import WireDecoder
 
@@ -54,7 +54,13 @@ def decoder_for(channel: Channel) -> PoseDecoder:
     if kind is not None and channel.encoding in ("cdr", "ros1") and as_expected(channel, kind):
         return WireDecoder(kind, channel.encoding == "ros1")
     if channel.encoding in ("cdr", "ros1"):
-        decode = object_decoder(channel)
+        try:
+            decode = object_decoder(channel)
+        except UnreadableError:
+            if kind is None:
+                raise
+            # The type's name is known; as in a log without definitions it is taken at its word.
+            return WireDecoder(kind, channel.encoding == "ros1")
         return RowDecoder(lambda raw, frames: object_rows(decode(raw), frames))
     if channel.encoding == "json":
         return RowDecoder(json_rows)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .checksum import crc32
+from .columns import words
 from .mcap_wire import (
     CHANNEL,
     CHUNK_INDEX,
@@ -17,15 +18,14 @@ from .mcap_wire import (
     SCHEMA,
     STATISTICS,
     Cursor,
-    Schema,
-    channel_of,
-    schema_of,
+    Definitions,
 )
 from .messages import Bytes, Channel, DamageError, FileWindow, Ints, Survey
+from .walk import mcap_records
 
 FOOTER_BYTES = RECORD_HEAD + 20 + len(MAGIC)
 
-SUMMARY_BYTES = 1 << 27
+SUMMARY_BYTES = 1 << 26
 """Largest summary that is read: a chunk takes about 100 bytes in it."""
 
 _HEAD = struct.Struct("<BQ").unpack_from
@@ -36,16 +36,19 @@ _NUMBERS = struct.Struct("<HH").unpack_from
 class McapSummary(NamedTuple):
     """What the end of a file says about it.
 
-    start: where the summary begins; channels: those whose schema it repeats as well, or that have
-    none; chunk_starts: (c,) ascending places of the chunk records; counts: messages per channel
-    number, empty where there are no statistics; checked: whether a checksum vouches for all this.
+    start: where the summary begins; definitions: its schemas and channels; channels: those whose
+    schema it repeats as well, or that have none; chunk_starts: (c,) ascending places of the chunk
+    records; chunk_first, chunk_channels: (c + 1,), (k,) the numbers of the channels in chunk i are
+    chunk_channels[chunk_first[i]:chunk_first[i + 1]]; counts: messages per channel number, empty
+    where there are no statistics; checked: whether a checksum vouches for all this.
     """
 
     start: int
-    schemas: dict[int, Schema]
+    definitions: Definitions
     channels: dict[int, Channel]
     chunk_starts: Ints
-    chunk_channels: dict[int, frozenset[int]]
+    chunk_first: Ints
+    chunk_channels: Ints
     counts: dict[int, int]
     span_ns: tuple[int, int]
     checked: bool
@@ -53,7 +56,15 @@ class McapSummary(NamedTuple):
     @property
     def describes_all(self) -> bool:
         """Whether every channel that any chunk or the statistics name is described."""
-        return self.channels.keys() >= set(self.counts).union(*self.chunk_channels.values())
+        named = set(self.counts).union(np.unique(self.chunk_channels).tolist())
+        return self.channels.keys() >= named
+
+    def numbers(self, chunk: int) -> Ints | None:
+        """The channels in the chunk at that place in the file, None for one that is not listed."""
+        k = int(np.searchsorted(self.chunk_starts, chunk))
+        if k == len(self.chunk_starts) or self.chunk_starts[k] != chunk:
+            return None
+        return self.chunk_channels[self.chunk_first[k] : self.chunk_first[k + 1]]
 
     def survey(self) -> Survey | None:
         """Counts per channel, None where statistics or the channels they count are missing."""
@@ -74,7 +85,8 @@ def read_summary(window: FileWindow) -> McapSummary | None:
     footer = window.size - FOOTER_BYTES
     if op != FOOTER or length != 20 or not 0 < start <= footer or footer - start > SUMMARY_BYTES:
         return None
-    data = window.view(start, footer - start + RECORD_HEAD + 16)
+    data = np.empty(footer - start + RECORD_HEAD + 16, np.uint8)
+    window.fill(data, start)
     if crc and crc32(data.data) != crc:
         return None
     try:
@@ -84,58 +96,63 @@ def read_summary(window: FileWindow) -> McapSummary | None:
 
 
 def _parse(data: Bytes, start: int, checked: bool) -> McapSummary:
-    schemas: dict[int, Schema] = {}
+    where, stop = mcap_records(data)
+    if stop != len(data):
+        raise DamageError("a record is cut")
+    op = data[where]
+    definitions = Definitions()
     channels: dict[int, Channel] = {}
-    chunks: dict[int, frozenset[int]] = {}
     counts: dict[int, int] = {}
     span = (0, 0)
-    position = 0
-    while position < len(data):
-        if len(data) - position < RECORD_HEAD:
-            raise DamageError("a record head is cut")
-        op, length = _HEAD(data.data, position)
-        body = data[position + RECORD_HEAD : position + RECORD_HEAD + length]
-        if len(body) != length:
-            raise DamageError("a record is cut")
-        if op == SCHEMA:
-            number, schema = schema_of(Cursor(body))
-            schemas[number] = schema
-        elif op == CHANNEL:
-            number, channel = channel_of(Cursor(body), schemas)
-            # A writer may repeat channels here, but not their schemas.
-            if _NUMBERS(body.data)[1] in (0, *schemas):
-                channels[number] = channel
-        elif op == CHUNK_INDEX:
-            place, numbers = _chunk_index(Cursor(body))
-            chunks[place] = numbers
-        elif op == STATISTICS:
+    for at in where[(op == SCHEMA) | (op == CHANNEL) | (op == STATISTICS)].tolist():
+        kind, length = _HEAD(data.data, at)
+        body = data[at + RECORD_HEAD : at + RECORD_HEAD + length]
+        if kind == STATISTICS:
             counts, span = _statistics(Cursor(body))
-        position += RECORD_HEAD + length
-    starts = np.array(sorted(chunks), np.int64)
+            continue
+        found = definitions.take(kind, body.tobytes())
+        # A writer may repeat channels here, but not their schemas.
+        if found is not None and definitions.has_schema(_NUMBERS(body.data)[1]):
+            channels[found[0]] = found[1]
+    starts, first, numbers = _chunk_indexes(data, where[op == CHUNK_INDEX])
     if len(starts) and starts[-1] >= start:
         raise DamageError("a chunk index points behind the data")
-    return McapSummary(start, schemas, channels, starts, chunks, counts, span, checked)
+    return McapSummary(start, definitions, channels, starts, first, numbers, counts, span, checked)
 
 
-def _chunk_index(cursor: Cursor) -> tuple[int, frozenset[int]]:
-    cursor.take(16)
-    place = cursor.u64()
-    cursor.take(8)
-    offsets = cursor.blob()
-    if len(offsets) % 10:
+_PLACE_AT, _OFFSETS_AT = RECORD_HEAD + 16, RECORD_HEAD + 36
+"""In a chunk index: the place of the chunk, and the places of its message indexes."""
+
+
+def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints]:
+    """Places of the chunks in ascending order, and the channels in them, as columns."""
+    if len(where) == 0:
+        return where, np.zeros(1, np.int64), where
+    length = words(data, "<i8", where + 1)
+    if length.min() < 36 + 28:
         raise DamageError("a chunk index is cut")
-    numbers = np.ndarray((len(offsets) // 10,), "<u2", offsets, strides=(10,)).tolist()
-    if place >= 1 << 62:
-        raise DamageError("a chunk index points nowhere")
-    return place, frozenset(numbers)
+    place = words(data, "<i8", where + _PLACE_AT)
+    size = words(data, "<u4", where + _OFFSETS_AT - 4).astype(np.int64)
+    if (size % 10).any() or (size > length - (36 + 28)).any() or place.min() < 0:
+        raise DamageError("a chunk index contradicts itself")
+    order = np.argsort(place, kind="stable")
+    place, size, where = place[order], size[order], where[order]
+    count = size // 10
+    first = np.concatenate([[0], np.cumsum(count)])
+    within = np.arange(first[-1]) - np.repeat(first[:-1], count)
+    at = np.repeat(where + _OFFSETS_AT, count) + 10 * within
+    return place, first, words(data, "<u2", at).astype(np.int64)
 
 
 def _statistics(cursor: Cursor) -> tuple[dict[int, int], tuple[int, int]]:
-    cursor.take(8 + 2 + 4 + 4 + 4 + 4)
+    """Messages per channel, none where they do not add up; first and last log time."""
+    total = cursor.u64()
+    cursor.take(2 + 4 + 4 + 4 + 4)
     span = (cursor.u64(), cursor.u64())
-    per_channel = Cursor(np.frombuffer(cursor.blob(), np.uint8))
-    counts = {}
-    while per_channel.left:
-        number = per_channel.u16()
-        counts[number] = min(per_channel.u64(), 1 << 62)
-    return counts, span
+    per_channel = np.frombuffer(cursor.blob(), np.uint8)
+    if len(per_channel) % 10:
+        raise DamageError("the statistics are cut")
+    at = 10 * np.arange(len(per_channel) // 10)
+    numbers = words(per_channel, "<u2", at).tolist()
+    counts = dict(zip(numbers, words(per_channel, "<u8", at + 2).tolist(), strict=True))
+    return (counts if sum(counts.values()) == total else {}), span

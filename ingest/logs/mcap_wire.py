@@ -6,7 +6,10 @@ import struct
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import numpy as np
+
 from .messages import SCHEMA_BYTES, Bytes, Channel, DamageError, normal_topic, normal_type, text
+from .spelling import nearest, spelled
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
@@ -61,6 +64,14 @@ class Cursor:
         return self.take(self.u32())
 
 
+DEFINITION_BYTES = 1 << 25
+"""What the different schemas and channels of one file may take together, 32 MiB: a thousand topics
+with the largest definitions in use take 20."""
+
+DEFINITION_COST = 200
+"""What a channel takes beside its names."""
+
+
 class Schema(NamedTuple):
     """A message definition embedded in the file."""
 
@@ -80,7 +91,47 @@ def channel_of(cursor: Cursor, schemas: Mapping[int, Schema]) -> tuple[int, Chan
     """Number and content of a channel record; its schema must have come before it."""
     number, schema_number = cursor.u16(), cursor.u16()
     topic, encoding = cursor.string(), cursor.string()
-    schema = schemas.get(schema_number, Schema("", "", b""))
-    return number, Channel(
-        normal_topic(topic), normal_type(schema.name), encoding, schema.data, schema.encoding
+    # Of the two numbers, one may have a wrong bit; 0 stands for no schema.
+    known = schema_number in schemas or schema_number == 0
+    named = schema_number if known else nearest(schema_number, schemas)
+    schema = schemas.get(named, Schema("", "", b""))
+    name = normal_type(schema.name)
+    return number, spelled(
+        Channel(normal_topic(topic), name, encoding, schema.data, schema.encoding)
     )
+
+
+class Definitions:
+    """The schemas and channels of one file, as they are met; writers repeat them in every chunk."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, Schema] = {}
+        self._met: set[bytes] = set()
+        self._room = DEFINITION_BYTES
+
+    def take(self, op: int, body: bytes) -> tuple[int, Channel] | None:
+        """Number and content of a channel that is new, None for a schema or for what was met.
+
+        Raises DamageError, also for more definitions than any log has.
+        """
+        known = bytes([op]) + body
+        if known in self._met:
+            return None
+        self._room -= len(body) + DEFINITION_COST
+        if self._room < 0:
+            raise DamageError("implausibly many channels")
+        cursor = Cursor(np.frombuffer(body, np.uint8))
+        if op == SCHEMA:
+            number, schema = schema_of(cursor)
+            # A channel that names this number means another type from here on.
+            self._met.clear()
+            self._schemas[number] = schema
+            self._met.add(known)
+            return None
+        found = channel_of(cursor, self._schemas)
+        self._met.add(known)
+        return found
+
+    def has_schema(self, number: int) -> bool:
+        """Whether a schema was met; 0 stands for none."""
+        return number == 0 or number in self._schemas

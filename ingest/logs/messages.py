@@ -30,6 +30,11 @@ SCHEMA_BYTES = 1 << 20
 """Longest message definition that is believed."""
 
 
+MESSAGE_BYTES = 1 << 24
+"""Longest message that is decoded, 16 MiB: an odometry message has 700 bytes, an array of a
+thousand poses 56,000. What is longer is passed over without being read."""
+
+
 class Channel(NamedTuple):
     """One stream of messages as its container describes it.
 
@@ -115,7 +120,8 @@ class Findings:
     """What was met on the way through a log: counts, and everything that is wrong with it.
 
     counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
-    damaged places; unknown: messages whose channel is described nowhere.
+    damaged places; unknown: messages whose channel is described nowhere; repaired: record heads of
+    which one bit was wrong; too_large: records left out as too large.
     """
 
     counts: Counter[Channel] = field(default_factory=Counter)
@@ -126,6 +132,8 @@ class Findings:
     broken_rows: int = 0
     damaged_pages: int = 0
     damaged_chunks: Counter[str] = field(default_factory=Counter)
+    repaired: int = 0
+    too_large: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
     notes: list[str] = field(default_factory=list)
@@ -146,6 +154,12 @@ class Findings:
             self.notes.append(sentence)
 
     @property
+    def whole(self) -> bool:
+        """Whether no place was met that could not be read as it is."""
+        broken = (self.unreadable_bytes, self.repaired, self.too_large, self.truncated)
+        return not any(broken) and not self.damaged_chunks
+
+    @property
     def messages(self) -> int:
         """All messages met."""
         return self.counts.total() + self.unknown
@@ -156,6 +170,10 @@ class Findings:
         out = list(self.notes)
         for reason, count in sorted(self.damaged_chunks.items()):
             out.append(f"{count} damaged chunk{'s' * (count > 1)} skipped: {reason}")
+        if self.repaired:
+            out.append(f"{self.repaired} damaged record heads set right")
+        if self.too_large:
+            out.append(f"{self.too_large} records above {MESSAGE_BYTES >> 20} MiB left out")
         if self.unreadable_bytes:
             out.append(f"{self.unreadable_bytes} bytes could not be read as messages")
         if self.damaged_pages:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import os
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -19,13 +18,15 @@ from .bag_wire import MAGIC as BAG_MAGIC
 from .inflate import WINDOW_BYTES, ZSTD_MAGIC
 from .mcap_file import McapFile
 from .mcap_wire import MAGIC as MCAP_MAGIC
-from .messages import UNWANTED, Container, Findings
+from .messages import UNWANTED, Container, Findings, printable
+from .metadata import BAG_INFORMATION, METADATA_BYTES, Metadata, parse_metadata
+from .spelling import one_bit_apart
 from .sqlite_file import MAGIC as SQLITE_MAGIC
 from .sqlite_file import SqliteFile
 
 METADATA = "metadata.yaml"
-BAG_INFORMATION = "rosbag2_bagfile_information"
-METADATA_BYTES = 1 << 22
+NOTES = 12
+"""So many missing or unexpected files are named."""
 _SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst))+$", re.IGNORECASE)
 _NAMED = re.compile(r"\.(mcap|bag|db3|bag\.active)(\.(zstd|zst))?$", re.IGNORECASE)
 _PART = re.compile(r"^(?P<stem>.*?)_?(\d{4}(-\d\d){5})?_(?P<number>\d+)$")
@@ -36,8 +37,8 @@ SAMPLE_BYTES = 1 << 16
 SAMPLES = 256
 
 UNPACKED_RATIO = 1000
-UNPACKED_BYTES = 1 << 30
-"""Most that a file compressed as a whole may inflate to: 1 GiB, or 1000 times its size."""
+UNPACKED_BYTES = 1 << 28
+"""Most that a file compressed as a whole may inflate to: 256 MiB, or 1000 times its size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,10 @@ def sniff(path: Path) -> str | None:
         ("zstd", ZSTD_MAGIC),
     ):
         if head.startswith(magic):
+            return format_name
+    for format_name, magic in (("mcap", MCAP_MAGIC), ("bag", BAG_MAGIC), ("sqlite3", SQLITE_MAGIC)):
+        # One wrong bit in the magic is no reason to give up everything behind it.
+        if one_bit_apart(head[: len(magic)], magic):
             return format_name
     return None
 
@@ -309,7 +314,7 @@ def _unpack(path: Path, target: Path) -> Path:
             while piece := reader.read(1 << 20):
                 written += len(piece)
                 if written > most:
-                    raise LogError(f"{path}: inflates to more than {most >> 30} GiB")
+                    raise LogError(f"{path}: inflates to more than {most >> 20} MiB")
                 sink.write(piece)
         except zstandard.ZstdError:
             # What came before the broken place is read; the walk reports that it is cut short.
@@ -325,15 +330,16 @@ def _folder(path: Path) -> Recording:
     except OSError as error:
         raise LogError(f"{path}: cannot be listed ({error.strerror})") from error
     files = [entry for entry in entries if sniff(entry) is not None]
-    named: list[str] = []
-    declared = None
+    metadata = Metadata([], None)
     if (path / METADATA).is_file():
-        named, declared = _metadata(path / METADATA, notes)
-        for name in named:
-            if name not in {file.name for file in files} and name + ".zstd" not in {
-                file.name for file in files
-            }:
-                notes.append(f"{METADATA} names {name}, which is missing or no log")
+        metadata = _metadata(path / METADATA, notes)
+        there = {file.name for file in files}
+        missing = [
+            f"{METADATA} names {name}, which is missing or no log"
+            for name in metadata.files
+            if name not in there and name + ".zstd" not in there
+        ]
+        notes += _some(missing, "also names")
     # A file that was left beside its compressed copy holds the same messages.
     names = {file.name for file in files}
     files = [
@@ -341,13 +347,17 @@ def _folder(path: Path) -> Recording:
         for f in files
         if _SUFFIX_ZSTD.sub("", f.name) == f.name or _SUFFIX_ZSTD.sub("", f.name) not in names
     ]
-    if named:
-        known = {_SUFFIX_ZSTD.sub("", name) for name in named}
-        for stranger in (f.name for f in files if _SUFFIX_ZSTD.sub("", f.name) not in known):
-            notes.append(f"{METADATA} does not name {stranger}, which is read all the same")
+    if metadata.files:
+        known = {_SUFFIX_ZSTD.sub("", name) for name in metadata.files}
+        strangers = [
+            f"{METADATA} does not name {printable(file.name)}, which is read all the same"
+            for file in files
+            if _SUFFIX_ZSTD.sub("", file.name) not in known
+        ]
+        notes += _some(strangers, "does not name")
     if not files:
         raise LogError(f"{path}: the folder holds no log files; a bag folder or a file is needed")
-    return Recording(path, tuple(files), tuple(notes), declared)
+    return Recording(path, tuple(files), tuple(notes), metadata.messages)
 
 
 _SUFFIX_ZSTD = re.compile(r"\.(zstd|zst)$")
@@ -359,30 +369,20 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (-1, p) for p in pieces], path.name
 
 
-def _metadata(path: Path, notes: list[str]) -> tuple[list[str], int | None]:
-    """The files that metadata.yaml lists, and how many messages it counts.
-
-    An unreadable one is noted, and the folder believed.
-    """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
+def _metadata(path: Path, notes: list[str]) -> Metadata:
+    """What metadata.yaml says; an unreadable one is noted, and the folder believed."""
     try:
         if path.stat().st_size > METADATA_BYTES:
             raise ValueError("it is implausibly long")
-        document = YAML(typ="safe", pure=True).load(path.read_text("utf-8", "replace"))
-        information = document[BAG_INFORMATION]
-        names = [os.path.basename(str(name)) for name in information["relative_file_paths"]]
-        count = information.get("message_count")
-        return names, count if isinstance(count, int) and count > 0 else None
-    except (
-        YAMLError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        ValueError,
-        RecursionError,
-        OSError,
-    ) as error:
-        notes.append(f"{METADATA} cannot be read ({type(error).__name__}); all files are used")
-        return [], None
+        return parse_metadata(path.read_text("utf-8", "replace"))
+    except ValueError as error:
+        notes.append(f"{METADATA} cannot be read ({error}); all files are used")
+    except OSError as error:
+        notes.append(f"{METADATA} cannot be read ({error.strerror}); all files are used")
+    return Metadata([], None)
+
+
+def _some(notes: list[str], what: str) -> list[str]:
+    """The first of many notes, and how many more there are."""
+    more = len(notes) - NOTES
+    return [*notes[:NOTES], f"{METADATA} {what} {more} further files"] if more > 0 else notes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -16,6 +17,10 @@ _BESIDE_IDL = re.compile(r"^(=+|IDL:.*|[ \t]*#.*)$", re.MULTILINE)
 
 DEPTH = 32
 """Deepest nesting of types that is followed."""
+
+PARTS = 10_000
+"""Most fields that a type may have with all that is nested in it, sequences counted once. The
+largest in use have some hundreds; types that double level by level have 2 to the 32."""
 
 _TIME = ["int32", "uint32"]
 _HEADER = [*_TIME, "string"]
@@ -39,6 +44,10 @@ EXPECTED = {
 """Leading primitive fields of each kind of message that is decoded by columns."""
 
 
+class UnreadableError(DamageError):
+    """An embedded definition follows no grammar."""
+
+
 def as_expected(channel: Channel, kind: str) -> bool:
     """Whether the embedded definition begins with the fields that the kind is known for.
 
@@ -54,7 +63,7 @@ def as_expected(channel: Channel, kind: str) -> bool:
     if ros1 and not kind.startswith("foxglove"):
         expected.insert(expected.index("int32"), "uint32")
     sections = _sections(channel.schema.decode("utf-8", "replace"))
-    found = _primitives(sections, "", 0)
+    found = _primitives(sections, "", 0, itertools.count())
     try:
         return all(next(found, None) == want for want in expected)
     except DamageError:
@@ -81,21 +90,27 @@ def _short(name: str) -> str:
     return f"{parts[0]}/{parts[-1]}"
 
 
-def _primitives(sections: dict[str, list[tuple[str, str]]], name: str, depth: int) -> Iterator[str]:
+def _primitives(
+    sections: dict[str, list[tuple[str, str]]], name: str, depth: int, steps: Iterator[int]
+) -> Iterator[str]:
     """The primitive fields of a type in order, sequences in brackets; raises DamageError."""
-    if depth > DEPTH or name not in sections:
+    if depth > DEPTH or name not in sections or next(steps) > PARTS:
         raise DamageError("a definition is missing or nested too deeply")
     for type_name, _ in sections[name]:
         bare, bracket, _ = type_name.partition("[")
         if bracket:
             yield "["
-        yield from _primitives_of(sections, bare, name, depth)
+        yield from _primitives_of(sections, bare, name, depth, steps)
         if bracket:
             yield "]"
 
 
 def _primitives_of(
-    sections: dict[str, list[tuple[str, str]]], bare: str, outer: str, depth: int
+    sections: dict[str, list[tuple[str, str]]],
+    bare: str,
+    outer: str,
+    depth: int,
+    steps: Iterator[int],
 ) -> Iterator[str]:
     if bare.split("<", maxsplit=1)[0] in _PRIMITIVE:
         yield bare.split("<", maxsplit=1)[0]
@@ -105,7 +120,7 @@ def _primitives_of(
     ):
         yield from _TIME
     else:
-        yield from _primitives(sections, _resolve(sections, bare, outer), depth + 1)
+        yield from _primitives(sections, _resolve(sections, bare, outer), depth + 1, steps)
 
 
 def _resolve(sections: dict[str, list[tuple[str, str]]], bare: str, outer: str) -> str:
@@ -131,6 +146,7 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     store = _store(channel)
     if channel.type_name not in store.types:
         raise DamageError(f"no definition of {channel.type_name} is known")
+    _check_extent(store.fielddefs, channel.type_name)
     read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
 
     def decode(raw: bytes) -> Any:
@@ -191,7 +207,7 @@ def _store(channel: Channel) -> Any:
             store.register(get_types_from_msg(definition, channel.type_name))
     # The grammar meets hostile text with its own errors and with Python's.
     except (Exception, RecursionError) as error:
-        raise DamageError(f"the definition of {channel.type_name} cannot be read") from error
+        raise UnreadableError(f"the definition of {channel.type_name} cannot be read") from error
     return store
 
 
@@ -199,3 +215,49 @@ def _check_length(definition: str) -> None:
     """Refuse definitions that are far larger than any real one before they are parsed."""
     if definition.count("\n") > LINES:
         raise DamageError("a message definition is implausibly long")
+
+
+class _Extent(NamedTuple):
+    """parts: fields with all that is nested in them; least: bytes that the shortest value takes."""
+
+    parts: int
+    least: int
+
+
+def _check_extent(fielddefs: Any, type_name: str) -> None:
+    """Refuse a type that is incomplete, or of which few bytes could make many objects."""
+    known: dict[str, _Extent | None] = {}
+
+    def of_type(name: str, depth: int) -> _Extent:
+        found = known.get(name)
+        if found is not None:
+            return found
+        if name not in fielddefs:
+            raise UnreadableError(f"the definition of {type_name} lacks {name[:100]}")
+        if name in known or depth > DEPTH:
+            raise DamageError(f"{type_name} is nested too deeply")
+        known[name] = None
+        parts = [of_field(described, depth) for _, described in fielddefs[name][1]]
+        total = _Extent(1 + sum(p.parts for p in parts), sum(p.least for p in parts))
+        if total.parts > PARTS:
+            raise DamageError(f"{type_name} has more than {PARTS} fields")
+        known[name] = total
+        return total
+
+    def of_field(described: Any, depth: int) -> _Extent:
+        kind, content = described[0].name, described[1]
+        if kind == "NAME":
+            return of_type(content, depth + 1)
+        if kind == "BASE":
+            return _Extent(1, 4 if "string" in content[0] else 1)
+        inner, count = content
+        each = of_field(inner, depth)
+        if each.least == 0:
+            raise DamageError(f"{type_name} has an array of empty items")
+        if kind == "SEQUENCE":
+            return _Extent(1 + each.parts, 4)
+        # Numbers are read as one array, whatever their number.
+        numbers = inner[0].name == "BASE" and "string" not in inner[1][0]
+        return _Extent(1 if numbers else 1 + count * each.parts, count * each.least)
+
+    of_type(type_name, 0)

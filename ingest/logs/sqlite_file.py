@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,10 @@ import numpy as np
 
 from ...topology.errors import LogError
 from .inflate import keep_freed_memory
+from .mcap_wire import DEFINITION_BYTES
 from .messages import (
+    MESSAGE_BYTES,
+    NAME_BYTES,
     SCHEMA_BYTES,
     UNWANTED,
     Block,
@@ -32,15 +35,44 @@ from .messages import (
     one_line,
     printable,
 )
+from .spelling import spelled
 from .sqlite_pages import Pages, Rows
+from .sqlite_topics import topics_by_looks
 
 MAGIC = b"SQLite format 3\x00"
 ROWS = 2048
 _ERRORS = (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError)
 """What the library raises on a damaged database: its own errors, and those of converting values."""
 
+MOST_PAGES = 1 << 31
+"""A header that declares more is itself damaged."""
+
 _TOPICS = 1 << 15
 _UNKNOWN = -2
+
+
+_Row = tuple[Any, Any, Any, Any, Any]
+"""Topic, time, payload where it is wanted, kind and length of the payload."""
+
+HELD_BYTES = 1 << 22
+"""Payloads that are taken out of the database at a time."""
+
+LEAST_STEPS = 1 << 25
+STEPS_PER_BYTE = 4
+"""What the library may do for one connection, in steps of its virtual machine: a row takes some
+ten and at least as many bytes. A second's worth is free."""
+
+STEPS_AT_ONCE = 10_000
+
+
+def _columns_of(wanted: str) -> str:
+    """What is asked of a row; wanted: a condition for its payload. The length is in its head."""
+    fits = f"{_BLOB} AND length(data) <= {MESSAGE_BYTES}"
+    data = f"CASE WHEN {wanted} AND {fits} THEN data END"
+    return f"topic_id, timestamp, {data}, typeof(data), CASE WHEN {_BLOB} THEN length(data) END"
+
+
+_BLOB = "typeof(data) = 'blob'"
 
 
 class SqliteFile:
@@ -66,7 +98,7 @@ class SqliteFile:
                     if key in channels:
                         counts[channels[key]] += count
                 first, last = _span(base)
-        except _ERRORS:
+        except (*_ERRORS, DamageError):
             return None
         return Survey(counts, first or 0, last or 0)
 
@@ -83,7 +115,7 @@ class SqliteFile:
             before = findings.messages
             try:
                 with _connected(self.path) as base:
-                    reader = _Reader(base, want, findings)
+                    reader = _Reader(base, _channels(base), want, findings)
                     root = None if _unmerged(self.path) else _root(base)
                     if root is None:
                         yield from reader.by_library()
@@ -99,25 +131,42 @@ class SqliteFile:
     def _salvaged(self, window: FileWindow, want: Want, findings: Findings) -> Iterator[Block]:
         """The rows on every page that is left, without the tree that orders them."""
         try:
-            pages = Pages(window)
+            pages = Pages(window, anyhow=True)
             declared = int.from_bytes(window.view(28, 4).tobytes(), "big")
-            findings.truncated |= declared > pages.count
+            findings.truncated |= pages.count < declared < MOST_PAGES
+            channels = self._described(window, pages, findings)
+            yield from _Reader(None, channels, want, findings).by_every_page(pages)
+        except (*_ERRORS, DamageError) as error:
+            findings.note(f"its rows cannot be read ({one_line(error)})")
+
+    def _described(
+        self, window: FileWindow, pages: Pages, findings: Findings
+    ) -> dict[int, Channel]:
+        """The topics by the library where it opens the file, else by what they look like."""
+        try:
             with _connected(self.path) as base:
                 # Lets the library open a file that is shorter than its header says.
                 base.execute("PRAGMA writable_schema = ON")
-                reader = _Reader(base, want, findings)
-            yield from reader.by_every_page(pages)
+                return _channels(base)
         except (*_ERRORS, DamageError) as error:
             findings.note(f"its topics cannot be read ({one_line(error)})")
+        return topics_by_looks(window, pages)
 
 
 class _Reader:
     """Gives the rows of one database as blocks, and counts them."""
 
-    def __init__(self, base: sqlite3.Connection, want: Want, findings: Findings) -> None:
+    def __init__(
+        self,
+        base: sqlite3.Connection | None,
+        channels: dict[int, Channel],
+        want: Want,
+        findings: Findings,
+    ) -> None:
         self._base = base
         self._findings = findings
-        self._channels = _channels(base)
+        self._handled = 0
+        self._channels = channels
         self._sink = np.full(_TOPICS, _UNKNOWN, np.int64)
         for key, channel in self._channels.items():
             sink = want(channel)
@@ -126,26 +175,45 @@ class _Reader:
         self._wanted = np.unique(self._sink[self._sink >= 0]).tolist()
 
     def by_library(self) -> Iterator[Block]:
-        """All rows as the library gives them."""
-        cursor = self._base.execute("SELECT topic_id, timestamp, data FROM messages")
-        while rows := cursor.fetchmany(ROWS):
+        """All rows as the library gives them; of unwanted ones only the heads are read."""
+        wanted = ",".join(str(k) for k in np.flatnonzero(self._sink >= 0).tolist())
+        query = f"SELECT {_columns_of(f'topic_id IN ({wanted})')} FROM messages"
+        yield from self._asked(query)
+
+    def _asked(self, query: str, values: Sequence[int] = ()) -> Iterator[Block]:
+        """The library's rows in blocks of as many as a bounded memory holds."""
+        assert self._base is not None
+        cursor = self._base.execute(query, values)
+        rows: list[_Row] = []
+        held = 0
+        for row in cursor:
+            rows.append(row)
+            held += len(row[2]) if type(row[2]) is bytes else 0
+            if len(rows) == ROWS or held > HELD_BYTES:
+                yield from self._block(rows)
+                rows, held = [], 0
+        if rows:
             yield from self._block(rows)
 
     def by_pages(self, pages: Pages, root: int) -> Iterator[Block]:
         """All rows from the leaf pages of the table; large ones from the library."""
-        gaps = short = last = 0
+        gaps = missing = short = last = 0
         for data in pages.batches(pages.leaves(root)):
             rows = pages.rows(data)
             self._findings.damaged_pages += rows.broken
             short += rows.short
             if len(rows.number):
                 # A recorder numbers its rows from 1 on, one after the other.
-                gaps += int((np.diff(rows.number, prepend=last) != 1).sum())
+                step = np.diff(rows.number, prepend=last)
+                gaps += int((step != 1).sum())
+                missing += _missing(rows.number, last)
                 last = int(rows.number[-1])
             yield from self._columns(rows)
             yield from self._large(rows)
         if gaps:
-            self._findings.note(f"the numbers of the rows have {gaps} gaps: rows may be missing")
+            self._findings.note(
+                f"the numbers of the rows have {gaps} gaps: {missing or 'no'} rows are missing"
+            )
         if short:
             self._findings.note(f"{short} pages of the database list fewer rows than they hold")
 
@@ -183,27 +251,36 @@ class _Reader:
         for first in range(0, len(wanted), 500):
             some = wanted[first : first + 500]
             marks = ",".join("?" * len(some))
-            query = f"SELECT topic_id, timestamp, data FROM messages WHERE id IN ({marks})"
+            query = f"SELECT {_columns_of('1')} FROM messages WHERE id IN ({marks})"
+            before = self._handled
             try:
-                found = self._base.execute(query, some).fetchall()
-            except _ERRORS:
-                self._findings.broken_rows += len(some)
-                continue
-            self._findings.broken_rows += len(some) - len(found)
-            yield from self._block(found)
+                yield from self._asked(query, some)
+            except _ERRORS as error:
+                self._findings.note(f"large rows cannot be read ({one_line(error)})")
+            self._findings.broken_rows += len(some) - (self._handled - before)
 
-    def _block(self, rows: list[tuple[Any, Any, Any]]) -> Iterator[Block]:
+    def _block(self, rows: list[_Row]) -> Iterator[Block]:
         """The wanted ones of the library's rows as a block; sqlite keeps any type anywhere."""
-        good = [r for r in rows if type(r[0]) is type(r[1]) is int and type(r[2]) is bytes]
+        self._handled += len(rows)
+        good = [r for r in rows if type(r[0]) is type(r[1]) is int and r[3] == "blob"]
         self._findings.broken_rows += len(rows) - len(good)
-        topic = np.array([row[0] for row in good], np.int64)
-        time_ns = np.array([row[1] for row in good], np.int64)
+        whole = [row for row in good if row[4] <= MESSAGE_BYTES or not self._is_wanted(row[0])]
+        if len(whole) < len(good):
+            self._findings.too_large += len(good) - len(whole)
+            for row in good:
+                if row[4] > MESSAGE_BYTES and self._is_wanted(row[0]):
+                    self._findings.lost[self._channels[row[0]].topic] += 1
+        topic = np.array([row[0] for row in whole], np.int64)
+        time_ns = np.array([row[1] for row in whole], np.int64)
         self._count(topic, time_ns)
         for sink, kept in self._by_sink(topic):
-            payloads = [good[k][2] for k in kept.tolist()]
+            payloads = [whole[k][2] for k in kept.tolist()]
             size = np.fromiter(map(len, payloads), np.int64, len(payloads))
             data = np.frombuffer(b"".join(payloads), np.uint8)
             yield Block(data, sink, time_ns[kept], np.cumsum(size) - size, size)
+
+    def _is_wanted(self, topic: int) -> bool:
+        return 0 <= topic < _TOPICS and self._sink[topic] >= 0
 
     def _count(self, topic: Ints, time_ns: Ints) -> None:
         counts = np.bincount(np.clip(topic, 0, _TOPICS - 1))
@@ -259,29 +336,83 @@ def _copied(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _opened(uri: str, path: Path) -> sqlite3.Connection:
+    """A connection that obeys nothing in the file, and whose work the file's size bounds."""
     try:
         base = sqlite3.connect(uri, uri=True)
     except sqlite3.Error as error:
         raise LogError(f"{path}: cannot be opened as a database ({one_line(error)})") from error
     base.text_factory = lambda raw: raw.decode("utf-8", "replace")
+    left = LEAST_STEPS + STEPS_PER_BYTE * _size(path)
+
+    def spent() -> bool:
+        nonlocal left
+        left -= STEPS_AT_ONCE
+        return left < 0
+
+    base.set_progress_handler(spent, STEPS_AT_ONCE)
+    try:
+        base.execute("PRAGMA trusted_schema = OFF")
+    except _ERRORS:
+        # What is wrong with the file shows when it is asked for something.
+        return base
     return base
 
 
+def _size(path: Path) -> int:
+    """Bytes of a database and of the log beside it."""
+    beside = (path.with_name(path.name + suffix) for suffix in ("", "-wal"))
+    return sum(file.stat().st_size for file in beside if file.is_file())
+
+
+def _check_table(base: sqlite3.Connection, name: str) -> None:
+    """Raise DamageError unless this is a plain table: a view or a formula may ask for anything."""
+    found = base.execute(
+        "SELECT type, substr(sql, 1, 100) FROM sqlite_master WHERE name = ? COLLATE NOCASE LIMIT 2",
+        (name,),
+    ).fetchall()
+    if not found:
+        raise DamageError(f"it has no table {name}")
+    if len(found) > 1 or found[0][0] != "table" or "VIRTUAL" in str(found[0][1]).upper().split():
+        raise DamageError(f"{name} is no plain table")
+    if any(row[6] for row in base.execute(f"PRAGMA table_xinfo({name})")):
+        raise DamageError(f"{name} has generated columns")
+
+
 def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
+    """The topics by their numbers; raises DamageError where the tables are not those of a bag."""
+    _check_table(base, "messages")
+    _check_table(base, "topics")
     columns = {row[1] for row in base.execute("PRAGMA table_info(topics)")}
     encoding = "serialization_format" if "serialization_format" in columns else "'cdr'"
-    definitions: dict[str, tuple[str, bytes]] = {}
-    query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-    if base.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
-        for name, kind, body in base.execute(query):
-            definitions[str(name)] = (str(kind), str(body).encode()[:SCHEMA_BYTES])
+    definitions = _definitions(base)
+    short = ", ".join(f"substr({column}, 1, {NAME_BYTES})" for column in ("name", "type", encoding))
     out = {}
     for key, name, type_name, form in base.execute(
-        f"SELECT id, name, type, {encoding} FROM topics"
+        f"SELECT id, {short} FROM topics LIMIT {_TOPICS}"
     ):
         kind, body = definitions.get(str(type_name), ("", b""))
         names = normal_topic(printable(str(name))), normal_type(printable(str(type_name)))
-        out[int(key)] = Channel(*names, printable(str(form)), body, kind)
+        out[int(key)] = spelled(Channel(*names, printable(str(form)), body, kind))
+    return out
+
+
+def _definitions(base: sqlite3.Connection) -> dict[str, tuple[str, bytes]]:
+    """The definitions of types, as far as a bounded memory holds them."""
+    there = "SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
+    if not base.execute(there).fetchone():
+        return {}
+    _check_table(base, "message_definitions")
+    query = (
+        f"SELECT substr(topic_type, 1, {NAME_BYTES}), substr(encoding, 1, {NAME_BYTES}), "
+        f"substr(encoded_message_definition, 1, {SCHEMA_BYTES}) FROM message_definitions"
+    )
+    out: dict[str, tuple[str, bytes]] = {}
+    room = DEFINITION_BYTES
+    for name, kind, body in base.execute(query):
+        out[str(name)] = (str(kind), str(body).encode("utf-8", "replace"))
+        room -= len(str(name)) + len(str(body))
+        if room < 0:
+            break
     return out
 
 
@@ -317,6 +448,22 @@ def _unmerged(path: Path) -> bool:
     """Whether a log beside the database holds changes that its pages lack."""
     beside = (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal"))
     return any(log.is_file() and log.stat().st_size > 0 for log in beside)
+
+
+def _missing(number: Ints, last: int) -> int:
+    """How many rows are left out between those of ascending numbers; `last`: the one before.
+
+    A number that fits neither of its neighbours is wrong itself, and tells nothing.
+    """
+    before = np.concatenate([[last], number[:-1]])
+    after = np.concatenate([number[1:], number[-1:] + 1])
+    number = np.where(after == before + 2, before + 1, number)
+    step = np.diff(number, prepend=last)
+    return int((step[(step > 1) & (step <= MOST_MISSING)] - 1).sum())
+
+
+MOST_MISSING = 1 << 20
+"""A larger step is a wrong number."""
 
 
 def _root(base: sqlite3.Connection) -> int | None:

@@ -20,6 +20,9 @@ LEAF, INTERIOR = 0x0D, 0x05
 BATCH = 512
 """Pages that are parsed together."""
 
+PAGE_BYTES = 4096
+"""Size of a page unless another one is asked for."""
+
 NEAR = 8
 """So many pages that are not needed are rather read along than skipped."""
 
@@ -57,15 +60,19 @@ class Rows(NamedTuple):
 
 
 class Pages:
-    """The pages of one database file."""
+    """The pages of one database file; anyhow: even if its header is damaged."""
 
-    def __init__(self, window: FileWindow) -> None:
+    def __init__(self, window: FileWindow, anyhow: bool = False) -> None:
         head = window.view(0, 100).tobytes()
         size = int.from_bytes(head[16:18], "big")
         self.size = 65536 if size == 1 else size
+        unused = head[20:21]
         if len(head) < 100 or self.size < 512 or self.size & (self.size - 1):
-            raise DamageError("the database has no page size")
-        self.usable = self.size - head[20]
+            if not anyhow:
+                raise DamageError("the database has no page size")
+            # What recorders use, as none of them chooses another one.
+            self.size = PAGE_BYTES
+        self.usable = self.size - (0 if anyhow else unused[0])
         self.count = window.size // self.size
         self._window = window
 
@@ -85,6 +92,9 @@ class Pages:
             if kind != INTERIOR or len(level) > self.count:
                 raise DamageError("the database's index of pages is damaged")
             level = np.concatenate([self._children(number) for number in level.tolist()])
+            # Each page belongs to one other only.
+            if len(level) > self.count or len(np.unique(level)) < len(level):
+                raise DamageError("the database's index of pages is damaged")
         raise DamageError("the database's index of pages is nested too deeply")
 
     def _children(self, number: int) -> Ints:
@@ -136,7 +146,8 @@ class Pages:
         count = (len(data) - _PAD) // self.size
         base = self.size * np.arange(count)
         cells = _big(data, base + 3, 2)
-        leaf = (data[base] == LEAF) & (8 + 2 * cells <= self.usable)
+        # A row takes four bytes at least, and two for its place.
+        leaf = (data[base] == LEAF) & (8 + 6 * cells <= self.usable)
         cells = np.where(leaf, cells, 0)
         page = np.repeat(base, cells)
         number = np.arange(len(page)) - np.repeat(np.cumsum(cells) - cells, cells)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .messages import Channel, Findings, Ints, Want
+from .spelling import one_bit_apart
 
 NUMBERS = 1 << 16
 UNKNOWN = -2
@@ -29,14 +30,40 @@ class Tally:
             self.describe(number, channel)
 
     def describe(self, number: int, channel: Channel) -> None:
-        """Take in what a channel is; the last description counts."""
-        if number < NUMBERS and self._channels.get(number) != channel:
+        """Take in what a channel is; the last description counts.
+
+        A wanted one stays what it is: a number means one thing in a file, and an index that was
+        checked describes it first.
+        """
+        if number < NUMBERS and self._sink[number] < 0 and self._channels.get(number) != channel:
             self._channels[number] = channel
             self._sink[number] = self._want(channel)
+
+    def unknown(self, number: NDArray[Any]) -> list[int]:
+        """The numbers among these that are not described."""
+        strange = number[self._sink[number] == UNKNOWN]
+        return [int(n) for n in np.unique(strange)] if len(strange) else []
+
+    def adopt(self, number: int) -> bool:
+        """Take a number that is described nowhere for the one it can only have been.
+
+        That is the only channel whose number is a bit away, if none of its messages were met.
+        """
+        if number >= NUMBERS or self._sink[number] != UNKNOWN:
+            return False
+        near = [n for n in self._channels if one_bit_apart(n, number)]
+        if len(near) != 1 or self._met[near[0]]:
+            return False
+        self.describe(number, self._channels[near[0]])
+        return True
 
     def sink(self, number: int) -> int:
         """Sink number of a channel: wanted from 0 on, UNWANTED, or UNKNOWN."""
         return int(self._sink[number])
+
+    def known(self, number: int) -> bool:
+        """Whether a channel has been described."""
+        return number < NUMBERS and self.sink(number) != UNKNOWN
 
     def met(self, number: NDArray[Any], time_ns: Ints) -> list[tuple[int, Ints]]:
         """Count messages by their channel numbers; returns the wanted sinks, each with its rows."""
@@ -54,11 +81,16 @@ class Tally:
 
     def passed(self, number: int, count: int) -> None:
         """Count messages of a channel that were not looked at, as nobody wants them."""
-        self._met[number] += count
+        if number < NUMBERS:
+            self._met[number] += count
 
     def lost(self, number: int, count: int) -> None:
         """Count messages known to be lost in a damaged place."""
         self._lost[number] = self._lost.get(number, 0) + count
+
+    def lacks(self, declared: Mapping[int, int]) -> bool:
+        """Whether fewer messages were met than are declared."""
+        return any(c > (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items())
 
     def finish(self, declared: Mapping[int, int]) -> None:
         """Turn the counts into findings.

@@ -63,7 +63,7 @@ def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[In
 def bag_records(data: Bytes) -> tuple[Ints, int]:
     """Places of the whole ROS 1 records at the front of `data`, and where they stop.
 
-    A record is a header and data, each with a 32-bit length in front.
+    A record is a header, never empty, and data, each with a 32-bit length in front.
     """
     raw, size = data.data, len(data)
     firsts: list[int] = []
@@ -74,7 +74,7 @@ def bag_records(data: Bytes) -> tuple[Ints, int]:
     while position <= last:
         header = _U32(raw, position)[0]
         body = position + 4 + header
-        if body > size - 4:
+        if body > size - 4 or header == 0:
             break
         shape = header, _U32(raw, body)[0]
         step = 8 + header + shape[1]

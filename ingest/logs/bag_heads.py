@@ -1,0 +1,180 @@
+"""Which bytes of a ROS 1 bag are a record: by its fields, and by the record behind it.
+
+A record names its fields, so that hardly any bytes look like one; but the length of its data stands
+nowhere else, save for the record that begins behind it. Where no record begins, the head is tried
+with each one of its bits changed; if none makes it whole, the next record is looked for.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from .bag_wire import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    HEADER_BYTES,
+    INDEX,
+    INDEX_ENTRY,
+    MESSAGE,
+    U32,
+    Fields,
+    Record,
+    fields_of,
+    number,
+    op_of,
+)
+from .messages import SCHEMA_BYTES, Bytes, DamageError
+from .spelling import nearest
+
+HEAD_BYTES = 128
+"""So much of a record is looked at first, and tried bit by bit."""
+
+REPAIRS = 64
+"""Heads of one file that are tried bit by bit; a file with more wrong bits is read by its rest."""
+
+COMPRESSIONS = frozenset({b"none", b"bz2", b"lz4"})
+
+_FIELDS: dict[int, dict[bytes, int]] = {
+    MESSAGE: {b"conn": 4, b"time": 8},
+    BAG_HEADER: {b"index_pos": 8, b"conn_count": 4, b"chunk_count": 4},
+    INDEX: {b"ver": 4, b"conn": 4, b"count": 4},
+    CHUNK: {b"size": 4},
+    CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"start_time": 8, b"end_time": 8, b"count": 4},
+    CONNECTION: {b"conn": 4},
+}
+"""Numbers that a record of every kind has, and their bytes."""
+
+_ITEMS = {INDEX: INDEX_ENTRY, CHUNK_INFO: 8}
+"""Bytes of the data per item that the field `count` counts."""
+
+_NAMES = b"|".join(
+    sorted({b"op", b"compression", b"topic"}.union(*(fields for fields in _FIELDS.values())))
+)
+_START = re.compile(
+    rb"(?=[\x00-\xff]{2}\x00\x00[\x00-\xff]{2}\x00\x00(?:" + _NAMES + rb")=)", re.DOTALL
+)
+"""The front of a header: its length, and a field's length and name."""
+
+IN_CHUNKS = frozenset({MESSAGE, CONNECTION})
+
+Read = Callable[[int, int], bytes]
+"""Gives the bytes of a place, fewer at the end of all."""
+
+
+class BagHeads:
+    """Records in a bag, or in the data of one chunk. read: of any place; size: of all."""
+
+    def __init__(self, read: Read, size: int, *, file: bool = True) -> None:
+        self._read = read
+        self._size = size
+        self._file = file
+        self._kinds = frozenset(_FIELDS) if file else IN_CHUNKS
+        self._repairs = [REPAIRS]
+
+    def within(self, data: Bytes) -> BagHeads:
+        """The same for the data of a chunk of this file."""
+        raw = memoryview(data.data)
+        heads = BagHeads(lambda at, n: bytes(raw[at : at + n]), len(data), file=False)
+        heads._repairs = self._repairs
+        return heads
+
+    def record(self, position: int, head: bytes | None = None) -> Record | None:
+        """The record at `position`, None if its fields are not those of its kind.
+
+        Its data may reach beyond the end of all, where a log was cut. head: its first HEAD_BYTES,
+        if they are known better.
+        """
+        if head is None:
+            head = self._read(position, HEAD_BYTES)
+        if len(head) < 8:
+            return None
+        size = U32(head)[0]
+        if not 0 < size <= HEADER_BYTES:
+            return None
+        if size + 8 > len(head):
+            head += self._read(position + len(head), size + 8 - len(head))
+            if size + 8 > len(head):
+                return None
+        try:
+            fields = fields_of(head[4 : 4 + size])
+            op = op_of(fields)
+            record = Record(fields, op, position + 8 + size, U32(head, 4 + size)[0])
+            return record if op in self._kinds and self._fits(record) else None
+        except DamageError:
+            return None
+
+    def _fits(self, record: Record) -> bool:
+        """Whether a record has what its kind has; raises DamageError if it lacks a number."""
+        fields = record.fields
+        for name, size in _FIELDS[record.op].items():
+            number(fields, name, size)
+        if record.op in _ITEMS:
+            return number(fields, b"count") * _ITEMS[record.op] == record.data_size
+        if record.op == CHUNK:
+            # A name that is misspelt is there, but not as `compression`.
+            named = b"compression" in fields or fields.keys() == {b"op", b"size"}
+            return named and compression_of(fields) in COMPRESSIONS
+        if record.op == CONNECTION and record.end <= self._size:
+            described = self._read(record.data_at, min(record.data_size, 2 * SCHEMA_BYTES))
+            return record.data_size > 2 * SCHEMA_BYTES or b"type" in fields_of(described)
+        return True
+
+    def begins(self, position: int) -> bool:
+        """Whether a record begins at `position`, or all ends there, be it within a record head."""
+        if position + HEAD_BYTES > self._size:
+            return position == self._size or (position < self._size and self._cut_head(position))
+        return self.record(position) is not None
+
+    def _cut_head(self, position: int) -> bool:
+        """Whether the last bytes of all are a record, or the front of one."""
+        if self.record(position) is not None:
+            return True
+        head = self._read(position, HEAD_BYTES)
+        return self._file and (len(head) < 8 or U32(head)[0] + 8 > len(head))
+
+    def repaired(self, position: int) -> bytes | None:
+        """The head of the record at `position` with one bit changed that makes it sound."""
+        head = self._read(position, HEAD_BYTES)
+        if self._repairs[0] <= 0 or len(head) < 8:
+            return None
+        self._repairs[0] -= 1
+        # The header is the longest part; where its own length is wrong, the fields tell.
+        for bit in range(8 * len(head)):
+            changed = bytearray(head)
+            changed[bit // 8] ^= 1 << bit % 8
+            patched = bytes(changed)
+            record = self.record(position, patched)
+            if record is None or record.end > self._size:
+                continue
+            if record.end == self._size or self.record(record.end) is not None:
+                return patched
+        return None
+
+    def following(self, position: int, packed: bool = False) -> int | None:
+        """Place of the next sound record at or behind `position`, None if there is none.
+
+        packed: whether chunks are compressed; what looks like a message is then part of one.
+        """
+        slab = 1 << 12
+        while position < self._size:
+            raw = self._read(position, slab + HEAD_BYTES)
+            for match in _START.finditer(raw, 0, slab + 24):
+                at = match.start()
+                if at >= slab:
+                    break
+                record = self.record(position + at, raw[at : at + HEAD_BYTES])
+                if record is None or record.end > self._size or (packed and record.op in IN_CHUNKS):
+                    continue
+                if self.begins(record.end):
+                    return position + at
+            position += slab
+            slab = min(4 * slab, 1 << 20)
+        return None
+
+
+def compression_of(fields: Fields) -> bytes:
+    """How a chunk is compressed, with at most one wrong bit in the name set right."""
+    return nearest(fields.get(b"compression", b"none"), COMPRESSIONS)

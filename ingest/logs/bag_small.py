@@ -1,0 +1,118 @@
+"""Runs of small chunks of a bag taken together: some recorders close one after every message."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from .bag_wire import CHUNK, INDEX, INDEX_ENTRY, U32, fields_of
+from .inflate import inflate
+from .messages import Bytes, DamageError
+
+SMALL_BYTES = 1 << 14
+"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte."""
+
+RUN = 8
+"""After so many small chunks the next ones are expected to be small, too."""
+
+
+class Batch(NamedTuple):
+    """Small chunks one behind the other: bytes of the file that they take, records of each."""
+
+    stop: int
+    data: Sequence[bytes]
+
+
+class _Likes:
+    """The headers that a recorder repeats: of chunks in all but the size, of indexes."""
+
+    def __init__(self) -> None:
+        self._chunk: tuple[int, bytes, bytes] | None = None
+        self._index: tuple[int, bytes] | None = None
+        self.compression = b"none"
+
+    def chunk_size(self, head: bytes) -> int | None:
+        """The size that the header of a chunk declares, None if it is none. Length included."""
+        if self._chunk is None:
+            fields = _fields(head)
+            if fields.get(b"op") != bytes([CHUNK]) or len(fields.get(b"size", b"")) != 4:
+                return None
+            at = head.index(b"size=") + 5
+            self._chunk = (len(head), head[:at], head[at + 4 :])
+            self.compression = fields.get(b"compression", b"none")
+        length, before, after = self._chunk
+        if len(head) != length or not head.startswith(before) or not head.endswith(after):
+            return None
+        return int(U32(head, len(before))[0])
+
+    def is_index(self, head: bytes, data_size: int) -> bool:
+        """Whether a header is that of an index record with so many bytes of data."""
+        if self._index is None or not head.startswith(self._index[1]):
+            fields = _fields(head)
+            if fields.get(b"op") != bytes([INDEX]) or len(fields.get(b"count", b"")) != 4:
+                return False
+            at = head.index(b"count=") + 6
+            if at + 4 != len(head):
+                # Another writer's order: read, but not known again.
+                return U32(fields[b"count"])[0] * INDEX_ENTRY == data_size
+            self._index = (len(head), head[:at])
+        length, before = self._index
+        return len(head) == length and U32(head, len(before))[0] * INDEX_ENTRY == data_size
+
+
+def _fields(head: bytes) -> dict[bytes, bytes]:
+    try:
+        return fields_of(head[4:])
+    except DamageError:
+        return {}
+
+
+def small_chunks(raw: Bytes) -> Batch:
+    """The small chunks at the front of `raw` and their indexes, up to anything else.
+
+    A chunk counts only if a chunk or an index is behind it: nothing else tells that its length is
+    right.
+    """
+    view, at, size = raw.data, 0, len(raw)
+    data: list[bytes] = []
+    likes = _Likes()
+    stop = 0
+    records: bytes | None = None
+    while at + 8 <= size:
+        header = U32(view, at)[0]
+        body = at + 4 + header
+        if header > LONGEST_HEADER or body + 4 > size:
+            break
+        head = bytes(view[at:body])
+        end = body + 4 + U32(view, body)[0]
+        declared = likes.chunk_size(head)
+        if declared is None and not likes.is_index(head, end - body - 4):
+            break
+        if records is not None:
+            data.append(records)
+            records = None
+        stop = at
+        if end > size:
+            break
+        if declared is None:
+            stop = end
+        else:
+            if max(declared, end - at) > SMALL_BYTES:
+                break
+            try:
+                records = _records(likes.compression, view[body + 4 : end], declared)
+            except DamageError:
+                break
+        at = end
+    return Batch(stop, data)
+
+
+LONGEST_HEADER = 256
+
+
+def _records(compression: bytes, packed: memoryview, size: int) -> bytes:
+    if compression != b"none":
+        return inflate(compression.decode("latin-1"), packed, size)
+    if size != len(packed):
+        raise DamageError("a chunk does not have its declared size")
+    return bytes(packed)

@@ -1,0 +1,106 @@
+"""Records one behind the other of which some are damaged: the others are found again.
+
+Where the walk meets no record, either the head there is damaged, or the length of the record in
+front of it led astray. Both are tried with each one of their bits changed; if neither helps, the
+walk goes on at the next place at which records are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from .columns import words
+from .mcap_heads import IN_CHUNKS, Heads
+from .mcap_wire import MESSAGE, RECORD_HEAD
+from .messages import Bytes, Ints
+from .walk import mcap_records
+
+_NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
+_PRIVATE = 0x80
+
+
+class Mended(NamedTuple):
+    """Records found in damaged data.
+
+    data: with their heads set right; where: places of the records; lost: channels of messages that
+    are not among them, as far as that can be told; unreadable: bytes left out; repaired: heads.
+    """
+
+    data: Bytes
+    where: Ints
+    lost: list[int]
+    unreadable: int
+    repaired: int
+
+
+def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], None]) -> Mended:
+    """All records of damaged data that can still be found. heads: of the data.
+
+    define: is told of further records, so that the channels among them are known.
+    """
+    data = data.copy()
+    heads = heads.within(data)
+    parts: list[Ints] = []
+    lost: list[int] = []
+    position = unreadable = repaired = 0
+    while position < len(data):
+        where, stop = mcap_records(data[position:], _NOT_IN_CHUNKS)
+        define(data[position:], where)
+        if position + stop == len(data):
+            parts.append(where + position)
+            break
+        end = _private_end(data, position + stop)
+        if end and heads.repaired(position + stop) is None and heads.begins(end):
+            parts.append(where + position)
+            position = end
+            continue
+        where, stop = trusted(heads, data[position:], where, stop, position)
+        parts.append(where + position)
+        position += stop
+        head = heads.repaired(position)
+        if head is not None:
+            data[position : position + len(head)] = np.frombuffer(head, np.uint8)
+            repaired += 1
+            continue
+        found = heads.following(position + 1)
+        reach = len(data) if found is None else found
+        end = heads.end(position) if data[position] == MESSAGE else None
+        if end is not None and position < end <= reach:
+            # Whole after all: what is behind it is broken in more than one bit.
+            parts.append(np.array([position]))
+            position = end
+        elif end is not None:
+            lost.append(int.from_bytes(data[position + RECORD_HEAD :][:2].tobytes(), "little"))
+        unreadable += reach - position
+        position = reach
+    where = np.concatenate(parts) if parts else np.zeros(0, np.int64)
+    return Mended(data, where, lost, unreadable, repaired)
+
+
+def _private_end(data: Bytes, position: int) -> int:
+    """Where a record of a private kind ends, 0 if there is none, or if not in the data."""
+    if position + RECORD_HEAD > len(data) or data[position] < _PRIVATE:
+        return 0
+    end = position + RECORD_HEAD + int(words(data, "<u8", np.array([position + 1]))[0])
+    return end if end <= len(data) else 0
+
+
+def trusted(heads: Heads, data: Bytes, where: Ints, stop: int, base: int) -> tuple[Ints, int]:
+    """The records in front of a place at which none begins, without those in doubt; where they end.
+
+    The last length led there, unless only the head there is broken. base: place of `data` for
+    `heads`.
+    """
+    if heads.repaired(base + stop) is not None:
+        return where, stop
+    known = heads.known(words(data, "<u2", where + RECORD_HEAD))
+    count = len(where)
+    # Where a walk went astray it meets what looks like messages of channels that do not exist.
+    while count and data[where[count - 1]] == MESSAGE and not known[count - 1]:
+        count -= 1
+    if count == 0:
+        return where[:0], 0
+    return where[: count - 1], int(where[count - 1])

@@ -1,0 +1,126 @@
+"""Runs of small chunks taken together: some recorders close a chunk after every message."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .checksum import agrees, crc32
+from .inflate import inflate
+from .mcap_heads import CHUNK_FIXED
+from .mcap_wire import CHUNK, MESSAGE_INDEX, RECORD_HEAD
+from .messages import Bytes, DamageError
+
+SMALL_BYTES = 1 << 14
+"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte."""
+
+RUN = 8
+"""After so many small chunks the next ones are expected to be small, too."""
+
+_HEAD = struct.Struct("<BQ").unpack_from
+_CHUNK = struct.Struct("<QQQII").unpack_from
+_U64 = struct.Struct("<Q").unpack_from
+_INDEX = struct.Struct("<HI").unpack_from
+
+
+WRONG_SIZE = "a chunk does not have its declared size"
+
+
+class Failed(NamedTuple):
+    """A chunk that cannot be used: why, and how many messages its index counts per channel."""
+
+    reason: str
+    counts: dict[int, int]
+
+
+class Batch(NamedTuple):
+    """Small chunks one behind the other.
+
+    stop: bytes of the file that they take; data: the records of each; failed: those that could not
+    be used, in order; open: whether the last one failed, so that further counts may follow;
+    unlisted: the records of those whose checksum is wrong, and whose messages no index counts.
+    """
+
+    stop: int
+    data: Sequence[bytes]
+    failed: list[Failed]
+    open: bool
+    unlisted: Sequence[bytes]
+
+
+def small_chunks(raw: Bytes, patient: bool) -> Batch:
+    """The small chunks at the front of `raw` and their indexes, up to anything else.
+
+    patient: stop in front of a chunk that cannot be used as it is.
+    """
+    view, at, size = raw.data, 0, len(raw)
+    data: list[bytes] = []
+    failed: list[Failed] = []
+    counts: dict[int, int] | None = None
+    broken: list[tuple[bytes, dict[int, int]]] = []
+    while at + RECORD_HEAD + CHUNK_FIXED <= size:
+        op, length = _HEAD(view, at)
+        end = at + RECORD_HEAD + length
+        if end > size:
+            break
+        if op == CHUNK:
+            found = _records(view, at, end)
+            if found is None or (patient and found.reason):
+                break
+            counts = {} if found.reason else None
+            if counts is not None:
+                failed.append(Failed(found.reason, counts))
+                broken.append((found.records, counts))
+            else:
+                data.append(found.records)
+        elif op == MESSAGE_INDEX and length >= 6:
+            number, entries = _INDEX(view, at + RECORD_HEAD)
+            if entries + 6 != length:
+                break
+            if counts is not None:
+                counts[number] = entries // 16
+        else:
+            break
+        at = end
+    unlisted = [records for records, listed in broken if not listed]
+    return Batch(at, data, failed, counts is not None, unlisted)
+
+
+class _Found(NamedTuple):
+    """What a chunk holds, and why it cannot be used, if so."""
+
+    records: bytes
+    reason: str = ""
+
+
+def _records(view: memoryview, at: int, end: int) -> _Found | None:
+    """The records of a chunk, or None if it is not small and simple."""
+    _, _, size, crc, named = _CHUNK(view, at + RECORD_HEAD)
+    name_at = at + RECORD_HEAD + CHUNK_FIXED
+    data_at = name_at + named + 8
+    if max(size, end - at) > SMALL_BYTES or data_at > end:
+        return None
+    if _U64(view, data_at - 8)[0] != end - data_at:
+        return None
+    packed = view[data_at:end]
+    try:
+        if named:
+            name = str(view[name_at : data_at - 8], "utf-8", "replace")
+            records = inflate(name, packed, size)
+        elif size != len(packed):
+            return _Found(bytes(packed), WRONG_SIZE)
+        else:
+            records = bytes(packed)
+    except DamageError as damage:
+        return _Found(b"", str(damage))
+    if crc and not agrees(crc32(records), crc):
+        return _Found(records, "checksum (CRC) is wrong")
+    return _Found(records)
+
+
+def joined(parts: Sequence[bytes]) -> Bytes:
+    """The records of several chunks as one run."""
+    return np.frombuffer(b"".join(parts), np.uint8)

@@ -1,0 +1,46 @@
+"""Names of which one bit was flipped, set right where only one known name is that close."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeVar
+
+from .messages import Channel
+from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
+
+TYPES = frozenset({*ODOMETRY_KINDS, *JUNCTION_KINDS})
+ENCODINGS = frozenset({"cdr", "ros1", "json", "protobuf"})
+SCHEMA_ENCODINGS = frozenset({"ros2msg", "ros2idl", "ros1msg", "protobuf", "jsonschema"})
+
+Name = TypeVar("Name", str, bytes, int)
+
+
+def one_bit_apart(name: Name, other: Name) -> bool:
+    """Whether two names of the same length, or two numbers, differ in exactly one bit."""
+    if isinstance(name, int) or isinstance(other, int):
+        return isinstance(name, int) and isinstance(other, int) and (name ^ other).bit_count() == 1
+    # A broken byte of text stands for itself, or for one character that cannot be decoded.
+    a, b = (n.encode("latin-1", "replace") if isinstance(n, str) else n for n in (name, other))
+    wrong = [(x, y) for x, y in zip(a, b, strict=False) if x != y]
+    if len(a) != len(b) or len(wrong) != 1:
+        return False
+    x, y = wrong[0]
+    return (x ^ y).bit_count() == 1 or (isinstance(name, str) and x == ord("?"))
+
+
+def nearest(name: Name, known: Iterable[Name]) -> Name:
+    """The one known name that is a bit away, or the name itself."""
+    found = [other for other in known if other == name or one_bit_apart(name, other)]
+    return found[0] if len(found) == 1 else name
+
+
+def spelled(channel: Channel) -> Channel:
+    """A channel whose type and encodings are what they can only have been."""
+    type_name, encoding = channel.type_name, channel.encoding
+    if type_name in TYPES and encoding in ENCODINGS:
+        return channel
+    return channel._replace(
+        type_name=nearest(type_name, TYPES),
+        encoding=nearest(encoding, ENCODINGS),
+        schema_encoding=nearest(channel.schema_encoding, SCHEMA_ENCODINGS),
+    )

@@ -1,0 +1,59 @@
+"""Chunks too large for the memory, gone through in pieces that hold whole records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from .inflate import PIECE_BYTES
+from .messages import MESSAGE_BYTES, Bytes, DamageError, Ints
+
+RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
+"""A longer record holds a longer message than any that is decoded."""
+
+
+class Large(NamedTuple):
+    """A record too long to be kept: its first bytes."""
+
+    head: Bytes
+
+
+def whole_records(
+    pieces: Iterator[bytes],
+    walk: Callable[[Bytes], tuple[Ints, int]],
+    length: Callable[[Bytes], int],
+    skip: Callable[[int], None] | None = None,
+) -> Iterator[Bytes | Large]:
+    """Runs of whole records out of a stream, and the heads of records too long to be kept.
+
+    walk: finds the records at the front of bytes and where they stop; length: of the record at the
+    front, 0 if there is none; skip: passes over bytes of the stream without reading them. Raises
+    DamageError if the stream holds anything else, or ends within a record.
+    """
+    pending = b""
+    over = 0
+    for piece in pieces:
+        if over:
+            dropped = min(over, len(piece))
+            over -= dropped
+            pending = piece[dropped:]
+        else:
+            pending += piece
+        data = np.frombuffer(pending, np.uint8)
+        _, stop = walk(data)
+        if stop:
+            yield data[:stop]
+            pending = pending[stop:]
+        total = length(data[stop:])
+        if total > RECORD_BYTES:
+            yield Large(data[stop:])
+            over, pending = max(total - len(pending), 0), pending[total:]
+            if over and skip is not None:
+                skip(over)
+                over = 0
+        elif total <= 0 and len(pending) > PIECE_BYTES:
+            break
+    if pending or over:
+        raise DamageError("the records of a chunk do not fill it")
