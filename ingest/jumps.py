@@ -210,7 +210,8 @@ def _excess(time_ns: Ints, pose: Floats, rows: Ints, usual: _Usual) -> tuple[Flo
     moved = _moved(pose, rows)
     off = moved - np.clip(moved, span.min(axis=1) - spare, span.max(axis=1) + spare)
     way: Floats = np.hypot(off[:, 0], off[:, 1])
-    return way, np.abs(off[:, 2])
+    turn: Floats = np.abs(off[:, 2])
+    return way, turn
 
 
 def _waited(time_ns: Ints, pose: Floats, rows: Ints) -> Floats:
@@ -247,8 +248,7 @@ def measured_jumps(
     duration = (time_ns[begin + 1] - time_ns[begin]) * SECOND_S
     off = _moved(pose, begin) - _expected(time_ns, pose, leaps, begin, usual)
     way, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap(off[:, 2]))
-    driven = np.hypot(*np.diff(pose[:, :2], axis=0).T)
-    driven = float(driven[~leaps].sum())
+    driven = float(np.hypot(*np.diff(pose[:, :2], axis=0).T)[~leaps].sum())
     again = np.minimum(duration, 2 * usual.period)
     reset = _near(pose, begin + 1, np.zeros(3), again, usual)
     reset |= _near(pose, begin + 1, pose[0], again, usual)
