@@ -161,12 +161,13 @@ def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings())
 
 
 def _large(pose: Floats, settings: JumpSettings) -> Ints:
-    """Steps that may leave the range of their neighbours by as much as the least jump.
+    """Steps that may leave the range of their neighbours by so much that it matters.
 
     They differ from the step before by no less, which is cheap to bound. In blocks that stay in the
     processor's cache, so that no large array is made.
     """
-    least_m, least_rad = 0.99 * settings.least_m, 0.99 * settings.least_rad
+    share = 0.99 / settings.factor
+    least_m, least_rad = share * settings.least_m, share * settings.least_rad
     found = [np.zeros(0, np.int64)]
     for first in range(0, len(pose) - 2, BLOCK_STEPS):
         step = np.diff(pose[first : first + BLOCK_STEPS + 2], axis=0)
@@ -216,7 +217,8 @@ def _excess(time_ns: Ints, pose: Floats, rows: Ints, usual: _Usual) -> tuple[Flo
 
 def _waited(time_ns: Ints, pose: Floats, rows: Ints) -> Floats:
     """(k,) seconds from the first row that held the pose before each step to the end of it."""
-    return (time_ns[rows + 1] - time_ns[_first_alike(pose, rows)]) * SECOND_S
+    waited = time_ns[rows + 1] - time_ns[_first_alike(pose, rows)]
+    return np.asarray(waited * SECOND_S, np.float64)
 
 
 def _first_alike(pose: Floats, rows: Ints) -> Ints:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from topobatch.ingest.jumps import without_jumps
+from topobatch.ingest.jumps import spikes, without_jumps
 from topobatch.ingest.track import sane_track
 from topobatch.topology.se2 import between, compose, wrap
 
@@ -118,6 +120,22 @@ def test_odometry_that_stands_and_leaps_to_the_robot_was_late():
     assert odometry.jumps.tolist() == [2011]
     assert "stands still and leaps 1 times" in track.warnings[0]
     assert odometry.jump_sigma[0, 0] > 1.0
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.001, 0.05), st.floats(0.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_jumps_are_found_as_without_the_shortcut(seed, noise, leap):
+    rng = np.random.default_rng(seed)
+    time, pose = drive(600, seed=seed)
+    pose += rng.normal(0, noise, pose.shape) * (rng.random((len(pose), 1)) < 0.02)
+    pose[:, 2] = wrap(pose[:, 2])
+    pose = jumped(pose, int(rng.integers(1, 600)), (leap, rng.normal(0, 0.2), rng.normal(0, 0.2)))
+    quick = spikes(time, pose)
+    with pytest.MonkeyPatch.context() as patch:
+        every = np.arange(1, len(pose) - 1)
+        patch.setattr("topobatch.ingest.jumps._large", lambda pose, settings: every)
+        thorough = spikes(time, pose)
+    assert np.flatnonzero(quick).tolist() == np.flatnonzero(thorough).tolist()
 
 
 def test_several_jumps_are_taken_one_after_another():
