@@ -1,4 +1,4 @@
-"""How often loop closure is right: python benchmarks/closure.py [--seeds 5] [--growth]
+"""How often loop closure is right: python benchmarks/closure.py [--seeds 5] [--growth] [--jumps]
 
 Runs of the project's own simulator in four kinds of world (`--worlds`), by drift and faults. A run
 is *consistent* if no junction stands twice in its map and no vertex holds two. `false` are passes
@@ -9,6 +9,13 @@ best rigid fit. `resets`: the odometry starts anew once or twice a run; of piece
 the largest is judged, and such a run is not consistent. `--growth` measures CPU time against the
 length of a run instead. `--wrong-noise F` gives the closure a noise that is F times what the run
 shows.
+
+`--jumps frame` lets the odometry's frame jump once in every run, by so many metres and degrees, and
+reads the run as from a log: `recall` are the passes by a junction passed before that stand in one
+vertex with such a pass, `across` the first of every junction past the jump among them; `cut` are
+runs that come in several maps; `false`, `mixed` and `double` are counts. `--jumps late`: the
+odometry stands until it leaps to where the robot is; `--jumps robot`: the robot is moved at once,
+and the odometry has seen it; `--jumps both`: and its frame has jumped as well.
 """
 
 from __future__ import annotations
@@ -17,11 +24,13 @@ import argparse
 import time
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from topobatch.ingest import mapping
 from topobatch.ingest.calibration import apply_calibration, calibrate
+from topobatch.ingest.jumps import without_jumps
 from topobatch.ingest.noise import estimate_noise
 from topobatch.ingest.passes import fuse_passes
 from topobatch.ingest.simulation import (
@@ -30,11 +39,12 @@ from topobatch.ingest.simulation import (
     true_vertex_of_passes,
 )
 from topobatch.ingest.simulation.drift import DRIFTS
+from topobatch.ingest.track import sane_track
 from topobatch.merge.pieces import joined_pieces
 from topobatch.topology.closure.drivenby import settle
 from topobatch.topology.closure.rounds import full_closure
 from topobatch.topology.closure.walk import make_walk
-from topobatch.topology.se2 import apply, fit_rigid
+from topobatch.topology.se2 import apply, between, compose, fit_rigid
 
 WORLDS = ("maze", "office", "organic", "city")
 CELLS = (
@@ -49,6 +59,8 @@ CELLS = (
     ("real", "mild"),
     ("resets", "mild"),
 )
+JUMPS = ((0.0, 0.0), (0.1, 5.0), (0.5, 15.0), (0.5, 45.0), (2.0, 90.0))
+"""Metres and degrees; the first is no jump, for comparison."""
 RESETS = replace(DRIFTS["mid"], resets_per_100_m=0.15)
 
 
@@ -68,9 +80,122 @@ def simulated(world, drift, faults, seed, junctions):
     return scenario, scenario.runs[name]
 
 
-def judge(scenario, run, topomap):
+def jumping(world, drift, faults, seed, *, junctions, size):
+    """Truth and run whose odometry's frame jumps once by size [m, deg]; as read from a log."""
+    metres, degrees = size
+    jump = {"jumps": 1, "jump_m": metres, "jump_deg": degrees} if metres + degrees else {}
+    scenario, run = simulated(world, replace(DRIFTS[drift], **jump), faults, seed, junctions)
+    return scenario.truth, as_read(run)
+
+
+def driven(world, drift, faults, seed, *, junctions, size, late=False, slipping=False):
+    """Truth and run in which the robot itself goes the way of the jump, about size [m, deg].
+
+    late: its odometry stands meanwhile, and then leaps to where the robot is; else no time passes
+    for it, nor for the detector: the robot is moved, and the odometry has seen it. slipping: what
+    it has seen is wrong by a jump of the same size.
+    """
+    metres, degrees = size
+    scenario, run = simulated(world, drift, faults, seed, junctions)
+    truth, odometry = scenario.truth, run.odometry
+    pose, way = odometry.pose, np.cumsum(odometry.step_m)
+    turned = np.unwrap(pose[:, 2])
+    begin = np.random.default_rng(seed).permutation(np.arange(len(way) // 4, len(way) * 3 // 4))
+    end = np.searchsorted(way, way[begin] + metres)
+    fits = np.abs(np.abs(turned[end] - turned[begin]) - np.radians(degrees)) < 0.1
+    if not metres or not fits.any():
+        return truth, as_read(run)
+    first, last = int(begin[fits][0]), int(end[fits][0])
+    told = replace(truth.runs[run.name], jump_ns=(int(odometry.time_ns[last]),))
+    if late:
+        pose = pose.copy()
+        pose[first:last] = pose[first]
+        run = replace(run, odometry=replace(odometry, pose=pose))
+    else:
+        if slipping:
+            pose = slipped(pose, last, size, seed, turned[last] - turned[first])
+            run = replace(run, odometry=replace(odometry, pose=pose))
+        run, told = left_out(run, told, first, last)
+    return replace(truth, runs={run.name: told}), as_read(run)
+
+
+def slipped(pose, row, size, seed, sense):
+    """The poses with a jump of that size into the row, turned in that sense, whither by chance."""
+    whither = np.random.default_rng(seed).uniform(-np.pi, np.pi)
+    turn = np.copysign(np.radians(size[1]), sense)
+    jump = [size[0] * np.cos(whither), size[0] * np.sin(whither), turn]
+    moved = compose(compose(pose[row], jump), between(pose[row], pose[row:]))
+    return np.concatenate([pose[:row], moved])
+
+
+def left_out(run, told, first, last):
+    """The run and its truth as if no time had passed between two rows of the odometry."""
+    odometry, seen = run.odometry, run.detections
+    begin, end = int(odometry.time_ns[first]), int(odometry.time_ns[last - 1])
+
+    def clock(time_ns):
+        time_ns = np.asarray(time_ns)
+        return np.where(time_ns > end, time_ns - (end - begin), np.minimum(time_ns, begin))
+
+    rows = np.delete(np.arange(len(odometry)), np.arange(first + 1, last))
+    kept = np.flatnonzero((seen.time_ns <= begin) | (seen.time_ns > end))
+    names = ("start_ns", "end_ns", "drive_start_ns", "drive_end_ns", "path_ns", "jump_ns")
+    times = {name: clock(getattr(told, name)) for name in names}
+    odometry = replace(odometry, time_ns=clock(odometry.time_ns[rows]), pose=odometry.pose[rows])
+    seen = replace(
+        seen,
+        time_ns=clock(seen.time_ns[kept]),
+        centre=seen.centre[kept],
+        branches=seen.branches.take(kept),
+    )
+    return replace(run, odometry=odometry, detections=seen), replace(told, **times)
+
+
+def as_read(run):
+    """The run with what reading makes of its odometry."""
+    track = sane_track(run.odometry.time_ns, run.odometry.pose, "odom", "base_link")
+    odometry = without_jumps(track.odometry, track.jumps)
+    return replace(run, odometry=odometry, warnings=track.warnings)
+
+
+def revisits(truth, name, maps):
+    """Passes by junctions passed before, those found, and both of the first ones past a jump."""
+    of_run = truth.runs[name]
+    seen = np.flatnonzero(of_run.messages > 0)
+    middle = (of_run.start_ns[seen] + of_run.end_ns[seen]) // 2
+    nodes = [set() for _ in seen]
+    for k, topomap in enumerate(maps):
+        vertex = true_vertex_of_passes(truth, name, topomap.observation_time_ns)
+        rows = zip(vertex, topomap.observation_time_ns, topomap.observation_vertex, strict=True)
+        for v, time_ns, node in rows:
+            mine = np.flatnonzero(of_run.vertex[seen] == v)
+            if len(mine):
+                nodes[mine[np.abs(middle[mine] - time_ns).argmin()]].add((k, int(node)))
+    jump_ns = min(of_run.jump_ns, default=np.iinfo(np.int64).max)
+    earlier, past = {}, set()
+    count = Counter()
+    for k in np.argsort(middle, kind="stable").tolist():
+        v = int(of_run.vertex[seen[k]])
+        if v in earlier:
+            found = bool(nodes[k] & earlier[v])
+            across = middle[k] > jump_ns and v not in past
+            count += Counter(revisits=1, found=found, across=across, met=found and across)
+        if middle[k] > jump_ns:
+            past.add(v)
+        earlier.setdefault(v, set()).update(nodes[k])
+    return count
+
+
+JUMPING = {
+    "frame": jumping,
+    "late": partial(driven, late=True),
+    "robot": driven,
+    "both": partial(driven, slipping=True),
+}
+
+
+def judge(truth, run, topomap):
     """Counts for one map."""
-    truth = scenario.truth
     of_pass = true_vertex_of_passes(truth, run.name, topomap.observation_time_ns)
     node = topomap.observation_vertex
     real = of_pass >= 0
@@ -170,7 +295,7 @@ def table(worlds, seeds, junctions, first, wrong_noise):
                 begin = time.process_time()
                 topomap, *others = joined_pieces(mapping.build_map(run))
                 spent += time.process_time() - begin
-                rows.append(judge(scenario, run, topomap) | {"others": len(others)})
+                rows.append(judge(scenario.truth, run, topomap) | {"others": len(others)})
         total = {key: sum(row[key] for row in rows) for key in rows[0]}
         good = sum(row["duplicates"] + row["mixed"] + row["others"] == 0 for row in rows)
         right = total["edges_right"]
@@ -182,6 +307,47 @@ def table(worlds, seeds, junctions, first, wrong_noise):
             f" {total['rmse'] / len(rows):>7.3f} {spent / len(rows):>6.2f}",
             flush=True,
         )
+
+
+def jump_table(args):
+    """One line per drift, faults and size of the jump."""
+    print(
+        f"{'drift-faults':<12} {'m':>4} {'deg':>4} {'runs':>4} {'recall':>7} {'across':>7}"
+        f" {'of':>5} {'cut':>4} {'false':>5} {'mixed':>5} {'double':>6} {'edge P':>7}"
+        f" {'rmse m':>7} {'s/run':>6}"
+    )
+    for drift in args.drifts:
+        for faults in ("none", "mild"):
+            for size in JUMPS:
+                total = Counter()
+                for world in args.worlds:
+                    for seed in range(args.first, args.first + args.seeds):
+                        total.update(jump_counts(args, world, drift, faults, seed, size))
+                right, runs = total["edges_right"], total["runs"]
+                print(
+                    f"{drift + '-' + faults:<12} {size[0]:>4} {size[1]:>4.0f} {runs:>4}"
+                    f" {total['found'] / max(total['revisits'], 1):>7.4f}"
+                    f" {total['met'] / max(total['across'], 1):>7.4f} {total['across']:>5}"
+                    f" {total['cut']:>4} {total['misplaced']:>5} {total['mixed']:>5}"
+                    f" {total['duplicates']:>6}"
+                    f" {right / max(right + total['edges_wrong'], 1):>7.4f}"
+                    f" {total['rmse'] / runs:>7.3f} {total['spent'] / runs:>6.2f}",
+                    flush=True,
+                )
+
+
+def jump_counts(args, *of_run):
+    """What became of one run: counts, and seconds spent."""
+    world, drift, faults, seed, size = of_run
+    make = JUMPING[args.jumps]
+    truth, run = make(world, drift, faults, seed, junctions=args.junctions, size=size)
+    begin = time.process_time()
+    maps = joined_pieces(mapping.build_map(run))
+    total = Counter(runs=1, cut=len(maps) > 1, spent=time.process_time() - begin)
+    total.update(revisits(truth, run.name, maps))
+    for topomap in maps:
+        total.update(judge(truth, run, topomap))
+    return total
 
 
 def spoil(factor):
@@ -227,9 +393,13 @@ def main():
     parser.add_argument("--junctions", type=int, default=60, help="junctions per run")
     parser.add_argument("--wrong-noise", type=float, default=1.0)
     parser.add_argument("--growth", action="store_true")
+    parser.add_argument("--jumps", choices=sorted(JUMPING), help="one jump per run: of what")
+    parser.add_argument("--drifts", nargs="+", default=("low", "mid", "high"), help="of --jumps")
     args = parser.parse_args()
     if args.growth:
         growth(args.first)
+    elif args.jumps:
+        jump_table(args)
     else:
         table(args.worlds, args.seeds, args.junctions, args.first, args.wrong_noise)
 

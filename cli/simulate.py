@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -34,6 +35,12 @@ def simulate(
         Literal["none", "mild", "harsh"],
         typer.Option(help="How often junctions are missed, invented, or wrong about a branch."),
     ] = "mild",
+    jumps: Annotated[
+        int,
+        typer.Option(min=0, help="How often every run's odometry jumps while the robot drives on."),
+    ] = 0,
+    jump_m: Annotated[float, typer.Option(min=0, help="How far it jumps, in metres.")] = 0.5,
+    jump_deg: Annotated[float, typer.Option(min=0, help="How far it turns, in degrees.")] = 30.0,
     formats: Annotated[
         list[str] | None,
         typer.Option(
@@ -51,7 +58,7 @@ def simulate(
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
-    from ..ingest.simulation import ScenarioSettings, simulate_scenario
+    from ..ingest.simulation import DRIFTS, ScenarioSettings, simulate_scenario
     from ..ingest.simulation.writing import write_scenario
 
     screen = Screen(quiet)
@@ -61,7 +68,7 @@ def simulate(
         unrelated_runs=unrelated,
         overlap=overlap,
         junctions_per_run=junctions,
-        drift=drift,
+        drift=replace(DRIFTS[drift], jumps=jumps, jump_m=jump_m, jump_deg=jump_deg),
         faults=faults,
         seed=seed,
     )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..topology.odometry import Odometry
 from ..topology.passes import NO_BRANCH, Passes
 from ..topology.se2 import wrap
-from ..topology.track import chain_of
+from ..topology.track import stretch_of
 from .run import Detections
 
 FloatArray = NDArray[np.float64]
@@ -142,7 +142,7 @@ def heading_evidence(
         regressor - mean_regressor[reading.branch],
         settings.parts,
     )
-    chain = chain_of(odometry, passes.time_ns)
+    chain = stretch_of(odometry, passes.time_ns)
     parts = (within, _legs(passes, looks, chain), _grid(looks, chain, settings))
     stride = -(-len(passes) // settings.most_passes)
     return HeadingEvidence(*(rows.of_every(stride) if stride > 1 else rows for rows in parts))

@@ -14,12 +14,14 @@ from ..topology.closure.drivenby import DrivenBySettings, settle
 from ..topology.closure.gated import GatedSettings, Identification, gated_closure
 from ..topology.closure.layout import lay_out
 from ..topology.closure.pieces import set_apart
-from ..topology.closure.rounds import RoundSettings, full_closure
+from ..topology.closure.rounds import RoundSettings, closure_without_grid, full_closure
 from ..topology.closure.walk import SystematicErrors, Walk, make_walk
 from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, build_topomap
+from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.topomap import Closure, TopoMap
+from .bridging import bridged, jumps_told, split_told
 from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
 from .noise import NoiseSettings, estimate_noise, refine_noise
 from .passes import PassSettings, fuse_passes
@@ -71,7 +73,16 @@ def build_map(
     step("noise")
     noise = estimate_noise(odometry, run.detections, passes, settings.noise)
     step("loop closure")
-    walk = quiet = make_walk(odometry, passes, noise, _systematic(calibration, settings))
+    systematic = _systematic(calibration, settings)
+
+    def walk_of(track: Odometry) -> Walk:
+        fused = fuse_passes(track, run.detections, settings.passes)
+        return make_walk(track, fused, noise, systematic)
+
+    if len(odometry.jumps) and settings.closure == "full":
+        odometry = bridged(odometry, walk_of, lambda w: closure_without_grid(w, settings.rounds))
+        passes = fuse_passes(odometry, run.detections, settings.passes)
+    walk = quiet = make_walk(odometry, passes, noise, systematic)
     grid = None
     if settings.closure == "none":
         place = np.arange(len(passes), dtype=np.int64)
@@ -110,7 +121,7 @@ def build_map(
         closures=_closures(asked, revised, passes, settled.place),
         settings=settings.drawing,
     )
-    return replace(topomap, info=_info(run, settings, calibration, walk))
+    return replace(topomap, info=_info(run, settings, calibration, walk, odometry))
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
@@ -184,15 +195,20 @@ def _without_phantoms(q: Identification, place: IntArray) -> Identification:
 
 
 def _info(
-    run: Run, settings: MappingSettings, calibration: Calibration, walk: Walk
+    run: Run,
+    settings: MappingSettings,
+    calibration: Calibration,
+    walk: Walk,
+    odometry: Odometry,
 ) -> dict[str, Any]:
     """What the document says about the making of the map."""
     pieces = len(np.unique(walk.chain))
     return {
         "source": dict(run.source),
         "settings": asdict(settings),
-        "warnings": list(run.warnings),
+        "warnings": [*run.warnings, *split_told(run.odometry, odometry)],
         **({"pieces": pieces} if pieces > 1 else {}),
+        **({"jumps": jumps_told(run.odometry, odometry)} if len(odometry.jumps) else {}),
         "calibration": {
             name: {
                 "applied": calibration.applied[k],

@@ -22,7 +22,7 @@ from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.se2 import apply, wrap
 from ..topology.topomap import RunNoise
-from ..topology.track import chain_of
+from ..topology.track import stretch_of
 from .heading_evidence import assign_readings
 from .repeats import Repeats
 from .run import Detections
@@ -337,7 +337,7 @@ class _Pairs:
 def _grid_pairs(odometry: Odometry, passes: Passes, settings: NoiseSettings) -> _Pairs:
     way = _at(odometry, np.cumsum(odometry.step_m), passes.time_ns)
     turned = _at(odometry, np.cumsum(np.abs(odometry.turn_rad)), passes.time_ns)
-    chain, of = chain_of(odometry, passes.time_ns), passes.branches.owner
+    chain, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
     stride = -(-len(passes) // settings.most_passes)
     b = np.flatnonzero(of % stride == 0)
     # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then expand

@@ -12,7 +12,7 @@ from ..topology.odometry import Odometry
 from ..topology.passes import NO_BRANCH, Passes
 from ..topology.ragged import Ragged
 from ..topology.se2 import apply, wrap
-from ..topology.track import chain_of, track_directions, way_at
+from ..topology.track import stretch_of, track_directions, way_at
 from .run import Detections
 
 FloatArray = NDArray[np.float64]
@@ -84,10 +84,10 @@ def no_passes() -> Passes:
 
 
 def _within_break(odometry: Odometry, time_ns: IntArray) -> NDArray[np.bool_]:
-    """Sightings while the odometry was broken: where the robot was then is unknown."""
+    """Sightings while the odometry was broken or jumped: where the robot was then is unknown."""
     row = np.searchsorted(odometry.time_ns, time_ns, side="left")
     broken = np.zeros(len(odometry) + 1, bool)
-    broken[odometry.breaks] = True
+    broken[odometry.cuts] = True
     exact = odometry.time_ns[np.minimum(row, len(odometry) - 1)] == time_ns
     result: NDArray[np.bool_] = broken[row] & ~exact
     return result
@@ -101,7 +101,7 @@ def _group(
     silence = np.diff(time_ns) > settings.gap_s * 1e9
     moved = np.diff(way) > settings.gap_way_m
     jump = np.hypot(*np.diff(centre, axis=0).T) > settings.jump_m
-    cut = np.diff(chain_of(odometry, time_ns)) != 0
+    cut = np.diff(stretch_of(odometry, time_ns)) != 0
     new = (silence & moved) | jump | cut
     return np.concatenate([[0], np.cumsum(new)])
 

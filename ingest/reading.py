@@ -12,6 +12,7 @@ from ..topology.odometry import Odometry
 from .carried import split_where_carried
 from .channels import acceptance, check_mapping, decoders, junction_choice, kept_whole
 from .frames import NO_TRANSFORMS, FixedCollector, FixedTransforms
+from .jumps import without_jumps
 from .logs.fields import JunctionFields
 from .logs.intake import Intake, no_columns
 from .logs.messages import Channel, Findings, Survey
@@ -164,7 +165,9 @@ def read_run(
     )
     source = {"odometry": described[0], "junctions": described[1], "time": clock}
     warnings += [*track.warnings, *sightings.warnings]
-    odometry_split, carried = split_where_carried(track.odometry, sightings.detections)
+    odometry_split, carried = split_where_carried(
+        without_jumps(track.odometry, track.jumps), sightings.detections
+    )
     if carried:
         warnings.append(
             f"the wheels stand while the junction in view changes {carried} times: the robot was "

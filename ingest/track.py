@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..topology.odometry import Odometry
 from ..topology.se2 import wrap
+from .jumps import Jumps, measured_jumps, no_jumps, spikes
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -49,9 +50,11 @@ class TrackSettings:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A sane track and one sentence per kind of thing that had to be repaired."""
+    """A track in order, as recorded, its jumps (still in it), and one sentence per kind of thing
+    that had to be repaired."""
 
     odometry: Odometry
+    jumps: Jumps
     warnings: tuple[str, ...]
 
 
@@ -81,7 +84,7 @@ def sane_track(
     child_frame: str,
     settings: TrackSettings = TrackSettings(),
 ) -> Track:
-    """Sort, drop what is double, single out glitches and split where the chain is broken.
+    """Sort, drop what is double, single out glitches and jumps. `without_jumps` comes next.
 
     time_ns: (n,) in the order of the log, n ≥ 1; pose: (n, 3) x, y [m], theta [rad], finite.
     O(n log n) at worst, O(n) for times in order.
@@ -89,11 +92,12 @@ def sane_track(
     warnings: list[str] = []
     time_ns, pose = _forward(time_ns, pose, settings, warnings)
     time_ns, pose = _in_order(time_ns, pose, warnings)
-    time_ns, pose, breaks = _unbroken(time_ns, pose, settings, warnings)
+    time_ns, pose, jumps = _measured(time_ns, pose, settings, warnings)
     _report_gaps(time_ns, settings, warnings)
     for array in (time_ns, pose):
         array.flags.writeable = False
-    return Track(Odometry(time_ns, pose, breaks, frame, child_frame), tuple(warnings))
+    unbroken = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
+    return Track(unbroken, jumps, tuple(warnings))
 
 
 def _forward(
@@ -157,27 +161,33 @@ def _in_order(time_ns: Ints, pose: Floats, warnings: list[str]) -> tuple[Ints, F
     return time_ns, pose
 
 
-def _unbroken(
+def _measured(
     time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
-) -> tuple[Ints, Floats, Ints]:
-    """Teleports: single poses off the track are dropped, others break the chain."""
-    teleport = _teleports(time_ns, pose, settings)
-    if not teleport.any():
-        return time_ns, pose, np.zeros(0, np.int64)
-    glitch = _glitches(time_ns, pose, teleport, settings)
+) -> tuple[Ints, Floats, Jumps]:
+    """Leaps: single poses off the track are dropped, others are jumps or resets."""
+    leaps = _leaps(time_ns, pose, settings)
+    if not leaps.any():
+        return time_ns, pose, no_jumps()
+    glitch = _glitches(time_ns, pose, leaps, settings)
     if glitch.any():
         count = int(glitch.sum())
         warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
         time_ns, pose = time_ns[~glitch], pose[~glitch]
-        teleport = _teleports(time_ns, pose, settings)
-    breaks = np.flatnonzero(teleport) + 1
-    if len(breaks):
-        length = float(np.hypot(*(pose[breaks, :2] - pose[breaks - 1, :2]).T).max())
-        warnings.append(
-            f"odometry jumps {len(breaks)} times (up to {length:.2f} m): "
-            "reset or carried; the chain is split there"
-        )
-    return time_ns, pose, breaks
+        leaps = _leaps(time_ns, pose, settings)
+    if not leaps.any():
+        return time_ns, pose, no_jumps()
+    duration = np.diff(time_ns)
+    gap_ns = max(settings.gap_min_s * SECOND_NS, settings.gap_periods * float(np.median(duration)))
+    restarted = (duration > gap_ns) & _teleports(time_ns, pose, settings)
+    jumps = measured_jumps(time_ns, pose, leaps, restarted)
+    warnings += jumps.sentences(time_ns)
+    keep = jumps.fresh(len(pose))
+    return time_ns[keep], pose[keep], jumps.among(keep)
+
+
+def _leaps(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[np.bool_]:
+    """(n - 1,) steps that cannot have been driven, or stand out of all others."""
+    return _teleports(time_ns, pose, settings) | spikes(time_ns, pose)
 
 
 def _motion(time_ns: Ints, pose: Floats) -> tuple[Floats, Floats, Floats]:

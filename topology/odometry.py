@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,10 @@ class Odometry:
 
     time_ns: (n,) int64, strictly ascending; pose: (n, 3) T_odom_base as x, y [m], theta [rad];
     breaks: (k,) int64, ascending rows i at which the chain is broken between i - 1 and i (the
-    odometry was reset or the robot carried): motion across a break is unknown.
+    odometry was reset or the robot carried): motion across a break is unknown; jumps: (j,) int64,
+    ascending rows i so that the step from i - 1 to i is of unknown size; jump_sigma: (j, 2) 1 sigma
+    of these steps [m, per axis] and of their turn [rad]; jump_other: (j, 3) the likeliest other
+    motion in these steps, forward, to the left [m] and turn [rad].
     Raises ValueError on a wrong shape, a NaN, or times that do not ascend.
     """
 
@@ -26,6 +29,9 @@ class Odometry:
     breaks: NDArray[np.int64]
     frame: str = "odom"
     child_frame: str = "base_link"
+    jumps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    jump_sigma: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    jump_other: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         time_ns = frozen_array(self.time_ns, np.int64, (None,), "time_ns")
@@ -35,11 +41,27 @@ class Odometry:
             raise ValueError("odometry times must ascend strictly")
         if np.any(np.diff(breaks) <= 0) or np.any(breaks < 1) or np.any(breaks >= len(time_ns)):
             raise ValueError("breaks must ascend and lie within the track")
+        jumps = frozen_array(self.jumps, np.int64, (None,), "jumps")
+        if np.any(np.diff(jumps) <= 0) or np.any(jumps < 1) or np.any(jumps >= len(time_ns)):
+            raise ValueError("jumps must ascend and lie within the track")
+        jump_sigma = frozen_array(self.jump_sigma, np.float64, (len(jumps), 2), "jump_sigma")
+        jump_other = frozen_array(self.jump_other, np.float64, (len(jumps), 3), "jump_other")
         for name, value in (("time_ns", time_ns), ("pose", pose), ("breaks", breaks)):
+            object.__setattr__(self, name, value)
+        for name, value in (
+            ("jumps", jumps),
+            ("jump_sigma", jump_sigma),
+            ("jump_other", jump_other),
+        ):
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    @property
+    def cuts(self) -> NDArray[np.int64]:
+        """(c,) rows that begin a stretch of known motion: breaks and jumps, ascending."""
+        return np.union1d(self.breaks, self.jumps)
 
     @property
     def step_m(self) -> NDArray[np.float64]:

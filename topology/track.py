@@ -16,7 +16,8 @@ FloatArray = NDArray[np.float64]
 class TrackDirections:
     """Headings [rad, odometry frame] from a place to where the robot came from and went to.
 
-    arriving, leaving: (p,); NaN where the log begins, ends or is broken too near to the place.
+    arriving, leaving: (p,); NaN where the log begins, ends, is broken or jumps too
+    near to the place.
     """
 
     arriving: FloatArray
@@ -31,6 +32,12 @@ def way_along(odometry: Odometry) -> FloatArray:
 def chain_of(odometry: Odometry, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """(m,) number of the unbroken piece of odometry that each time falls in."""
     starts = odometry.time_ns[odometry.breaks]
+    return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")
+
+
+def stretch_of(odometry: Odometry, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(m,) number of the stretch without breaks and jumps that each time falls in."""
+    starts = odometry.time_ns[odometry.cuts]
     return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")
 
 
@@ -59,9 +66,9 @@ def track_directions(
     """
     way = way_along(odometry)
     here = way_at(odometry, time_ns)
-    chain = chain_of(odometry, time_ns)
-    edges = np.concatenate([[0], odometry.breaks, [len(odometry)]])
-    first, last = way[edges[chain]], way[edges[chain + 1] - 1]
+    stretch = stretch_of(odometry, time_ns)
+    edges = np.concatenate([[0], odometry.cuts, [len(odometry)]])
+    first, last = way[edges[stretch]], way[edges[stretch + 1] - 1]
     # Strictly ascending ways, so that standing still does not make the interpolation ambiguous.
     keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
     # All places at once: a table (places, steps) of track points before and after.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..topology.odometry import Odometry
 from ..topology.se2 import apply, compose, fit_rigid
 from ..topology.topomap import TopoMap
-from ..topology.track import chain_of
+from ..topology.track import stretch_of
 from .drawing import thinned
 
 MOST_POINTS = 20_000
@@ -29,7 +29,7 @@ class RobotTrack:
 
     raw: (n, 3) odometry, every stretch moved rigidly to where it fits the map's vertices best;
     bent: (n, 3) the same rows, with every pass on its vertex; time_ns: (n,); starts: rows at which
-    a new stretch begins because the odometry was broken there (never 0).
+    a new stretch begins because the odometry was broken or jumped there (never 0).
     drift_m: (k,) how far the raw track is from the map's vertex at each observation of the map.
     """
 
@@ -54,8 +54,8 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
     """
     if len(odometry) == 0:
         return None
-    edges = pairwise([0, *odometry.breaks.tolist(), len(odometry)])
-    chain = chain_of(odometry, topomap.observation_time_ns)
+    edges = pairwise([0, *odometry.cuts.tolist(), len(odometry)])
+    chain = stretch_of(odometry, topomap.observation_time_ns)
     spacing = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
     drift_m = np.zeros(len(chain))
     parts = []
@@ -67,6 +67,9 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
                 time_ns=odometry.time_ns[a:b],
                 pose=odometry.pose[a:b],
                 breaks=odometry.breaks[:0],
+                jumps=odometry.jumps[:0],
+                jump_sigma=odometry.jump_sigma[:0],
+                jump_other=odometry.jump_other[:0],
             )
             parts.append(_placed(topomap, seen, stretch, spacing))
             drift_m[seen] = parts[-1].drift_m

@@ -41,6 +41,11 @@ class Drift:
     """1 sigma of such a knock."""
     resets_per_100_m: float = 0.0
     """The odometry starts again from zero: the track is broken there."""
+    jumps: int = 0
+    """So often, spread over the way, the odometry's frame jumps while the robot drives on."""
+    jump_m: float = 0.5
+    jump_deg: float = 30.0
+    """Size of every such jump; whither is random."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -96,8 +101,8 @@ DRIFTS: Mapping[str, Drift] = MappingProxyType(
 class MeasuredTrack:
     """Odometry rows: time_s: (n,); pose: (n, 3) T_odom_base; breaks: (k,) rows where a reset is.
 
-    jumps: (j,) rows into which an unseen knock of the heading falls; true_pose: (n, 3) in the
-    world; twist: (n, 2) forward speed [m/s] and turning speed [rad/s].
+    jumps: (j,) rows into which a jump or an unseen knock of the heading falls; true_pose: (n, 3) in
+    the world; twist: (n, 2) forward speed [m/s] and turning speed [rad/s].
     """
 
     time_s: FloatArray
@@ -120,9 +125,15 @@ def measured(drive: Drive, drift: Drift, rate_hz: float, chance: Chance) -> Meas
     jumps = _struck(way, drift.heading_jumps_per_100_m, chance)
     heading[jumps] += np.radians(chance.normal(drift.heading_jump_deg, len(jumps)))
     breaks = _struck(way, drift.resets_per_100_m, chance) + 1
-    pose = _integrated(forward, aside, heading, _origin(chance), breaks)
+    origin = _origin(chance)
     twist = np.column_stack([forward / period, heading / period])
-    return MeasuredTrack(time, pose, breaks, jumps + 1, true, np.concatenate([twist, twist[-1:]]))
+    leapt, (ahead, left, turned) = _leaps(way, drift, chance)
+    forward[leapt] += ahead
+    aside[leapt] += left
+    heading[leapt] += turned
+    pose = _integrated(forward, aside, heading, origin, breaks)
+    jumps = np.union1d(jumps, leapt) + 1
+    return MeasuredTrack(time, pose, breaks, jumps, true, np.concatenate([twist, twist[-1:]]))
 
 
 def _stamps(end_s: float, rate_hz: float, chance: Chance) -> FloatArray:
@@ -163,6 +174,19 @@ def _struck(way: FloatArray, per_100_m: float, chance: Chance) -> IntArray:
     hit = chance.uniform(0.0, 1.0, len(way)) < per_100_m * way / 100
     hit[:2] = hit[-2:] = False
     return np.flatnonzero(hit)
+
+
+def _leaps(way: FloatArray, drift: Drift, chance: Chance) -> tuple[IntArray, FloatArray]:
+    """Steps in which the odometry's frame jumps; (3, j) forward, to the left [m] and turn [rad]."""
+    if drift.jumps == 0:
+        return np.zeros(0, np.int64), np.zeros((3, 0))
+    # One in the middle half of each of as many equal parts of the way.
+    share = (np.arange(drift.jumps) + chance.uniform(0.25, 0.75, drift.jumps)) / drift.jumps
+    row = np.unique(np.searchsorted(np.cumsum(way), share * way.sum()))
+    whither = chance.uniform(-np.pi, np.pi, len(row))
+    turn = np.where(chance.happens(0.5, len(row)), 1, -1) * np.radians(drift.jump_deg)
+    shift = [drift.jump_m * quantised(of(whither), 26) for of in (np.cos, np.sin)]
+    return row, np.stack([*shift, turn])
 
 
 def _origin(chance: Chance) -> FloatArray:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from topobatch.ingest.jumps import without_jumps
 from topobatch.ingest.reading import ReadSettings, read_run
 from topobatch.ingest.track import sane_track
 
@@ -32,7 +33,7 @@ def test_a_sane_track_is_left_alone():
     assert result.warnings == ()
     assert result.odometry.pose.tolist() == pose.tolist()
     assert result.odometry.time_ns.tolist() == time.tolist()
-    assert len(result.odometry.breaks) == 0
+    assert len(result.jumps.rows) == 0
 
 
 def test_messages_out_of_order_are_sorted():
@@ -81,13 +82,14 @@ def test_a_clock_set_back_behind_its_begin_is_no_order_of_writing():
     assert len(result.odometry) == 100
 
 
-def test_a_teleport_breaks_the_chain():
+def test_a_teleport_farther_than_the_robot_drives_breaks_the_chain():
     time, pose = straight()
     pose[200:] += [7.0, -3.0, 0.0]
     result = track(time, pose)
-    assert result.odometry.breaks.tolist() == [200]
-    assert "jumps 1 times (up to 7.6" in result.warnings[0]
-    assert result.odometry.step_m.max() < 0.011
+    odometry = without_jumps(result.odometry, result.jumps)
+    assert odometry.breaks.tolist() == [200]
+    assert "reset 1 times (7.62 m and 0 degrees at 4.0 s)" in result.warnings[0]
+    assert odometry.step_m.max() < 0.011
 
 
 def test_a_reset_to_the_origin_breaks_the_chain_even_when_near():
@@ -95,13 +97,17 @@ def test_a_reset_to_the_origin_breaks_the_chain_even_when_near():
     pose[:, 0] -= 0.8
     pose[400:, 0] -= pose[400, 0]
     result = track(time, pose)
-    assert result.odometry.breaks.tolist() == [400]
+    assert without_jumps(result.odometry, result.jumps).breaks.tolist() == [400]
 
 
-def test_a_turn_nobody_can_drive_breaks_the_chain():
+def test_a_turn_nobody_can_drive_is_a_jump():
     time, pose = straight()
     pose[100:, 2] = 2.0
-    assert track(time, pose).odometry.breaks.tolist() == [100]
+    result = track(time, pose)
+    odometry = without_jumps(result.odometry, result.jumps)
+    assert odometry.jumps.tolist() == [100]
+    assert odometry.breaks.tolist() == []
+    assert "jumps 1 times (0.01 m and 115 degrees at 2.0 s)" in result.warnings[0]
 
 
 def test_a_single_pose_off_the_track_is_dropped():
@@ -109,14 +115,14 @@ def test_a_single_pose_off_the_track_is_dropped():
     pose[77] = [100.0, 100.0, 1.0]
     result = track(time, pose)
     assert len(result.odometry) == 499
-    assert len(result.odometry.breaks) == 0
+    assert len(result.jumps.rows) == 0
     assert "off the track" in result.warnings[0]
 
 
 def test_slow_odometry_of_a_fast_vehicle_is_no_teleport():
     time, pose = straight(200, SECOND, 15.0)
     result = track(time, pose)
-    assert len(result.odometry.breaks) == 0
+    assert len(result.jumps.rows) == 0
     assert result.warnings == ()
 
 
@@ -125,7 +131,7 @@ def test_gaps_are_reported_and_driving_through_them_is_no_teleport():
     keep = (np.arange(500) < 100) | (np.arange(500) >= 300)
     result = track(time[keep], pose[keep])
     assert result.warnings == ("odometry is silent 1 times (longest 4.02 s)",)
-    assert len(result.odometry.breaks) == 0
+    assert len(result.jumps.rows) == 0
 
 
 @given(
@@ -282,7 +288,7 @@ def test_leaps_are_found_as_without_the_shortcut(seed, leap_m, leap_rad):
         patch.setattr("topobatch.ingest.track._any_leap", lambda pose, settings: True)
         thorough = track(time, pose)
     assert quick.warnings == thorough.warnings
-    assert quick.odometry.breaks.tolist() == thorough.odometry.breaks.tolist()
+    assert quick.jumps.rows.tolist() == thorough.jumps.rows.tolist()
     assert quick.odometry.pose.tolist() == thorough.odometry.pose.tolist()
 
 

@@ -41,7 +41,7 @@ from topobatch.ingest.simulation.walk import explore
 from topobatch.ingest.simulation.world import polyline_heading
 from topobatch.topology.errors import DocumentError, UsageError
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import apply, compose, fit_rigid, inverse, wrap
+from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import TopoMap
 
 KINDS = ("maze", "office", "organic", "city", "rows")
@@ -530,3 +530,18 @@ def test_the_best_transform_lays_perfect_maps_over_one_another() -> None:
     assert placement_error(truth, map_a, map_b, moved) == pytest.approx((0.5, 0.0), abs=1e-9)
     turned = best + np.array([0.0, 0.0, 0.1])
     assert placement_error(truth, map_a, map_b, turned)[1] == pytest.approx(0.1)
+
+
+def test_the_frame_jumps_where_the_truth_says_and_as_far() -> None:
+    plain, struck = _drifted(), _drifted(jumps=2, jump_m=0.7, jump_deg=40.0)
+    seen, true = struck.run.odometry, plain.run.odometry
+    rows = np.searchsorted(seen.time_ns, struck.truth.jump_ns)
+    assert len(rows) == 2
+    step = between(seen.pose[rows - 1], seen.pose[rows])
+    off = step - between(true.pose[rows - 1], true.pose[rows])
+    np.testing.assert_allclose(np.hypot(off[:, 0], off[:, 1]), 0.7, atol=1e-3)
+    np.testing.assert_allclose(np.abs(np.degrees(off[:, 2])), 40.0, atol=1e-2)
+    others = np.delete(np.arange(1, len(seen)), rows - 1)
+    turned = wrap(seen.turn_rad - true.turn_rad)[others]
+    np.testing.assert_allclose(turned, 0.0, atol=1e-3)
+    assert struck.truth.vertex.tolist() == plain.truth.vertex.tolist()

@@ -84,6 +84,24 @@ def test_odometry_breaks_carry_no_motion():
     assert track.turn_rad.tolist() == [0, 0, 0]
 
 
+@pytest.mark.parametrize("jumps", [[0], [3], [2, 1]])
+def test_odometry_jumps_lie_within_the_track(jumps):
+    with pytest.raises(ValueError, match="jumps"):
+        Odometry(np.arange(3), np.zeros((3, 3)), np.zeros(0, np.int64), jumps=np.array(jumps))
+
+
+def test_odometry_cuts_are_breaks_and_jumps():
+    track = Odometry(
+        np.arange(9),
+        np.zeros((9, 3)),
+        np.array([2, 7]),
+        jumps=np.array([4, 7]),
+        jump_sigma=np.ones((2, 2)),
+        jump_other=np.zeros((2, 3)),
+    )
+    assert track.cuts.tolist() == [2, 4, 7]
+
+
 @pytest.mark.parametrize("times", [[0, 0, 1], [0, 2, 1]])
 def test_odometry_times_must_ascend(times):
     with pytest.raises(ValueError, match="ascend"):

@@ -203,7 +203,7 @@ class _Factors:
 
 
 def _legs(walk: Walk) -> _Factors:
-    row = np.flatnonzero(np.isfinite(walk.leg))
+    row = np.flatnonzero(np.diff(walk.chain) == 0)
     cov = relative_covariance(walk, row, row + 1) + np.diag([1e-6, 1e-6, 1e-8])
     shift = np.diff(walk.passes.centre, axis=0)[row]
     information: FloatArray = np.linalg.inv(cov).astype(np.float64)

@@ -126,6 +126,11 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
     return free if (bent and more >= 0) or fewer_doubts else straight
 
 
+def closure_without_grid(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
+    """Identify the passes of a walk whose headings are known up to quarter turns only."""
+    return _closed(walk, None, settings)
+
+
 def _bends(walk: Walk, settings: RoundSettings) -> bool:
     """Whether the begin or the end of the walk, closed without the grid, turns it on its way."""
     length = settings.trial_passes

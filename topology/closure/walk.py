@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..odometry import Odometry
 from ..passes import Passes
 from ..topomap import RunNoise
-from ..track import chain_of, track_directions, way_at
+from ..track import chain_of, stretch_of, track_directions, way_at
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,10 +38,11 @@ class Walk:
     """The passes of a run and what the odometry says about the way between them.
 
     chain: (p,) unbroken piece of odometry of each pass. way: (p,) way driven so far [m].
-    leg: (p - 1,) way from each pass to the next [m], NaN across a break. arriving, leaving: (p,)
-    headings [rad] from the place to where the robot came from and went to, NaN where unknown.
+    leg: (p - 1,) way from each pass to the next [m], NaN across a break or a jump. arriving,
+    leaving: (p,) headings [rad] from the place to where the robot came from and went to, NaN where
+    unknown.
     sums: (p, 13) prefix sums over the odometry up to each pass (`relative_covariance`), about
-    `origin`.
+    `origin`; jumps: (p, 7) what the odometry's jumps add to the variances among them.
     """
 
     passes: Passes
@@ -54,6 +55,7 @@ class Walk:
     leaving: FloatArray
     origin: FloatArray
     sums: FloatArray
+    jumps: FloatArray
 
     def __len__(self) -> int:
         return len(self.passes)
@@ -68,7 +70,7 @@ def make_walk(
     """The walk of a run. O(n + p log n) for n odometry rows and p passes."""
     way = way_at(odometry, passes.time_ns)
     chain = chain_of(odometry, passes.time_ns)
-    leg = np.where(np.diff(chain) == 0, np.diff(way), np.nan)
+    leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
     origin = odometry.pose[:, :2].mean(axis=0)
     return Walk(
@@ -82,6 +84,7 @@ def make_walk(
         leaving=track.leaving,
         origin=origin,
         sums=_prefix_sums(odometry, passes, noise, origin),
+        jumps=_jump_sums(odometry, passes, origin),
     )
 
 
@@ -100,11 +103,12 @@ def stretch(walk: Walk, begin: int, end: int) -> Walk:
         arriving=walk.arriving[rows],
         leaving=walk.leaving[rows],
         sums=walk.sums[rows],
+        jumps=walk.jumps[rows],
     )
 
 
 def louder(walk: Walk, factor: float) -> Walk:
-    """The walk as if its random errors were `factor` times as large."""
+    """The walk as if its random errors were `factor` times as large, those of jumps as they are."""
     n = walk.noise
     noise = replace(
         n,
@@ -132,9 +136,26 @@ def _prefix_sums(
     q = noise.heading_rad_per_sqrt_m**2 * step
     q = q + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
     along = noise.along_m_per_sqrt_m**2 * step
-    spread = [q, q * x, q * y, q * x * x, q * x * y, q * y * y, along]
+    spread = _variances(q, along, x, y)
     constant = [step, step * x, step * y, turn, turn * x, turn * y]
-    total = np.cumsum(np.stack(spread + constant, axis=1), axis=0)
+    return _up_to_passes(odometry, passes, spread + constant)
+
+
+def _jump_sums(odometry: Odometry, passes: Passes, origin: FloatArray) -> FloatArray:
+    """(p, 7) the first columns of `_prefix_sums`, over the jumps."""
+    q, along = np.zeros(len(odometry)), np.zeros(len(odometry))
+    along[odometry.jumps], q[odometry.jumps] = odometry.jump_sigma.T**2
+    x, y = (odometry.pose[:, :2] - origin).T
+    return _up_to_passes(odometry, passes, _variances(q, along, x, y))
+
+
+def _variances(q: FloatArray, along: FloatArray, x: FloatArray, y: FloatArray) -> list[FloatArray]:
+    return [q, q * x, q * y, q * x * x, q * x * y, q * y * y, along]
+
+
+def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray]) -> FloatArray:
+    """Sums of the columns over the odometry steps before each pass."""
+    total = np.cumsum(np.stack(columns, axis=1), axis=0)
     origin_ns = odometry.time_ns[0]
     times = (odometry.time_ns - origin_ns).astype(np.float64)
     query = (passes.time_ns - origin_ns).astype(np.float64)
@@ -144,14 +165,14 @@ def _prefix_sums(
 def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
     """(k, 3, 3) covariance of pass `second`'s x, y, theta as dead reckoned from pass `first`.
 
-    The random walk alone; `systematic_modes` holds the rest. Axes are those of the odometry frame;
-    theta is the error of the frame's direction. Closed form from prefix sums, O(1) per pair: with
-    S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second pass, C_θθ = S0,
+    The random walk and the jumps; `systematic_modes` holds the rest. Axes are those of the odometry
+    frame; theta is the error of the frame's direction. Closed form from prefix sums, O(1) per pair:
+    with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second pass, C_θθ = S0,
     C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    d = _between(walk, first, second)
+    d = _between(walk.sums[:, :_RANDOM] + walk.jumps, first, second)
     c = walk.passes.centre[second] - walk.origin
-    s0, s1x, s1y, s2xx, s2xy, s2yy, along = d[:, :7].T
+    s0, s1x, s1y, s2xx, s2xy, s2yy, along = d.T
     x, y = c.T
     mxx = s0 * x * x - 2 * s1x * x + s2xx
     mxy = s0 * x * y - s1x * y - s1y * x + s2xy
@@ -173,7 +194,7 @@ def systematic_modes(walk: Walk, first: IntArray, second: IntArray) -> FloatArra
     Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the
     odometry rows, for first <= second.
     """
-    d = _between(walk, first, second)
+    d = _between(walk.sums, first, second)
     c = walk.passes.centre[second] - walk.origin
     out = np.zeros((len(d), 3, 2))
     for mode, at in ((0, 7), (1, 10)):
@@ -193,7 +214,7 @@ def dead_reckoning_covariance(walk: Walk, first: IntArray, second: IntArray) -> 
     return out
 
 
-def _between(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
+def _between(sums: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
     low, high = np.minimum(first, second), np.maximum(first, second)
-    difference: FloatArray = walk.sums[high] - walk.sums[low]
+    difference: FloatArray = sums[high] - sums[low]
     return difference

@@ -1,0 +1,121 @@
+"""Jumps of unknown size, told by the places seen before and after."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.jumps import without_jumps
+from topobatch.ingest.mapping import build_map
+from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
+from topobatch.ingest.simulation.drift import DRIFTS
+from topobatch.ingest.track import sane_track
+from topobatch.topology.se2 import between, compose, wrap
+
+
+def simulated(seed=5, **jump):
+    """Truth and run as read from its log."""
+    drift = replace(DRIFTS["low"], **jump)
+    scenario = simulate_scenario(
+        ScenarioSettings("organic", runs=1, junctions_per_run=16, drift=drift, seed=seed)
+    )
+    (run,) = scenario.runs.values()
+    return scenario.truth, as_read(run, run.odometry.pose)
+
+
+def as_read(run, pose):
+    track = sane_track(run.odometry.time_ns, pose, "odom", "base_link")
+    odometry = without_jumps(track.odometry, track.jumps)
+    return replace(run, odometry=odometry, warnings=track.warnings)
+
+
+def split_and_mixed(truth, run, topomap):
+    """Junctions that stand twice in the map, and vertices that hold two."""
+    true = true_vertex_of_passes(truth, run.name, topomap.observation_time_ns)
+    pairs = {(v, n) for v, n in zip(true, topomap.observation_vertex, strict=True) if v >= 0}
+    vertices, nodes = {v for v, _ in pairs}, {n for _, n in pairs}
+    return len(pairs) - len(nodes), len(pairs) - len(vertices)
+
+
+@pytest.mark.parametrize(("metres", "degrees"), [(0.2, 8.0), (0.47, 50.0), (2.0, 90.0)])
+def test_a_jump_costs_no_revisit(metres, degrees):
+    truth, run = simulated(jumps=1, jump_m=metres, jump_deg=degrees)
+    assert len(run.odometry.jumps) == 1
+    topomap = build_map(run)
+    assert topomap.pieces == 1
+    assert split_and_mixed(truth, run, topomap) == (0, 0)
+    (told,) = topomap.info["jumps"]
+    assert told["time_ns"] == truth.runs[run.name].jump_ns[0]
+    assert told["shift_m"] == pytest.approx(metres, abs=0.05)
+    assert np.degrees(told["turn_rad"]) == pytest.approx(degrees, abs=3.0)
+    assert told["split"] is False
+
+
+def test_a_robot_that_went_where_its_odometry_leaps_is_found_as_well():
+    """The other half of the truth: nothing tells beforehand whether robot or odometry jumped."""
+    truth, run = simulated()
+    odometry = run.odometry
+    turned = np.abs(wrap(np.diff(odometry.pose[:, 2])))
+    # The fastest second of turning, about the middle of the run, passes at once.
+    rows = np.arange(len(turned) // 3, 2 * len(turned) // 3)
+    first = int(rows[np.argmax(np.convolve(turned, np.ones(20))[rows + 19])])
+    last = first + 20
+
+    def clock(time_ns):
+        return np.where(time_ns > odometry.time_ns[last - 1], time_ns - 950_000_000, time_ns)
+
+    hidden = run.detections.time_ns
+    assert not np.any((hidden > odometry.time_ns[first]) & (hidden < odometry.time_ns[last]))
+    keep = np.delete(np.arange(len(odometry)), np.arange(first + 1, last))
+    time_ns = clock(odometry.time_ns)[keep]
+    track = sane_track(time_ns, odometry.pose[keep], "odom", "base_link")
+    assert np.degrees(track.jumps.turn.max()) > 30
+    seen = replace(run.detections, time_ns=clock(run.detections.time_ns))
+    moved = replace(run, odometry=without_jumps(track.odometry, track.jumps), detections=seen)
+    topomap = build_map(moved)
+    assert topomap.pieces == 1
+    of_run = truth.runs[run.name]
+    times = {name: clock(getattr(of_run, name)) for name in ("start_ns", "end_ns")}
+    there = replace(truth, runs={run.name: replace(of_run, **times)})
+    assert split_and_mixed(there, run, topomap) == (0, 0)
+
+
+def unrevisited(truth, run):
+    """The run up to the first revisit of a junction, and a row about the middle of it."""
+    of_run = truth.runs[run.name]
+    vertex = of_run.vertex[of_run.messages > 0].tolist()
+    again = next(k for k, v in enumerate(vertex) if v in vertex[:k])
+    assert again >= 4
+    start_ns = of_run.start_ns[of_run.messages > 0]
+    ends = np.searchsorted(run.odometry.time_ns, start_ns[[again // 2, again]])
+    return int(ends[0]) - 20, int(ends[1])
+
+
+def jumped(truth, run, jump):
+    """The run before any revisit, with one jump [m, m, rad]."""
+    row, end = unrevisited(truth, run)
+    time_ns, pose = run.odometry.time_ns[:end], run.odometry.pose[:end].copy()
+    pose[row:] = compose(compose(pose[row], jump), between(pose[row], pose[row:]))
+    track = sane_track(time_ns, pose, "odom", "base_link")
+    assert track.jumps.rows.tolist() == [row]
+    return replace(run, odometry=without_jumps(track.odometry, track.jumps))
+
+
+def test_a_large_jump_that_no_place_tells_splits_the_chain():
+    truth, run = simulated()
+    topomap = build_map(jumped(truth, run, [1.0, 1.0, 1.2]))
+    assert topomap.pieces == 2
+    (told,) = topomap.info["jumps"]
+    assert told["split"] is True
+    assert "the chain is split there" in topomap.info["warnings"][-1]
+
+
+def test_a_small_jump_that_no_place_tells_makes_its_corridor_uncertain():
+    truth, run = simulated()
+    topomap = build_map(jumped(truth, run, [0.5, 0.5, 0.1]))
+    assert topomap.pieces == 1
+    assert topomap.info["jumps"][0]["split"] is False
+    assert topomap.length_sigma.max() == pytest.approx(np.hypot(0.5, 0.5), abs=0.1)
+    assert np.sort(topomap.length_sigma)[-2] < 0.5

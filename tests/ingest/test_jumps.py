@@ -1,0 +1,146 @@
+"""Jumps of the odometry: found in the run's own motion, told from resets, driven on over."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from topobatch.ingest.jumps import spikes, without_jumps
+from topobatch.ingest.track import sane_track
+from topobatch.topology.se2 import between, compose, wrap
+
+SECOND = 10**9
+
+
+def drive(n=4000, hz=20.0, seed=0):
+    """A drive with turns on the spot every 10 s, 0.8 m/s and 1 rad/s, with the noise of wheels."""
+    rng = np.random.default_rng(seed)
+    second = np.arange(n) / hz
+    turning = second % 10 > 10 - np.pi / 2
+    way = np.where(turning, 0.0, 0.8 / hz) + rng.normal(0, 0.002, n) * ~turning
+    turn = np.where(turning, 1.0 / hz, 0.0) + rng.normal(0, 0.002, n)
+    heading = np.concatenate([[0.3], 0.3 + np.cumsum(turn)])[:n]
+    step = np.column_stack([way * np.cos(heading), way * np.sin(heading)])
+    xy = np.array([5.0, 3.0]) + np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])[:n]
+    time = 1_700_000_000 * SECOND + np.round(second * SECOND).astype(np.int64)
+    return time, np.column_stack([xy, wrap(heading)])
+
+
+def jumped(pose, row, jump):
+    """The poses with the odometry's frame jumping before a row, seen from the robot."""
+    out = pose.copy()
+    out[row:] = compose(compose(pose[row], jump), between(pose[row], pose[row:]))
+    return out
+
+
+def read(time, pose):
+    track = sane_track(time.copy(), pose.copy(), "odom", "base_link")
+    return without_jumps(track.odometry, track.jumps), track
+
+
+@pytest.mark.parametrize("row", [700, 1990, 3000])
+@pytest.mark.parametrize(
+    "jump", [(0.1, 0.0, 0.0), (0.0, -0.1, 0.0), (0.0, 0.0, 0.1), (-0.3, 0.36, 0.8), (1.0, 0.0, 3.0)]
+)
+def test_a_jump_is_found_and_driven_on_over(row, jump):
+    time, pose = drive()
+    odometry, track = read(time, jumped(pose, row, jump))
+    assert odometry.jumps.tolist() == [row]
+    assert odometry.breaks.tolist() == []
+    np.testing.assert_allclose(odometry.pose[:row], pose[:row])
+    assert np.abs(odometry.pose[row:, :2] - pose[row:, :2]).max() < 0.4  # 5 mm or 5 mrad, far off
+    sigma_m, sigma_rad = odometry.jump_sigma[0]
+    assert np.hypot(*jump[:2]) <= sigma_m + 0.06
+    assert sigma_m <= np.hypot(*jump[:2]) + 0.06
+    assert min(abs(jump[2]), 1.8) <= sigma_rad + 0.01
+    seen = compose(between(pose[row - 1], pose[row]), jump)
+    np.testing.assert_allclose(odometry.jump_other[0], seen, atol=1e-9)
+    assert track.warnings[0].startswith("odometry jumps 1 times (")
+
+
+def test_an_odometry_that_runs_well_has_no_jumps():
+    for hz in (5.0, 10.0, 20.0, 50.0):
+        time, pose = drive(hz=hz)
+        odometry, track = read(time, pose)
+        assert track.warnings == ()
+        assert odometry.pose.tolist() == pose.tolist()
+        assert len(odometry.jumps) == 0
+
+
+def test_sparse_rows_that_leap_at_every_corner_do_not_jump():
+    time, pose = drive()
+    odometry, _ = read(time[::30], pose[::30])
+    assert len(odometry.jumps) == 0
+
+
+def test_stamps_in_bursts_are_no_jumps():
+    time, pose = drive()
+    late = time - time % (SECOND // 2) + 10**6 * (np.arange(len(time)) % 10)
+    odometry, _ = read(np.unique(late), pose[: len(np.unique(late))])
+    assert len(odometry.jumps) == 0
+
+
+def test_a_silence_is_driven_through():
+    time, pose = drive()
+    keep = np.ones(len(time), bool)
+    keep[900:940] = keep[2150:2300] = False
+    odometry, _ = read(time[keep], pose[keep])
+    assert len(odometry.cuts) == 0
+
+
+def test_back_to_the_origin_or_to_the_begin_is_a_reset():
+    time, pose = drive()
+    for home in (np.zeros(3), pose[0]):
+        again = pose.copy()
+        again[2500:] = compose(home, between(pose[2500], pose[2500:]))
+        odometry, track = read(time, again)
+        assert odometry.breaks.tolist() == [2500]
+        assert len(odometry.jumps) == 0
+        assert "odometry is reset 1 times" in track.warnings[0]
+        assert "the chain is split there" in track.warnings[0]
+
+
+def test_a_leap_after_a_silence_is_a_reset():
+    time, pose = drive()
+    leapt = jumped(pose, 2000, (9.0, 1.0, 2.0))
+    leapt, time = np.delete(leapt, slice(1960, 2000), 0), np.delete(time, slice(1960, 2000))
+    odometry, _ = read(time, leapt)
+    assert odometry.breaks.tolist() == [1960]
+
+
+def test_odometry_that_stands_and_leaps_to_the_robot_was_late():
+    time, pose = drive()
+    stuck = pose.copy()
+    stuck[2010:2040] = pose[2010]
+    odometry, track = read(time, stuck)
+    # What the odometry repeated meanwhile is not where the robot was.
+    np.testing.assert_allclose(odometry.pose, np.delete(stuck, slice(2011, 2040), 0), atol=1e-9)
+    assert odometry.jumps.tolist() == [2011]
+    assert "stands still and leaps 1 times" in track.warnings[0]
+    assert odometry.jump_sigma[0, 0] > 1.0
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.001, 0.05), st.floats(0.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_jumps_are_found_as_without_the_shortcut(seed, noise, leap):
+    rng = np.random.default_rng(seed)
+    time, pose = drive(600, seed=seed)
+    pose += rng.normal(0, noise, pose.shape) * (rng.random((len(pose), 1)) < 0.02)
+    pose[:, 2] = wrap(pose[:, 2])
+    pose = jumped(pose, int(rng.integers(1, 600)), (leap, rng.normal(0, 0.2), rng.normal(0, 0.2)))
+    quick = spikes(time, pose)
+    with pytest.MonkeyPatch.context() as patch:
+        every = np.arange(1, len(pose) - 1)
+        patch.setattr("topobatch.ingest.jumps._large", lambda pose, settings: every)
+        thorough = spikes(time, pose)
+    assert np.flatnonzero(quick).tolist() == np.flatnonzero(thorough).tolist()
+
+
+def test_several_jumps_are_taken_one_after_another():
+    time, pose = drive()
+    both = jumped(jumped(pose, 1000, (0.4, 0.2, -0.5)), 3000, (0.0, 0.3, 0.9))
+    odometry, _ = read(time, both)
+    assert odometry.jumps.tolist() == [1000, 3000]
+    assert np.abs(odometry.pose[:, :2] - pose[:, :2]).max() < 0.6
