@@ -33,6 +33,7 @@ from .logs.topics import (
     choose_odometry,
     listing,
 )
+from .plausible import check_plausible
 from .run import Run
 from .sightings import Sightings, SightingSettings, robot_frame_sightings, side_of
 from .sources import (
@@ -153,6 +154,7 @@ def read_run(
     clock = clock_without_jumps(odometry, clock, settings.track.backward_min_s, warnings)
     described = _described(odometry_choice, odometry), _described(junction_choice, junctions)
     track = _track(odometry_choice, odometry, frames=frames, clock=clock, settings=settings)
+    check_plausible(track.odometry, odometry_choice.topic, log)
     fixed = _fixed_transforms(recording, junctions, track.odometry)
     sightings = _sightings(
         junction_choice,

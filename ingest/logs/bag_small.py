@@ -54,10 +54,10 @@ class _Likes:
             at = head.index(b"count=") + 6
             if at + 4 != len(head):
                 # Another writer's order: read, but not known again.
-                return U32(fields[b"count"])[0] * INDEX_ENTRY == data_size
+                return bool(U32(fields[b"count"])[0] * INDEX_ENTRY == data_size)
             self._index = (len(head), head[:at])
         length, before = self._index
-        return len(head) == length and U32(head, len(before))[0] * INDEX_ENTRY == data_size
+        return len(head) == length and bool(U32(head, len(before))[0] * INDEX_ENTRY == data_size)
 
 
 def _fields(head: bytes) -> dict[bytes, bytes]:

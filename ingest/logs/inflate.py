@@ -166,8 +166,9 @@ def _zstd_pieces(read: Read, bite: int) -> Iterator[bytes]:
             return read(min(size, bite))
 
     # The buffer is filled as far as it goes before an error is raised.
+    source: Any = Source()
     with zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(
-        Source(), read_size=bite
+        source, read_size=bite
     ) as reader:
         while piece := reader.read1(PIECE_BYTES):
             yield piece

@@ -475,9 +475,11 @@ class _Walk:
                     continue
                 data = np.frombuffer(task(), np.uint8)
             except DamageError as damage:
-                data = self._rescued(chunk, damage)
-            if data is not None:
-                yield from self._messages(data, chunk.offsets)
+                rescued = self._rescued(chunk, damage)
+                if rescued is None:
+                    continue
+                data = rescued
+            yield from self._messages(data, chunk.offsets)
 
     def _passed_over(self, chunk: _Chunk) -> bool:
         """Count the messages of a chunk of no need, if its index lists what the summary does."""

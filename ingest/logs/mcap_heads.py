@@ -92,12 +92,12 @@ def chunk_head(head: bytes, position: int) -> ChunkHead:
     start, end, size, crc, named = _CHUNK(head, RECORD_HEAD)
     data_at = RECORD_HEAD + CHUNK_FIXED + named + 8
     name = head[RECORD_HEAD + CHUNK_FIXED : RECORD_HEAD + CHUNK_FIXED + named]
-    name = nearest(name, COMPRESSIONS).decode("utf-8", "replace")
+    compression = nearest(name, COMPRESSIONS).decode("utf-8", "replace")
     data_size = _HEAD(head)[1] + RECORD_HEAD - data_at
     if crc.bit_count() == 1:
         # No checksum is 0; a true one of a single bit is as good as impossible.
         crc = 0
-    return ChunkHead(start, end, size, crc, name, position + data_at, data_size)
+    return ChunkHead(start, end, size, crc, compression, position + data_at, data_size)
 
 
 Read = Callable[[int, int], bytes]

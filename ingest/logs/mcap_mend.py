@@ -52,10 +52,10 @@ def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], None]) -> 
         if position + stop == len(data):
             parts.append(where + position)
             break
-        end = _private_end(data, position + stop)
-        if end and heads.repaired(position + stop) is None and heads.begins(end):
+        private = _private_end(data, position + stop)
+        if private and heads.repaired(position + stop) is None and heads.begins(private):
             parts.append(where + position)
-            position = end
+            position = private
             continue
         where, stop = trusted(heads, data[position:], where, stop, position)
         parts.append(where + position)

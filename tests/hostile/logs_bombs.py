@@ -411,7 +411,7 @@ def _large_rows(rng: random.Random, folder: Path) -> Case:
     return Case(path.parent, None, None, f"a row of {size >> 20} MiB")
 
 
-_YAML = {
+YAML = {
     "billion laughs": "a: &a [x, x, x, x, x, x, x, x, x]\n"
     + "".join(
         f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(20)
@@ -430,7 +430,7 @@ def _yaml(name: str, rng: random.Random, folder: Path) -> Case:
     front = "" if rng.random() < 0.5 else path.read_text()
     if name == "JSON":
         front = ""
-    marked = f"{front}{_YAML[name]}\n#rosbag2_bagfile_information:\n"
+    marked = f"{front}{YAML[name]}\n#rosbag2_bagfile_information:\n"
     path.write_text(marked[: 4 * MIB])
     return Case(path.parent, SOUND, 0, f"metadata.yaml: {name}")
 
@@ -458,5 +458,8 @@ CASES: dict[str, Generator] = {
     "db3-many-topics": _many_topics,
     "db3-large-rows": _large_rows,
     **{f"db3-{name.replace(' ', '-')}": partial(_schema, name) for name in _SCHEMAS},
-    **{f"yaml-{name.replace(' ', '-')}": partial(_yaml, name) for name in _YAML},
+    **{f"yaml-{name.replace(' ', '-')}": partial(_yaml, name) for name in YAML},
 }
+
+FORMULAS = frozenset(name.replace(" ", "-") for name in _SCHEMAS if name != "a virtual table")
+"""Databases whose tables are formulas."""

@@ -1,0 +1,219 @@
+"""A few of the hostile logs, read in this process: what is whole is used, the rest is counted."""
+
+from __future__ import annotations
+
+import random
+import struct
+from pathlib import Path
+
+import logs_bombs
+import logs_flips
+import pytest
+from case import writers
+
+from topobatch.ingest.logs import inflate, mcap_file, split
+from topobatch.ingest.logs.intake import Intake, decoder_for
+from topobatch.ingest.logs.messages import Channel, DamageError, Findings
+from topobatch.ingest.logs.metadata import parse_metadata
+from topobatch.ingest.logs.recording import opened, recording_at
+from topobatch.ingest.logs.schema import object_decoder
+from topobatch.ingest.logs.spelling import TYPES, nearest, one_bit_apart
+from topobatch.ingest.reading import read_run
+from topobatch.topology.errors import LogError
+
+
+def used_of(path: Path) -> tuple[int, Findings]:
+    """How many messages of the wanted types decode, and what was met on the way."""
+    findings = Findings()
+    intake = Intake(lambda channel: channel.type_name in TYPES, decoder_for)
+    for file in recording_at(path).files:
+        with opened(file) as log:
+            for block in log.blocks(intake.want, findings):
+                intake.take(block)
+    for sink in intake.sinks:
+        sink.flush()
+    return sum(sink.messages - sink.failed for sink in intake.sinks), findings
+
+
+@pytest.mark.parametrize("name", sorted(logs_flips.CASES))
+def test_one_wrong_bit_costs_no_more_than_it_hits(tmp_path, name):
+    for seed in range(15):
+        case = logs_flips.CASES[name](random.Random(f"{name}-{seed}"), tmp_path)
+        used, findings = used_of(case.log)
+        if case.intact is not None:
+            assert used >= 0.99 * case.intact, (case.note, findings.damage)
+        total = logs_flips.sound(name.removeprefix("flip-")).messages
+        assert used == total or findings.damage, case.note
+        if name.startswith("flip-db3"):
+            continue
+        assert findings.lost.total() <= total - used, (case.note, findings.damage)
+
+
+QUICK = sorted(
+    name
+    for name in logs_bombs.CASES
+    if name.startswith(("yaml-", "mcap-declared", "mcap-strange", "mcap-far", "mcap-nested"))
+    or name.startswith(("bag-declared", "bag-large", "db3-large", "db3-many"))
+    or name in ("mcap-broken-chunks", "mcap-false-heads", "bag-false-marks")
+)
+
+
+class Least(random.Random):
+    """Draws the smallest flood of every class."""
+
+    def choice(self, seq):
+        return seq[0] if seq[0] == 0.05 else super().choice(seq)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_what_is_sound_beside_a_bomb_is_used(tmp_path, name):
+    case = logs_bombs.CASES[name](Least(1), tmp_path)
+    used, _ = used_of(case.log)
+    assert used >= (case.intact or 0)
+
+
+@pytest.mark.parametrize(
+    "name", sorted(n for n in logs_bombs.CASES if n[4:] in logs_bombs.FORMULAS)
+)
+def test_tables_that_are_formulas_are_not_asked(tmp_path, name):
+    """What is left of the true tables is read from the pages; a formula's rows are none."""
+    case = logs_bombs.CASES[name](random.Random(1), tmp_path)
+    try:
+        said, used = read_run(case.log).warnings, used_of(case.log)[0]
+    except LogError as error:
+        said, used = (str(error),), 0
+    assert any("no plain table" in text or "generated columns" in text for text in said)
+    assert used in (0, logs_bombs.SOUND)
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4", "NONE"])
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_chunks_read_in_pieces_hold_the_same(tmp_path, monkeypatch, compression, kind):
+    logs = writers()
+    if kind == "mcap":
+        path = logs.mcap(tmp_path / "run", logs.drive(), compression=compression)
+    else:
+        named = {"ZSTD": "bz2"}.get(compression, compression.lower())
+        path = logs.bag(tmp_path / "run", logs.drive(), named)
+    whole = read_run(path)
+    for module in (mcap_file, inflate):
+        monkeypatch.setattr(module, "WHOLE_BYTES", 100)
+    monkeypatch.setattr("topobatch.ingest.logs.bag_file.WHOLE_BYTES", 100)
+    monkeypatch.setattr(inflate, "PIECE_BYTES", 1000)
+    run = read_run(path)
+    assert run.warnings == whole.warnings == ()
+    assert run.odometry.pose.tobytes() == whole.odometry.pose.tobytes()
+    assert run.detections.branches.values.tobytes() == whole.detections.branches.values.tobytes()
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_many_small_chunks_are_read_together_and_hold_the_same(tmp_path, kind):
+    logs = writers()
+    if kind == "mcap":
+        path = logs.mcap(tmp_path / "run", logs.drive(), chunk_size=1)
+    else:
+        path = logs.bag(tmp_path / "run", logs.drive(), chunk=1)
+    run = read_run(path)
+    large = read_run(getattr(logs, kind)(tmp_path / "large", logs.drive()))
+    assert run.warnings == ()
+    assert run.odometry.pose.tobytes() == large.odometry.pose.tobytes()
+    assert run.detections.branches.values.tobytes() == large.detections.branches.values.tobytes()
+
+
+def test_messages_too_large_are_passed_over_and_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr(split, "RECORD_BYTES", 5000)
+    monkeypatch.setattr(mcap_file, "RECORD_BYTES", 5000)
+    monkeypatch.setattr(mcap_file, "WHOLE_BYTES", 5000)
+    monkeypatch.setattr(inflate, "PIECE_BYTES", 1000)
+    case = logs_bombs.CASES["mcap-large-message"](Least(1), tmp_path)
+    used, findings = used_of(case.log)
+    assert (used, findings.too_large, findings.lost["/odom"]) == (330, 1, 1)
+
+
+def test_a_chunk_that_declares_no_size_is_read(tmp_path):
+    logs = writers()
+    for crc in (True, False):
+        path = logs.mcap(tmp_path / "run.mcap", logs.drive(), enable_crcs=crc)
+        raw = path.read_bytes()
+        at = raw.index(b"\x04\x00\x00\x00zstd", len(raw) // 2)
+        path.write_bytes(raw[: at - 12] + struct.pack("<Q", 0) + raw[at - 4 :])
+        used, findings = used_of(path)
+        assert used == 330
+        assert findings.damage
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "NONE"])
+def test_the_checksum_of_the_data_section_is_checked_for_chunks_as_well(tmp_path, compression):
+    logs = writers()
+    path = logs.mcap(
+        tmp_path / "run.mcap", logs.drive(), enable_data_crcs=True, compression=compression
+    )
+    assert read_run(path).warnings == ()
+    raw = bytearray(path.read_bytes())
+    at = raw.index(b"\x06", 9)
+    # The start time of the first chunk, which nothing else vouches for.
+    raw[raw.index(b"\x06", at) + 9] ^= 0x11
+    path.write_bytes(raw)
+    assert any("data section is wrong" in text for text in read_run(path).warnings)
+
+
+LINE = "=" * 80
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [
+        "\n".join(f"p/T{k} a\np/T{k} b\n{LINE}\nMSG: p/T{k}" for k in range(40)) + "\nuint8 a",
+        "string[2147483647] a",
+        f"p/E[] a\n{LINE}\nMSG: p/E",
+        f"p/A[10000] a\n{LINE}\nMSG: p/A\nuint8 a\nuint8 b",
+        "p/M a",
+        "p/Missing a",
+    ],
+)
+def test_definitions_that_inflate_are_refused(definition):
+    channel = Channel("/t", "p/msg/M", "ros1", definition.encode(), "ros1msg")
+    with pytest.raises(DamageError):
+        object_decoder(channel)
+
+
+@pytest.mark.parametrize("text", [*logs_bombs.YAML.values(), "", "a: *b", "{", "x: [1"])
+def test_metadata_of_no_bag_is_refused(text):
+    with pytest.raises(ValueError, match="it "):
+        parse_metadata(text)
+
+
+def test_metadata_as_recorders_and_people_write_it():
+    block = (
+        "---\nrosbag2_bagfile_information:\n  version: 5\n  message_count: 12\n"
+        "  topics_with_message_count:\n    - topic_metadata:\n        name: /a\n"
+        "      message_count: 3\n  relative_file_paths:\n    - sub/run_0.mcap # the first\n"
+        "    - \"run \\u00e4.mcap\"\n    - 'it''s.mcap'\n  files:\n    - path: x\n"
+    )
+    names = ["run_0.mcap", "run ä.mcap", "it's.mcap"]
+    assert parse_metadata(block) == (names, 12)
+    flow = "rosbag2_bagfile_information:\n  relative_file_paths: [a.db3, 'b.db3']\n"
+    assert parse_metadata(flow) == (["a.db3", "b.db3"], None)
+    braces = '{"rosbag2_bagfile_information": {"relative_file_paths": ["a"], "message_count": 2}}'
+    assert parse_metadata(braces) == (["a"], 2)
+
+
+def test_names_with_one_wrong_bit():
+    assert nearest("nav_msgs/msg/Odometrz", TYPES) == "nav_msgs/msg/Odometrz"
+    assert nearest("nav_msgs/msg/Odometsy", TYPES) == "nav_msgs/msg/Odometry"
+    assert one_bit_apart(b"zstd", b"zstl")
+    assert not one_bit_apart(b"zstd", b"zst")
+    assert not one_bit_apart(5, 6)
+
+
+@pytest.mark.parametrize(("factor", "problem"), [(1e6, "spans"), (10**4, "moves at")])
+def test_odometry_that_nobody_can_have_driven_is_refused(tmp_path, factor, problem):
+    from dataclasses import replace
+
+    logs = writers()
+    drive = [
+        replace(m, poses=((m.poses[0][0] * factor, *m.poses[0][1:]),)) if m.child else m
+        for m in logs.drive()
+    ]
+    with pytest.raises(LogError, match=f"/odom {problem}.*expected in metres"):
+        read_run(logs.mcap(tmp_path / "run.mcap", drive))
