@@ -100,7 +100,12 @@ def test_bad_conduct_is_found(bad):
 
 
 def test_good_conduct_is_none():
-    for good in (outcome(), outcome(1, err="error: x\nwarning: y\n"), outcome(2, err="Usage: z\n")):
+    for good in (
+        outcome(),
+        outcome(1, err="error: x\nwarning: y\n"),
+        outcome(1, out="problem: x\n"),
+        outcome(2, err="Usage: z\n"),
+    ):
         assert conduct(good) == ""
 
 
