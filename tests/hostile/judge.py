@@ -36,7 +36,8 @@ def _shown(text: str) -> str:
 def _told(outcome: Outcome) -> str:
     """Errors and warnings take one line each, and no failure goes without."""
     lines = outcome.err.splitlines()
-    if outcome.code == 1 and not any(line.startswith("error: ") for line in lines):
+    problems = [line for line in outcome.out.splitlines() if line.startswith("problem: ")]  # info
+    if outcome.code == 1 and not problems and not any(x.startswith("error: ") for x in lines):
         return f"exit 1 without an error: {_last(outcome.err)}"
     if outcome.code == 2:
         return ""  # usage takes several lines

@@ -17,24 +17,29 @@ HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are watched by /proc")
 
 SHORT = (
-    "hostile documents",
-    "hostile cache",
+    "documents",
+    "cache",
     "no file",
-    "names that steer",
+    "names that",
+    "broken",
     "kill -9 of merge",
     "full",
+    "races",
 )
 
 
-@pytest.mark.parametrize("only", SHORT)
-def test_a_few_tries_of_each_class_find_nothing(only):
-    """The long attack is `make attack`."""
-    command = [sys.executable, str(HERE / "attack.py"), "--tries", "4", "--jobs", "1"]
+def test_a_few_tries_find_nothing():
+    """The long attack is `make attack`; logs are tried by tests of their own as well."""
+    command = [sys.executable, str(HERE / "attack.py"), "--tries", "20", "--jobs", "1"]
     done = subprocess.run(
-        [*command, "--seed", "7", "--only", only], capture_output=True, text=True, check=False
+        [*command, "--seed", "7", "--only", ",".join(SHORT)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "| **all** | **4** | **0** |" in done.stdout
+    assert "FAILED" not in done.stdout
+    assert "| **0** |" in done.stdout
 
 
 CALLS = """
@@ -95,7 +100,12 @@ def test_bad_conduct_is_found(bad):
 
 
 def test_good_conduct_is_none():
-    for good in (outcome(), outcome(1, err="error: x\nwarning: y\n"), outcome(2, err="Usage: z\n")):
+    for good in (
+        outcome(),
+        outcome(1, err="error: x\nwarning: y\n"),
+        outcome(1, out="problem: x\n"),
+        outcome(2, err="Usage: z\n"),
+    ):
         assert conduct(good) == ""
 
 
