@@ -59,7 +59,7 @@ def right(T, onto, from_):
 def figures(trials, noise):
     """Rows of the table beside the paper's own."""
     settings = PaperSettings()
-    wide = PaperSettings(growth=GrowthSettings(length_bound_sigmas=WIDE_SIGMAS))
+    wide = PaperSettings(growth=GrowthSettings(confidence=0.99))
     for size in SIZES:
         rows = []
         for seed in range(trials):

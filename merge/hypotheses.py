@@ -19,6 +19,7 @@ from ..topology.correspondence import (
 from ..topology.se2 import apply
 from ..topology.structure import Structure
 from .registration import register_groups, translate_groups
+from .significance import match_bits, single_bits
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -31,8 +32,8 @@ class Hypotheses:
     of: (N,) hypothesis of each vertex pair, ascending; nodes: the N pairs with the correspondence
     of their branches, rotation (N,) its angle. size: (H,) vertex pairs; corridors: (H,) corridor
     pairs; transform: (H, 3) T_a_b; error: (H,) mean squared distance of the matched vertices [m²].
-    candidates: compatible (vertex, vertex, correspondence) in all; corridor_chance: share of all
-    corridor pairs that agree.
+    bits: (H,) how much more each is than chance (`significance`); candidates: compatible (vertex,
+    vertex, correspondence) in all.
     """
 
     of: IntArray
@@ -42,9 +43,9 @@ class Hypotheses:
     corridors: IntArray
     transform: FloatArray
     error: FloatArray
+    bits: FloatArray
     rectilinear: bool
     candidates: int
-    corridor_chance: float
 
     def __len__(self) -> int:
         return len(self.size)
@@ -63,6 +64,7 @@ class Hypotheses:
             corridors=self.corridors[numbers],
             transform=self.transform[numbers],
             error=self.error[numbers],
+            bits=self.bits[numbers],
         )
 
     @property
@@ -78,11 +80,12 @@ class Hypotheses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Matches:
-    """Hypotheses before their transforms: pairs with the match of each, corridors per match."""
+    """Hypotheses before their transforms: pairs with the match of each; corridors and bits."""
 
     of: IntArray
     nodes: Nodes
     corridors: IntArray
+    bits: FloatArray
 
 
 def hypothesise(
@@ -103,7 +106,8 @@ def hypothesise(
     matches, candidates = _surviving(grown), len(grown.nodes)
     if single_vertex:
         singles = single_matches(a, b, grown, settings)
-        matches, candidates = _with_singles(matches, singles.nodes), singles.candidates
+        candidates = singles.candidates
+        matches = _with_singles(matches, singles.nodes, single_bits(candidates))
     matches = _ordered(matches)
     of, nodes = matches.of, matches.nodes
     rectilinear = is_rectilinear(a, b, settings)
@@ -120,9 +124,9 @@ def hypothesise(
         corridors=matches.corridors,
         transform=transform,
         error=squared / np.maximum(size, 1),
+        bits=matches.bits,
         rectilinear=rectilinear,
         candidates=candidates,
-        corridor_chance=_corridor_chance(a, b, grown),
     )
 
 
@@ -134,10 +138,11 @@ def _surviving(growth: Growth) -> _Matches:
     of_link = number[growth.link_component[links]]
     count = int(np.count_nonzero(~growth.rejected))
     corridors = np.bincount(of_link, minlength=count).astype(np.int64)
-    return _Matches(number[growth.component[keep]], growth.nodes.take(keep), corridors)
+    bits = match_bits(growth)[~growth.rejected]
+    return _Matches(number[growth.component[keep]], growth.nodes.take(keep), corridors, bits)
 
 
-def _with_singles(matches: _Matches, singles: Nodes) -> _Matches:
+def _with_singles(matches: _Matches, singles: Nodes, bits: float) -> _Matches:
     lone = np.arange(len(singles)) + len(matches.corridors)
     names = ("vertex_a", "vertex_b", "correspondence")
     joined = (np.concatenate([getattr(matches.nodes, n), getattr(singles, n)]) for n in names)
@@ -145,6 +150,7 @@ def _with_singles(matches: _Matches, singles: Nodes) -> _Matches:
         of=np.concatenate([matches.of, lone]),
         nodes=Nodes(*joined),
         corridors=np.concatenate([matches.corridors, np.zeros(len(lone), np.int64)]),
+        bits=np.concatenate([matches.bits, np.full(len(lone), bits)]),
     )
 
 
@@ -160,7 +166,8 @@ def _ordered(matches: _Matches) -> _Matches:
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
     rows = np.lexsort((*keys, rank[of]))
-    return _Matches(rank[of][rows], nodes.take(rows), matches.corridors[order])
+    chosen = (matches.corridors[order], matches.bits[order])
+    return _Matches(rank[of][rows], nodes.take(rows), *chosen)
 
 
 def _transforms(
@@ -174,9 +181,3 @@ def _transforms(
         return by_branches
     several = np.bincount(of, minlength=count) > 1
     return np.where(several[:, None], register_groups(p, q, of, count), by_branches)
-
-
-def _corridor_chance(a: Structure, b: Structure, growth: Growth) -> float:
-    """Share of all pairs of corridors that agree: how easily one agrees by chance."""
-    tested = len(a.start) // 2 * len(b.start)
-    return (len(growth.links.dart_a) + 1) / (tested + 2)

@@ -56,13 +56,16 @@ class Growth:
     """All grown matches that hold a corridor, valid and rejected.
 
     nodes: N nodes in ascending order; component: (N,) the match of each; rejected: (C,) True where
-    a match ran into an incompatibility; links, with the match of each in link_component (L,);
+    a match ran into an incompatibility; tested, agreed: (C,) corresponding branches that both maps
+    drove at the nodes of each match, and how many of them lead along a link; links, with the match of each in link_component (L,);
     rectilinear: which world the correspondences are of.
     """
 
     nodes: Nodes
     component: IntArray
     rejected: NDArray[np.bool_]
+    tested: IntArray
+    agreed: IntArray
     links: Links
     link_component: IntArray
     rectilinear: bool
@@ -118,9 +121,19 @@ def find_links(
     i, j = _equal_lengths(
         _Measured(signature(a, rows_a, settings), a.length[rows_a], a.sigma[rows_a]),
         _Measured(signature(b, rows_b, settings), b.length[rows_b], b.sigma[rows_b]),
-        settings.length_bound_sigmas,
+        search_bound(a, b, settings),
     )
     return confirm_links(a, b, rows_a[i], rows_b[j], settings)
+
+
+def search_bound(a: Structure, b: Structure, settings: GrowthSettings) -> float:
+    """Standard deviations within which corridors are compared at all.
+
+    That of the largest match there can be: all corridors of the smaller map. The count is rounded
+    up to a power of two, so that the bound of growing maps moves seldom.
+    """
+    most = max(1, min(len(a.start), len(b.start)) // 2)
+    return settings.bound_sigmas(1 << (most - 1).bit_length())
 
 
 def confirm_links(
@@ -251,18 +264,45 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
     component = labels.astype(np.int64)
     # A branch driven in both maps whose corridors do not pair is an incompatibility.
     satisfied = _satisfied(a, b, links, inverse, rectilinear)
-    conflict = satisfied < shared_branches(a, b, nodes, rectilinear)
+    shared = shared_branches(a, b, nodes, rectilinear)
     rejected = np.zeros(number, np.bool_)
-    rejected[component[conflict]] = True
+    rejected[component[satisfied < shared]] = True
+    rejected |= _out_of_bounds(a, b, links, component[inverse[:size]], number, settings)
     rejected[_not_one_to_one(nodes, component, rejected)] = True
     return Growth(
         nodes=nodes,
         component=component,
         rejected=rejected,
+        tested=np.bincount(component, shared, number).astype(np.int64),
+        agreed=np.bincount(component, satisfied, number).astype(np.int64),
         links=links,
         link_component=component[inverse[:size]],
         rectilinear=rectilinear,
     )
+
+
+def _out_of_bounds(
+    a: Structure,
+    b: Structure,
+    links: Links,
+    component: IntArray,
+    count: int,
+    settings: GrowthSettings,
+) -> NDArray[np.bool_]:
+    """(count,) matches of which a length differs by more than the bound for so many corridors.
+
+    Links are sought within the bound of the largest match. Between the two bounds a link would be
+    an incompatibility at both of its ends, so the match that it joins is rejected either way.
+    """
+    held = np.bincount(component, minlength=count)
+    if settings.confidence_of == "corridor":
+        return np.zeros(count, np.bool_)
+    sigma = np.hypot(a.sigma[links.dart_a], b.sigma[links.dart_b])
+    off = np.abs(a.length[links.dart_a] - b.length[links.dart_b])
+    bounds = np.array([settings.bound_sigmas(k) for k in range(int(held.max(initial=0)) + 1)])
+    out = np.zeros(count, np.bool_)
+    out[component[off > bounds[held[component]] * sigma]] = True
+    return out
 
 
 def _satisfied(

@@ -7,11 +7,14 @@ slots; on general angles branches are compared with a similarity test.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import expm1, log
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import UsageError
 from .se2 import wrap
 from .structure import FloatArray, IntArray, Structure
 
@@ -41,9 +44,27 @@ class GrowthSettings:
     """Inexact degree: branches that either vertex of a pair may have and the other not."""
     branch_tolerance_rad: float = 0.35
     """General world: how far a branch may be from its partner under the pair's rotation."""
-    length_bound_sigmas: float = 1.96
-    """Corridors agree if their lengths differ by no more than this bound (95 %, §5) of the
-    difference of two measurements."""
+    confidence: float = 0.99
+    """Probability with which a right match survives the comparison of its lengths."""
+    confidence_of: Literal["match", "corridor"] = "match"
+    """match: of all its corridors together, however many they are; corridor: of each by itself,
+    as published (§5: 95 %), so that a right match of k corridors survives with confidence ** k."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.confidence < 1.0:
+            raise UsageError(f"a confidence lies between 0 and 1, not at {self.confidence}")
+        if self.unmatched_branches < 0 or not self.branch_tolerance_rad > 0:
+            raise UsageError("branches: neither a count below 0 nor a tolerance of 0 makes sense")
+
+    def bound_sigmas(self, corridors: int) -> float:
+        """Standard deviations by which the lengths of each of so many corridors may differ.
+
+        Of k differences of normal errors, correlated or not, all lie within z standard deviations
+        with a probability of at least (2 Φ(z) - 1) ** k (Šidák 1967); z makes that `confidence`.
+        """
+        count = corridors if self.confidence_of == "match" else 1
+        outside = -expm1(log(self.confidence) / max(count, 1))
+        return -NormalDist().inv_cdf(outside / 2)
 
 
 DEFAULT_GROWTH = GrowthSettings()

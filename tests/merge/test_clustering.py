@@ -80,9 +80,9 @@ def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
         corridors=size - 1,
         transform=transforms,
         error=np.zeros(len(groups)) if errors is None else np.array(errors, float),
+        bits=np.zeros(len(groups)),
         rectilinear=rectilinear,
         candidates=len(pairs),
-        corridor_chance=0.1,
     )
 
 

@@ -10,7 +10,7 @@ from topobatch.merge.paper import PaperSettings, match, prepare_map
 from topobatch.topology.correspondence import GrowthSettings
 from topobatch.topology.errors import DataError, UsageError
 
-GROWTH = GrowthSettings(length_bound_sigmas=4.0)
+GROWTH = GrowthSettings()
 
 
 def test_notation():

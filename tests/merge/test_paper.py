@@ -157,7 +157,7 @@ def test_explanation_of_the_example_as_text_and_json(example):
 @pytest.mark.parametrize("world", ["auto", "general"])
 @pytest.mark.parametrize("degree", ["exact", "inexact"])
 def test_mazes_are_merged_where_they_overlap(maze_pair, world, degree):
-    settings = PaperSettings(GrowthSettings(world, degree, length_bound_sigmas=4.0))
+    settings = PaperSettings(GrowthSettings(world, degree))
     for seed in range(3):
         a, b, truth = maze_pair(seed)
         verdict = judge(prepare_map(a), prepare_map(b), settings)
@@ -173,7 +173,7 @@ def test_mazes_are_merged_where_they_overlap(maze_pair, world, degree):
 
 def test_moving_and_renumbering_a_map_moves_the_answer_alike(maze_pair):
     a, b, _ = maze_pair(3)
-    settings = PaperSettings(GrowthSettings(length_bound_sigmas=4.0))
+    settings = PaperSettings(GrowthSettings())
     before = judge(prepare_map(a), prepare_map(b), settings)
     swapped = judge(prepare_map(replace(b, run="a")), prepare_map(replace(a, run="b")), settings)
     assert {tuple(p) for p in before.best.matched[:, ::-1].tolist()} == {

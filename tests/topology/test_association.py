@@ -149,7 +149,7 @@ class Oracle:
 
     def lengths_agree(self, e, f):
         a, b = self.a, self.b
-        bound = self.settings.length_bound_sigmas * np.hypot(a.length_sigma[e], b.length_sigma[f])
+        bound = self.settings.bound_sigmas(1) * np.hypot(a.length_sigma[e], b.length_sigma[f])
         return abs(a.length[e] - b.length[f]) <= bound
 
     def hypotheses(self) -> tuple[set[frozenset[Node]], set[Node]]:
