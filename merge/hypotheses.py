@@ -19,7 +19,7 @@ from ..topology.correspondence import (
 from ..topology.se2 import apply
 from ..topology.structure import Structure
 from .registration import register_groups, translate_groups
-from .significance import match_bits, single_bits
+from .significance import SelfSimilarity, match_bits, self_similarity, single_bits
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -96,14 +96,18 @@ def hypothesise(
     *,
     single_vertex: bool = True,
     growth: Growth | None = None,
+    alike: tuple[SelfSimilarity, SelfSimilarity] | None = None,
 ) -> Hypotheses:
     """All valid hypotheses of two maps and their transforms.
 
     xy: embedded vertices of a and of b (§3.1). single_vertex: with the pairs of vertices that no
-    corridor tests (§2.3: "cannot be grown further"). growth: the grown matches, if at hand.
+    corridor tests (§2.3: "cannot be grown further"). growth: the grown matches, alike:
+    how each map resembles itself, if at hand.
     """
     grown = grow(a, b, settings) if growth is None else growth
-    matches, candidates = _surviving(grown), len(grown.nodes)
+    if alike is None:
+        alike = self_similarity(a, settings), self_similarity(b, settings)
+    matches, candidates = _surviving(grown, match_bits(grown, alike)), len(grown.nodes)
     if single_vertex:
         singles = single_matches(a, b, grown, settings)
         candidates = singles.candidates
@@ -130,7 +134,7 @@ def hypothesise(
     )
 
 
-def _surviving(growth: Growth) -> _Matches:
+def _surviving(growth: Growth, bits: FloatArray) -> _Matches:
     """The matches that were not rejected."""
     number = np.cumsum(~growth.rejected) - 1
     keep = ~growth.rejected[growth.component]
@@ -138,8 +142,8 @@ def _surviving(growth: Growth) -> _Matches:
     of_link = number[growth.link_component[links]]
     count = int(np.count_nonzero(~growth.rejected))
     corridors = np.bincount(of_link, minlength=count).astype(np.int64)
-    bits = match_bits(growth)[~growth.rejected]
-    return _Matches(number[growth.component[keep]], growth.nodes.take(keep), corridors, bits)
+    of, nodes = number[growth.component[keep]], growth.nodes.take(keep)
+    return _Matches(of, nodes, corridors, bits[~growth.rejected])
 
 
 def _with_singles(matches: _Matches, singles: Nodes, bits: float) -> _Matches:

@@ -29,7 +29,7 @@ from .locks import Lock
 from .meeting import Meeting, near_vertices, seeded
 from .result import Alignment, PairVerdict, Verdict
 from .robust.wording import counted
-from .significance import cluster_bits
+from .significance import SelfSimilarity, cluster_bits, self_similarity
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -73,6 +73,7 @@ class PreparedMap:
     structure: Structure
     xy: FloatArray
     shortest_edge_m: float
+    alike: SelfSimilarity
     near: Mapping[Meeting, IntArray] = field(default_factory=dict)
     """Vertices near the robot at each of its meetings."""
 
@@ -91,14 +92,16 @@ class Matching:
 
 
 def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> PreparedMap:
-    """Prepare a map for any number of comparisons. Linear in its size."""
+    """Prepare a map for any number of comparisons."""
     shortest = float(topomap.length.min()) if len(topomap.length) else np.inf
     near = {}
     for m in settings.meetings:
         if topomap.run in (m.run_a, m.run_b):
             time_ns = m.time_a_ns if topomap.run == m.run_a else m.time_b_ns
             near[m] = near_vertices(topomap, time_ns, m.range_m)
-    return PreparedMap(topomap.run, prepare(topomap), topomap.xy, shortest, near)
+    structure = prepare(topomap)
+    alike = self_similarity(structure, settings.growth)
+    return PreparedMap(topomap.run, structure, topomap.xy, shortest, alike, near)
 
 
 def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
@@ -109,6 +112,7 @@ def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPE
         (a.xy, b.xy),
         settings.growth,
         single_vertex=settings.single_vertex,
+        alike=(a.alike, b.alike),
     )
     meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
     if meeting is not None:

@@ -2,28 +2,69 @@
 
 "Clusters containing only one or two pairs of vertices ... are generally not significant", and how
 many are depends on "the size, complexity, and self-similarity of the environment". All three are
-measured on the two maps themselves. Where they share nothing, L pairs of corridors agree by chance,
-and each begins a match; at a pair of vertices so reached, a further corridor that both maps drove
-agrees with some probability p. A match of v vertices needed v - 2 further agreements, so that
-E = L p^(v - 2) of them are to be expected; -log2 E are the bits by which it is more than chance.
+measured. Where two maps share nothing, L pairs of corridors agree by chance, and each begins a
+match; at a pair of vertices so reached, a further corridor that both maps drove agrees with some
+probability p. A match of v vertices needed v - 2 further agreements, so that E = L p^(v - 2) of
+them are to be expected; -log2 E are the bits by which it is more than chance. L and p are seen in
+all other matches of the two maps, and in those of either map with other parts of itself. Where a
+building repeats itself, p differs from place to place: a match of as many vertices as a map shares
+with another part of itself is none that chance does not offer, so that E is no less than
+p^(v - m), m the vertices of the largest such match.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import Growth
+from ..topology.association import Growth, grow
+from ..topology.correspondence import GrowthSettings, node_rotations
+from ..topology.structure import Structure
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def match_bits(growth: Growth) -> FloatArray:
-    """(C,) bits of every grown match. L and p are those of all other matches, rejected ones too.
+@dataclass(frozen=True, slots=True)
+class SelfSimilarity:
+    """What a map's matches with other parts of itself show of chance.
 
-    Corridors that close circles add nothing: their lengths follow from the others. p is the mean
-    of its posterior under a uniform prior, so that few comparisons promise little.
+    links: pairs of corridors that agree; tested: corridors compared at vertices that a match had
+    reached; agreed: how many of these agree; largest: vertices of the largest match, rejected or
+    not.
+    """
+
+    links: int
+    tested: int
+    agreed: int
+    largest: int
+
+
+def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
+    """The map matched with itself, without the match of every vertex with itself."""
+    growth = grow(s, s, settings)
+    itself = np.flatnonzero(growth.nodes.vertex_a == growth.nodes.vertex_b)
+    turn = node_rotations(s, s, growth.nodes.take(itself), growth.rectilinear)
+    other = np.ones(len(growth.rejected), np.bool_)
+    # A vertex may well be laid on itself turned: only unturned it is the map as it is.
+    other[growth.component[itself[np.abs(turn) < 1e-6]]] = False
+    vertices = np.bincount(growth.component, minlength=len(other))[other]
+    return SelfSimilarity(
+        links=int(np.count_nonzero(other[growth.link_component])),
+        tested=int(growth.tested[other].sum() - vertices.sum()),
+        agreed=int(growth.agreed[other].sum() - vertices.sum()),
+        largest=int(vertices.max(initial=0)),
+    )
+
+
+def match_bits(growth: Growth, alike: tuple[SelfSimilarity, SelfSimilarity]) -> FloatArray:
+    """(C,) bits of every grown match of two maps; alike: how each of them resembles itself.
+
+    A match is no witness of its own chance; rejected ones are. Corridors that close circles add
+    nothing: their lengths follow from the others. p is the mean of its posterior under a uniform
+    prior, so that few comparisons promise little.
     """
     count = len(growth.rejected)
     vertices = np.bincount(growth.component, minlength=count)
@@ -31,10 +72,13 @@ def match_bits(growth: Growth) -> FloatArray:
     rest = len(growth.link_component) - links
     # One agreement led to each pair of vertices: only the others were open.
     reached = len(growth.nodes) - vertices
-    agreed = growth.agreed.sum() - growth.agreed - reached
-    tested = growth.tested.sum() - growth.tested - reached
-    p = (agreed + 1) / (tested + 2)
-    return np.asarray(-(vertices - 2) * np.log2(p) - np.log2(rest + 1))
+    agreed = growth.agreed.sum() - growth.agreed - reached + sum(x.agreed for x in alike)
+    tested = growth.tested.sum() - growth.tested - reached + sum(x.tested for x in alike)
+    surprise = -np.log2((agreed + 1) / (tested + 2))
+    starts = np.maximum(rest, max(x.links for x in alike)) + 1
+    beyond_chance = (vertices - 2) * surprise - np.log2(starts)
+    beyond_copies = (vertices - max(x.largest for x in alike)) * surprise
+    return np.asarray(np.minimum(beyond_chance, beyond_copies))
 
 
 def single_bits(candidates: int) -> float:
