@@ -3,19 +3,22 @@ transform (§2, §3.1)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import Growth, grow, single_matches
+from ..topology.association import Growth, SingleMatches, grow, single_matches
 from ..topology.correspondence import (
     DEFAULT_GROWTH,
     GrowthSettings,
     Nodes,
+    candidate_nodes,
     is_rectilinear,
     node_rotations,
+    shared_branches,
 )
+from ..topology.local_growth import grow_from
 from ..topology.se2 import apply
 from ..topology.structure import Structure
 from .registration import register_groups, translate_groups
@@ -50,23 +53,6 @@ class Hypotheses:
     def __len__(self) -> int:
         return len(self.size)
 
-    def take(self, numbers: IntArray) -> Hypotheses:
-        """The hypotheses of the given ascending numbers, renumbered."""
-        rank = np.full(len(self), -1, np.int64)
-        rank[numbers] = np.arange(len(numbers))
-        rows = np.flatnonzero(rank[self.of] >= 0)
-        return replace(
-            self,
-            of=rank[self.of[rows]],
-            nodes=self.nodes.take(rows),
-            rotation=self.rotation[rows],
-            size=self.size[numbers],
-            corridors=self.corridors[numbers],
-            transform=self.transform[numbers],
-            error=self.error[numbers],
-            bits=self.bits[numbers],
-        )
-
     @property
     def vertex_a(self) -> IntArray:
         """(N,) vertices of a."""
@@ -95,22 +81,22 @@ def hypothesise(
     settings: GrowthSettings = DEFAULT_GROWTH,
     *,
     single_vertex: bool = True,
-    growth: Growth | None = None,
+    near: tuple[IntArray, IntArray] | None = None,
     alike: tuple[SelfSimilarity, SelfSimilarity] | None = None,
 ) -> Hypotheses:
     """All valid hypotheses of two maps and their transforms.
 
     xy: embedded vertices of a and of b (§3.1). single_vertex: with the pairs of vertices that no
-    corridor tests (§2.3: "cannot be grown further"). growth: the grown matches, alike:
-    how each map resembles itself, if at hand.
+    corridor tests (§2.3: "cannot be grown further"). near: vertices of a and of b from which alone
+    matches are grown (§4.2). alike: how each map resembles itself, if at hand.
     """
-    grown = grow(a, b, settings) if growth is None else growth
     if alike is None:
         alike = self_similarity(a, settings), self_similarity(b, settings)
-    matches, candidates = _surviving(grown, match_bits(grown, alike)), len(grown.nodes)
+    grown, singles = _grown(a, b, settings, near)
+    share = 1.0 if near is None else len(near[0]) * len(near[1]) / (len(a) * len(b))
+    matches = _surviving(grown, match_bits(grown, alike, share))
+    candidates = singles.candidates
     if single_vertex:
-        singles = single_matches(a, b, grown, settings)
-        candidates = singles.candidates
         matches = _with_singles(matches, singles.nodes, single_bits(candidates))
     matches = _ordered(matches)
     of, nodes = matches.of, matches.nodes
@@ -132,6 +118,23 @@ def hypothesise(
         rectilinear=rectilinear,
         candidates=candidates,
     )
+
+
+def _grown(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings,
+    near: tuple[IntArray, IntArray] | None,
+) -> tuple[Growth, SingleMatches]:
+    """All matches, or those that begin near a meeting."""
+    if near is None:
+        growth = grow(a, b, settings)
+        return growth, single_matches(a, b, growth, settings)
+    seeds = candidate_nodes(a, b, settings, near)
+    growth = grow_from(a, b, seeds, settings)
+    untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
+    pairs = len(np.unique(seeds.vertex_a * len(b) + seeds.vertex_b))
+    return growth, SingleMatches(seeds.take(untested), len(seeds), pairs)
 
 
 def _surviving(growth: Growth, bits: FloatArray) -> _Matches:

@@ -26,7 +26,7 @@ from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
 from .locking import aligned_at, honour
 from .locks import Lock
-from .meeting import Meeting, near_vertices, seeded
+from .meeting import Meeting, near_vertices
 from .result import Alignment, PairVerdict, Verdict
 from .robust.wording import counted
 from .significance import SelfSimilarity, cluster_bits, self_similarity
@@ -51,7 +51,7 @@ class PaperSettings:
     rival_rad: float = 0.35
     """… or turn them by more than this."""
     meetings: tuple[Meeting, ...] = ()
-    """Runs that met: their hypotheses hold a pair of vertices near both robots (§4.2)."""
+    """Runs that met: matches are grown from pairs of vertices near both robots only (§4.2)."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.false_merge_rate < 1.0:
@@ -106,18 +106,16 @@ def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> Pr
 
 def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
     """Hypotheses and their clusters, §2 and §3."""
+    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
     hypotheses = hypothesise(
         a.structure,
         b.structure,
         (a.xy, b.xy),
         settings.growth,
         single_vertex=settings.single_vertex,
+        near=None if meeting is None else (a.near[meeting], b.near[meeting]),
         alike=(a.alike, b.alike),
     )
-    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
-    if meeting is not None:
-        rows = seeded(hypotheses.vertex_a, hypotheses.vertex_b, (a.near[meeting], b.near[meeting]))
-        hypotheses = hypotheses.take(np.unique(hypotheses.of[rows]))
     shortest = min(a.shortest_edge_m, b.shortest_edge_m)
     return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), shortest, settings.clusters))
 

@@ -59,8 +59,11 @@ def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
     )
 
 
-def match_bits(growth: Growth, alike: tuple[SelfSimilarity, SelfSimilarity]) -> FloatArray:
-    """(C,) bits of every grown match of two maps; alike: how each of them resembles itself.
+def match_bits(
+    growth: Growth, alike: tuple[SelfSimilarity, SelfSimilarity], share: float = 1.0
+) -> FloatArray:
+    """(C,) bits of every grown match of two maps; alike: how each of them resembles itself; share:
+    of all pairs of vertices, those that matches were grown from.
 
     A match is no witness of its own chance; rejected ones are. Corridors that close circles add
     nothing: their lengths follow from the others. p is the mean of its posterior under a uniform
@@ -75,7 +78,7 @@ def match_bits(growth: Growth, alike: tuple[SelfSimilarity, SelfSimilarity]) -> 
     agreed = growth.agreed.sum() - growth.agreed - reached + sum(x.agreed for x in alike)
     tested = growth.tested.sum() - growth.tested - reached + sum(x.tested for x in alike)
     surprise = -np.log2((agreed + 1) / (tested + 2))
-    starts = np.maximum(rest, max(x.links for x in alike)) + 1
+    starts = np.maximum(rest, share * max(x.links for x in alike)) + 1
     beyond_chance = (vertices - 2) * surprise - np.log2(starts)
     beyond_copies = (vertices - max(x.largest for x in alike)) * surprise
     return np.asarray(np.minimum(beyond_chance, beyond_copies))

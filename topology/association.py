@@ -37,8 +37,7 @@ from .correspondence import (
 from .structure import FloatArray, IntArray, Structure
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Links:
+class Links(NamedTuple):
     """Compatible pairs of corridors: darts of a (forward ones only) and of b, and their end nodes.
 
     dart_a, dart_b: (L,); start, end: (L,) codes of the nodes they join; codes and what they mean
@@ -57,8 +56,8 @@ class Growth:
 
     nodes: N nodes in ascending order; component: (N,) the match of each; rejected: (C,) True where
     a match ran into an incompatibility; tested, agreed: (C,) corresponding branches that both maps
-    drove at the nodes of each match, and how many of them lead along a link; links, with the match of each in link_component (L,);
-    rectilinear: which world the correspondences are of.
+    drove at the nodes of each match, and how many of them lead along a link; links, with the match
+    of each in link_component (L,); rectilinear: which world the correspondences are of.
     """
 
     nodes: Nodes
@@ -117,10 +116,9 @@ def find_links(
     if len(rows_a) == 0 or len(rows_b) == 0:
         none = np.zeros(0, np.int64)
         return Links(none, none, none, none)
-    signature = _slot_signature if rectilinear else _degree_signature
     i, j = _equal_lengths(
-        _Measured(signature(a, rows_a, settings), a.length[rows_a], a.sigma[rows_a]),
-        _Measured(signature(b, rows_b, settings), b.length[rows_b], b.sigma[rows_b]),
+        _Measured(dart_kind(a, rows_a, settings, rectilinear), a.length[rows_a], a.sigma[rows_a]),
+        _Measured(dart_kind(b, rows_b, settings, rectilinear), b.length[rows_b], b.sigma[rows_b]),
         search_bound(a, b, settings),
     )
     return confirm_links(a, b, rows_a[i], rows_b[j], settings)
@@ -150,10 +148,17 @@ def confirm_links(
 
 def join_links(parts: list[Links]) -> Links:
     """Links found in parts, as if found at once, in the order of their darts."""
-    names = ("dart_a", "dart_b", "start", "end")
-    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = np.lexsort((columns[1], columns[0]))
     return Links(*(column[order] for column in columns))
+
+
+def dart_kind(
+    s: Structure, darts: IntArray, settings: GrowthSettings, rectilinear: bool
+) -> FloatArray:
+    """(k,) what two darts must share to be compared at all, as one number."""
+    signature = _slot_signature if rectilinear else _degree_signature
+    return signature(s, darts, settings)
 
 
 def _slot_signature(s: Structure, darts: IntArray, settings: GrowthSettings) -> FloatArray:
@@ -267,7 +272,8 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
     shared = shared_branches(a, b, nodes, rectilinear)
     rejected = np.zeros(number, np.bool_)
     rejected[component[satisfied < shared]] = True
-    rejected |= _out_of_bounds(a, b, links, component[inverse[:size]], number, settings)
+    of_link = component[inverse[:size]]
+    rejected[_out_of_bounds(a, b, links, of_link, settings)] = True
     rejected[_not_one_to_one(nodes, component, rejected)] = True
     return Growth(
         nodes=nodes,
@@ -276,33 +282,25 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
         tested=np.bincount(component, shared, number).astype(np.int64),
         agreed=np.bincount(component, satisfied, number).astype(np.int64),
         links=links,
-        link_component=component[inverse[:size]],
+        link_component=of_link,
         rectilinear=rectilinear,
     )
 
 
 def _out_of_bounds(
-    a: Structure,
-    b: Structure,
-    links: Links,
-    component: IntArray,
-    count: int,
-    settings: GrowthSettings,
-) -> NDArray[np.bool_]:
-    """(count,) matches of which a length differs by more than the bound for so many corridors.
+    a: Structure, b: Structure, links: Links, component: IntArray, settings: GrowthSettings
+) -> IntArray:
+    """Matches of which a length differs by more than the bound for so many corridors.
 
     Links are sought within the bound of the largest match. Between the two bounds a link would be
     an incompatibility at both of its ends, so the match that it joins is rejected either way.
     """
-    held = np.bincount(component, minlength=count)
-    if settings.confidence_of == "corridor":
-        return np.zeros(count, np.bool_)
+    held = np.bincount(component)
     sigma = np.hypot(a.sigma[links.dart_a], b.sigma[links.dart_b])
     off = np.abs(a.length[links.dart_a] - b.length[links.dart_b])
-    bounds = np.array([settings.bound_sigmas(k) for k in range(int(held.max(initial=0)) + 1)])
-    out = np.zeros(count, np.bool_)
-    out[component[off > bounds[held[component]] * sigma]] = True
-    return out
+    counts, kind = np.unique(held, return_inverse=True)
+    bound = np.array([settings.bound_sigmas(k) for k in counts.tolist()])[kind]
+    return component[off > bound[component] * sigma]
 
 
 def _satisfied(

@@ -68,9 +68,9 @@ def test_groups_are_registered_as_if_alone():
 
 def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
     """Hypotheses of the given vertex pairs and transforms."""
-    of = np.repeat(np.arange(len(groups)), [len(g) for g in groups])
-    pairs = np.array([p for g in groups for p in g], np.int64)
-    size = np.bincount(of)
+    of = np.repeat(np.arange(len(groups)), np.array([len(g) for g in groups], np.int64))
+    pairs = np.array([p for g in groups for p in g], np.int64).reshape(-1, 2)
+    size = np.bincount(of, minlength=len(groups))
     transforms = np.array(transforms, float)
     return Hypotheses(
         of=of,
@@ -163,6 +163,6 @@ def test_iterative_clustering_readmits_a_small_hypothesis_by_its_metric_error():
 
 
 def test_nothing_to_cluster():
-    h = hypotheses([[(0, 0)]], [[0, 0, 0]]).take(np.zeros(0, np.int64))
+    h = hypotheses([], np.zeros((0, 3)))
     assert len(h) == 0
     assert len(cluster(h, (XY, XY))) == 0
