@@ -21,7 +21,7 @@ from ..topology.correspondence import (
 from ..topology.local_growth import grow_from
 from ..topology.se2 import apply
 from ..topology.structure import Structure
-from .registration import register_groups, translate_groups
+from .registration import Weights, fit_groups
 from .significance import SelfSimilarity, match_bits, self_similarity, single_bits
 
 FloatArray = NDArray[np.float64]
@@ -83,12 +83,14 @@ def hypothesise(
     single_vertex: bool = True,
     near: tuple[IntArray, IntArray] | None = None,
     alike: tuple[SelfSimilarity, SelfSimilarity] | None = None,
+    weights: Weights = "equal",
 ) -> Hypotheses:
     """All valid hypotheses of two maps and their transforms.
 
     xy: embedded vertices of a and of b (§3.1). single_vertex: with the pairs of vertices that no
     corridor tests (§2.3: "cannot be grown further"). near: vertices of a and of b from which alone
-    matches are grown (§4.2). alike: how each map resembles itself, if at hand.
+    matches are grown (§4.2). alike: how each map resembles itself, if at hand. weights:
+    of the vertices in registration.
     """
     if alike is None:
         alike = self_similarity(a, settings), self_similarity(b, settings)
@@ -104,7 +106,7 @@ def hypothesise(
     rotation = node_rotations(a, b, nodes, rectilinear)
     p, q = xy[0][nodes.vertex_a], xy[1][nodes.vertex_b]
     size = np.bincount(of, minlength=len(matches.corridors))
-    transform = _transforms(p, q, of, rotation, rectilinear)
+    transform = _transforms(p, q, of, rotation, weights, rectilinear=rectilinear)
     squared = np.bincount(of, ((p - apply(transform[of], q)) ** 2).sum(axis=1), len(size))
     return Hypotheses(
         of=of,
@@ -178,13 +180,17 @@ def _ordered(matches: _Matches) -> _Matches:
 
 
 def _transforms(
-    p: FloatArray, q: FloatArray, of: IntArray, rotation: FloatArray, rectilinear: bool
+    p: FloatArray,
+    q: FloatArray,
+    of: IntArray,
+    rotation: FloatArray,
+    weights: Weights,
+    *,
+    rectilinear: bool,
 ) -> FloatArray:
     """T_a_b of every hypothesis; the branches give the rotation where points cannot."""
     count = int(of.max(initial=-1)) + 1
     cos, sin = (np.bincount(of, f(rotation), count) for f in (np.cos, np.sin))
-    by_branches = translate_groups(p, q, of, np.arctan2(sin, cos))
-    if rectilinear or count == 0:
-        return by_branches
     several = np.bincount(of, minlength=count) > 1
-    return np.where(several[:, None], register_groups(p, q, of, count), by_branches)
+    free = several & (not rectilinear)
+    return fit_groups(p, q, of, np.arctan2(sin, cos), free=free, weights=weights)

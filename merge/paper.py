@@ -115,6 +115,7 @@ def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPE
         single_vertex=settings.single_vertex,
         near=None if meeting is None else (a.near[meeting], b.near[meeting]),
         alike=(a.alike, b.alike),
+        weights=settings.clusters.weights,
     )
     shortest = min(a.shortest_edge_m, b.shortest_edge_m)
     return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), shortest, settings.clusters))

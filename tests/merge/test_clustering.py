@@ -7,7 +7,7 @@ import pytest
 
 from topobatch.merge.clustering import ClusterSettings, cluster, transform_distances
 from topobatch.merge.hypotheses import Hypotheses
-from topobatch.merge.registration import register, register_groups
+from topobatch.merge.registration import fit_groups, register, register_groups
 from topobatch.topology.correspondence import Nodes
 from topobatch.topology.se2 import apply, fit_rigid
 
@@ -166,3 +166,30 @@ def test_nothing_to_cluster():
     h = hypotheses([], np.zeros((0, 3)))
     assert len(h) == 0
     assert len(cluster(h, (XY, XY))) == 0
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_reweighted_registration_shrugs_off_one_wrong_pair(free):
+    rng = np.random.default_rng(4)
+    xy, T = rng.uniform(0, 20, (7, 2)), np.array([3.0, -2.0, 0.4])
+    onto = apply(T, xy)
+    onto[3] += [4.0, 1.0]
+    group = np.zeros(7, np.int64)
+    fits = {
+        weights: fit_groups(
+            onto, xy, group, np.array([0.4]), free=np.array([free]), weights=weights
+        )[0]
+        for weights in ("equal", "reweighted")
+    }
+    assert fits["reweighted"] == pytest.approx(T, abs=0.02)
+    assert np.hypot(*(fits["equal"] - T)[:2]) > 0.5
+
+
+def test_reweighting_is_a_setting_of_hypotheses_and_clusters():
+    xy_a = XY.copy()
+    xy_a[2] += [0.0, 1.5]
+    h = hypotheses([[(k, k) for k in range(6)]], [[0, 0, 0]], errors=[0.4], rectilinear=True)
+    plain = cluster(h, (xy_a, XY)).transform[0]
+    reweighted = cluster(h, (xy_a, XY), settings=ClusterSettings(weights="reweighted"))
+    assert plain == pytest.approx([0.0, 0.25, 0.0])
+    assert reweighted.transform[0] == pytest.approx([0.0, 0.0, 0.0], abs=0.01)

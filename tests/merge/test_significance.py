@@ -1,0 +1,94 @@
+"""How often chance grows a match: the sums by hand, and that bits are bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.merge.paper import judge, prepare_map
+from topobatch.merge.significance import (
+    SelfSimilarity,
+    cluster_bits,
+    match_bits,
+    self_similarity,
+    single_bits,
+)
+from topobatch.topology.association import grow
+from topobatch.topology.correspondence import GrowthSettings
+from topobatch.topology.structure import prepare
+
+NONE = SelfSimilarity(links=0, tested=0, agreed=0, largest=0)
+
+
+def ladder(draw, rungs, name="a", width=5.0):
+    """A ladder of equal rungs: it repeats itself at every step."""
+    corners = {f"{s}{k}": (width * k, 4.0 * s) for k in range(rungs) for s in (0, 1)}
+    sides = [(f"{s}{k}", f"{s}{k + 1}") for s in (0, 1) for k in range(rungs - 1)]
+    return draw(name, corners, [*sides, *((f"0{k}", f"1{k}") for k in range(rungs))])
+
+
+def test_bits_of_matches_by_hand(maze_pair):
+    a, b, _ = maze_pair(2)
+    growth = grow(prepare(a), prepare(b))
+    bits = match_bits(growth, (NONE, NONE))
+    for c in range(len(growth.rejected)):
+        mine, links = growth.component == c, growth.link_component == c
+        others = np.flatnonzero(np.arange(len(growth.rejected)) != c)
+        reached = np.count_nonzero(~mine)
+        p = (growth.agreed[others].sum() - reached + 1) / (
+            growth.tested[others].sum() - reached + 2
+        )
+        v = np.count_nonzero(mine)
+        expected = np.log2(np.count_nonzero(~links) + 1) + (v - 2) * np.log2(p)
+        assert bits[c] == pytest.approx(min(-expected, -v * np.log2(p)))
+
+
+def test_a_match_no_larger_than_what_a_map_shares_with_itself_is_no_evidence(draw, maze_pair):
+    a = prepare(ladder(draw, 8))
+    alike = self_similarity(a, GrowthSettings())
+    assert alike.largest == 16  # turned by half a turn
+    assert alike.agreed > 0.5 * alike.tested
+    growth = grow(a, prepare(ladder(draw, 8, "b")))
+    assert match_bits(growth, (alike, alike)).max() < 2
+    maze, _, _ = maze_pair(0)
+    assert self_similarity(prepare(maze), GrowthSettings()).largest <= 4
+
+
+def test_a_map_as_it_is_is_no_part_of_its_self_similarity(draw):
+    corners = {"p": (0, 0), "q": (5, 0), "r": (5, 7), "s": (14, 7)}
+    lone = prepare(draw("a", corners, [("p", "q"), ("q", "r"), ("r", "s")], [("r", np.pi)]))
+    for world in ("auto", "general"):
+        assert self_similarity(lone, GrowthSettings(world)) == NONE
+
+
+def test_clusters_sum_their_significant_hypotheses():
+    of = np.array([0, 0, 1, -1, 0, 1])
+    bits = np.array([12.0, -3.0, -7.0, 90.0, 2.0, -5.0])
+    assert cluster_bits(of, bits, 2).tolist() == [14.0, -5.0]
+    assert single_bits(1024) == -10
+    assert single_bits(0) == 0
+
+
+@pytest.mark.parametrize("degree", ["exact", "inexact"])
+def test_maps_of_different_mazes_seldom_offer_bits(maze_pair, degree):
+    settings = GrowthSettings(degree=degree)
+    over = []
+    for seed in range(40):
+        a, b = (prepare(maze_pair(s)[k]) for s, k in ((seed, 0), (seed + 100, 1)))
+        growth = grow(a, b, settings)
+        alike = self_similarity(a, settings), self_similarity(b, settings)
+        alive = match_bits(growth, alike)[~growth.rejected]
+        over.append(alive.max(initial=-np.inf))
+    assert np.mean(np.array(over) > 0) <= 0.2
+    assert max(over) < 6
+
+
+@pytest.mark.parametrize("degree", ["exact", "inexact"])
+def test_ladders_are_never_merged(draw, degree):
+    from topobatch.merge.paper import PaperSettings
+
+    settings = PaperSettings(GrowthSettings(degree=degree))
+    maps = [ladder(draw, n, name) for n, name in ((7, "a"), (9, "b"), (9, "c"))]
+    prepared = [prepare_map(m, settings) for m in maps]
+    for i, j in ((0, 1), (1, 2)):
+        assert not judge(prepared[i], prepared[j], settings).accepted
