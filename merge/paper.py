@@ -13,9 +13,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from itertools import combinations, islice
 from math import log2
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from ..topology.correspondence import DEFAULT_GROWTH, GrowthSettings
 from ..topology.errors import UsageError
@@ -63,6 +65,14 @@ class PaperSettings:
 
 
 DEFAULT_PAPER = PaperSettings()
+
+
+def settings_from_document(values: Mapping[str, Any]) -> PaperSettings:
+    """The settings of a merge from its document's `graph.settings`; ValueError on nonsense."""
+    try:
+        return TypeAdapter(PaperSettings).validate_python(values)
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,13 +236,13 @@ def judge(
         verdict=verdict,
         accepted=verdict is Verdict.MERGED,
         evidence_bits=best.evidence_bits,
-        reason=_reason(best, lead, needed, found),
+        reason=_reason(best, second, needed, found),
         best=best if related else None,
         runner_up=second if related else None,
-        margin_bits=lead,
+        margin_bits=None if second is None else lead,
         advice=_advice(best.evidence_bits, needed) if verdict is Verdict.AMBIGUOUS else None,
         extra={
-            "needed_bits": round(needed, 2),
+            "threshold_bits": round(needed, 2),
             "hypotheses": len(found.hypotheses),
             "clusters": len(found.clusters),
         },
@@ -245,7 +255,7 @@ def _verdict(bits: float, lead: float, needed: float) -> Verdict:
     return Verdict.MERGED if min(bits, lead) >= needed else Verdict.AMBIGUOUS
 
 
-def _reason(best: Alignment, lead: float, needed: float, found: Matching) -> str:
+def _reason(best: Alignment, second: Alignment | None, needed: float, found: Matching) -> str:
     what = (
         f"the best of {counted(len(found.clusters), 'cluster')} matches "
         f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}: "
@@ -255,6 +265,9 @@ def _reason(best: Alignment, lead: float, needed: float, found: Matching) -> str
         return f"{what}; chance offers as much"
     if best.evidence_bits < needed:
         return f"{what}; chance offers as much in one of {2**best.evidence_bits:.0f} such pairs"
+    if second is None:
+        return f"{what}; none places the runs otherwise"
+    lead = best.evidence_bits - second.evidence_bits
     return f"{what}; the next that places the runs otherwise has {lead:.1f} less"
 
 
