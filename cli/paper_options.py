@@ -31,7 +31,7 @@ ConfidenceOption = Annotated[
     typer.Option(
         metavar="P",
         help="Paper's method: how likely a right match survives the comparison of its corridors' "
-        "lengths; default 0.99. Closer to 1: fewer right matches are lost, and each of the others "
+        "lengths; default 0.999. Closer to 1: fewer right matches are lost, and each of the others "
         "is worth less, as more agrees by chance.",
     ),
 ]

@@ -8,7 +8,6 @@ a rotation counts at a single vertex too. In metres squared, like the errors it 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -118,11 +117,11 @@ def _complete_linkage(
     first = np.searchsorted(part[order], np.arange(count + 1))
     out = np.zeros(len(kept), np.int64)
     out[order] = np.arange(len(kept))  # alone, unless the linkage below says otherwise
-    for low, high in pairwise(first.tolist()):
-        rows = order[low:high]
+    for k in np.flatnonzero(np.diff(first) > 1).tolist():
+        low, rows = first[k], order[first[k] : first[k + 1]]
         if len(rows) == 2:
             out[rows] = low
-        elif len(rows) > 2:
+        else:
             distance = transform_distances(h, kept[rows], xy_b, settings.lever_m)
             tree = linkage(distance[np.triu_indices(len(rows), 1)], method="complete")
             out[rows] = low + fcluster(tree, threshold, criterion="distance") - 1

@@ -17,12 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from .correspondence import (
     DEFAULT_GROWTH,
-    TURNED,
     GrowthSettings,
     Nodes,
     SlotClasses,
@@ -156,26 +155,14 @@ def join_links(parts: list[Links]) -> Links:
 def dart_kind(
     s: Structure, darts: IntArray, settings: GrowthSettings, rectilinear: bool
 ) -> FloatArray:
-    """(k,) what two darts must share to be compared at all, as one number."""
-    signature = _slot_signature if rectilinear else _degree_signature
-    return signature(s, darts, settings)
+    """(k,) what two darts must share to be compared at all, as one number.
 
-
-def _slot_signature(s: Structure, darts: IntArray, settings: GrowthSettings) -> FloatArray:
-    """What two darts must share in a rectilinear world, seen with the dart leaving eastwards.
-
-    The turn between leaving and arriving and, if degrees are exact, the slots at both ends.
+    Rectilinear: the turn between leaving and arriving and, if degrees are exact, the slots at both
+    ends; on general angles the degrees of both ends, if exact.
     """
-    out, turn = s.out_slot[darts], (s.in_slot[darts] - s.out_slot[darts]) % 4
-    if settings.degree == "inexact":
-        return turn.astype(np.float64)
-    at_start = TURNED[s.mask[s.start[darts]], -out % 4]
-    at_end = TURNED[s.mask[s.end[darts]], -out % 4]
-    return np.asarray((turn * 16 + at_start) * 16 + at_end, np.float64)
-
-
-def _degree_signature(s: Structure, darts: IntArray, settings: GrowthSettings) -> FloatArray:
-    """What two darts must share on general angles: the degrees of both ends, if exact."""
+    if rectilinear:
+        kind = s.slot_kind[darts]
+        return np.asarray(kind if settings.degree == "exact" else kind // 256, np.float64)
     if settings.degree == "inexact":
         return np.zeros(len(darts))
     return (s.degree[s.start[darts]] * 64 + s.degree[s.end[darts]]).astype(np.float64)
@@ -263,10 +250,8 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
     nodes = decode(a, b, code, rectilinear)
-    ones = np.ones(size, np.int8)
-    graph = coo_array((ones, (inverse[:size], inverse[size:])), shape=(len(code), len(code)))
-    number, labels = connected_components(graph, directed=False)
-    component = labels.astype(np.int64)
+    component = _components(inverse[:size], inverse[size:], len(code))
+    number = int(component.max(initial=-1)) + 1
     # A branch driven in both maps whose corridors do not pair is an incompatibility.
     satisfied = _satisfied(a, b, links, inverse, rectilinear)
     shared = shared_branches(a, b, nodes, rectilinear)
@@ -287,6 +272,28 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
     )
 
 
+def _components(start: IntArray, end: IntArray, count: int) -> IntArray:
+    """(count,) component of each node, numbered by their first nodes."""
+    # Strategy: chance makes links that meet no other by the thousand, and a link alone is its own
+    # component: the search for components sees only the rest.
+    degree = np.bincount(start, minlength=count) + np.bincount(end, minlength=count)
+    alone = (degree[start] == 1) & (degree[end] == 1)
+    root = np.arange(count)
+    root[np.maximum(start[alone], end[alone])] = np.minimum(start[alone], end[alone])
+    start, end = start[~alone], end[~alone]
+    met = np.zeros(count, np.bool_)
+    met[start] = met[end] = True
+    nodes, place = np.flatnonzero(met), np.cumsum(met) - 1
+    order = np.argsort(start, kind="stable")
+    row = np.searchsorted(start[order], np.append(nodes, count))
+    graph = csr_array((np.ones(len(start)), place[end[order]], row), shape=(len(nodes),) * 2)
+    labels = connected_components(graph, directed=False)[1]
+    first = np.zeros(len(nodes), np.int64)
+    first[labels[::-1]] = nodes[::-1]
+    root[nodes] = first[labels]
+    return np.asarray((np.cumsum(root == np.arange(count)) - 1)[root])
+
+
 def _out_of_bounds(
     a: Structure, b: Structure, links: Links, component: IntArray, settings: GrowthSettings
 ) -> IntArray:
@@ -298,9 +305,10 @@ def _out_of_bounds(
     held = np.bincount(component)
     sigma = np.hypot(a.sigma[links.dart_a], b.sigma[links.dart_b])
     off = np.abs(a.length[links.dart_a] - b.length[links.dart_b])
-    counts, kind = np.unique(held, return_inverse=True)
-    bound = np.array([settings.bound_sigmas(k) for k in counts.tolist()])[kind]
-    return component[off > bound[component] * sigma]
+    bound = np.zeros(int(held.max(initial=0)) + 1)
+    for corridors in np.flatnonzero(np.bincount(held)).tolist():
+        bound[corridors] = settings.bound_sigmas(corridors)
+    return component[off > bound[held[component]] * sigma]
 
 
 def _satisfied(

@@ -44,7 +44,7 @@ class GrowthSettings:
     """Inexact degree: branches that either vertex of a pair may have and the other not."""
     branch_tolerance_rad: float = 0.35
     """General world: how far a branch may be from its partner under the pair's rotation."""
-    confidence: float = 0.99
+    confidence: float = 0.999
     """Probability with which a right match survives the comparison of its lengths."""
     confidence_of: Literal["match", "corridor"] = "match"
     """match: of all its corridors together, however many they are; corridor: of each by itself,

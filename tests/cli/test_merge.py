@@ -288,7 +288,7 @@ def clean(tmp_path_factory):
 PAPER = ("run1", "run2", "--method", "paper")
 OPTIONS = [
     ("--degree", "inexact"),
-    ("--confidence", "0.999"),
+    ("--confidence", "0.95"),
     ("--confidence-of", "corridor"),
     ("--weights", "reweighted"),
     ("--iterative",),
@@ -322,7 +322,7 @@ def test_explain_takes_options_in_place_of_the_merges_own(topobatch, clean, tmp_
     assert "degree inexact, confidence 0.9 of each match" in shown.out
     topobatch("merge", "--all", "-w", workspace)
     shown = topobatch("explain", *PAPER, "-w", workspace)
-    assert "degree exact, confidence 0.99 of each match" in shown.out
+    assert "degree exact, confidence 0.999 of each match" in shown.out
 
 
 def test_settings_that_make_no_sense(topobatch, workspace):
