@@ -1,8 +1,10 @@
 """The paper's figures, measured again: python benchmarks/paper.py [--trials N] [--baselines]
+[--chance N] [--simulated N]
 
 Random mazes of the size of the paper's Fig. 3 and larger; two robots each explore a part of about
-N junctions, in frames of their own. Times are process CPU times of one thread. --simulated N makes
-logs of N pairs of runs in mazes, without drift or faults, and merges them by the command.
+N junctions, in frames of their own. Times are process CPU times of one thread. --chance N counts
+the bits that N pairs of every size and kind offer that share nothing. --simulated N makes logs of
+N pairs of runs in mazes, without drift or faults, and merges them by the command.
 """
 
 from __future__ import annotations
@@ -153,6 +155,24 @@ def _merged_right(a, b, onto, from_, settings):
     return right(told.best.transform, onto, from_) if told.accepted else None
 
 
+def print_chance(trials, noise):
+    """How many bits maps that share nothing offer; 1 in 2^b pairs may offer b."""
+    steps = (0, 2, 4, 6, 8, 10)
+    print(f"\n| pairs that share nothing, degree | {' | '.join(f'> {b} bits' for b in steps)} |")
+    print(f"|{' --- |' * (1 + len(steps))}")
+    for degree in ("exact", "inexact"):
+        settings = PaperSettings(GrowthSettings(degree=degree))
+        bits = []
+        for size in (20, 50, 126):
+            for seed in range(trials):
+                a, *others = (prepare_map(m, settings) for m in strangers(size, 1000 + seed, noise))
+                bits += [judge(a, other, settings).evidence_bits for other in others]
+        counts = " | ".join(str(int((np.array(bits) > b).sum())) for b in steps)
+        print(f"| {len(bits)}, {degree} | {counts} |")
+    allowed = " | ".join(f"{len(bits) / 2**b:.0f}" for b in steps)
+    print(f"| as many may be | {allowed} |")
+
+
 def print_simulated(pairs, degree):
     """Pairs of simulated runs (40 junctions, 40 % overlap), logs to merged.json by the command."""
     good, wrong = 0, 0
@@ -251,11 +271,14 @@ def main():
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--baselines", action="store_true", help="also the methods it names")
     parser.add_argument("--noise", type=float, default=0.02, help="1 sigma of a length, m")
+    parser.add_argument("--chance", type=int, default=0, metavar="N", help="pairs by size and kind")
     parser.add_argument("--simulated", type=int, default=0, metavar="N", help="pairs of logs")
     args = parser.parse_args()
     noise = Noise(floor_m=args.noise, share=0.1 * args.noise)
     print_figures(args.trials, noise)
     print_verdicts(args.trials, noise)
+    if args.chance:
+        print_chance(args.chance, noise)
     for degree in ("exact", "inexact") if args.simulated else ():
         print_simulated(args.simulated, degree)
     if args.baselines:

@@ -241,11 +241,9 @@ def judge(
         runner_up=second if related else None,
         margin_bits=None if second is None else lead,
         advice=_advice(best.evidence_bits, needed) if verdict is Verdict.AMBIGUOUS else None,
-        extra={
-            "threshold_bits": round(needed, 2),
-            "hypotheses": len(found.hypotheses),
-            "clusters": len(found.clusters),
-        },
+        threshold_bits=needed,
+        accepted_by="pair" if verdict is Verdict.MERGED else None,
+        extra={"hypotheses": len(found.hypotheses), "clusters": len(found.clusters)},
     )
 
 

@@ -9,7 +9,9 @@ them are to be expected; -log2 E are the bits by which it is more than chance. L
 all other matches of the two maps, and in those of either map with other parts of itself. Where a
 building repeats itself, p differs from place to place: a match of as many vertices as a map shares
 with another part of itself is none that chance does not offer, so that E is no less than
-p^(v - m), m the vertices of the largest such match.
+p^(v - m), m the vertices of the largest such match. And where walls run through a rectilinear
+building, a map slid along them still agrees in all lengths across: of the independent lengths along
+either axis the fewer, n, have to do, and E is no less than L p^n.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import Growth, grow
+from ..topology.association import Growth, components, grow
 from ..topology.correspondence import GrowthSettings, node_rotations
 from ..topology.structure import Structure
 
@@ -60,10 +62,15 @@ def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
 
 
 def match_bits(
-    growth: Growth, alike: tuple[SelfSimilarity, SelfSimilarity], share: float = 1.0
+    growth: Growth,
+    a: Structure,
+    alike: tuple[SelfSimilarity, SelfSimilarity],
+    share: float = 1.0,
 ) -> FloatArray:
-    """(C,) bits of every grown match of two maps; alike: how each of them resembles itself; share:
-    of all pairs of vertices, those that matches were grown from.
+    """(C,) bits of every grown match of two maps.
+
+    a: the first of the maps; alike: how each of them resembles itself; share: of all pairs of
+    vertices, those that matches were grown from.
 
     A match is no witness of its own chance; rejected ones are. Corridors that close circles add
     nothing: their lengths follow from the others. p is the mean of its posterior under a uniform
@@ -81,7 +88,35 @@ def match_bits(
     starts = np.maximum(rest, share * max(x.links for x in alike)) + 1
     beyond_chance = (vertices - 2) * surprise - np.log2(starts)
     beyond_copies = (vertices - max(x.largest for x in alike)) * surprise
-    return np.asarray(np.minimum(beyond_chance, beyond_copies))
+    bits = np.minimum(beyond_chance, beyond_copies)
+    if not growth.rectilinear:
+        return np.asarray(bits)
+    beyond_slides = independent_lengths(growth, a).min(axis=0) * surprise - np.log2(starts)
+    return np.asarray(np.minimum(bits, beyond_slides))
+
+
+def independent_lengths(growth: Growth, a: Structure) -> IntArray:
+    """(2, C) lengths along either axis that do not follow from others, of matches in a rectilinear
+    world; 0 for matches of one corridor.
+
+    Vertices that corridors across join lie on one line: the lengths between n + 1 lines are n.
+    """
+    count = len(growth.rejected)
+    several = np.bincount(growth.link_component, minlength=count)[growth.link_component] > 1
+    links = growth.links
+    code, end = np.unique(
+        np.concatenate([links.start[several], links.end[several]]), return_inverse=True
+    )
+    ends = end.reshape(2, -1)
+    match = np.zeros(len(code), np.int64)
+    match[ends] = growth.link_component[several]
+    axis = a.out_slot[links.dart_a[several]] % 2
+    out = np.zeros((2, count), np.int64)
+    for k in (0, 1):
+        line = components(*ends[:, axis != k], len(code))
+        first = np.unique(line, return_index=True)[1]
+        out[k] = np.maximum(np.bincount(match[first], minlength=count) - 1, 0)
+    return out
 
 
 def single_bits(candidates: int) -> float:

@@ -250,7 +250,7 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
     nodes = decode(a, b, code, rectilinear)
-    component = _components(inverse[:size], inverse[size:], len(code))
+    component = components(inverse[:size], inverse[size:], len(code))
     number = int(component.max(initial=-1)) + 1
     # A branch driven in both maps whose corridors do not pair is an incompatibility.
     satisfied = _satisfied(a, b, links, inverse, rectilinear)
@@ -272,7 +272,7 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
     )
 
 
-def _components(start: IntArray, end: IntArray, count: int) -> IntArray:
+def components(start: IntArray, end: IntArray, count: int) -> IntArray:
     """(count,) component of each node, numbered by their first nodes."""
     # Strategy: chance makes links that meet no other by the thousand, and a link alone is its own
     # component: the search for components sees only the rest.
