@@ -11,7 +11,8 @@ building repeats itself, p differs from place to place: a match of as many verti
 with another part of itself is none that chance does not offer, so that E is no less than
 p^(v - m), m the vertices of the largest such match. And where walls run through a rectilinear
 building, a map slid along them still agrees in all lengths across: of the independent lengths along
-either axis the fewer, n, have to do, and E is no less than L p^n.
+either axis only the fewer, n, tell. The other agreements are then of branches alone, which agree
+with some probability q, and E is no less than L p^n q^(v - 2 - n).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.association import Growth, components, grow
-from ..topology.correspondence import GrowthSettings, node_rotations
+from ..topology.correspondence import GrowthSettings, masks_agree, node_rotations
 from ..topology.structure import Structure
 
 FloatArray = NDArray[np.float64]
@@ -35,13 +36,15 @@ class SelfSimilarity:
 
     links: pairs of corridors that agree; tested: corridors compared at vertices that a match had
     reached; agreed: how many of these agree; largest: vertices of the largest match, rejected or
-    not.
+    not; ends: how often corridors from vertices that pair end, whatever their lengths, at vertices
+    that pair (q; 1 where the world is not rectilinear).
     """
 
     links: int
     tested: int
     agreed: int
     largest: int
+    ends: float = 1.0
 
 
 def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
@@ -58,7 +61,18 @@ def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
         tested=int(growth.tested[other].sum() - vertices.sum()),
         agreed=int(growth.agreed[other].sum() - vertices.sum()),
         largest=int(vertices.max(initial=0)),
+        ends=_ends_alike(s, settings) if growth.rectilinear else 1.0,
     )
+
+
+def _ends_alike(s: Structure, settings: GrowthSettings) -> float:
+    """Share of the pairs of darts from compatible vertices whose turns and end vertices agree."""
+    kind, count = np.unique(s.slot_kind, return_counts=True)
+    turn, start, end = kind // 256, kind // 16 % 16, kind % 16
+    zero = np.zeros((1, 1), np.int64)
+    begins, ends = (masks_agree(m[:, None], m[None], zero, settings) for m in (start, end))
+    pairs = count[:, None] * count * begins
+    return float((pairs * ends * (turn[:, None] == turn)).sum() / max(pairs.sum(), 1))
 
 
 def match_bits(
@@ -91,7 +105,10 @@ def match_bits(
     bits = np.minimum(beyond_chance, beyond_copies)
     if not growth.rectilinear:
         return np.asarray(bits)
-    beyond_slides = independent_lengths(growth, a).min(axis=0) * surprise - np.log2(starts)
+    across = independent_lengths(growth, a).min(axis=0)
+    branches_only = np.maximum(vertices - 2 - across, 0)
+    of_branches = -np.log2(max(*(x.ends for x in alike), 2.0**-16))
+    beyond_slides = across * surprise + branches_only * of_branches - np.log2(starts)
     return np.asarray(np.minimum(bits, beyond_slides))
 
 
@@ -104,16 +121,16 @@ def independent_lengths(growth: Growth, a: Structure) -> IntArray:
     count = len(growth.rejected)
     several = np.bincount(growth.link_component, minlength=count)[growth.link_component] > 1
     links = growth.links
-    code, end = np.unique(
-        np.concatenate([links.start[several], links.end[several]]), return_inverse=True
-    )
-    ends = end.reshape(2, -1)
+    codes = np.concatenate([links.start[several], links.end[several]])
+    code, node = np.unique(codes, return_inverse=True)
+    ends = node.reshape(2, -1)
     match = np.zeros(len(code), np.int64)
     match[ends] = growth.link_component[several]
     axis = a.out_slot[links.dart_a[several]] % 2
     out = np.zeros((2, count), np.int64)
     for k in (0, 1):
-        line = components(*ends[:, axis != k], len(code))
+        start, end = ends[:, axis != k]
+        line = components(start, end, len(code))
         first = np.unique(line, return_index=True)[1]
         out[k] = np.maximum(np.bincount(match[first], minlength=count) - 1, 0)
     return out

@@ -278,7 +278,7 @@ def clean(tmp_path_factory):
 
     workspace = tmp_path_factory.mktemp("clean")
     settings = ScenarioSettings(
-        runs=2, junctions_per_run=20, overlap=0.6, drift="none", faults="none", seed=3
+        runs=2, junctions_per_run=30, overlap=0.6, drift="none", faults="none", seed=3
     )
     for name, run in simulate_scenario(settings).runs.items():
         write_map(workspace / "maps" / f"{name}.json", build_map(run))
@@ -288,7 +288,7 @@ def clean(tmp_path_factory):
 PAPER = ("run1", "run2", "--method", "paper")
 OPTIONS = [
     ("--degree", "inexact"),
-    ("--confidence", "0.95"),
+    ("--confidence", "0.9999"),
     ("--confidence-of", "corridor"),
     ("--weights", "reweighted"),
     ("--iterative",),
