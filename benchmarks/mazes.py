@@ -96,6 +96,20 @@ def overlapping_regions(maze, rng, size, overlap):
     return left, grown(neighbours, core, size, cost, banned)
 
 
+def separate_regions(maze, size):
+    """Two connected regions of at most `size` vertices, on the left and on the right, that share
+    none."""
+    neighbours = [[] for _ in maze.xy]
+    for u, v in zip(maze.source.tolist(), maze.target.tolist(), strict=True):
+        neighbours[u].append(v)
+        neighbours[v].append(u)
+    across = maze.xy[:, 0]
+    left = grown(neighbours, [int(across.argmin())], size, across, set())
+    free = np.setdiff1d(np.arange(len(across)), left)
+    start = int(free[across[free].argmax()])
+    return left, grown(neighbours, [start], size, -across, set(left))
+
+
 def grown(neighbours, seed, size, cost, banned):
     """A connected region from `seed` on, cheapest frontier vertex first."""
     found = set(seed)

@@ -10,6 +10,15 @@ import typer
 from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
 from .output import count, say, say_lines, warn
+from .paper_options import (
+    ConfidenceOfOption,
+    ConfidenceOption,
+    DegreeOption,
+    IterativeOption,
+    MetOption,
+    PaperOptions,
+    WeightsOption,
+)
 from .workspace import Workspace, shortened
 
 if TYPE_CHECKING:
@@ -18,6 +27,7 @@ if TYPE_CHECKING:
 
     from ..merge.decision import Decision
     from ..merge.document import MergedDocument, MergeEntry
+    from ..merge.paper import PaperSettings
     from ..topology.topomap import TopoMap
 
 
@@ -36,6 +46,12 @@ def explain(
         str | None,
         typer.Option(metavar="NAME", help="The merge to ask, by its --output NAME."),
     ] = None,
+    degree: DegreeOption = None,
+    confidence: ConfidenceOption = None,
+    confidence_of: ConfidenceOfOption = None,
+    weights: WeightsOption = None,
+    iterative: IterativeOption = None,
+    met: MetOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     rows: Annotated[
         int | None,
@@ -53,6 +69,9 @@ def explain(
     With --method paper the figures of Huang & Beevers instead: the table of vertex pairs with the
     hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). The same as a
     recording in explain/A+B.rrd.
+
+    The paper's method takes the settings of the last merge by it; its options given here take the
+    place of those.
     """
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
@@ -60,8 +79,12 @@ def explain(
     if merge is not None and not place.merged_json.exists():
         raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
     first, second = place.chosen_runs([a, b], False)
-    show = _by_paper if method == "paper" else _by_evidence
-    show(place, (first, second), as_json, rows)
+    options = PaperOptions(degree, confidence, confidence_of, weights, iterative, tuple(met or ()))
+    if method == "paper":
+        _by_paper(place, (first, second), options, as_json, rows)
+    else:
+        options.refuse()
+        _by_evidence(place, (first, second), as_json, rows)
 
 
 def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
@@ -154,14 +177,20 @@ def _record(recording: Path, draw: Callable[[], None], quiet: bool) -> None:
         say(f"recording: {recording}")
 
 
-def _by_paper(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
+def _by_paper(
+    place: Workspace,
+    pair: tuple[str, str],
+    options: PaperOptions,
+    as_json: bool,
+    rows: int | None,
+) -> None:
     """Show what the paper's method finds."""
     from ..merge.explain import explain as explained
     from ..merge.explain import lines, to_document
     from ..viz import write_explain_recording
 
     map_a, map_b = (place.read_map(run) for run in pair)
-    found = explained(map_a, map_b)
+    found = explained(map_a, map_b, options.over(_merged_with(place)))
     said = _said(place, *pair)
     if as_json:
         say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
@@ -170,6 +199,22 @@ def _by_paper(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int 
             say_lines(line)
     recording = place.explain_rrd(*pair, method="paper")
     _record(recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json)
+
+
+def _merged_with(place: Workspace) -> PaperSettings:
+    """The settings of the last merge by the paper's method; the defaults if it was another one."""
+    from ..merge.document import read_merged
+    from ..merge.paper import DEFAULT_PAPER, settings_from_document
+
+    if not place.merged_json.exists():
+        return DEFAULT_PAPER
+    graph = read_merged(place.merged_json).graph
+    if graph.method != "paper":
+        return DEFAULT_PAPER
+    try:
+        return settings_from_document(graph.settings or {})
+    except ValueError as error:
+        raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
 
 
 def _said(place: Workspace, a: str, b: str) -> MergeEntry | None:

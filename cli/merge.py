@@ -13,6 +13,15 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
 from .output import Screen, count
+from .paper_options import (
+    ConfidenceOfOption,
+    ConfidenceOption,
+    DegreeOption,
+    IterativeOption,
+    MetOption,
+    PaperOptions,
+    WeightsOption,
+)
 from .workers import start_worker
 from .workspace import MERGED, Workspace, shortened
 
@@ -39,7 +48,7 @@ def merge(
         Literal["robust", "paper"],
         typer.Option(
             help="robust: tolerant matching, evidence in bits, three verdicts; "
-            "paper: Huang & Beevers as published, for comparison."
+            "paper: Huang & Beevers, section by section, for comparison."
         ),
     ] = "robust",
     false_merge_rate: Annotated[
@@ -47,23 +56,7 @@ def merge(
         typer.Option(
             min=1e-9,
             max=0.5,
-            help="Robust method: share of batches that may hold any false merge; default 0.001.",
-        ),
-    ] = None,
-    degree: Annotated[
-        Literal["exact", "inexact"] | None,
-        typer.Option(
-            help="Paper's method: must matched junctions have equally many branches (static "
-            "world, the default), or may doors open and close?"
-        ),
-    ] = None,
-    met: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="RUN@TIME,RUN@TIME",
-            help="Paper's method: two robots were near each other, each at a time of its own log; "
-            "only junctions near both start hypotheses. In nanoseconds, or in seconds with a "
-            "decimal point. May be given several times.",
+            help="Share of batches that may hold any false merge; default 0.001.",
         ),
     ] = None,
     output: Annotated[
@@ -77,6 +70,12 @@ def merge(
         bool,
         typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
     ] = False,
+    degree: DegreeOption = None,
+    confidence: ConfidenceOption = None,
+    confidence_of: ConfidenceOfOption = None,
+    weights: WeightsOption = None,
+    iterative: IterativeOption = None,
+    met: MetOption = None,
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=0, help="Processes to match with; 0: one per core.")
     ] = 1,
@@ -94,7 +93,8 @@ def merge(
     if output is not None:
         place = Workspace(workspace, output)
         place.check_merge()
-    settings = _settings(method, false_merge_rate, degree, met or [])
+    options = PaperOptions(degree, confidence, confidence_of, weights, iterative, tuple(met or ()))
+    settings = _settings(method, false_merge_rate, options)
     with place.held(screen.warn, make=False):
         chosen = place.chosen_runs(runs or [], everything)
         # A merge of all loses nothing but runs that the workspace has lost.
@@ -145,26 +145,19 @@ def _read_maps(
 
 
 def _settings(
-    method: Literal["robust", "paper"],
-    false_merge_rate: float | None,
-    degree: Literal["exact", "inexact"] | None,
-    met: list[str],
+    method: Literal["robust", "paper"], false_merge_rate: float | None, options: PaperOptions
 ) -> MergeSettings:
     """The settings that the options ask for; UsageError if they are the other method's."""
-    from ..merge.meeting import parse_meeting
     from ..merge.merging import MergeSettings
 
-    if method == "robust" and (degree is not None or met):
-        raise UsageError("--degree and --met belong to --method paper")
-    if method == "paper" and false_merge_rate is not None:
-        raise UsageError("--false-merge-rate belongs to --method robust")
+    if method == "robust":
+        options.refuse()
     settings = MergeSettings(method=method)
+    paper, robust = options.over(settings.paper), settings.robust
     if false_merge_rate is not None:
-        robust = replace(settings.robust, false_merge_rate=false_merge_rate)
-        return replace(settings, robust=robust)
-    growth = replace(settings.paper.growth, degree=degree or settings.paper.growth.degree)
-    meetings = tuple(parse_meeting(text) for text in met)
-    return replace(settings, paper=replace(settings.paper, growth=growth, meetings=meetings))
+        paper = replace(paper, false_merge_rate=false_merge_rate)
+        robust = replace(robust, false_merge_rate=false_merge_rate)
+    return replace(settings, paper=paper, robust=robust)
 
 
 def _merged(

@@ -8,7 +8,6 @@ a rotation counts at a single vertex too. In metres squared, like the errors it 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -20,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from ..topology.se2 import apply
 from .hypotheses import Hypotheses
-from .registration import register_groups, translate_groups
+from .registration import Weights, fit_groups
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -39,6 +38,8 @@ class ClusterSettings:
     """Transforms this close are always one: exact hypotheses have no error to set a threshold."""
     lever_m: float = 5.0
     """Length at which a rotation counts around a matched vertex: a typical corridor."""
+    weights: Weights = "equal"
+    """Of matched vertices, in the transforms of clusters (§3.1)."""
     iterative: bool = False
     """Re-admit hypotheses by their metric error under a cluster's transform (§5)."""
     rounds: int = 10
@@ -91,7 +92,7 @@ def cluster(
     of[kept] = _complete_linkage(h, kept, xy[1], threshold, settings)
     if settings.iterative:
         of = _readmitted(h, of, xy, threshold, settings)
-    return _ranked(h, of, xy, threshold)
+    return _ranked(h, of, xy, threshold, settings)
 
 
 def _threshold(
@@ -116,11 +117,11 @@ def _complete_linkage(
     first = np.searchsorted(part[order], np.arange(count + 1))
     out = np.zeros(len(kept), np.int64)
     out[order] = np.arange(len(kept))  # alone, unless the linkage below says otherwise
-    for low, high in pairwise(first.tolist()):
-        rows = order[low:high]
+    for k in np.flatnonzero(np.diff(first) > 1).tolist():
+        low, rows = first[k], order[first[k] : first[k + 1]]
         if len(rows) == 2:
             out[rows] = low
-        elif len(rows) > 2:
+        else:
             distance = transform_distances(h, kept[rows], xy_b, settings.lever_m)
             tree = linkage(distance[np.triu_indices(len(rows), 1)], method="complete")
             out[rows] = low + fcluster(tree, threshold, criterion="distance") - 1
@@ -187,7 +188,7 @@ def _readmitted(
     """
     rectilinear_turn = np.rint(h.transform[:, 2] * 1e9)  # equal rotations only, where exact
     for _ in range(settings.rounds):
-        clusters = _ranked(h, of, xy, threshold)
+        clusters = _ranked(h, of, xy, threshold, settings)
         before, of = of, clusters.of.copy()
         for c in range(len(clusters)):
             T = clusters.transform[c]
@@ -213,7 +214,11 @@ def _canonical(of: IntArray) -> IntArray:
 
 
 def _ranked(
-    h: Hypotheses, of: IntArray, xy: tuple[FloatArray, FloatArray], threshold: float
+    h: Hypotheses,
+    of: IntArray,
+    xy: tuple[FloatArray, FloatArray],
+    threshold: float,
+    settings: ClusterSettings,
 ) -> Clusters:
     """Clusters with their transforms and errors, renumbered in the order of quality."""
     kept = np.flatnonzero(of >= 0)
@@ -229,11 +234,8 @@ def _ranked(
         np.bincount(compact, h.size[kept] * np.cos(h.transform[kept, 2]), count)
         + 1j * np.bincount(compact, h.size[kept] * np.sin(h.transform[kept, 2]), count)
     )
-    transform = translate_groups(p, q, group, turn)
-    if not h.rectilinear and count:
-        several = _spread(q, group, count) > 1e-6
-        fitted = register_groups(p, q, group, count)
-        transform = np.where(several[:, None], fitted, transform)
+    free = (_spread(q, group, count) > 1e-6) & (not h.rectilinear)
+    transform = fit_groups(p, q, group, turn, free=free, weights=settings.weights)
     residual = p - apply(transform[group], q) if count else p
     squared = np.bincount(group, (residual**2).sum(axis=1), count)
     largest = np.zeros(count, np.int64)

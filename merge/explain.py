@@ -8,7 +8,7 @@ space with their sizes and errors. As lines of text and as JSON values.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,8 @@ class Explanation:
 
     candidate_a, candidate_b: (K,) compatible vertex pairs, once per correspondence; turn_rad: (K,)
     rotation of b under it; hypothesis: (K,) number of the hypothesis, -1 where none survived;
-    degree_a, degree_b: branches of every vertex.
+    degree_a, degree_b: branches of every vertex; bits: (C,) how much more than chance each cluster
+    is; settings: those that the maps were matched with.
     """
 
     a: str
@@ -47,6 +48,8 @@ class Explanation:
     hypothesis: IntArray
     degree_a: IntArray
     degree_b: IntArray
+    bits: NDArray[np.float64]
+    settings: PaperSettings
 
 
 def explain(a: TopoMap, b: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> Explanation:
@@ -67,6 +70,8 @@ def explain(a: TopoMap, b: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> 
         hypothesis=_hypothesis_of(pa, pb, h, nodes),
         degree_a=a.degree,
         degree_b=b.degree,
+        bits=found.bits,
+        settings=settings,
     )
 
 
@@ -103,6 +108,7 @@ def _table_lines(e: Explanation, most: int) -> Iterator[str]:
         f"{counted(len(e.hypotheses), 'hypothesis', 'hypotheses')} in "
         f"{counted(len(e.clusters), 'cluster')}"
     )
+    yield _settings_line(e.settings)
     for degree in np.unique(e.degree_a[e.candidate_a]).tolist():
         rows, columns = (np.flatnonzero(d == degree) for d in (e.degree_a, e.degree_b))
         branches = counted(degree, "branch", "branches")
@@ -119,6 +125,16 @@ def _table_lines(e: Explanation, most: int) -> Iterator[str]:
             yield f"{'a' + str(u):>5} " + " ".join(f"{c:>{width}}" for c in row)
 
 
+def _settings_line(settings: PaperSettings) -> str:
+    """The settings, by the names of their options."""
+    growth, clusters = settings.growth, settings.clusters
+    met = f", {counted(len(settings.meetings), 'meeting')}" if settings.meetings else ""
+    return (
+        f"degree {growth.degree}, confidence {growth.confidence:g} of each {growth.confidence_of}, "
+        f"weights {clusters.weights}, clusters {'iterative' if clusters.iterative else 'once'}{met}"
+    )
+
+
 def _cell(e: Explanation, u: int, v: int) -> str:
     """What became of a vertex pair, in the order of rotations: H3, or × for none; · if unlike."""
     k = np.flatnonzero((e.candidate_a == u) & (e.candidate_b == v))
@@ -132,13 +148,16 @@ def _cell(e: Explanation, u: int, v: int) -> str:
 def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
     c = e.clusters
     yield ""
-    yield f"cluster  junctions  hypotheses  largest  rms m        x        y  turn°   of {len(c)}"
+    yield (
+        "cluster  junctions  hypotheses  largest  rms m        x        y  turn°    bits"
+        f"   of {len(c)}"
+    )
     for k in range(min(len(c), most)):
         rms = np.sqrt(c.squared_error[k] / c.vertices[k])
         x, y, turn = c.transform[k].tolist()
         yield (
             f"{k + 1:>7}  {c.vertices[k]:>9}  {c.hypotheses[k]:>10}  {c.largest[k]:>7}  {rms:>5.2f}"
-            f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}"
+            f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}  {e.bits[k]:>6.1f}"
         )
     if len(c) > most:
         yield f"… and {len(c) - most} more clusters"
@@ -152,6 +171,7 @@ def to_document(e: Explanation) -> dict[str, Any]:
         "schema": "topobatch.explanation/1",
         "a": e.a,
         "b": e.b,
+        "settings": asdict(e.settings),
         "candidates": [
             {"a": u, "b": v, "turn": t, "hypothesis": None if k < 0 else k}
             for u, v, t, k in zip(
@@ -180,6 +200,7 @@ def to_document(e: Explanation) -> dict[str, Any]:
                 "hypotheses": int(c.hypotheses[k]),
                 "largest": int(c.largest[k]),
                 "squared_error": rounded(c.squared_error[k]),
+                "evidence_bits": rounded(e.bits[k], 2),
                 "transform": pose_to_document(c.transform[k]),
             }
             for k in range(len(c))

@@ -3,22 +3,26 @@ transform (§2, §3.1)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import Growth, grow, single_matches
+from ..topology.association import Growth, SingleMatches, grow, single_matches
 from ..topology.correspondence import (
     DEFAULT_GROWTH,
     GrowthSettings,
     Nodes,
+    candidate_nodes,
     is_rectilinear,
     node_rotations,
+    shared_branches,
 )
+from ..topology.local_growth import grow_from
 from ..topology.se2 import apply
 from ..topology.structure import Structure
-from .registration import register_groups, translate_groups
+from .registration import Weights, fit_groups
+from .significance import SelfSimilarity, match_bits, self_similarity, single_bits
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -31,8 +35,8 @@ class Hypotheses:
     of: (N,) hypothesis of each vertex pair, ascending; nodes: the N pairs with the correspondence
     of their branches, rotation (N,) its angle. size: (H,) vertex pairs; corridors: (H,) corridor
     pairs; transform: (H, 3) T_a_b; error: (H,) mean squared distance of the matched vertices [m²].
-    candidates: compatible (vertex, vertex, correspondence) in all; corridor_chance: share of all
-    corridor pairs that agree.
+    bits: (H,) how much more each is than chance (`significance`); candidates: compatible (vertex,
+    vertex, correspondence) in all.
     """
 
     of: IntArray
@@ -42,28 +46,12 @@ class Hypotheses:
     corridors: IntArray
     transform: FloatArray
     error: FloatArray
+    bits: FloatArray
     rectilinear: bool
     candidates: int
-    corridor_chance: float
 
     def __len__(self) -> int:
         return len(self.size)
-
-    def take(self, numbers: IntArray) -> Hypotheses:
-        """The hypotheses of the given ascending numbers, renumbered."""
-        rank = np.full(len(self), -1, np.int64)
-        rank[numbers] = np.arange(len(numbers))
-        rows = np.flatnonzero(rank[self.of] >= 0)
-        return replace(
-            self,
-            of=rank[self.of[rows]],
-            nodes=self.nodes.take(rows),
-            rotation=self.rotation[rows],
-            size=self.size[numbers],
-            corridors=self.corridors[numbers],
-            transform=self.transform[numbers],
-            error=self.error[numbers],
-        )
 
     @property
     def vertex_a(self) -> IntArray:
@@ -78,11 +66,12 @@ class Hypotheses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Matches:
-    """Hypotheses before their transforms: pairs with the match of each, corridors per match."""
+    """Hypotheses before their transforms: pairs with the match of each; corridors and bits."""
 
     of: IntArray
     nodes: Nodes
     corridors: IntArray
+    bits: FloatArray
 
 
 def hypothesise(
@@ -92,25 +81,32 @@ def hypothesise(
     settings: GrowthSettings = DEFAULT_GROWTH,
     *,
     single_vertex: bool = True,
-    growth: Growth | None = None,
+    near: tuple[IntArray, IntArray] | None = None,
+    alike: tuple[SelfSimilarity, SelfSimilarity] | None = None,
+    weights: Weights = "equal",
 ) -> Hypotheses:
     """All valid hypotheses of two maps and their transforms.
 
     xy: embedded vertices of a and of b (§3.1). single_vertex: with the pairs of vertices that no
-    corridor tests (§2.3: "cannot be grown further"). growth: the grown matches, if at hand.
+    corridor tests (§2.3: "cannot be grown further"). near: vertices of a and of b from which alone
+    matches are grown (§4.2). alike: how each map resembles itself, if at hand. weights:
+    of the vertices in registration.
     """
-    grown = grow(a, b, settings) if growth is None else growth
-    matches, candidates = _surviving(grown), len(grown.nodes)
+    if alike is None:
+        alike = self_similarity(a, settings), self_similarity(b, settings)
+    grown, singles = _grown(a, b, settings, near)
+    share = 1.0 if near is None else len(near[0]) * len(near[1]) / (len(a) * len(b))
+    matches = _surviving(grown, match_bits(grown, a, alike, share))
+    candidates = singles.candidates
     if single_vertex:
-        singles = single_matches(a, b, grown, settings)
-        matches, candidates = _with_singles(matches, singles.nodes), singles.candidates
+        matches = _with_singles(matches, singles.nodes, single_bits(candidates))
     matches = _ordered(matches)
     of, nodes = matches.of, matches.nodes
     rectilinear = is_rectilinear(a, b, settings)
     rotation = node_rotations(a, b, nodes, rectilinear)
     p, q = xy[0][nodes.vertex_a], xy[1][nodes.vertex_b]
     size = np.bincount(of, minlength=len(matches.corridors))
-    transform = _transforms(p, q, of, rotation, rectilinear)
+    transform = _transforms(p, q, of, rotation, weights, rectilinear=rectilinear)
     squared = np.bincount(of, ((p - apply(transform[of], q)) ** 2).sum(axis=1), len(size))
     return Hypotheses(
         of=of,
@@ -120,13 +116,30 @@ def hypothesise(
         corridors=matches.corridors,
         transform=transform,
         error=squared / np.maximum(size, 1),
+        bits=matches.bits,
         rectilinear=rectilinear,
         candidates=candidates,
-        corridor_chance=_corridor_chance(a, b, grown),
     )
 
 
-def _surviving(growth: Growth) -> _Matches:
+def _grown(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings,
+    near: tuple[IntArray, IntArray] | None,
+) -> tuple[Growth, SingleMatches]:
+    """All matches, or those that begin near a meeting."""
+    if near is None:
+        growth = grow(a, b, settings)
+        return growth, single_matches(a, b, growth, settings)
+    seeds = candidate_nodes(a, b, settings, near)
+    growth = grow_from(a, b, seeds, settings)
+    untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
+    pairs = len(np.unique(seeds.vertex_a * len(b) + seeds.vertex_b))
+    return growth, SingleMatches(seeds.take(untested), len(seeds), pairs)
+
+
+def _surviving(growth: Growth, bits: FloatArray) -> _Matches:
     """The matches that were not rejected."""
     number = np.cumsum(~growth.rejected) - 1
     keep = ~growth.rejected[growth.component]
@@ -134,10 +147,11 @@ def _surviving(growth: Growth) -> _Matches:
     of_link = number[growth.link_component[links]]
     count = int(np.count_nonzero(~growth.rejected))
     corridors = np.bincount(of_link, minlength=count).astype(np.int64)
-    return _Matches(number[growth.component[keep]], growth.nodes.take(keep), corridors)
+    of, nodes = number[growth.component[keep]], growth.nodes.take(keep)
+    return _Matches(of, nodes, corridors, bits[~growth.rejected])
 
 
-def _with_singles(matches: _Matches, singles: Nodes) -> _Matches:
+def _with_singles(matches: _Matches, singles: Nodes, bits: float) -> _Matches:
     lone = np.arange(len(singles)) + len(matches.corridors)
     names = ("vertex_a", "vertex_b", "correspondence")
     joined = (np.concatenate([getattr(matches.nodes, n), getattr(singles, n)]) for n in names)
@@ -145,6 +159,7 @@ def _with_singles(matches: _Matches, singles: Nodes) -> _Matches:
         of=np.concatenate([matches.of, lone]),
         nodes=Nodes(*joined),
         corridors=np.concatenate([matches.corridors, np.zeros(len(lone), np.int64)]),
+        bits=np.concatenate([matches.bits, np.full(len(lone), bits)]),
     )
 
 
@@ -160,23 +175,22 @@ def _ordered(matches: _Matches) -> _Matches:
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
     rows = np.lexsort((*keys, rank[of]))
-    return _Matches(rank[of][rows], nodes.take(rows), matches.corridors[order])
+    chosen = (matches.corridors[order], matches.bits[order])
+    return _Matches(rank[of][rows], nodes.take(rows), *chosen)
 
 
 def _transforms(
-    p: FloatArray, q: FloatArray, of: IntArray, rotation: FloatArray, rectilinear: bool
+    p: FloatArray,
+    q: FloatArray,
+    of: IntArray,
+    rotation: FloatArray,
+    weights: Weights,
+    *,
+    rectilinear: bool,
 ) -> FloatArray:
     """T_a_b of every hypothesis; the branches give the rotation where points cannot."""
     count = int(of.max(initial=-1)) + 1
     cos, sin = (np.bincount(of, f(rotation), count) for f in (np.cos, np.sin))
-    by_branches = translate_groups(p, q, of, np.arctan2(sin, cos))
-    if rectilinear or count == 0:
-        return by_branches
     several = np.bincount(of, minlength=count) > 1
-    return np.where(several[:, None], register_groups(p, q, of, count), by_branches)
-
-
-def _corridor_chance(a: Structure, b: Structure, growth: Growth) -> float:
-    """Share of all pairs of corridors that agree: how easily one agrees by chance."""
-    tested = len(a.start) // 2 * len(b.start)
-    return (len(growth.links.dart_a) + 1) / (tested + 2)
+    free = several & (not rectilinear)
+    return fit_groups(p, q, of, np.arctan2(sin, cos), free=free, weights=weights)

@@ -13,7 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.association import Growth, assemble, confirm_links, find_links, join_links
+from ..topology.association import (
+    Growth,
+    assemble,
+    confirm_links,
+    find_links,
+    join_links,
+    search_bound,
+)
 from ..topology.correspondence import DEFAULT_GROWTH, GrowthSettings
 from ..topology.structure import Structure, prepare
 from ..topology.topomap import TopoMap
@@ -50,9 +57,13 @@ def grow_again(
     """The same as `grow_pair(a, b)`, comparing only corridors that are new or have changed.
 
     A corridor is unchanged if its length, its branches and the branches of both its junctions are;
-    junctions are recognised by their first pass, so they may be renumbered.
+    junctions are recognised by their first pass, so they may be renumbered. Where the smaller map
+    has outgrown the bound on lengths (`search_bound`: at most once each time it doubles), all
+    corridors are compared anew.
     """
     sa, sb = prepare(a), prepare(b)
+    if search_bound(sa, sb, settings) != search_bound(before.a, before.b, settings):
+        return grow_pair(a, b, settings)
     keys = (_dart_keys(a, sa), _dart_keys(b, sb))
     new_a, new_b = (_known(old, new) for old, new in zip(before.keys, keys, strict=True))
     links = before.growth.links

@@ -44,17 +44,19 @@ def _told(
             verdict,
             verdict=Verdict.UNRELATED,
             accepted=False,
+            accepted_by=None,
             locked="never",
             reason=f"locked apart; without the lock: {verdict.reason}",
         )
     best = forced(lock)
     if best is None:
         reason = "locked together, but nothing says how: name a junction of each run in the lock"
-        return replace(verdict, locked="same", accepted=False, reason=reason)
+        return replace(verdict, locked="same", accepted=False, accepted_by=None, reason=reason)
     return replace(
         verdict,
         verdict=Verdict.MERGED,
         accepted=True,
+        accepted_by="lock",
         locked="same",
         best=best,
         evidence_bits=best.evidence_bits,
@@ -83,7 +85,7 @@ def _kept_apart(
         reason = (
             f"{v.reason}; refused: {clash[0]} and {clash[1]} would meet, which are locked apart"
         )
-        out[v.a, v.b] = replace(v, accepted=False, reason=reason)
+        out[v.a, v.b] = replace(v, accepted=False, accepted_by=None, reason=reason)
     return tuple(out[v.a, v.b] for v in verdicts)
 
 

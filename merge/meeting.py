@@ -1,8 +1,7 @@
 """Hypotheses seeded by a meeting of two robots (§4.2).
 
 "If two robots exchange maps only when they are within communication range, we can start the
-hypothesis formation by pairing vertices near both robots": hypotheses that hold no such pair are
-not formed.
+hypothesis formation by pairing vertices near both robots": matches are grown from such pairs only.
 """
 
 from __future__ import annotations
@@ -68,8 +67,3 @@ def near_vertices(topomap: TopoMap, time_ns: int, range_m: float) -> IntArray:
     passed = topomap.observation_vertex[max(after - 1, 0) : after + 1]
     gap = topomap.xy[:, None] - topomap.xy[None, passed]
     return np.flatnonzero(np.hypot(gap[..., 0], gap[..., 1]).min(axis=1) <= range_m)
-
-
-def seeded(vertex_a: IntArray, vertex_b: IntArray, near: tuple[IntArray, IntArray]) -> IntArray:
-    """Rows of vertex pairs of which both are near the meeting."""
-    return np.flatnonzero(np.isin(vertex_a, near[0]) & np.isin(vertex_b, near[1]))

@@ -107,8 +107,9 @@ def _info(
 ) -> dict[str, Any]:
     """The method, its settings, and the layers (§4.1) around the first run of every component."""
     firsts = [min(c.poses) for c in components if len(c.poses) > 1]
-    robustly = {"settings": asdict(settings.robust)} if settings.method == "robust" else {}
-    return robustly | {
+    own = settings.robust if settings.method == "robust" else settings.paper
+    return {
+        "settings": asdict(own),
         "method": settings.method,
         "layers": {own: layers_to_document(own, verdicts) for own in firsts},
     }

@@ -2,7 +2,8 @@
 
 For every pair of maps: grow hypotheses (§2), estimate their transforms (§3.1), cluster them
 (§3.2), take the best cluster. The paper leaves the last word to its reader ("even the best cluster
-choice may later turn out to be incorrect"); here a cluster needs some vertices and a lead.
+choice may later turn out to be incorrect"); here a cluster has to be more than chance offers, and
+more than any cluster that places the maps otherwise (`significance`).
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from itertools import combinations, islice
+from math import log2
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from ..topology.correspondence import DEFAULT_GROWTH, GrowthSettings
 from ..topology.errors import UsageError
@@ -24,9 +28,10 @@ from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
 from .locking import aligned_at, honour
 from .locks import Lock
-from .meeting import Meeting, near_vertices, seeded
+from .meeting import Meeting, near_vertices
 from .result import Alignment, PairVerdict, Verdict
 from .robust.wording import counted
+from .significance import SelfSimilarity, cluster_bits, self_similarity
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -40,19 +45,34 @@ class PaperSettings:
     clusters: ClusterSettings = DEFAULT_CLUSTERS
     single_vertex: bool = True
     """Hypotheses of one vertex that no corridor tests (§2.3) take part."""
-    min_vertices: int = 4
-    """Clusters of one or two pairs of vertices are "generally not significant" (§3.2)."""
-    min_lead: int = 1
-    """Vertices by which the best cluster must lead the next that places b elsewhere."""
+    false_merge_rate: float = 1e-3
+    """Share of batches of maps that may hold any false merge. Clusters of which chance offers more
+    are "generally not significant" (§3.2)."""
     rival_m: float = 3.0
     """Clusters elsewhere: they displace the best cluster's vertices by more than this …"""
     rival_rad: float = 0.35
     """… or turn them by more than this."""
     meetings: tuple[Meeting, ...] = ()
-    """Runs that met: their hypotheses hold a pair of vertices near both robots (§4.2)."""
+    """Runs that met: matches are grown from pairs of vertices near both robots only (§4.2)."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.false_merge_rate < 1.0:
+            raise UsageError(f"a rate lies between 0 and 1, not at {self.false_merge_rate}")
+
+    def needed_bits(self, pairs: int = 1) -> float:
+        """Bits that merging needs, by themselves and as a lead, in a batch of so many pairs."""
+        return log2(max(pairs, 1) / self.false_merge_rate)
 
 
 DEFAULT_PAPER = PaperSettings()
+
+
+def settings_from_document(values: Mapping[str, Any]) -> PaperSettings:
+    """The settings of a merge from its document's `graph.settings`; ValueError on nonsense."""
+    try:
+        return TypeAdapter(PaperSettings).validate_python(values)
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +83,7 @@ class PreparedMap:
     structure: Structure
     xy: FloatArray
     shortest_edge_m: float
+    alike: SelfSimilarity
     near: Mapping[Meeting, IntArray] = field(default_factory=dict)
     """Vertices near the robot at each of its meetings."""
 
@@ -74,31 +95,38 @@ class Matching:
     hypotheses: Hypotheses
     clusters: Clusters
 
+    @property
+    def bits(self) -> FloatArray:
+        """(C,) how much more than chance each cluster is."""
+        return cluster_bits(self.clusters.of, self.hypotheses.bits, len(self.clusters))
+
 
 def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> PreparedMap:
-    """Prepare a map for any number of comparisons. Linear in its size."""
+    """Prepare a map for any number of comparisons."""
     shortest = float(topomap.length.min()) if len(topomap.length) else np.inf
     near = {}
     for m in settings.meetings:
         if topomap.run in (m.run_a, m.run_b):
             time_ns = m.time_a_ns if topomap.run == m.run_a else m.time_b_ns
             near[m] = near_vertices(topomap, time_ns, m.range_m)
-    return PreparedMap(topomap.run, prepare(topomap), topomap.xy, shortest, near)
+    structure = prepare(topomap)
+    alike = self_similarity(structure, settings.growth)
+    return PreparedMap(topomap.run, structure, topomap.xy, shortest, alike, near)
 
 
 def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
     """Hypotheses and their clusters, §2 and §3."""
+    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
     hypotheses = hypothesise(
         a.structure,
         b.structure,
         (a.xy, b.xy),
         settings.growth,
         single_vertex=settings.single_vertex,
+        near=None if meeting is None else (a.near[meeting], b.near[meeting]),
+        alike=(a.alike, b.alike),
+        weights=settings.clusters.weights,
     )
-    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
-    if meeting is not None:
-        rows = seeded(hypotheses.vertex_a, hypotheses.vertex_b, (a.near[meeting], b.near[meeting]))
-        hypotheses = hypotheses.take(np.unique(hypotheses.of[rows]))
     shortest = min(a.shortest_edge_m, b.shortest_edge_m)
     return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), shortest, settings.clusters))
 
@@ -143,7 +171,7 @@ def _forced(by_run: Mapping[str, TopoMap], lock: Lock, settings: PaperSettings) 
     found = match(a, b, settings)
     h, c = found.hypotheses, found.clusters
     if lock.at is None:
-        return alignment(a, b, found, 0) if len(c) else None
+        return alignment(a, b, found, int(np.argmax(found.bits))) if len(c) else None
     alone = aligned_at(map_a, map_b, lock.at)
     rows = np.flatnonzero((h.vertex_a == lock.at[0]) & (h.vertex_b == lock.at[1]))
     numbers = c.of[h.of[rows]]
@@ -159,18 +187,20 @@ def _judged(
 ) -> Iterator[PairVerdict]:
     """Verdicts in the order of the pairs; on an executor in batches, to keep messages few."""
     if executor is None:
-        yield from (judge(a, b, settings) for a, b in pairs)
+        yield from (judge(a, b, settings, len(pairs)) for a, b in pairs)
         return
     size = max(1, min(32, len(pairs) // 64))
-    batches = [executor.submit(_judge_all, part, settings) for part in _batched(pairs, size)]
+    batches = [
+        executor.submit(_judge_all, part, settings, len(pairs)) for part in _batched(pairs, size)
+    ]
     for batch in batches:
         yield from batch.result()
 
 
 def _judge_all(
-    pairs: Sequence[tuple[PreparedMap, PreparedMap]], settings: PaperSettings
+    part: Sequence[tuple[PreparedMap, PreparedMap]], settings: PaperSettings, pairs: int
 ) -> list[PairVerdict]:
-    return [judge(a, b, settings) for a, b in pairs]
+    return [judge(a, b, settings, pairs) for a, b in part]
 
 
 def _batched(
@@ -181,57 +211,81 @@ def _batched(
         yield part
 
 
-def judge(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> PairVerdict:
-    """The best cluster of a pair, and whether it is enough to merge."""
+def judge(
+    a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER, pairs: int = 1
+) -> PairVerdict:
+    """The most significant cluster of a pair, and whether it is enough to merge.
+
+    pairs: how many pairs of maps the batch compares.
+    """
     found = match(a, b, settings)
     if len(found.clusters) == 0:
         reason = "no pair of junctions is compatible"
         return PairVerdict(a.run, b.run, Verdict.UNRELATED, False, 0.0, reason)
-    best = alignment(a, b, found, 0)
-    rival = _rival(found, a, b, settings)
+    ranked = np.argsort(-found.bits, kind="stable").tolist()
+    best = alignment(a, b, found, ranked[0])
+    rival = _rival(found, ranked, b, settings)
     second = None if rival is None else alignment(a, b, found, rival)
-    count, rest = len(best.matched), 0 if second is None else len(second.matched)
-    verdict = _verdict(count, rest, settings)
+    lead = best.evidence_bits - (0.0 if second is None else second.evidence_bits)
+    needed = settings.needed_bits(pairs)
+    verdict = _verdict(best.evidence_bits, lead, needed)
+    related = verdict is not Verdict.UNRELATED
     return PairVerdict(
         a=a.run,
         b=b.run,
         verdict=verdict,
         accepted=verdict is Verdict.MERGED,
         evidence_bits=best.evidence_bits,
-        reason=_reason(verdict, best, second, found),
-        best=None if verdict is Verdict.UNRELATED else best,
-        runner_up=None if verdict is Verdict.UNRELATED else second,
-        margin_bits=best.evidence_bits - (0.0 if second is None else second.evidence_bits),
+        reason=_reason(best, second, needed, found),
+        best=best if related else None,
+        runner_up=second if related else None,
+        margin_bits=None if second is None else lead,
+        advice=_advice(best.evidence_bits, needed) if verdict is Verdict.AMBIGUOUS else None,
+        threshold_bits=needed,
+        accepted_by="pair" if verdict is Verdict.MERGED else None,
         extra={"hypotheses": len(found.hypotheses), "clusters": len(found.clusters)},
     )
 
 
-def _verdict(count: int, rest: int, settings: PaperSettings) -> Verdict:
-    if count < settings.min_vertices:
+def _verdict(bits: float, lead: float, needed: float) -> Verdict:
+    if bits <= 0:
         return Verdict.UNRELATED
-    return Verdict.MERGED if count >= rest + settings.min_lead else Verdict.AMBIGUOUS
+    return Verdict.MERGED if min(bits, lead) >= needed else Verdict.AMBIGUOUS
 
 
-def _reason(verdict: Verdict, best: Alignment, second: Alignment | None, found: Matching) -> str:
+def _reason(best: Alignment, second: Alignment | None, needed: float, found: Matching) -> str:
     what = (
         f"the best of {counted(len(found.clusters), 'cluster')} matches "
-        f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}"
+        f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}: "
+        f"{best.evidence_bits:.1f} bits, {needed:.1f} needed"
     )
-    if verdict is Verdict.UNRELATED:
-        return f"{what}: too few"
+    if best.evidence_bits <= 0:
+        return f"{what}; chance offers as much"
+    if best.evidence_bits < needed:
+        return f"{what}; chance offers as much in one of {2**best.evidence_bits:.0f} such pairs"
     if second is None:
-        return f"{what}, none places the runs otherwise"
-    return f"{what}, the next that places the runs otherwise {len(second.matched)}"
+        return f"{what}; none places the runs otherwise"
+    lead = best.evidence_bits - second.evidence_bits
+    return f"{what}; the next that places the runs otherwise has {lead:.1f} less"
 
 
-def _rival(found: Matching, a: PreparedMap, b: PreparedMap, settings: PaperSettings) -> int | None:
-    """The best cluster that places b elsewhere than the first does."""
+def _advice(bits: float, needed: float) -> str:
+    if bits < needed:
+        return "drive more of the places that both runs know"
+    return "drive on to where the two placements differ"
+
+
+def _rival(
+    found: Matching, ranked: Sequence[int], b: PreparedMap, settings: PaperSettings
+) -> int | None:
+    """The first of the ranked clusters that places b elsewhere than the very first does."""
     h, c = found.hypotheses, found.clusters
-    points = b.xy[np.unique(h.vertex_b[c.of[h.of] == 0])]
-    home = apply(c.transform[0], points)
-    for k in range(1, len(c)):
+    points = b.xy[np.unique(h.vertex_b[c.of[h.of] == ranked[0]])]
+    at = c.transform[ranked[0]]
+    home = apply(at, points)
+    for k in ranked[1:]:
         moved = np.sqrt(((apply(c.transform[k], points) - home) ** 2).sum(axis=1).mean())
-        turned = abs(between(c.transform[0], c.transform[k])[2])
+        turned = abs(between(at, c.transform[k])[2])
         if moved > settings.rival_m or turned > settings.rival_rad:
             return k
     return None
@@ -249,7 +303,7 @@ def alignment(a: PreparedMap, b: PreparedMap, found: Matching, number: int) -> A
     corridors = int(h.corridors[c.of == number].sum())
     return Alignment(
         transform=T,
-        evidence_bits=evidence_bits(h, corridors),
+        evidence_bits=float(found.bits[number]),
         matched=matched[np.lexsort((matched[:, 1], matched[:, 0]))],
         rmse_m=float(np.sqrt((residual**2).sum(axis=1).mean())),
         corridors=corridors,
@@ -270,12 +324,3 @@ def one_to_one(
             taken_b.add(v)
             keep.append(row)
     return np.array(sorted(keep), np.int64)
-
-
-def evidence_bits(h: Hypotheses, corridors: int) -> float:
-    """Log2 odds, crude: every corridor agrees by chance as often as any two corridors do.
-
-    The number of pairs to begin with is what chance may choose from. The paper has no measure of
-    its own; this one ignores that neighbouring corridors of a building are alike.
-    """
-    return float(-corridors * np.log2(h.corridor_chance) - np.log2(max(h.candidates, 1)))

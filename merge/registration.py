@@ -6,15 +6,51 @@ value decomposition of a two-by-two covariance matrix (Fitzpatrick, Hill and Mau
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.se2 import wrap
+from ..topology.se2 import apply, wrap
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+Weights = Literal["equal", "reweighted"]
+"""equal: unweighted, as the paper chooses; reweighted: "iteratively reweighted least-squares", as
+is usual in image registration (§3.1), here for the least sum of distances, not of their squares."""
+
+ROUNDS = 20
+"""Rounds of reweighting; by then transforms move by less than a millimetre."""
+NEAR_M = 0.01
+"""Vertices nearer than this all weigh alike: the sum of distances has a kink at 0."""
+
+
+def fit_groups(
+    xy_a: FloatArray,
+    xy_b: FloatArray,
+    group: IntArray,
+    rotation_rad: FloatArray,
+    *,
+    free: NDArray[np.bool_],
+    weights: Weights = "equal",
+) -> FloatArray:
+    """(count, 3) T_a_b of every group of pairs; only those of `free` groups find their rotation.
+
+    rotation_rad, free: (count,); the others keep the rotation given.
+    """
+
+    def fitted(w: FloatArray) -> FloatArray:
+        moved = translate_groups(xy_a, xy_b, group, rotation_rad, w)
+        if not np.any(free):
+            return moved
+        return np.where(free[:, None], register_groups(xy_a, xy_b, group, len(free), w), moved)
+
+    T = fitted(np.ones(len(group)))
+    for _ in range(ROUNDS if weights == "reweighted" and len(group) else 0):
+        distance = np.hypot(*(xy_a - apply(T[group], xy_b)).T)
+        T = fitted(1 / np.maximum(distance, NEAR_M))
+    return T
 
 
 def register(xy_a: Any, xy_b: Any, weights: Any = None) -> FloatArray:
@@ -65,13 +101,17 @@ def register_groups(
 
 
 def translate_groups(
-    xy_a: FloatArray, xy_b: FloatArray, group: IntArray, rotation_rad: FloatArray
+    xy_a: FloatArray,
+    xy_b: FloatArray,
+    group: IntArray,
+    rotation_rad: FloatArray,
+    weights: FloatArray | None = None,
 ) -> FloatArray:
     """(count, 3) T_a_b of every group, its rotation (count,) given (§3.3)."""
     count = len(rotation_rad)
-    total = np.bincount(group, minlength=count).astype(np.float64)
-    ones = np.ones(len(group))
-    mean_a, mean_b = (_means(xy, group, count, ones, total) for xy in (xy_a, xy_b))
+    w = np.ones(len(group)) if weights is None else weights
+    total = np.asarray(np.bincount(group, w, count), np.float64)
+    mean_a, mean_b = (_means(xy, group, count, w, total) for xy in (xy_a, xy_b))
     c, s = np.cos(rotation_rad), np.sin(rotation_rad)
     x = mean_a[:, 0] - c * mean_b[:, 0] + s * mean_b[:, 1]
     y = mean_a[:, 1] - s * mean_b[:, 0] - c * mean_b[:, 1]

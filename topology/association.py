@@ -17,12 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from .correspondence import (
     DEFAULT_GROWTH,
-    TURNED,
     GrowthSettings,
     Nodes,
     SlotClasses,
@@ -37,8 +36,7 @@ from .correspondence import (
 from .structure import FloatArray, IntArray, Structure
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Links:
+class Links(NamedTuple):
     """Compatible pairs of corridors: darts of a (forward ones only) and of b, and their end nodes.
 
     dart_a, dart_b: (L,); start, end: (L,) codes of the nodes they join; codes and what they mean
@@ -56,13 +54,16 @@ class Growth:
     """All grown matches that hold a corridor, valid and rejected.
 
     nodes: N nodes in ascending order; component: (N,) the match of each; rejected: (C,) True where
-    a match ran into an incompatibility; links, with the match of each in link_component (L,);
-    rectilinear: which world the correspondences are of.
+    a match ran into an incompatibility; tested, agreed: (C,) corresponding branches that both maps
+    drove at the nodes of each match, and how many of them lead along a link; links, with the match
+    of each in link_component (L,); rectilinear: which world the correspondences are of.
     """
 
     nodes: Nodes
     component: IntArray
     rejected: NDArray[np.bool_]
+    tested: IntArray
+    agreed: IntArray
     links: Links
     link_component: IntArray
     rectilinear: bool
@@ -114,13 +115,22 @@ def find_links(
     if len(rows_a) == 0 or len(rows_b) == 0:
         none = np.zeros(0, np.int64)
         return Links(none, none, none, none)
-    signature = _slot_signature if rectilinear else _degree_signature
     i, j = _equal_lengths(
-        _Measured(signature(a, rows_a, settings), a.length[rows_a], a.sigma[rows_a]),
-        _Measured(signature(b, rows_b, settings), b.length[rows_b], b.sigma[rows_b]),
-        settings.length_bound_sigmas,
+        _Measured(dart_kind(a, rows_a, settings, rectilinear), a.length[rows_a], a.sigma[rows_a]),
+        _Measured(dart_kind(b, rows_b, settings, rectilinear), b.length[rows_b], b.sigma[rows_b]),
+        search_bound(a, b, settings),
     )
     return confirm_links(a, b, rows_a[i], rows_b[j], settings)
+
+
+def search_bound(a: Structure, b: Structure, settings: GrowthSettings) -> float:
+    """Standard deviations within which corridors are compared at all.
+
+    That of the largest match there can be: all corridors of the smaller map. The count is rounded
+    up to a power of two, so that the bound of growing maps moves seldom.
+    """
+    most = max(1, min(len(a.start), len(b.start)) // 2)
+    return settings.bound_sigmas(1 << (most - 1).bit_length())
 
 
 def confirm_links(
@@ -137,27 +147,22 @@ def confirm_links(
 
 def join_links(parts: list[Links]) -> Links:
     """Links found in parts, as if found at once, in the order of their darts."""
-    names = ("dart_a", "dart_b", "start", "end")
-    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = np.lexsort((columns[1], columns[0]))
     return Links(*(column[order] for column in columns))
 
 
-def _slot_signature(s: Structure, darts: IntArray, settings: GrowthSettings) -> FloatArray:
-    """What two darts must share in a rectilinear world, seen with the dart leaving eastwards.
+def dart_kind(
+    s: Structure, darts: IntArray, settings: GrowthSettings, rectilinear: bool
+) -> FloatArray:
+    """(k,) what two darts must share to be compared at all, as one number.
 
-    The turn between leaving and arriving and, if degrees are exact, the slots at both ends.
+    Rectilinear: the turn between leaving and arriving and, if degrees are exact, the slots at both
+    ends; on general angles the degrees of both ends, if exact.
     """
-    out, turn = s.out_slot[darts], (s.in_slot[darts] - s.out_slot[darts]) % 4
-    if settings.degree == "inexact":
-        return turn.astype(np.float64)
-    at_start = TURNED[s.mask[s.start[darts]], -out % 4]
-    at_end = TURNED[s.mask[s.end[darts]], -out % 4]
-    return np.asarray((turn * 16 + at_start) * 16 + at_end, np.float64)
-
-
-def _degree_signature(s: Structure, darts: IntArray, settings: GrowthSettings) -> FloatArray:
-    """What two darts must share on general angles: the degrees of both ends, if exact."""
+    if rectilinear:
+        kind = s.slot_kind[darts]
+        return np.asarray(kind if settings.degree == "exact" else kind // 256, np.float64)
     if settings.degree == "inexact":
         return np.zeros(len(darts))
     return (s.degree[s.start[darts]] * 64 + s.degree[s.end[darts]]).astype(np.float64)
@@ -245,24 +250,65 @@ def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings)
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
     nodes = decode(a, b, code, rectilinear)
-    ones = np.ones(size, np.int8)
-    graph = coo_array((ones, (inverse[:size], inverse[size:])), shape=(len(code), len(code)))
-    number, labels = connected_components(graph, directed=False)
-    component = labels.astype(np.int64)
+    component = components(inverse[:size], inverse[size:], len(code))
+    number = int(component.max(initial=-1)) + 1
     # A branch driven in both maps whose corridors do not pair is an incompatibility.
     satisfied = _satisfied(a, b, links, inverse, rectilinear)
-    conflict = satisfied < shared_branches(a, b, nodes, rectilinear)
+    shared = shared_branches(a, b, nodes, rectilinear)
     rejected = np.zeros(number, np.bool_)
-    rejected[component[conflict]] = True
+    rejected[component[satisfied < shared]] = True
+    of_link = component[inverse[:size]]
+    rejected[_out_of_bounds(a, b, links, of_link, settings)] = True
     rejected[_not_one_to_one(nodes, component, rejected)] = True
     return Growth(
         nodes=nodes,
         component=component,
         rejected=rejected,
+        tested=np.bincount(component, shared, number).astype(np.int64),
+        agreed=np.bincount(component, satisfied, number).astype(np.int64),
         links=links,
-        link_component=component[inverse[:size]],
+        link_component=of_link,
         rectilinear=rectilinear,
     )
+
+
+def components(start: IntArray, end: IntArray, count: int) -> IntArray:
+    """(count,) component of each node, numbered by their first nodes."""
+    # Strategy: chance makes links that meet no other by the thousand, and a link alone is its own
+    # component: the search for components sees only the rest.
+    degree = np.bincount(start, minlength=count) + np.bincount(end, minlength=count)
+    alone = (degree[start] == 1) & (degree[end] == 1)
+    root = np.arange(count)
+    root[np.maximum(start[alone], end[alone])] = np.minimum(start[alone], end[alone])
+    start, end = start[~alone], end[~alone]
+    met = np.zeros(count, np.bool_)
+    met[start] = met[end] = True
+    nodes, place = np.flatnonzero(met), np.cumsum(met) - 1
+    order = np.argsort(start, kind="stable")
+    row = np.searchsorted(start[order], np.append(nodes, count))
+    graph = csr_array((np.ones(len(start)), place[end[order]], row), shape=(len(nodes),) * 2)
+    labels = connected_components(graph, directed=False)[1]
+    first = np.zeros(len(nodes), np.int64)
+    first[labels[::-1]] = nodes[::-1]
+    root[nodes] = first[labels]
+    return np.asarray((np.cumsum(root == np.arange(count)) - 1)[root])
+
+
+def _out_of_bounds(
+    a: Structure, b: Structure, links: Links, component: IntArray, settings: GrowthSettings
+) -> IntArray:
+    """Matches of which a length differs by more than the bound for so many corridors.
+
+    Links are sought within the bound of the largest match. Between the two bounds a link would be
+    an incompatibility at both of its ends, so the match that it joins is rejected either way.
+    """
+    held = np.bincount(component)
+    sigma = np.hypot(a.sigma[links.dart_a], b.sigma[links.dart_b])
+    off = np.abs(a.length[links.dart_a] - b.length[links.dart_b])
+    bound = np.zeros(int(held.max(initial=0)) + 1)
+    for corridors in np.flatnonzero(np.bincount(held)).tolist():
+        bound[corridors] = settings.bound_sigmas(corridors)
+    return component[off > bound[held[component]] * sigma]
 
 
 def _satisfied(

@@ -7,11 +7,14 @@ slots; on general angles branches are compared with a similarity test.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import expm1, log
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import UsageError
 from .se2 import wrap
 from .structure import FloatArray, IntArray, Structure
 
@@ -41,9 +44,27 @@ class GrowthSettings:
     """Inexact degree: branches that either vertex of a pair may have and the other not."""
     branch_tolerance_rad: float = 0.35
     """General world: how far a branch may be from its partner under the pair's rotation."""
-    length_bound_sigmas: float = 1.96
-    """Corridors agree if their lengths differ by no more than this bound (95 %, §5) of the
-    difference of two measurements."""
+    confidence: float = 0.999
+    """Probability with which a right match survives the comparison of its lengths."""
+    confidence_of: Literal["match", "corridor"] = "match"
+    """match: of all its corridors together, however many they are; corridor: of each by itself,
+    as published (§5: 95 %), so that a right match of k corridors survives with confidence ** k."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.confidence < 1.0:
+            raise UsageError(f"a confidence lies between 0 and 1, not at {self.confidence}")
+        if self.unmatched_branches < 0 or not self.branch_tolerance_rad > 0:
+            raise UsageError("branches: neither a count below 0 nor a tolerance of 0 makes sense")
+
+    def bound_sigmas(self, corridors: int) -> float:
+        """Standard deviations by which the lengths of each of so many corridors may differ.
+
+        Of k differences of normal errors, correlated or not, all lie within z standard deviations
+        with a probability of at least (2 Φ(z) - 1) ** k (Šidák 1967); z makes that `confidence`.
+        """
+        count = corridors if self.confidence_of == "match" else 1
+        outside = -expm1(log(self.confidence) / max(count, 1))
+        return -NormalDist().inv_cdf(outside / 2)
 
 
 DEFAULT_GROWTH = GrowthSettings()
@@ -200,11 +221,37 @@ def partners(a: Structure, b: Structure, correspondence: IntArray) -> IntArray:
     return np.asarray(correspondence[:, None] // digits % base - 1)
 
 
-def candidate_nodes(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) -> Nodes:
-    """All compatible pairs of vertices under all their correspondences (§2.1), ascending."""
+def node_codes(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> IntArray:
+    """The codes that `decode` decodes."""
+    size = 4 if rectilinear else _correspondences(a, b)
+    return (nodes.vertex_a * len(b) + nodes.vertex_b) * size + nodes.correspondence
+
+
+def leaves_alike(
+    a: Structure, b: Structure, nodes: Nodes, darts: tuple[IntArray, IntArray], rectilinear: bool
+) -> NDArray[np.bool_]:
+    """(N,) whether two darts leave the vertices of each node by corresponding branches."""
+    dart_a, dart_b = darts
+    if rectilinear:
+        turn = (a.out_slot[dart_a] - b.out_slot[dart_b]) % 4
+        return np.asarray(turn == nodes.correspondence)
+    partner = partners(a, b, nodes.correspondence)
+    return np.asarray(partner[np.arange(len(nodes)), a.out_branch[dart_a]] == b.out_branch[dart_b])
+
+
+def candidate_nodes(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings = DEFAULT_GROWTH,
+    near: tuple[IntArray, IntArray] | None = None,
+) -> Nodes:
+    """All compatible pairs of vertices under all their correspondences (§2.1), ascending.
+
+    near: the vertices of a and of b to pair, ascending; all by default.
+    """
     if not is_rectilinear(a, b, settings):
-        return decode(a, b, _angle_candidates(a, b, settings), False)
-    classes = SlotClasses.of(a, b, settings)
+        return decode(a, b, _angle_candidates(a, b, settings, near), False)
+    classes = SlotClasses.of(a, b, settings, near)
     return classes.expanded(classes.compatible)
 
 
@@ -223,15 +270,21 @@ class SlotClasses:
     first: tuple[IntArray, IntArray]
 
     @classmethod
-    def of(cls, a: Structure, b: Structure, settings: GrowthSettings) -> SlotClasses:
-        """The classes of two rectilinear maps."""
+    def of(
+        cls,
+        a: Structure,
+        b: Structure,
+        settings: GrowthSettings,
+        near: tuple[IntArray, IntArray] | None = None,
+    ) -> SlotClasses:
+        """The classes of two rectilinear maps, or of some vertices of each."""
         kinds, rows, first = [], [], []
-        for s in (a, b):
-            kind = s.mask * 16 + s.explored_mask
+        for s, chosen in zip((a, b), near or (np.arange(len(a)), np.arange(len(b))), strict=True):
+            kind = s.mask[chosen] * 16 + s.explored_mask[chosen]
             order = np.argsort(kind, kind="stable")
             known, start = np.unique(kind[order], return_index=True)
             kinds.append(known)
-            rows.append(order)
+            rows.append(chosen[order])
             first.append(np.append(start, len(order)))
         turns = np.arange(4)
         mask_a, driven_a = (k[:, None, None] for k in np.divmod(kinds[0], 16))
@@ -262,27 +315,33 @@ class SlotClasses:
         return nodes.take(np.lexsort((nodes.correspondence, vertex_b, vertex_a)))
 
 
-def _angle_candidates(a: Structure, b: Structure, settings: GrowthSettings) -> IntArray:
+def _angle_candidates(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings,
+    near: tuple[IntArray, IntArray] | None = None,
+) -> IntArray:
     """Codes of all compatible nodes on general angles, ascending; chunked over vertices of a."""
-    chunk = max(1, 200_000 // max(1, len(b) * b.heading.shape[1] * a.heading.shape[1]))
+    rows, columns = near or (np.arange(len(a)), np.arange(len(b)))
+    chunk = max(1, 200_000 // max(1, len(columns) * b.heading.shape[1] * a.heading.shape[1]))
     found = [
-        _angle_candidates_of(a, b, np.arange(low, min(low + chunk, len(a))), settings)
-        for low in range(0, len(a), chunk)
+        _angle_candidates_of(a, b, (rows[low : low + chunk], columns), settings)
+        for low in range(0, len(rows), chunk)
     ]
     return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
 
 
 def _angle_candidates_of(
-    a: Structure, b: Structure, rows: IntArray, settings: GrowthSettings
+    a: Structure, b: Structure, vertices: tuple[IntArray, IntArray], settings: GrowthSettings
 ) -> IntArray:
     # Every branch of b may go with the first of a; with inexact degrees the first may be missing.
     first = a.heading.shape[1] if settings.degree == "inexact" else min(a.heading.shape[1], 1)
     u, i, v, j = (
         x.reshape(-1)
         for x in np.meshgrid(
-            rows,
+            vertices[0],
             np.arange(first),
-            np.arange(len(b)),
+            vertices[1],
             np.arange(b.heading.shape[1]),
             indexing="ij",
         )

@@ -38,6 +38,9 @@ class Structure:
     grid_rad: direction of the grid in [0, pi/2) if the map is rectilinear, else None;
     slot: (n, D) the quarter turn 0..3 of each branch on that grid, -1 beyond the degree.
     mask, explored_mask: (n,) bit s is set if a branch (a driven branch) lies in slot s.
+    out_slot, in_slot: (2 m,) slots by which each dart leaves its start and arrives at its end;
+    slot_kind: (2 m,) what darts share that a quarter turn takes to each other, as one number: the
+    turn between leaving and arriving (times 256) and the slots at both ends.
     crowded: a branch (or slot) of some vertex is used by more than one dart.
     """
 
@@ -55,21 +58,14 @@ class Structure:
     slot: IntArray
     mask: IntArray
     explored_mask: IntArray
+    out_slot: IntArray
+    in_slot: IntArray
+    slot_kind: IntArray
     crowded: bool
 
     def __len__(self) -> int:
         """Number of vertices."""
         return len(self.degree)
-
-    @property
-    def out_slot(self) -> IntArray:
-        """(2 m,) slot by which each dart leaves its start."""
-        return self.slot[self.start, self.out_branch]
-
-    @property
-    def in_slot(self) -> IntArray:
-        """(2 m,) slot of its end by which each dart arrives."""
-        return self.slot[self.end, self.in_branch]
 
 
 def prepare(topomap: TopoMap) -> Structure:
@@ -88,7 +84,9 @@ def prepare(topomap: TopoMap) -> Structure:
     explored = np.zeros((n, width), np.bool_)
     explored[start, out_branch] = True
     bit = np.where(slot >= 0, 1 << np.maximum(slot, 0), 0)
-    place = slot[start, out_branch] if grid is not None else out_branch
+    mask = np.bitwise_or.reduce(bit, axis=1) if width else np.zeros(n, np.int64)
+    out_slot, in_slot = slot[start, out_branch], slot[end, in_branch]
+    place = out_slot if grid is not None else out_branch
     crowded = len(np.unique(start * (width + 4) + place)) < len(start)
     return Structure(
         heading=heading,
@@ -103,12 +101,25 @@ def prepare(topomap: TopoMap) -> Structure:
         edge=np.repeat(edge, 2),
         grid_rad=grid,
         slot=slot,
-        mask=np.bitwise_or.reduce(bit, axis=1) if width else np.zeros(n, np.int64),
+        mask=mask,
         explored_mask=np.bitwise_or.reduce(np.where(explored, bit, 0), axis=1)
         if width
         else np.zeros(n, np.int64),
+        out_slot=out_slot,
+        in_slot=in_slot,
+        slot_kind=_slot_kind(out_slot, in_slot, mask[start], mask[end]),
         crowded=crowded,
     )
+
+
+def _slot_kind(
+    out_slot: IntArray, in_slot: IntArray, mask_start: IntArray, mask_end: IntArray
+) -> IntArray:
+    """What the darts are when they are turned to leave eastwards, in slot 0."""
+    out = np.maximum(out_slot, 0)
+    at_start, at_end = (((m << 4 | m) >> out) & 15 for m in (mask_start, mask_end))
+    turn = (in_slot - out_slot) % 4
+    return np.asarray((turn * 16 + at_start) * 16 + at_end)
 
 
 def padded_branches(topomap: TopoMap) -> FloatArray:

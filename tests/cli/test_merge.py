@@ -267,3 +267,75 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
     topobatch("merge", a, "--replace", "-w", workspace)
     assert "did not have both runs" in topobatch("explain", a, b, "-w", workspace).out
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory):
+    """A workspace with the maps of two runs of a maze that overlap, without drift or faults."""
+    from topobatch.ingest.mapping import build_map
+    from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
+    from topobatch.topology.document import write_map
+
+    workspace = tmp_path_factory.mktemp("clean")
+    settings = ScenarioSettings(
+        runs=2, junctions_per_run=30, overlap=0.6, drift="none", faults="none", seed=3
+    )
+    for name, run in simulate_scenario(settings).runs.items():
+        write_map(workspace / "maps" / f"{name}.json", build_map(run))
+    return workspace
+
+
+PAPER = ("run1", "run2", "--method", "paper")
+OPTIONS = [
+    ("--degree", "inexact"),
+    ("--confidence", "0.9999"),
+    ("--confidence-of", "corridor"),
+    ("--weights", "reweighted"),
+    ("--iterative",),
+]
+
+
+@pytest.mark.parametrize("option", [(), *OPTIONS, sum(OPTIONS, ())])
+def test_the_papers_method_and_its_options(topobatch, clean, tmp_path, option):
+    workspace = shutil.copytree(clean, tmp_path / "ws")
+    merged = topobatch("merge", "--all", "--method", "paper", *option, "-w", workspace)
+    assert merged.code == 0, merged
+    assert "1 merged" in merged.out
+    document = json.loads((workspace / "merged.json").read_bytes())
+    assert document["merges"][0]["threshold_bits"] == pytest.approx(9.97)
+    settings = document["graph"]["settings"]
+    told = json.loads(topobatch("explain", *PAPER, "--json", "-w", workspace).out)
+    assert told["settings"] == settings
+    best = told["clusters"][0]
+    assert best["transform"] == document["merges"][0]["transform"]
+    assert best["evidence_bits"] == document["merges"][0]["evidence_bits"]
+    for name, *value in OPTIONS:
+        key = name.removeprefix("--").replace("-", "_")
+        held = settings["growth"] | settings["clusters"]
+        assert (str(held[key]) == (value or ["True"])[0]) == (name in option)
+
+
+def test_explain_takes_options_in_place_of_the_merges_own(topobatch, clean, tmp_path):
+    workspace = shutil.copytree(clean, tmp_path / "ws")
+    topobatch("merge", "--all", "--method", "paper", "--degree", "inexact", "-w", workspace)
+    shown = topobatch("explain", *PAPER, "--confidence", "0.9", "-w", workspace)
+    assert "degree inexact, confidence 0.9 of each match" in shown.out
+    topobatch("merge", "--all", "-w", workspace)
+    shown = topobatch("explain", *PAPER, "-w", workspace)
+    assert "degree exact, confidence 0.999 of each match" in shown.out
+
+
+def test_settings_that_make_no_sense(topobatch, workspace):
+    for call in (["--degree", "exact"], ["--iterative"], ["--met", "a@1,b@1"]):
+        assert "belong to --method paper" in topobatch("merge", "--all", *call).error(2)
+    paper = ["merge", "--all", "--method", "paper", "-w", workspace]
+    assert "confidence" in topobatch(*paper, "--confidence", "1.0").error(2)
+    assert topobatch(*paper).code == 0
+    path = workspace / "merged.json"
+    document = json.loads(path.read_bytes())
+    document["graph"]["settings"]["growth"]["confidence"] = 7
+    path.write_text(json.dumps(document))
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    explain = ["explain", a, b, "-w", workspace]
+    assert "graph.settings" in topobatch(*explain, "--method", "paper").error(1)
+    assert "belong to --method paper" in topobatch(*explain, "--iterative").error(2)

@@ -7,7 +7,7 @@ import pytest
 
 from topobatch.merge.clustering import ClusterSettings, cluster, transform_distances
 from topobatch.merge.hypotheses import Hypotheses
-from topobatch.merge.registration import register, register_groups
+from topobatch.merge.registration import fit_groups, register, register_groups
 from topobatch.topology.correspondence import Nodes
 from topobatch.topology.se2 import apply, fit_rigid
 
@@ -68,9 +68,9 @@ def test_groups_are_registered_as_if_alone():
 
 def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
     """Hypotheses of the given vertex pairs and transforms."""
-    of = np.repeat(np.arange(len(groups)), [len(g) for g in groups])
-    pairs = np.array([p for g in groups for p in g], np.int64)
-    size = np.bincount(of)
+    of = np.repeat(np.arange(len(groups)), np.array([len(g) for g in groups], np.int64))
+    pairs = np.array([p for g in groups for p in g], np.int64).reshape(-1, 2)
+    size = np.bincount(of, minlength=len(groups))
     transforms = np.array(transforms, float)
     return Hypotheses(
         of=of,
@@ -80,9 +80,9 @@ def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
         corridors=size - 1,
         transform=transforms,
         error=np.zeros(len(groups)) if errors is None else np.array(errors, float),
+        bits=np.zeros(len(groups)),
         rectilinear=rectilinear,
         candidates=len(pairs),
-        corridor_chance=0.1,
     )
 
 
@@ -163,6 +163,33 @@ def test_iterative_clustering_readmits_a_small_hypothesis_by_its_metric_error():
 
 
 def test_nothing_to_cluster():
-    h = hypotheses([[(0, 0)]], [[0, 0, 0]]).take(np.zeros(0, np.int64))
+    h = hypotheses([], np.zeros((0, 3)))
     assert len(h) == 0
     assert len(cluster(h, (XY, XY))) == 0
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_reweighted_registration_shrugs_off_one_wrong_pair(free):
+    rng = np.random.default_rng(4)
+    xy, T = rng.uniform(0, 20, (7, 2)), np.array([3.0, -2.0, 0.4])
+    onto = apply(T, xy)
+    onto[3] += [4.0, 1.0]
+    group = np.zeros(7, np.int64)
+    fits = {
+        weights: fit_groups(
+            onto, xy, group, np.array([0.4]), free=np.array([free]), weights=weights
+        )[0]
+        for weights in ("equal", "reweighted")
+    }
+    assert fits["reweighted"] == pytest.approx(T, abs=0.02)
+    assert np.hypot(*(fits["equal"] - T)[:2]) > 0.5
+
+
+def test_reweighting_is_a_setting_of_hypotheses_and_clusters():
+    xy_a = XY.copy()
+    xy_a[2] += [0.0, 1.5]
+    h = hypotheses([[(k, k) for k in range(6)]], [[0, 0, 0]], errors=[0.4], rectilinear=True)
+    plain = cluster(h, (xy_a, XY)).transform[0]
+    reweighted = cluster(h, (xy_a, XY), settings=ClusterSettings(weights="reweighted"))
+    assert plain == pytest.approx([0.0, 0.25, 0.0])
+    assert reweighted.transform[0] == pytest.approx([0.0, 0.0, 0.0], abs=0.01)

@@ -38,7 +38,7 @@ def younger(m, edges):
 @pytest.mark.parametrize("world", ["auto", "general"])
 @pytest.mark.parametrize("degree", ["exact", "inexact"])
 def test_growing_again_gives_what_growing_from_scratch_gives(maze_pair, world, degree):
-    settings = GrowthSettings(world, degree, length_bound_sigmas=4.0)
+    settings = GrowthSettings(world, degree)
     for seed in range(3):
         a, b, _ = maze_pair(seed)
         old = grow_pair(younger(a, len(a.source) - 6), younger(b, len(b.source) - 4), settings)

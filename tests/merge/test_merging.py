@@ -20,7 +20,7 @@ from topobatch.merge.result import MergeResult, Verdict
 from topobatch.topology.correspondence import GrowthSettings
 from topobatch.topology.errors import DataError, UsageError
 
-PAPER = MergeSettings(method="paper", paper=PaperSettings(GrowthSettings(length_bound_sigmas=4.0)))
+PAPER = MergeSettings(method="paper", paper=PaperSettings(GrowthSettings()))
 
 
 def text(result):

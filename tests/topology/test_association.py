@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
 from topobatch.topology.association import Growth, grow, grow_split, single_matches
-from topobatch.topology.correspondence import GrowthSettings, candidate_nodes, partners
+from topobatch.topology.correspondence import (
+    GrowthSettings,
+    candidate_nodes,
+    is_rectilinear,
+    node_codes,
+    partners,
+)
+from topobatch.topology.errors import UsageError
+from topobatch.topology.local_growth import grow_from
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
@@ -149,7 +158,8 @@ class Oracle:
 
     def lengths_agree(self, e, f):
         a, b = self.a, self.b
-        bound = self.settings.length_bound_sigmas * np.hypot(a.length_sigma[e], b.length_sigma[f])
+        assert self.settings.confidence_of == "corridor"  # of the whole match has tests of its own
+        bound = self.settings.bound_sigmas(1) * np.hypot(a.length_sigma[e], b.length_sigma[f])
         return abs(a.length[e] - b.length[f]) <= bound
 
     def hypotheses(self) -> tuple[set[frozenset[Node]], set[Node]]:
@@ -300,7 +310,8 @@ def engine_hypotheses(a: Structure, b: Structure, settings):
 @pytest.mark.parametrize("degree", ["exact", "inexact"])
 @pytest.mark.parametrize("rectilinear", [True, False])
 def test_growth_agrees_with_plain_recursion(rectilinear, degree):
-    settings = GrowthSettings(world="auto" if rectilinear else "general", degree=degree)
+    world = "auto" if rectilinear else "general"
+    settings = GrowthSettings(world, degree, confidence=0.95, confidence_of="corridor")
     grown = rejected = 0
     for seed in range(200):
         a, b = random_pair(seed, rectilinear)
@@ -440,3 +451,78 @@ def test_links_found_in_parts_give_the_same_growth():
         for name in ("vertex_a", "vertex_b", "correspondence"):
             assert np.array_equal(getattr(split.nodes, name), getattr(whole.nodes, name))
         assert survivors(split) == survivors(whole)
+
+
+@pytest.mark.parametrize("degree", ["exact", "inexact"])
+@pytest.mark.parametrize("rectilinear", [True, False])
+def test_growing_from_seeds_gives_the_matches_that_hold_one(rectilinear, degree):
+    settings = GrowthSettings(world="auto" if rectilinear else "general", degree=degree)
+    some = left_out = 0
+    for seed in range(120):
+        a, b = (prepare(m) for m in random_pair(seed, rectilinear))
+        if is_rectilinear(a, b, settings) != rectilinear:
+            continue
+        rng = np.random.default_rng(seed)
+        near = tuple(np.flatnonzero(rng.random(len(s)) < 0.4) for s in (a, b))
+        seeds = candidate_nodes(a, b, settings, near)
+        every = candidate_nodes(a, b, settings)
+        chosen = np.isin(every.vertex_a, near[0]) & np.isin(every.vertex_b, near[1])
+        assert node_codes(a, b, seeds, rectilinear).tolist() == (
+            node_codes(a, b, every, rectilinear)[chosen].tolist()
+        )
+        whole, local = grow(a, b, settings), grow_from(a, b, seeds, settings)
+        held = np.isin(
+            node_codes(a, b, whole.nodes, rectilinear), node_codes(a, b, seeds, rectilinear)
+        )
+        kept = np.isin(np.arange(len(whole.rejected)), whole.component[held])
+        assert _grown(local, np.ones(len(local.rejected), bool)) == _grown(whole, kept)
+        some += np.count_nonzero(kept)
+        left_out += np.count_nonzero(~kept)
+    assert some > 10
+    assert left_out > 10
+
+
+def _grown(growth: Growth, kept):
+    """The kept matches: their nodes, links, and whether they were rejected."""
+    n, k = growth.nodes, growth.links
+    return sorted(
+        (
+            bool(growth.rejected[c]),
+            int(growth.tested[c]),
+            int(growth.agreed[c]),
+            [x[growth.component == c].tolist() for x in (n.vertex_a, n.vertex_b, n.correspondence)],
+            sorted(np.stack(k, axis=1)[growth.link_component == c].tolist()),
+        )
+        for c in np.flatnonzero(kept).tolist()
+    )
+
+
+def test_the_bound_on_lengths_holds_for_the_whole_match():
+    corridor = GrowthSettings(confidence=0.95, confidence_of="corridor")
+    assert corridor.bound_sigmas(1) == pytest.approx(1.96, abs=0.001)
+    assert corridor.bound_sigmas(50) == corridor.bound_sigmas(1)
+    whole = GrowthSettings(confidence=0.95)
+    assert whole.bound_sigmas(1) == corridor.bound_sigmas(1)
+    z = np.random.default_rng(0).normal(size=(20_000, 30))
+    assert np.mean(np.abs(z).max(axis=1) <= whole.bound_sigmas(30)) == pytest.approx(0.95, abs=0.01)
+    shared = 0.8 * z + 0.6 * z[:, :1]  # an error common to all lengths: survival is no less likely
+    assert np.mean(np.abs(shared).max(axis=1) <= whole.bound_sigmas(30)) >= 0.945
+    for nonsense in (0.0, 1.0, 2.0):
+        with pytest.raises(UsageError, match="confidence"):
+            GrowthSettings(confidence=nonsense)
+
+
+@pytest.mark.parametrize(("corridors", "survives"), [(1, False), (8, True)])
+def test_a_longer_match_may_hold_a_larger_difference(corridors, survives):
+    """3.5 sigma is too much for one corridor, and within the bound of eight."""
+    east, west = 0.0, -np.pi
+    n = corridors + 1
+    branches = [[east], *([[west, east]] * (n - 2)), [west]] if n > 2 else [[east], [west]]
+    edges = [(k, 0 if k == 0 else 1, k + 1, 0, 5.0 + k) for k in range(corridors)]
+    a = topomap(branches, edges)
+    length = a.length.copy()
+    length[0] += 3.5 * np.hypot(0.1, 0.1)
+    b = replace(a, length=length)
+    growth = grow(prepare(a), prepare(b), GrowthSettings())
+    whole = {(k, k) for k in range(n)}
+    assert (whole in survivors(growth)) == survives

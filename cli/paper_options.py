@@ -1,0 +1,116 @@
+"""Options of the paper's method, for all commands that apply it, and the settings they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+
+import typer
+
+from ..topology.errors import UsageError
+
+if TYPE_CHECKING:
+    from ..merge.paper import PaperSettings
+
+T = TypeVar("T")
+
+Degree = Literal["exact", "inexact"]
+ConfidenceOf = Literal["match", "corridor"]
+Weights = Literal["equal", "reweighted"]
+
+DegreeOption = Annotated[
+    Degree | None,
+    typer.Option(
+        help="Paper's method: must matched junctions have equally many branches (exact: a static "
+        "world, the default), or may doors open and close, so that one may be missing (inexact)? "
+        "(§2.1)",
+    ),
+]
+ConfidenceOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="P",
+        help="Paper's method: how likely a right match survives the comparison of its corridors' "
+        "lengths; default 0.999. Closer to 1: fewer right matches are lost, and each of the others "
+        "is worth less, as more agrees by chance.",
+    ),
+]
+ConfidenceOfOption = Annotated[
+    ConfidenceOf | None,
+    typer.Option(
+        help="Paper's method: what --confidence speaks of. match, the default: all corridors of a "
+        "match together; corridor: each by itself, so that a right match of k corridors survives "
+        "with P ** k. As published: --confidence 0.95 --confidence-of corridor. (§5)",
+    ),
+]
+WeightsOption = Annotated[
+    Weights | None,
+    typer.Option(
+        help="Paper's method: of matched junctions, where one map is laid on the other. equal, "
+        "the default: a junction that lies far off shows that the match is bad; reweighted: what "
+        "lies far off counts less, for maps of which a part is bent. (§3.1)",
+    ),
+]
+IterativeOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--iterative/--once",
+        help="Paper's method: matches join a cluster again and again if its transform lays their "
+        "junctions on each other, though their own transform differs, as that of few junctions "
+        "may; or once, by their transforms, as published. (§5)",
+    ),
+]
+MetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="RUN@TIME,RUN@TIME",
+        help="Paper's method: two robots were near each other, each at a time of its own log: "
+        "matches are grown from junctions near both only. In nanoseconds, or in seconds with a "
+        "decimal point. May be given several times. (§4.2)",
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class PaperOptions:
+    """What was asked for; None and nothing for what was not."""
+
+    degree: Degree | None = None
+    confidence: float | None = None
+    confidence_of: ConfidenceOf | None = None
+    weights: Weights | None = None
+    iterative: bool | None = None
+    met: tuple[str, ...] = ()
+
+    def refuse(self) -> None:
+        """UsageError if any was given: another method has none of them."""
+        if self != PaperOptions():
+            raise UsageError(
+                "--degree, --confidence, --confidence-of, --weights, --iterative and --met belong "
+                "to --method paper"
+            )
+
+    def over(self, settings: PaperSettings) -> PaperSettings:
+        """The settings with what was asked for in place of theirs; UsageError on nonsense."""
+        from ..merge.meeting import parse_meeting
+
+        growth, clusters = settings.growth, settings.clusters
+        return replace(
+            settings,
+            growth=replace(
+                growth,
+                degree=_or(self.degree, growth.degree),
+                confidence=_or(self.confidence, growth.confidence),
+                confidence_of=_or(self.confidence_of, growth.confidence_of),
+            ),
+            clusters=replace(
+                clusters,
+                weights=_or(self.weights, clusters.weights),
+                iterative=_or(self.iterative, clusters.iterative),
+            ),
+            meetings=tuple(map(parse_meeting, self.met)) or settings.meetings,
+        )
+
+
+def _or(given: T | None, default: T) -> T:
+    return default if given is None else given

@@ -1,0 +1,128 @@
+"""How often chance grows a match: the sums by hand, and that bits are bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.merge.paper import PaperSettings, judge, prepare_map
+from topobatch.merge.significance import (
+    SelfSimilarity,
+    cluster_bits,
+    independent_lengths,
+    match_bits,
+    self_similarity,
+    single_bits,
+)
+from topobatch.topology.association import grow
+from topobatch.topology.correspondence import GrowthSettings
+from topobatch.topology.structure import prepare
+
+NONE = SelfSimilarity(links=0, tested=0, agreed=0, largest=0, ends=0.25)
+
+
+def ladder(draw, rungs, name="a", width=5.0):
+    """A ladder of equal rungs: it repeats itself at every step."""
+    corners = {f"{s}{k}": (width * k, 4.0 * s) for k in range(rungs) for s in (0, 1)}
+    sides = [(f"{s}{k}", f"{s}{k + 1}") for s in (0, 1) for k in range(rungs - 1)]
+    return draw(name, corners, [*sides, *((f"0{k}", f"1{k}") for k in range(rungs))])
+
+
+def test_bits_of_matches_by_hand(maze_pair):
+    a, b, _ = maze_pair(2)
+    sa = prepare(a)
+    growth = grow(sa, prepare(b))
+    bits = match_bits(growth, sa, (NONE, NONE))
+    along = independent_lengths(growth, sa)
+    for c in range(len(growth.rejected)):
+        mine, links = growth.component == c, growth.link_component == c
+        others = np.flatnonzero(np.arange(len(growth.rejected)) != c)
+        reached = np.count_nonzero(~mine)
+        p = (growth.agreed[others].sum() - reached + 1) / (
+            growth.tested[others].sum() - reached + 2
+        )
+        v = np.count_nonzero(mine)
+        chosen_from = np.log2(np.count_nonzero(~links) + 1)
+        free = min(v - 2, along[:, c].min())
+        slid = -free * np.log2(p) + 2 * (v - 2 - free)
+        expected = min(slid, -(v - 2) * np.log2(p)) - chosen_from
+        assert bits[c] == pytest.approx(min(expected, -v * np.log2(p)))
+        assert along[:, c].sum() <= max(v - 1, 1)
+
+
+def test_a_match_no_larger_than_what_a_map_shares_with_itself_is_no_evidence(draw, maze_pair):
+    a = prepare(ladder(draw, 8))
+    alike = self_similarity(a, GrowthSettings())
+    assert alike.largest == 16  # turned by half a turn
+    assert alike.agreed > 0.5 * alike.tested
+    growth = grow(a, prepare(ladder(draw, 8, "b")))
+    assert match_bits(growth, a, (alike, alike)).max() < 2
+    maze, _, _ = maze_pair(0)
+    assert self_similarity(prepare(maze), GrowthSettings()).largest <= 4
+
+
+def test_a_map_as_it_is_is_no_part_of_its_self_similarity(draw):
+    corners = {"p": (0, 0), "q": (5, 0), "r": (5, 7), "s": (14, 7)}
+    lone = prepare(draw("a", corners, [("p", "q"), ("q", "r"), ("r", "s")], [("r", np.pi)]))
+    for world in ("auto", "general"):
+        seen = self_similarity(lone, GrowthSettings(world))
+        assert [seen.links, seen.tested, seen.agreed, seen.largest] == [0, 0, 0, 0]
+
+
+def test_lengths_along_an_axis_are_those_between_its_lines(draw):
+    a = ladder(draw, 6)
+    corners = {"p": (0, 0), "q": (5, 0), "r": (5, 7), "s": (14, 7), "t": (14, 18)}
+    way = [("p", "q"), ("q", "r"), ("r", "s"), ("s", "t")]
+    for m, lengths in ((a, [1, 5]), (draw("a", corners, way), [2, 2])):
+        s = prepare(m)
+        growth = grow(s, s)
+        largest = np.bincount(growth.link_component).argmax()
+        assert sorted(independent_lengths(growth, s)[:, largest].tolist()) == lengths
+
+
+@pytest.mark.parametrize("degree", ["exact", "inexact"])
+def test_a_slide_along_walls_that_run_through_is_no_evidence(draw, degree):
+    """Two wings on the same rows, every second gap between their columns another."""
+    rows = np.array([0.0, 4.0, 11.0, 17.0, 26.0, 31.0])
+
+    def wing(name, gaps):
+        columns = np.concatenate([[0.0], np.cumsum(gaps)])
+        at = {f"{i}{j}": (x, y) for i, x in enumerate(columns) for j, y in enumerate(rows)}
+        ways = [(f"{i}{j}", f"{i}{j + 1}") for i in range(len(columns)) for j in range(5)]
+        ways += [(f"{i}{(2 * i) % 5}", f"{i + 1}{(2 * i) % 5}") for i in range(len(gaps))]
+        return draw(name, at, ways)
+
+    settings = PaperSettings(GrowthSettings(degree=degree))
+    a, b = wing("a", [6.0]), wing("b", [6.0])
+    assert not judge(*(prepare_map(m, settings) for m in (a, b)), settings).accepted
+
+
+def test_clusters_sum_their_significant_hypotheses():
+    of = np.array([0, 0, 1, -1, 0, 1])
+    bits = np.array([12.0, -3.0, -7.0, 90.0, 2.0, -5.0])
+    assert cluster_bits(of, bits, 2).tolist() == [14.0, -5.0]
+    assert single_bits(1024) == -10
+    assert single_bits(0) == 0
+
+
+@pytest.mark.parametrize("degree", ["exact", "inexact"])
+def test_maps_of_different_mazes_seldom_offer_bits(maze_pair, degree):
+    settings = GrowthSettings(degree=degree)
+    over = []
+    for seed in range(40):
+        a, b = (prepare(maze_pair(s)[k]) for s, k in ((seed, 0), (seed + 100, 1)))
+        growth = grow(a, b, settings)
+        alike = self_similarity(a, settings), self_similarity(b, settings)
+        alive = match_bits(growth, a, alike)[~growth.rejected]
+        over.append(alive.max(initial=-np.inf))
+    assert np.mean(np.array(over) > 0) <= 0.2
+    assert max(over) < 6
+
+
+@pytest.mark.parametrize("degree", ["exact", "inexact"])
+def test_ladders_are_never_merged(draw, degree):
+    settings = PaperSettings(GrowthSettings(degree=degree))
+    maps = [ladder(draw, n, name) for n, name in ((7, "a"), (9, "b"), (9, "c"))]
+    prepared = [prepare_map(m, settings) for m in maps]
+    for i, j in ((0, 1), (1, 2)):
+        assert not judge(prepared[i], prepared[j], settings).accepted
