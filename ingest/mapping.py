@@ -9,12 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.closure.certainty import laid_out_fairly, place_errors
+from ..topology.closure.certainty import place_errors
 from ..topology.closure.drivenby import DrivenBySettings, settle
 from ..topology.closure.gated import GatedSettings, Identification, gated_closure
 from ..topology.closure.layout import lay_out
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.rounds import RoundSettings, closure_without_grid, full_closure
+from ..topology.closure.variance_components import fitted_noise
 from ..topology.closure.walk import SystematicErrors, Walk, make_walk
 from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, build_topomap
@@ -23,7 +24,7 @@ from ..topology.passes import Passes
 from ..topology.topomap import Closure, TopoMap
 from .bridging import bridged, jumps_told, split_told
 from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
-from .noise import NoiseSettings, estimate_noise, refine_noise
+from .noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
 from .passes import PassSettings, fuse_passes
 from .run import Run
 
@@ -97,14 +98,16 @@ def build_map(
     else:
         layout = lay_out(walk, place)
     step("map")
-    fair, layout = laid_out_fairly(quiet, place, layout, grid)
+    fair, layout = fitted_noise(quiet, odometry, place, layout, grid)
+    scale = refine_scale(odometry, run.detections, passes, fair.noise, settings.noise)
+    fair = replace(fair, noise=replace(fair.noise, scale=scale))
     layout = set_apart(walk, place, layout)
     settled = settle(walk, odometry, place, layout, settings.driven_by)
     noise = refine_noise(
         passes,
         settled.place,
         layout.pose[:, 2],
-        walk.noise,
+        replace(fair.noise, branch_rad=quiet.noise.branch_rad),
         drive_bys=int(np.sum(~settled.visits.seen)),
         settings=settings.noise,
     )
