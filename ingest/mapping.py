@@ -22,6 +22,7 @@ from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.topomap import Closure, TopoMap
+from ..topology.vertex_errors import VertexErrors
 from .bridging import bridged, jumps_told, split_told
 from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
 from .noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
@@ -63,6 +64,16 @@ def build_map(
     each other is for `merge.pieces` to find out. Raises DataError if the run has no junction pass,
     or its odometry does not move. `on_step` hears the name of each step before it begins.
     """
+    return build_map_with_errors(run, settings, on_step=on_step)[0]
+
+
+def build_map_with_errors(
+    run: Run,
+    settings: MappingSettings = MappingSettings(),
+    *,
+    on_step: Callable[[str], None] | None = None,
+) -> tuple[TopoMap, VertexErrors]:
+    """`build_map`, and how far off its vertices may be, together: what its sigmas come from."""
     step = on_step or (lambda name: None)
     step("calibration")
     calibration = calibrate(run.odometry, run.detections, settings.calibration, settings.passes)
@@ -98,11 +109,12 @@ def build_map(
     else:
         layout = lay_out(walk, place)
     step("map")
-    fair, layout = fitted_noise(quiet, odometry, place, layout, grid)
+    fair, told = fitted_noise(quiet, odometry, place, layout, grid=grid)
     scale = refine_scale(odometry, run.detections, passes, fair.noise, settings.noise)
     fair = replace(fair, noise=replace(fair.noise, scale=scale))
     layout = set_apart(walk, place, layout)
     settled = settle(walk, odometry, place, layout, settings.driven_by)
+    errors = place_errors(fair, told, settled.kept)
     noise = refine_noise(
         passes,
         settled.place,
@@ -120,11 +132,11 @@ def build_map(
         pass_vertex=settled.place,
         pass_turn=layout.pose[:, 2],
         noise=noise,
-        errors=place_errors(fair, layout, settled.kept),
+        errors=errors,
         closures=_closures(asked, revised, passes, settled.place),
         settings=settings.drawing,
     )
-    return replace(topomap, info=_info(run, settings, calibration, walk, odometry))
+    return replace(topomap, info=_info(run, settings, calibration, walk, odometry)), errors
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:

@@ -42,8 +42,8 @@ class MapBuildingSettings:
     """A turn within this to either side is a corner of the corridor, cut by the robot …"""
     corner_rad: float = 0.5
     """… if it turns by this; gentler ones are bends, driven as they are."""
-    line_m: float = 0.05
-    """How far a robot's line through a bend is from the corridor's, 1 sigma."""
+    repeated_m: float = 50.0
+    """Way driven again without wandering at all that a run is taken to have shown beforehand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,7 @@ def build_topomap(
     """
     track = track_directions(odometry, visits.time_ns, visits.centre)
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
-    slots, keep = _slots(
+    slots, votes, keep = _slots(
         passes,
         settings,
         pass_vertex=pass_vertex,
@@ -100,9 +100,13 @@ def build_topomap(
     exit_ = _driven(branches, visits.vertex, leaving, settings)
     entry = _driven(branches, visits.vertex, arriving, settings)
     legs = _legs(odometry, visits, exit_, entry, xy=xy, settings=settings)
-    edges = _edges(legs)
+    edges = _edges(legs, settings)
     paths = _paths(legs, edges, settings)
     seen = np.flatnonzero(pass_vertex >= 0)
+    piece = np.zeros(len(xy), np.int64)
+    piece[visits.vertex] = visits.chain
+    shape = errors.as_a_whole(xy, piece)
+    reading = noise.branch_rad / np.sqrt(votes[keep])
     return TopoMap(
         run=run,
         frame=odometry.frame,
@@ -114,12 +118,14 @@ def build_topomap(
         source_branch=edges.source_branch,
         target_branch=edges.target_branch,
         length=edges.length,
-        length_sigma=_length_sigma(edges, paths, xy, noise=noise, errors=errors, settings=settings),
+        length_sigma=_length_sigma(edges, xy, noise, errors),
         traversals=edges.traversals,
         paths=paths,
         observation_vertex=pass_vertex[seen],
         observation_time_ns=passes.time_ns[seen],
         noise=noise,
+        position_sigma=shape.position_sigma(),
+        branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         closures=closures,
     )
 
@@ -133,8 +139,9 @@ def _slots(
     visit_vertex: IntArray,
     arriving: FloatArray,
     leaving: FloatArray,
-) -> tuple[AngleClusters, NDArray[np.bool_]]:
-    """Branches of every vertex, and which of them stay: driven, or seen by enough passes."""
+) -> tuple[AngleClusters, IntArray, NDArray[np.bool_]]:
+    """Branches of every vertex, by how many passes each was seen, and which of them stay: driven,
+    or seen by enough passes."""
     owner = passes.branches.owner
     known = pass_vertex[owner] >= 0
     angle = (passes.branches.values + pass_turn[owner])[known]
@@ -155,7 +162,7 @@ def _slots(
     best = np.lexsort((-share, slots.owner))[rows.offsets[:-1]]
     keep = driven | (share >= settings.least_share)
     keep[best] = True
-    return slots, keep
+    return slots, votes, keep
 
 
 def _driven(
@@ -258,9 +265,11 @@ class _Edges:
     traversals: IntArray
     leg: IntArray
     """The leg whose track is drawn: the one of median length."""
+    wander: float
+    """Variance, per metre, of the ways driven through one corridor."""
 
 
-def _edges(legs: _Legs) -> _Edges:
+def _edges(legs: _Legs, settings: MapBuildingSettings) -> _Edges:
     """Legs between the same branches of the same vertices are one corridor.
 
     A leg with an unknown branch joins the corridor between its vertices that fits its length.
@@ -293,16 +302,19 @@ def _edges(legs: _Legs) -> _Edges:
     keys = sorted(groups)
     table = np.array(keys, np.int64).reshape(-1, 4)
     length, leg = np.zeros(len(keys)), np.zeros(len(keys), np.int64)
+    excess, way = 0.0, settings.repeated_m
     for e, key in enumerate(keys):
         member = np.array(groups[key])
         ordered = member[np.argsort(legs.length[member], kind="stable")]
         leg[e] = ordered[len(ordered) // 2]
         middle = legs.length[leg[e]]
         sound = member[np.abs(legs.length[member] - middle) < 1.0]
-        length[e] = legs.length[sound].mean()
+        length[e] = legs.length[sound].min()  # who wanders drives farther, nobody less far
+        excess += float(np.var(legs.length[sound]) * len(sound))
+        way += float(length[e] * (len(sound) - 1))
     traversals = np.array([len(groups[key]) for key in keys], np.int64)
     s, t, sb, tb = table.T
-    return _Edges(s, t, sb, tb, length, traversals, leg)
+    return _Edges(s, t, sb, tb, length, traversals, leg, excess / way)
 
 
 def _fitting(
@@ -383,32 +395,19 @@ def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[F
 
 
 def _length_sigma(
-    edges: _Edges,
-    paths: tuple[FloatArray, ...],
-    xy: FloatArray,
-    *,
-    noise: RunNoise,
-    errors: VertexErrors,
-    settings: MapBuildingSettings,
+    edges: _Edges, xy: FloatArray, noise: RunNoise, errors: VertexErrors
 ) -> FloatArray:
     """(m,) 1 sigma [m] of the corridors' lengths.
 
     A path bent onto its two ends gets longer by their error along the chord times the share of the
     chord in it (the mean of its directions), to first order. The rest of a way that winds is
-    odometry's, and a line through a bend may lie farther in or out than the corridor's.
+    odometry's, and what robots wander in a corridor shows where they drive it again.
     """
     chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
     straight = np.minimum(chord / edges.length, 1.0)
     ends = errors.distance_sigma(xy, edges.source, edges.target)
-    odometry = noise.along_m_per_sqrt_m**2 * edges.length + (noise.scale * edges.length) ** 2
-    turns = np.array([_squared_turns(p) for p in paths])
-    line = settings.line_m**2 * turns
-    wound = ((1 - straight**2) * odometry + line) / np.maximum(edges.traversals, 1)
-    return np.asarray(np.sqrt((straight * ends) ** 2 + wound + 1e-6))
-
-
-def _squared_turns(path: FloatArray) -> float:
-    """Sum of the squared turns [rad²] of a polyline."""
-    step = np.diff(path, axis=0)
-    turn = wrap(np.diff(np.arctan2(step[:, 1], step[:, 0])))
-    return float(turn @ turn)
+    wound = 1 - straight**2
+    driven = (wound * noise.along_m_per_sqrt_m**2 + edges.wander) * edges.length
+    driven = driven / np.maximum(edges.traversals, 1)
+    common = wound * (noise.scale * edges.length) ** 2
+    return np.asarray(np.sqrt((straight * ends) ** 2 + driven + common + 1e-6))

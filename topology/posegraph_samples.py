@@ -57,7 +57,7 @@ class SampledMarginals:
             J_b = J_m @ graph.shared.sensitivity
             slope = (root.transpose(0, 2, 1) @ J_b).reshape(-1, len(graph.shared)).T @ z
             slope = slope + rng.standard_normal(slope.shape) / graph.shared.sigma[:, None]
-            b = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
+            b[:] = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
             x = x - factor.solved_border @ b
         error = np.zeros((*pattern.variable.shape, count))
         free = pattern.variable >= 0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..posegraph_samples import SampledMarginals
 from ..vertex_errors import VertexErrors
 from .layout import Layout
+from .rectilinear import OWN_SPREAD_RAD
 from .walk import Walk
 
 FloatArray = NDArray[np.float64]
@@ -32,4 +33,11 @@ def place_errors(walk: Walk, layout: Layout, kept: IntArray) -> VertexErrors:
     position = sampled.pose[node, :2]
     scale = walk.noise.scale * rng.standard_normal(SAMPLES)
     error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
-    return VertexErrors(error)
+    own = np.zeros(len(kept))
+    if len(layout.graph.priors):
+        # The grid tells a pass its turn by the mean of its branches, to how well these were read
+        # and how well corridors keep to the grid.
+        count = np.maximum(walk.passes.branches.counts, 1)
+        read = walk.noise.branch_rad**2 / np.mean(count)
+        own[:] = read / (read + OWN_SPREAD_RAD**2)
+    return VertexErrors(error, own)
