@@ -115,13 +115,16 @@ def build_map_with_errors(
     layout = set_apart(walk, place, layout)
     settled = settle(walk, odometry, place, layout, settings.driven_by)
     errors = place_errors(fair, told, settled.kept)
-    noise = refine_noise(
-        passes,
-        settled.place,
-        layout.pose[:, 2],
-        replace(fair.noise, branch_rad=quiet.noise.branch_rad),
-        drive_bys=int(np.sum(~settled.visits.seen)),
-        settings=settings.noise,
+    noise, fitted = (
+        refine_noise(
+            passes,
+            settled.place,
+            layout.pose[:, 2],
+            prior,
+            drive_bys=int(np.sum(~settled.visits.seen)),
+            settings=settings.noise,
+        )
+        for prior in (walk.noise, replace(fair.noise, branch_rad=quiet.noise.branch_rad))
     )
     topomap = build_topomap(
         run.name,
@@ -132,6 +135,7 @@ def build_map_with_errors(
         pass_vertex=settled.place,
         pass_turn=layout.pose[:, 2],
         noise=noise,
+        fitted_noise=fitted,
         errors=errors,
         closures=_closures(asked, revised, passes, settled.place),
         settings=settings.drawing,

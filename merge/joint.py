@@ -215,7 +215,7 @@ def _scales(pool: Pool, factors: _Factors, within: int, settings: JointSettings)
     sensitivity = np.zeros((len(factors.source), 3, count))
     run = pool.run[factors.source[:within]]
     sensitivity[np.arange(within), :2, run] = factors.measurement[:within, :2]
-    sigma = np.array([max(m.noise.scale, settings.min_scale) for m in pool.maps])
+    sigma = np.array([max(m.measured.scale, settings.min_scale) for m in pool.maps])
     return SharedErrors(sensitivity, sigma)
 
 
@@ -227,7 +227,7 @@ def _identity_factors(
     first = order[np.searchsorted(label[order], label[order])]
     source, target = first[first != order], order[first != order]
     heading, visits = branch_headings(pool), pass_counts(pool)
-    noise = [m.noise for m in pool.maps]
+    noise = [m.measured for m in pool.maps]
     centre = np.array([x.centre_m for x in noise])[pool.run] / np.sqrt(visits)
     spread = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
     turn, count = measured_turn(
@@ -263,7 +263,7 @@ def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Prio
     count = used.sum(axis=1)
     rows = np.flatnonzero(count)
     mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
-    spread = np.array([m.noise.branch_rad for m in pool.maps])[pool.run[rows]]
+    spread = np.array([m.measured.branch_rad for m in pool.maps])[pool.run[rows]]
     spread = spread / np.sqrt(count[rows] * visits[rows])
     own = grid_sigma(mean, spread, pool.run[rows], settings)
     if own > settings.grid_rad:

@@ -129,6 +129,7 @@ class MapGraph(Model):
     frame: str
     pieces: Annotated[int, Field(ge=1)] = 1
     noise: dict[str, Noise] = Field(default_factory=dict)
+    fitted_noise: dict[str, Noise] | None = None
     closures: list[ClosureRecord] = Field(default_factory=list)
 
 
@@ -185,6 +186,10 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
     graph |= {k: v for k, v in sorted(topomap.info.items()) if k not in graph}
     names = RunNoise.__dataclass_fields__
     graph["noise"] = {name: significant(getattr(topomap.noise, name)) for name in names}
+    if topomap.fitted_noise is not None:
+        graph["fitted_noise"] = {
+            name: significant(getattr(topomap.fitted_noise, name)) for name in names
+        }
     graph["closures"] = [_closure_to_document(c) for c in topomap.closures]
     return {
         "schema": MAP_SCHEMA,
@@ -265,7 +270,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     seen = sorted((o.time_ns, node.id) for node in d.nodes for o in node.observations)
     known = set(MapGraph.model_fields) - {"pieces"}
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
-    noise = {k: v for k, v in d.graph.noise.items() if k in RunNoise.__dataclass_fields__}
+    noise, fitted = _noise(d.graph.noise), d.graph.fitted_noise
     paths = tuple(np.array(e.path) for e in d.edges)
     lengths = [np.hypot(*np.diff(path, axis=0).T).sum() for path in paths]
     for k, length in enumerate(lengths):
@@ -296,7 +301,8 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             paths=paths,
             observation_vertex=np.array([v for _, v in seen], np.int64),
             observation_time_ns=np.array([t for t, _ in seen], np.int64),
-            noise=RunNoise(**noise),
+            noise=noise,
+            fitted_noise=None if fitted is None else _noise(fitted),
             position_sigma=_all_known([node.sigma_m for node in d.nodes]),
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
             closures=tuple(
@@ -315,6 +321,10 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         )
     except ValueError as error:
         raise DocumentError(f"{name}: {error}") from error
+
+
+def _noise(values: dict[str, float]) -> RunNoise:
+    return RunNoise(**{k: v for k, v in values.items() if k in RunNoise.__dataclass_fields__})
 
 
 def _all_known(values: Sequence[float | None]) -> NDArray[np.float64] | None:

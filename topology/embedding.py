@@ -162,7 +162,7 @@ def odometry_measurements(
     the world. What passes by one junction differ remains in every corridor. Into a corridor a
     robot turns by nothing or by a right angle, a quarter of π in the mean; each end has half.
     """
-    noise, length = topomap.noise, topomap.length
+    noise, length = topomap.measured, topomap.length
     times = np.maximum(topomap.traversals, 1)
     visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
     differ = (1 - 1 / visits[topomap.source]) + (1 - 1 / visits[topomap.target])

@@ -74,13 +74,15 @@ def build_topomap(
     pass_turn: FloatArray,
     noise: RunNoise,
     errors: VertexErrors,
+    fitted_noise: RunNoise | None = None,
     closures: tuple[Closure, ...] = (),
     settings: MapBuildingSettings = MapBuildingSettings(),
 ) -> TopoMap:
     """The map of a run whose passes have been identified.
 
     xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_turn: (p,)
-    turn from the odometry's frame to the map's at each pass; errors: of the n vertices.
+    turn from the odometry's frame to the map's at each pass; errors: of the n vertices; noise,
+    fitted_noise: as in TopoMap.
     """
     track = track_directions(odometry, visits.time_ns, visits.centre)
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
@@ -106,7 +108,8 @@ def build_topomap(
     piece = np.zeros(len(xy), np.int64)
     piece[visits.vertex] = visits.chain
     shape = errors.as_a_whole(xy, piece)
-    reading = noise.branch_rad / np.sqrt(votes[keep])
+    measured = fitted_noise or noise
+    reading = measured.branch_rad / np.sqrt(votes[keep])
     return TopoMap(
         run=run,
         frame=odometry.frame,
@@ -118,12 +121,13 @@ def build_topomap(
         source_branch=edges.source_branch,
         target_branch=edges.target_branch,
         length=edges.length,
-        length_sigma=_length_sigma(edges, xy, noise, errors),
+        length_sigma=_length_sigma(edges, xy, measured, errors),
         traversals=edges.traversals,
         paths=paths,
         observation_vertex=pass_vertex[seen],
         observation_time_ns=passes.time_ns[seen],
         noise=noise,
+        fitted_noise=fitted_noise,
         position_sigma=shape.position_sigma(),
         branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         closures=closures,

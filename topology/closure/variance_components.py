@@ -38,7 +38,7 @@ class ComponentSettings:
     """How far the estimates before closure hold."""
 
     prior_freedom: tuple[float, float, float, float, float] = (2.0, 2.0, 2.0, 4.0, 4.0)
-    """Degrees of freedom by which each was told before: its variance to √(2 / freedom) of itself."""
+    """Degrees of freedom that told each before: its variance to √(2 / freedom) of itself."""
     rounds: int = 3
     samples: int = 64
 
