@@ -9,21 +9,23 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.closure.certainty import laid_out_fairly, place_errors
+from ..topology.closure.certainty import place_errors
 from ..topology.closure.drivenby import DrivenBySettings, settle
 from ..topology.closure.gated import GatedSettings, Identification, gated_closure
 from ..topology.closure.layout import lay_out
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.rounds import RoundSettings, closure_without_grid, full_closure
+from ..topology.closure.variance_components import fitted_noise
 from ..topology.closure.walk import SystematicErrors, Walk, make_walk
 from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.topomap import Closure, TopoMap
+from ..topology.vertex_errors import VertexErrors
 from .bridging import bridged, jumps_told, split_told
 from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
-from .noise import NoiseSettings, estimate_noise, refine_noise
+from .noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
 from .passes import PassSettings, fuse_passes
 from .run import Run
 
@@ -62,6 +64,16 @@ def build_map(
     each other is for `merge.pieces` to find out. Raises DataError if the run has no junction pass,
     or its odometry does not move. `on_step` hears the name of each step before it begins.
     """
+    return build_map_with_errors(run, settings, on_step=on_step)[0]
+
+
+def build_map_with_errors(
+    run: Run,
+    settings: MappingSettings = MappingSettings(),
+    *,
+    on_step: Callable[[str], None] | None = None,
+) -> tuple[TopoMap, VertexErrors]:
+    """`build_map`, and how far off its vertices may be, together: what its sigmas come from."""
     step = on_step or (lambda name: None)
     step("calibration")
     calibration = calibrate(run.odometry, run.detections, settings.calibration, settings.passes)
@@ -97,16 +109,22 @@ def build_map(
     else:
         layout = lay_out(walk, place)
     step("map")
-    fair, layout = laid_out_fairly(quiet, place, layout, grid)
+    fair, told = fitted_noise(quiet, odometry, place, layout, grid=grid)
+    scale = refine_scale(odometry, run.detections, passes, fair.noise, settings.noise)
+    fair = replace(fair, noise=replace(fair.noise, scale=scale))
     layout = set_apart(walk, place, layout)
     settled = settle(walk, odometry, place, layout, settings.driven_by)
-    noise = refine_noise(
-        passes,
-        settled.place,
-        layout.pose[:, 2],
-        walk.noise,
-        drive_bys=int(np.sum(~settled.visits.seen)),
-        settings=settings.noise,
+    errors = place_errors(fair, told, settled.kept)
+    noise, fitted = (
+        refine_noise(
+            passes,
+            settled.place,
+            layout.pose[:, 2],
+            prior,
+            drive_bys=int(np.sum(~settled.visits.seen)),
+            settings=settings.noise,
+        )
+        for prior in (walk.noise, replace(fair.noise, branch_rad=quiet.noise.branch_rad))
     )
     topomap = build_topomap(
         run.name,
@@ -117,11 +135,12 @@ def build_map(
         pass_vertex=settled.place,
         pass_turn=layout.pose[:, 2],
         noise=noise,
-        errors=place_errors(fair, layout, settled.kept),
+        fitted_noise=fitted,
+        errors=errors,
         closures=_closures(asked, revised, passes, settled.place),
         settings=settings.drawing,
     )
-    return replace(topomap, info=_info(run, settings, calibration, walk, odometry))
+    return replace(topomap, info=_info(run, settings, calibration, walk, odometry)), errors
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:

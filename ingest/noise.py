@@ -44,7 +44,7 @@ class NoiseSettings:
     prior_passes: float = 15.0
     """Worth of the prior of a fault rate, in passes."""
     scale_prior: float = 0.01
-    """1 sigma of the relative error of lengths in general."""
+    """1 sigma of the relative error of lengths in general, before closure tells of the odometry."""
     match_rad: float = 0.35
     """Readings farther than this from a branch are of another."""
     least_messages: int = 6
@@ -208,6 +208,26 @@ def _stated(before: RunNoise, **measured: float) -> RunNoise:
     """The noise with what was measured, in the digits of documents: all that follows from it is
     the same on every processor, though the searches above multiply the error of sums."""
     return replace(before, **{name: significant(value) for name, value in measured.items()})
+
+
+def refine_scale(
+    odometry: Odometry,
+    detections: Detections,
+    passes: Passes,
+    noise: RunNoise,
+    settings: NoiseSettings = NoiseSettings(),
+) -> float:
+    """1 sigma of the relative error of lengths, after loop closure told how the heading drifts.
+
+    No loop tells of it: all close whatever the scale. What passes tell is held by the prior's
+    scale, taken to be as much better or worse as the odometry's heading is than the prior's.
+    """
+    prior = settings.prior
+    good = noise.heading_rad_per_sqrt_m / prior.heading_rad_per_sqrt_m
+    thirds = _Thirds.of(odometry, detections, passes, settings)
+    if thirds is None:
+        return good * prior.scale
+    return _along(thirds, replace(settings, scale_prior=good * prior.scale))[1]
 
 
 def _rate(events: float, trials: float, prior: float, worth: float) -> float:

@@ -88,7 +88,8 @@ class RunnerUp(Model):
 
 
 class Placed(Model):
-    """1 sigma of how two runs lie that only others place in one component."""
+    """1 sigma of how two runs of one component lie to each other: of where the middle of one's map
+    is, seen from the other's, and of the turn between them."""
 
     sigma_m: Finite
     sigma_rad: Finite
@@ -137,6 +138,7 @@ class MergeEntry(Model):
     matched: list[tuple[Index, Index]] | None = None
     runner_up: RunnerUp | None = None
     placed: Placed | None = None
+    transform_sigma: Placed | None = None
 
 
 class MergedDocument(Model):
@@ -170,6 +172,10 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
     }
 
 
+def _sigmas(placed: tuple[float, float]) -> dict[str, float]:
+    return {"sigma_m": significant(placed[0]), "sigma_rad": significant(placed[1])}
+
+
 def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "a": pair.a,
@@ -188,8 +194,9 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
     if pair.through:
         entry["through"] = list(pair.through)
     if pair.placed is not None:
-        sigma_m, sigma_rad = (significant(sigma) for sigma in pair.placed)
-        entry["placed"] = {"sigma_m": sigma_m, "sigma_rad": sigma_rad}
+        entry["placed"] = _sigmas(pair.placed)
+    if pair.transform_sigma is not None:
+        entry["transform_sigma"] = _sigmas(pair.transform_sigma)
     if pair.locked is not None:
         entry["locked"] = pair.locked
     if pair.verdict is Verdict.UNRELATED:

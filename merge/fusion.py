@@ -81,8 +81,7 @@ def fuse(
     over all vertices of a component; vertices are fused from matched pairs, transitively, and
     where they coincide afterwards. Components, vertices and edges are numbered by run name and
     vertex: independent of the order of the input. A run that nothing matched is a component of
-    its own, its map unchanged. how_sure: with the `spread` of components in which some pair of
-    runs was not accepted by itself.
+    its own, its map unchanged. how_sure: with the `spread` of every component.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -94,18 +93,17 @@ def fuse(
         Component(
             id=k,
             poses={run: f.poses[run] for run in sorted(f.poses)},
-            spread=_spread(f, accepted) if how_sure else None,
+            spread=_spread(f) if how_sure else None,
         )
         for k, f in enumerate(fused)
     )
     return components, _assemble(fused)
 
 
-def _spread(fused: _Fused, accepted: Sequence[PairVerdict]) -> Spread | None:
-    """How surely a component's runs are placed, where not every pair has an alignment."""
-    runs, joint = fused.pool.first, fused.joint
-    alone = sum(v.a in runs and v.b in runs for v in accepted)
-    if alone == len(runs) * (len(runs) - 1) // 2 or joint.graph is None or joint.solution is None:
+def _spread(fused: _Fused) -> Spread | None:
+    """How surely a component's runs are placed; None where it is one run."""
+    joint = fused.joint
+    if joint.graph is None or joint.solution is None:
         return None
     return spread(fused.pool, joint.graph, joint.solution)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..topology.embedding import corridor_measurements
+from ..topology.embedding import odometry_measurements
 from ..topology.posegraph import (
     PoseGraph,
     Priors,
@@ -39,7 +39,7 @@ IntArray = NDArray[np.int64]
 class JointSettings:
     """Sigmas that maps do not state, and how much a false match may pull."""
 
-    min_position_m: float = 0.03
+    min_position_m: float = 0.01
     """No two visits agree better than this on where a junction's centre is, 1 sigma."""
     min_heading_rad: float = 0.01
     """Nor on the direction of its branches."""
@@ -57,10 +57,11 @@ class JointSettings:
     kernel_sigmas: float = 3.0
     """Identities count by a Cauchy kernel of this width: a false one gives way."""
     grid_rad: float = 0.035
-    """Where every map lies on one grid, corridors keep to it within this, 1 sigma …"""
-    grid_junctions: float = 20.0
-    """… as far as so many junctions say; the maps' own junctions tell the rest …"""
-    min_grid_rad: float = 0.01
+    """Where every map lies on one grid, corridors keep to it within this, 1 sigma: what strays
+    farther is none. As far as …"""
+    grid_junctions: float = 5.0
+    """… so many junctions say; the maps' own junctions tell the rest …"""
+    min_grid_rad: float = 0.005
     """… down to this."""
     grid_gate_rad: float = 0.26
     """Maps whose grids differ by more than this, as first laid out, do not share one."""
@@ -183,8 +184,7 @@ def _concatenated(parts: Sequence[_Factors]) -> _Factors:
 
 def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
     """The corridors of one map as relative measurements, from row `first` of the pool on."""
-    step = topomap.xy[topomap.target] - topomap.xy[topomap.source]
-    given = corridor_measurements(topomap, step)
+    given = odometry_measurements(topomap)
     roads = _Factors(
         given.source + first, given.target + first, given.measurement, given.information
     )
@@ -215,7 +215,7 @@ def _scales(pool: Pool, factors: _Factors, within: int, settings: JointSettings)
     sensitivity = np.zeros((len(factors.source), 3, count))
     run = pool.run[factors.source[:within]]
     sensitivity[np.arange(within), :2, run] = factors.measurement[:within, :2]
-    sigma = np.array([max(m.noise.scale, settings.min_scale) for m in pool.maps])
+    sigma = np.array([max(m.measured.scale, settings.min_scale) for m in pool.maps])
     return SharedErrors(sensitivity, sigma)
 
 
@@ -227,7 +227,7 @@ def _identity_factors(
     first = order[np.searchsorted(label[order], label[order])]
     source, target = first[first != order], order[first != order]
     heading, visits = branch_headings(pool), pass_counts(pool)
-    noise = [m.noise for m in pool.maps]
+    noise = [m.measured for m in pool.maps]
     centre = np.array([x.centre_m for x in noise])[pool.run] / np.sqrt(visits)
     spread = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
     turn, count = measured_turn(
@@ -263,9 +263,12 @@ def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Prio
     count = used.sum(axis=1)
     rows = np.flatnonzero(count)
     mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
-    spread = np.array([m.noise.branch_rad for m in pool.maps])[pool.run[rows]]
+    spread = np.array([m.measured.branch_rad for m in pool.maps])[pool.run[rows]]
     spread = spread / np.sqrt(count[rows] * visits[rows])
-    sigma = np.hypot(spread, grid_sigma(mean, spread, pool.run[rows], settings))
+    own = grid_sigma(mean, spread, pool.run[rows], settings)
+    if own > settings.grid_rad:
+        return Priors.empty()  # square at every crossing, and bent as a whole
+    sigma = np.hypot(spread, own)
     kernel = np.full(len(rows), settings.kernel_sigmas)
     return Priors.headings(rows, np.asarray(wrap(guess[rows, 2] - mean)), sigma, kernel)
 

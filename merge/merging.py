@@ -17,7 +17,7 @@ from .fusion import DEFAULT_FUSION, FusionSettings, fuse
 from .layers import layers_to_document
 from .locks import Lock
 from .paper import DEFAULT_PAPER, PaperSettings
-from .result import Component, MergeResult, PairVerdict
+from .result import Component, MergeResult, PairVerdict, Spread
 from .robust import DEFAULT_ROBUST, RobustSettings
 from .spread import VAGUE_M, VAGUE_RAD
 from .through import joined_through
@@ -69,27 +69,37 @@ def merge_maps(
     return MergeResult(components, fused, told, info=_info(settings, components, told))
 
 
+def _apart(spread: Spread, pair: PairVerdict) -> tuple[float, float]:
+    """1 sigma [m, rad] of how a pair lies to each other; of the two ways to see it the worse."""
+    (off_m, off_rad), (back_m, _) = (
+        spread.between(a, b) for a, b in ((pair.a, pair.b), (pair.b, pair.a))
+    )
+    return max(off_m, back_m), off_rad
+
+
 def _placed(
     verdicts: tuple[PairVerdict, ...], components: Sequence[Component]
 ) -> tuple[PairVerdict, ...]:
-    """The verdicts; those on runs that only others place in one component say through which, and
-    how surely."""
+    """The verdicts; pairs of one component say how surely they lie to each other, and those that
+    only others place through which."""
     home = {run: c for c in components for run in c.poses}
     chains = joined_through(verdicts)
     out = []
     for v in verdicts:
+        spread = home[v.a].spread if home[v.a] is home[v.b] else None
+        if v.accepted and spread is not None:
+            out.append(replace(v, transform_sigma=_apart(spread, v)))
+            continue
         if (v.a, v.b) not in chains or home[v.a] is not home[v.b]:
             out.append(v)
             continue
         through = chains[v.a, v.b]
         told, placed = f"joined through {_listed(through)}", None
-        spread = home[v.a].spread
         if spread is not None:
-            (off_m, off_rad), (back_m, _) = spread.between(v.a, v.b), spread.between(v.b, v.a)
-            placed = (max(off_m, back_m), off_rad)
-            vague = placed[0] > VAGUE_M or off_rad > VAGUE_RAD
+            placed = _apart(spread, v)
+            vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
             told = (
-                f"{told}, placed to {placed[0]:.1f} m and {np.degrees(off_rad):.1f}° (1 sigma)"
+                f"{told}, placed to {placed[0]:.1f} m and {np.degrees(placed[1]):.1f}° (1 sigma)"
                 f"{', too vaguely to count on it' if vague else ''}"
             )
         reason = f"{told}{ALONE}{v.reason}"

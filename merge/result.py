@@ -81,7 +81,8 @@ class PairVerdict:
     two runs that only others place in one component, the runs of the shortest chain of accepted
     pairs from a to b, without these two; placed: 1 sigma [m] of where the middle of one's map then
     lies, seen from the other's (the worse of the two ways), and [rad] of the turn between them.
-    together: the runs of the two components whose evidence joined the pair.
+    together: the runs of the two components whose evidence joined the pair. transform_sigma: the
+    same as `placed` of an accepted pair, as all maps of its component place it together.
     extra: JSON values that a method adds to its entry.
     """
 
@@ -101,6 +102,7 @@ class PairVerdict:
     through: tuple[str, ...] = ()
     placed: tuple[float, float] | None = None
     together: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+    transform_sigma: tuple[float, float] | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

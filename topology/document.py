@@ -12,14 +12,14 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import from_json
 
 from .digits import BITS, BRANCH, METRES, rounded, significant
@@ -82,6 +82,14 @@ class MapNode(Model):
     kind: str
     branches: list[Finite] = Field(max_length=MOST_BRANCHES)
     observations: list[Observation]
+    sigma_m: Noise | None = None
+    branch_sigmas: list[Noise] | None = None
+
+    @model_validator(mode="after")
+    def _one_sigma_per_branch(self) -> MapNode:
+        if self.branch_sigmas is not None and len(self.branch_sigmas) != len(self.branches):
+            raise ValueError("branch_sigmas must be as many as branches")
+        return self
 
 
 class MapEdge(Model):
@@ -121,6 +129,7 @@ class MapGraph(Model):
     frame: str
     pieces: Annotated[int, Field(ge=1)] = 1
     noise: dict[str, Noise] = Field(default_factory=dict)
+    fitted_noise: dict[str, Noise] | None = None
     closures: list[ClosureRecord] = Field(default_factory=list)
 
 
@@ -177,6 +186,10 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
     graph |= {k: v for k, v in sorted(topomap.info.items()) if k not in graph}
     names = RunNoise.__dataclass_fields__
     graph["noise"] = {name: significant(getattr(topomap.noise, name)) for name in names}
+    if topomap.fitted_noise is not None:
+        graph["fitted_noise"] = {
+            name: significant(getattr(topomap.fitted_noise, name)) for name in names
+        }
     graph["closures"] = [_closure_to_document(c) for c in topomap.closures]
     return {
         "schema": MAP_SCHEMA,
@@ -191,6 +204,7 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
                 "kind": topomap.kind[i],
                 "branches": rounded(topomap.branches[i], BRANCH),
                 "observations": observations[i],
+                **_node_sigmas(topomap, i),
             }
             for i in range(len(topomap))
         ],
@@ -209,6 +223,16 @@ def _closure_to_document(closure: Closure) -> dict[str, Any]:
         "revised": closure.revised or None,
     }
     return {name: value for name, value in record.items() if value is not None}
+
+
+def _node_sigmas(topomap: TopoMap, vertex: int) -> dict[str, Any]:
+    """What is known of the errors of a vertex; nothing for maps that were not made from a run."""
+    out: dict[str, Any] = {}
+    if topomap.position_sigma is not None:
+        out["sigma_m"] = significant(float(topomap.position_sigma[vertex]))
+    if topomap.branch_sigma is not None:
+        out["branch_sigmas"] = [significant(s) for s in topomap.branch_sigma[vertex].tolist()]
+    return out
 
 
 def edges_to_document(graph: Any) -> list[dict[str, Any]]:
@@ -246,7 +270,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     seen = sorted((o.time_ns, node.id) for node in d.nodes for o in node.observations)
     known = set(MapGraph.model_fields) - {"pieces"}
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
-    noise = {k: v for k, v in d.graph.noise.items() if k in RunNoise.__dataclass_fields__}
+    noise, fitted = _noise(d.graph.noise), d.graph.fitted_noise
     paths = tuple(np.array(e.path) for e in d.edges)
     lengths = [np.hypot(*np.diff(path, axis=0).T).sum() for path in paths]
     for k, length in enumerate(lengths):
@@ -277,7 +301,10 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             paths=paths,
             observation_vertex=np.array([v for _, v in seen], np.int64),
             observation_time_ns=np.array([t for t, _ in seen], np.int64),
-            noise=RunNoise(**noise),
+            noise=noise,
+            fitted_noise=None if fitted is None else _noise(fitted),
+            position_sigma=_all_known([node.sigma_m for node in d.nodes]),
+            branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
             closures=tuple(
                 Closure(
                     *c.time_ns,
@@ -294,6 +321,20 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         )
     except ValueError as error:
         raise DocumentError(f"{name}: {error}") from error
+
+
+def _noise(values: dict[str, float]) -> RunNoise:
+    return RunNoise(**{k: v for k, v in values.items() if k in RunNoise.__dataclass_fields__})
+
+
+def _all_known(values: Sequence[float | None]) -> NDArray[np.float64] | None:
+    known = [v for v in values if v is not None]
+    return np.array(known) if known and len(known) == len(values) else None
+
+
+def _rows_known(rows: Sequence[list[float] | None]) -> Ragged | None:
+    known = [row for row in rows if row is not None]
+    return Ragged.from_rows(known) if known and len(known) == len(rows) else None
 
 
 M = TypeVar("M", bound=BaseModel)

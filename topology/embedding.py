@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from .passes import NO_BRANCH
 from .posegraph import PoseGraph, solve
-from .se2 import rotation
+from .se2 import rotation, turned_axes
 from .structure import grid_direction
 from .topomap import TopoMap
 
@@ -34,6 +34,8 @@ class EmbeddingSettings:
     two visits agree on the centre of a junction."""
     min_turn_rad: float = 1e-3
     """No corridor keeps its heading better than this, 1 sigma."""
+    min_step_m: float = 0.005
+    """Nor its length: what a document rounds and an odometry does not say."""
 
 
 DEFAULT_EMBEDDING = EmbeddingSettings()
@@ -134,29 +136,63 @@ def corridor_measurements(
     step: FloatArray | None = None,
     settings: EmbeddingSettings = DEFAULT_EMBEDDING,
 ) -> Measurements:
-    """Relative poses along the corridors of a map, with the noise of its odometry.
+    """Relative poses along the corridors of a map, with the errors of their lengths.
 
     step: (m, 2) displacement of every edge from source to target in the map's directions; by
     default of its path, drawn to its length. A heading that walks at random along a corridor turns
     its far end by sigma and its chord by sigma / sqrt(3).
     """
-    given = _path_steps(topomap) if step is None else step
-    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
-    along_step = given[keep]
-    noise, length = topomap.noise, topomap.length[keep]
-    times = np.sqrt(np.maximum(topomap.traversals[keep], 1))
+    noise, length = topomap.noise, topomap.length
+    times = np.sqrt(np.maximum(topomap.traversals, 1))
     turn = np.maximum(noise.heading_rad_per_sqrt_m * np.sqrt(length) / times, settings.min_turn_rad)
-    across = np.hypot(turn * length / np.sqrt(3.0), settings.across_m) ** -2.0
-    along = np.hypot(topomap.length_sigma[keep], settings.across_m) ** -2.0
-    bearing = np.arctan2(along_step[:, 1], along_step[:, 0])
-    c, s = np.cos(bearing), np.sin(bearing)
-    information = np.zeros((len(keep), 3, 3))
-    information[:, 0, 0] = c * c * along + s * s * across
-    information[:, 1, 1] = s * s * along + c * c * across
-    information[:, 0, 1] = information[:, 1, 0] = c * s * (along - across)
-    information[:, 2, 2] = turn**-2.0
+    variance = np.zeros((len(length), 3, 3))
+    variance[:, 0, 0] = topomap.length_sigma**2 + settings.across_m**2
+    variance[:, 1, 1] = (turn * length) ** 2 / 3 + settings.across_m**2
+    variance[:, 2, 2] = turn**2
+    return _measurements(topomap, _path_steps(topomap) if step is None else step, variance)
+
+
+def odometry_measurements(
+    topomap: TopoMap, settings: EmbeddingSettings = DEFAULT_EMBEDDING
+) -> Measurements:
+    """Relative poses along the corridors of a map, with the errors of the odometry between them.
+
+    For a pose graph over vertices whose centres are as this map saw them: where the detections
+    err, all corridors of a junction err together, and that is said where the junction is tied to
+    the world. What passes by one junction differ remains in every corridor. Into a corridor a
+    robot turns by nothing or by a right angle, a quarter of π in the mean; each end has half.
+    """
+    noise, length = topomap.measured, topomap.length
+    times = np.maximum(topomap.traversals, 1)
+    visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
+    differ = (1 - 1 / visits[topomap.source]) + (1 - 1 / visits[topomap.target])
+    centre = noise.centre_m**2 * differ / times + settings.min_step_m**2
+    walk = noise.heading_rad_per_sqrt_m**2 * length / times
+    swing = noise.heading_rad_per_sqrt_rad**2 * np.pi / 8 / times
+    cov = np.zeros((len(length), 3, 3))
+    cov[:, 0, 0] = noise.along_m_per_sqrt_m**2 * length / times + centre
+    # A heading that walks at random turns the chord by half as much as the far end; what it errs
+    # in the junction at the near end, it turns all of the corridor by.
+    cov[:, 1, 1] = (walk / 3 + swing) * length**2 + centre
+    cov[:, 1, 2] = cov[:, 2, 1] = (walk / 2 + swing) * length
+    cov[:, 2, 2] = walk + 2 * swing + settings.min_turn_rad**2
+    step = topomap.xy[topomap.target] - topomap.xy[topomap.source]
+    return _measurements(topomap, step, cov)
+
+
+def _measurements(topomap: TopoMap, step: FloatArray, covariance: FloatArray) -> Measurements:
+    """step: (m, 2); covariance: (m, 3, 3) along the step, across it [m] and of the turn [rad]."""
+    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
+    along_step = step[keep]
+    axes = turned_axes(np.arctan2(along_step[:, 1], along_step[:, 0]))
+    information = axes @ np.linalg.inv(covariance[keep]) @ axes.transpose(0, 2, 1)
     measured = np.column_stack([along_step, np.zeros(len(keep))])
-    return Measurements(topomap.source[keep], topomap.target[keep], measured, information)
+    return Measurements(
+        topomap.source[keep],
+        topomap.target[keep],
+        measured,
+        0.5 * (information + information.transpose(0, 2, 1)),
+    )
 
 
 def _path_steps(topomap: TopoMap) -> FloatArray:

@@ -14,8 +14,9 @@ from .polyline import join_centres, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
-from .track import track_directions, way_along, way_at
+from .track import track_directions, way_at
 from .vertex_errors import VertexErrors
+from .visits import Visits, draw_track
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -42,25 +43,8 @@ class MapBuildingSettings:
     """A turn within this to either side is a corner of the corridor, cut by the robot …"""
     corner_rad: float = 0.5
     """… if it turns by this; gentler ones are bends, driven as they are."""
-    line_m: float = 0.05
-    """How far a robot's line through a bend is from the corridor's, 1 sigma."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Visits:
-    """When the robot was at which vertex, by time: passes, and drives by that went undetected.
-
-    time_ns, vertex: (v,); seen: (v,) whether a pass tells it; pose: (v, 3) corrected: position in
-    the map and turn from the odometry's frame to the map's; centre: (v, 2) the vertex in the
-    odometry frame at that time; chain: (v,) unbroken piece of odometry.
-    """
-
-    time_ns: IntArray
-    vertex: IntArray
-    seen: NDArray[np.bool_]
-    pose: FloatArray
-    centre: FloatArray
-    chain: IntArray
+    repeated_m: float = 50.0
+    """Way driven again without wandering at all that a run is taken to have shown beforehand."""
 
 
 def build_topomap(
@@ -74,17 +58,19 @@ def build_topomap(
     pass_turn: FloatArray,
     noise: RunNoise,
     errors: VertexErrors,
+    fitted_noise: RunNoise | None = None,
     closures: tuple[Closure, ...] = (),
     settings: MapBuildingSettings = MapBuildingSettings(),
 ) -> TopoMap:
     """The map of a run whose passes have been identified.
 
     xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_turn: (p,)
-    turn from the odometry's frame to the map's at each pass; errors: of the n vertices.
+    turn from the odometry's frame to the map's at each pass; errors: of the n vertices; noise,
+    fitted_noise: as in TopoMap.
     """
     track = track_directions(odometry, visits.time_ns, visits.centre)
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
-    slots, keep = _slots(
+    slots, votes, keep = _slots(
         passes,
         settings,
         pass_vertex=pass_vertex,
@@ -100,9 +86,14 @@ def build_topomap(
     exit_ = _driven(branches, visits.vertex, leaving, settings)
     entry = _driven(branches, visits.vertex, arriving, settings)
     legs = _legs(odometry, visits, exit_, entry, xy=xy, settings=settings)
-    edges = _edges(legs)
+    edges = _edges(legs, settings)
     paths = _paths(legs, edges, settings)
     seen = np.flatnonzero(pass_vertex >= 0)
+    piece = np.zeros(len(xy), np.int64)
+    piece[visits.vertex] = visits.chain
+    shape = errors.as_a_whole(xy, piece)
+    measured = fitted_noise or noise
+    reading = measured.branch_rad / np.sqrt(votes[keep])
     return TopoMap(
         run=run,
         frame=odometry.frame,
@@ -114,12 +105,15 @@ def build_topomap(
         source_branch=edges.source_branch,
         target_branch=edges.target_branch,
         length=edges.length,
-        length_sigma=_length_sigma(edges, paths, xy, noise=noise, errors=errors, settings=settings),
+        length_sigma=_length_sigma(edges, xy, measured, errors),
         traversals=edges.traversals,
         paths=paths,
         observation_vertex=pass_vertex[seen],
         observation_time_ns=passes.time_ns[seen],
         noise=noise,
+        fitted_noise=fitted_noise,
+        position_sigma=shape.position_sigma(),
+        branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         closures=closures,
     )
 
@@ -133,8 +127,9 @@ def _slots(
     visit_vertex: IntArray,
     arriving: FloatArray,
     leaving: FloatArray,
-) -> tuple[AngleClusters, NDArray[np.bool_]]:
-    """Branches of every vertex, and which of them stay: driven, or seen by enough passes."""
+) -> tuple[AngleClusters, IntArray, NDArray[np.bool_]]:
+    """Branches of every vertex, by how many passes each was seen, and which of them stay: driven,
+    or seen by enough passes."""
     owner = passes.branches.owner
     known = pass_vertex[owner] >= 0
     angle = (passes.branches.values + pass_turn[owner])[known]
@@ -155,7 +150,7 @@ def _slots(
     best = np.lexsort((-share, slots.owner))[rows.offsets[:-1]]
     keep = driven | (share >= settings.least_share)
     keep[best] = True
-    return slots, keep
+    return slots, votes, keep
 
 
 def _driven(
@@ -258,9 +253,11 @@ class _Edges:
     traversals: IntArray
     leg: IntArray
     """The leg whose track is drawn: the one of median length."""
+    wander: float
+    """Variance, per metre, of the ways driven through one corridor."""
 
 
-def _edges(legs: _Legs) -> _Edges:
+def _edges(legs: _Legs, settings: MapBuildingSettings) -> _Edges:
     """Legs between the same branches of the same vertices are one corridor.
 
     A leg with an unknown branch joins the corridor between its vertices that fits its length.
@@ -293,16 +290,19 @@ def _edges(legs: _Legs) -> _Edges:
     keys = sorted(groups)
     table = np.array(keys, np.int64).reshape(-1, 4)
     length, leg = np.zeros(len(keys)), np.zeros(len(keys), np.int64)
+    excess, way = 0.0, settings.repeated_m
     for e, key in enumerate(keys):
         member = np.array(groups[key])
         ordered = member[np.argsort(legs.length[member], kind="stable")]
         leg[e] = ordered[len(ordered) // 2]
         middle = legs.length[leg[e]]
         sound = member[np.abs(legs.length[member] - middle) < 1.0]
-        length[e] = legs.length[sound].mean()
+        length[e] = legs.length[sound].min()  # who wanders drives farther, nobody less far
+        excess += float(np.var(legs.length[sound]) * len(sound))
+        way += float(length[e] * (len(sound) - 1))
     traversals = np.array([len(groups[key]) for key in keys], np.int64)
     s, t, sb, tb = table.T
-    return _Edges(s, t, sb, tb, length, traversals, leg)
+    return _Edges(s, t, sb, tb, length, traversals, leg, excess / way)
 
 
 def _fitting(
@@ -323,56 +323,6 @@ def _fitting(
     return best
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnTrack:
-    """Pieces of the track between visits, bent to meet the vertices at their ends.
-
-    owner: (k,) number of the piece each point belongs to; offsets: (m + 1,) rows of each piece;
-    way: (k,) way driven [m]; share: (k,) 0 at the piece's first visit, 1 at its last; odom, xy:
-    (k, 2) in the odometry's frame and in the map's; turn: (k,) between the two.
-    """
-
-    owner: IntArray
-    offsets: IntArray
-    way: FloatArray
-    share: FloatArray
-    odom: FloatArray
-    xy: FloatArray
-    turn: FloatArray
-
-
-def draw_track(
-    odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArray, step_m: float
-) -> DrawnTrack:
-    """The track from visit `first[k]` to the next one, for all k at once.
-
-    All pieces are sampled in one flat row. Each point is placed as seen from either visit, and
-    between the two views by the way driven; what is left at the ends is spread likewise.
-    """
-    way = way_along(odometry)
-    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
-    at = way_at(odometry, visits.time_ns)
-    length = at[first + 1] - at[first]
-    points = np.maximum(np.ceil(length / step_m), 2).astype(np.int64) + 1
-    owner = np.repeat(np.arange(len(first)), points)
-    offsets = np.concatenate([[0], np.cumsum(points)]).astype(np.int64)
-    share = (np.arange(len(owner)) - offsets[owner]) / (points[owner] - 1)
-    s = at[first][owner] + share * length[owner]
-    odom = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
-
-    def seen_from(visit: IntArray) -> FloatArray:
-        turn, d = visits.pose[visit, 2][owner], odom - visits.centre[visit][owner]
-        c, sn = np.cos(turn), np.sin(turn)
-        turned = np.column_stack([c * d[:, 0] - sn * d[:, 1], sn * d[:, 0] + c * d[:, 1]])
-        return np.asarray(xy[visits.vertex[visit]][owner] + turned)
-
-    w = share[:, None]
-    drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)
-    turn = visits.pose[first, 2][owner]
-    turn = turn + share * wrap(visits.pose[first + 1, 2][owner] - turn)
-    return DrawnTrack(owner, offsets, s, share, odom, drawn, np.asarray(wrap(turn)))
-
-
 def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[FloatArray, ...]:
     """The way of every edge, in the map frame, from vertex to vertex, thinned."""
     chosen = ((legs.path[k], bool(legs.turned[k])) for k in edges.leg.tolist())
@@ -383,32 +333,19 @@ def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[F
 
 
 def _length_sigma(
-    edges: _Edges,
-    paths: tuple[FloatArray, ...],
-    xy: FloatArray,
-    *,
-    noise: RunNoise,
-    errors: VertexErrors,
-    settings: MapBuildingSettings,
+    edges: _Edges, xy: FloatArray, noise: RunNoise, errors: VertexErrors
 ) -> FloatArray:
     """(m,) 1 sigma [m] of the corridors' lengths.
 
     A path bent onto its two ends gets longer by their error along the chord times the share of the
     chord in it (the mean of its directions), to first order. The rest of a way that winds is
-    odometry's, and a line through a bend may lie farther in or out than the corridor's.
+    odometry's, and what robots wander in a corridor shows where they drive it again.
     """
     chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
     straight = np.minimum(chord / edges.length, 1.0)
     ends = errors.distance_sigma(xy, edges.source, edges.target)
-    odometry = noise.along_m_per_sqrt_m**2 * edges.length + (noise.scale * edges.length) ** 2
-    turns = np.array([_squared_turns(p) for p in paths])
-    line = settings.line_m**2 * turns
-    wound = ((1 - straight**2) * odometry + line) / np.maximum(edges.traversals, 1)
-    return np.asarray(np.sqrt((straight * ends) ** 2 + wound + 1e-6))
-
-
-def _squared_turns(path: FloatArray) -> float:
-    """Sum of the squared turns [rad²] of a polyline."""
-    step = np.diff(path, axis=0)
-    turn = wrap(np.diff(np.arctan2(step[:, 1], step[:, 0])))
-    return float(turn @ turn)
+    wound = 1 - straight**2
+    driven = (wound * noise.along_m_per_sqrt_m**2 + edges.wander) * edges.length
+    driven = driven / np.maximum(edges.traversals, 1)
+    common = wound * (noise.scale * edges.length) ** 2
+    return np.asarray(np.sqrt((straight * ends) ** 2 + driven + common + 1e-6))

@@ -22,10 +22,13 @@ from .se2 import FloatArray, turned_axes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledMarginals:
-    """pose: (n, 3) of the solution; error: (n, 3, count) samples of how far off it may be."""
+    """pose: (n, 3) of the solution; error: (n, 3, count) samples of how far off it may be; shared:
+    (k, count) likewise of the shared errors; edge: (m, 3, count) likewise of the edges' errors."""
 
     pose: FloatArray
     error: FloatArray
+    shared: FloatArray
+    edge: FloatArray
 
     @classmethod
     def of(cls, graph: PoseGraph, solution: Point, count: int = 64) -> SampledMarginals:
@@ -49,16 +52,20 @@ class SampledMarginals:
             (3 * len(known), count)
         )
         x = factor.solve(np.asarray(right))
+        b = np.zeros((len(graph.shared), count))
         if len(graph.shared):
             J_b = J_m @ graph.shared.sensitivity
             slope = (root.transpose(0, 2, 1) @ J_b).reshape(-1, len(graph.shared)).T @ z
             slope = slope + rng.standard_normal(slope.shape) / graph.shared.sigma[:, None]
-            b = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
+            b[:] = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
             x = x - factor.solved_border @ b
         error = np.zeros((*pattern.variable.shape, count))
         free = pattern.variable >= 0
         error[free] = x[pattern.variable[free]]
-        return cls(np.asarray(solution.pose), error)
+        edge = J_i @ error[graph.source] + J_j @ error[graph.target]
+        if len(graph.shared):
+            edge = edge + (J_m @ graph.shared.sensitivity) @ b
+        return cls(np.asarray(solution.pose), error, b, edge)
 
     def relative(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
         """(k, 3, 3) covariance of T_a_b, as `Marginals.relative`, to √(2 / count)."""

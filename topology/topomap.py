@@ -68,6 +68,10 @@ class TopoMap:
     corridor [m]; length_sigma: (m,) 1 sigma [m]; traversals: (m,) times driven.
     paths: m polylines (k, 2) [m] in the map frame from source to target, k >= 2.
     observation_vertex, observation_time_ns: (k,) one row per pass, by time.
+    noise: what loop closure and matching allow for, with their caution; fitted_noise: what the
+    closed run itself shows, None where that is not known.
+    position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, and branch_sigma: n rows, of
+    each branch heading [rad], with the map as a whole laid over the truth; None where not known.
     Raises ValueError where shapes, indices or values do not fit.
     """
 
@@ -88,6 +92,9 @@ class TopoMap:
     observation_time_ns: NDArray[np.int64]
     noise: RunNoise = field(default_factory=RunNoise)
     closures: tuple[Closure, ...] = ()
+    fitted_noise: RunNoise | None = None
+    position_sigma: NDArray[np.float64] | None = None
+    branch_sigma: Ragged | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     """What else the document's `graph` holds: source, settings, warnings. JSON values only."""
 
@@ -123,12 +130,24 @@ class TopoMap:
         seen = self.observation_vertex
         if np.any(seen < 0) or np.any(seen >= n):
             raise ValueError("an observation names a vertex that does not exist")
+        if self.position_sigma is not None:
+            sigma = frozen_array(self.position_sigma, np.float64, (n,), "position_sigma")
+            object.__setattr__(self, "position_sigma", sigma)
+        if self.branch_sigma is not None and not np.array_equal(
+            self.branch_sigma.offsets, self.branches.offsets
+        ):
+            raise ValueError("branch_sigma needs one value per branch")
         if np.any(self.length <= 0) or np.any(self.length_sigma <= 0):
             raise ValueError("lengths and their sigmas must be positive")
 
     def __len__(self) -> int:
         """Number of vertices."""
         return len(self.xy)
+
+    @property
+    def measured(self) -> RunNoise:
+        """The most likely noise: `fitted_noise`, or `noise` where nothing better is known."""
+        return self.fitted_noise or self.noise
 
     @property
     def pieces(self) -> int:

@@ -22,15 +22,20 @@ IntArray = NDArray[np.int64]
 class VertexErrors:
     """sample: (n, 3, s) errors of x, y [m] and of the map's turn [rad] at each vertex, mean 0.
 
+    own: (n,) how much of what fixes the turn at a vertex are readings of its own branches, 0 to 1.
+
     The frame in which they are given is arbitrary and common to each sample: only what does not
     depend on it (distances, rigid fits) means anything.
     """
 
     sample: FloatArray
+    own: FloatArray | None = None
 
     def __post_init__(self) -> None:
         sample = frozen_array(self.sample, np.float64, (None, 3, None), "sample")
         object.__setattr__(self, "sample", sample)
+        own = np.zeros(len(sample)) if self.own is None else self.own
+        object.__setattr__(self, "own", frozen_array(own, np.float64, (len(sample),), "own"))
 
     @classmethod
     def none(cls, count: int) -> VertexErrors:
@@ -50,3 +55,53 @@ class VertexErrors:
         along = np.sqrt(np.mean((off * unit[:, :, None]).sum(axis=1) ** 2, axis=1))
         either = np.sqrt(np.mean(off**2, axis=2).max(axis=1))
         return np.asarray(np.where(distance > 1e-6, along, either))
+
+    def as_a_whole(self, xy: FloatArray, piece: IntArray) -> VertexErrors:
+        """The errors that are left when a map is laid rigidly over the truth: those of its shape.
+
+        xy: (n, 2) vertices; piece: (n,) number of the rigid body that each is part of.
+        """
+        out = self.sample.copy()
+        for k in np.unique(piece):
+            rows = piece == k
+            out[rows] = _without_rigid_motion(out[rows], xy[rows])
+        return VertexErrors(out, self.own)
+
+    def position_sigma(self) -> FloatArray:
+        """(n,) 1 sigma [m] of each coordinate, the mean of both."""
+        return np.asarray(np.sqrt(np.mean(self.sample[:, :2] ** 2, axis=(1, 2))))
+
+    def turn_sigma(self) -> FloatArray:
+        """(n,) 1 sigma [rad] of the map's turn at each vertex."""
+        return np.asarray(np.sqrt(np.mean(self.sample[:, 2] ** 2, axis=1)))
+
+    def branch_sigma(self, owner: IntArray, reading: FloatArray) -> FloatArray:
+        """(b,) 1 sigma [rad] of branch headings, each of vertex `owner` and read to `reading`.
+
+        Where a building's grid fixes the turn through the branches' own readings, the turn's error
+        undoes theirs: of variances r of a reading and s of the turn, cov = -s · own. Never less
+        than half of the reading's.
+        """
+        own = np.zeros(len(self.sample)) if self.own is None else self.own
+        turn = self.turn_sigma() ** 2 * (1 - 2 * own)
+        return np.asarray(np.sqrt(np.maximum(reading**2 + turn[owner], 0.25 * reading**2)))
+
+    def between(self, a: IntArray, b: IntArray) -> FloatArray:
+        """(k, 2, 2) covariance [m²] of the step from vertices a to vertices b."""
+        off = self.sample[b, :2] - self.sample[a, :2]
+        return np.asarray(np.einsum("kis,kjs->kij", off, off) / off.shape[2])
+
+
+def _without_rigid_motion(sample: FloatArray, xy: FloatArray) -> FloatArray:
+    """(n, 3, s) errors less the shift and turn that fit them best; of one vertex, all of them."""
+    arm = xy - xy.mean(axis=0)
+    out = sample.copy()
+    out[:, :2] -= sample[:, :2].mean(axis=0)
+    reach = float((arm**2).sum())
+    turn = sample[:, 2].mean(axis=0)
+    if reach > 0:
+        lever = np.column_stack([-arm[:, 1], arm[:, 0]])
+        turn = np.einsum("nk,nks->s", lever, out[:, :2]) / reach
+        out[:, :2] -= lever[:, :, None] * turn
+    out[:, 2] -= turn
+    return out

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from topobatch.topology.circular import cluster_angles
-from topobatch.topology.mapbuilding import Visits, build_topomap
+from topobatch.topology.mapbuilding import build_topomap
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.polyline import join_centres, simplify, way_of, with_corners
@@ -17,6 +17,7 @@ from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import RunNoise
 from topobatch.topology.track import track_directions, way_at
 from topobatch.topology.vertex_errors import VertexErrors
+from topobatch.topology.visits import Visits
 
 STEP_M = 0.1
 STEP_NS = 100_000_000

@@ -7,33 +7,15 @@ from numpy.typing import NDArray
 
 from ..posegraph_samples import SampledMarginals
 from ..vertex_errors import VertexErrors
-from .layout import Layout, lay_out
-from .rectilinear import GridHeadings
-from .walk import Walk, louder
+from .layout import Layout
+from .rectilinear import OWN_SPREAD_RAD
+from .walk import Walk
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAMPLES = 256
 """They tell a sigma to 1 / √(2 · 256) = 4 %, which takes a point or less from its coverage."""
-
-
-PRIOR_FREEDOM = 8
-"""A run tells its sigmas to a quarter before closure: as a χ² of so many degrees of freedom."""
-
-
-def laid_out_fairly(
-    walk: Walk, place: IntArray, layout: Layout, grid: GridHeadings | None = None
-) -> tuple[Walk, Layout]:
-    """The walk with its most likely noise, and its layout by that.
-
-    walk: with the noise that the run showed before closure; layout: one of the places, to begin
-    with. The squared errors of the layout, per degree of freedom, scale all variances.
-    """
-    layout = lay_out(walk, place, layout.pose, grid=grid)
-    told = PRIOR_FREEDOM + layout.misfit * layout.freedom
-    walk = louder(walk, float(np.sqrt(told / (PRIOR_FREEDOM + layout.freedom))))
-    return walk, lay_out(walk, place, layout.pose, grid=grid)
 
 
 def place_errors(walk: Walk, layout: Layout, kept: IntArray) -> VertexErrors:
@@ -51,4 +33,11 @@ def place_errors(walk: Walk, layout: Layout, kept: IntArray) -> VertexErrors:
     position = sampled.pose[node, :2]
     scale = walk.noise.scale * rng.standard_normal(SAMPLES)
     error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
-    return VertexErrors(error)
+    own = np.zeros(len(kept))
+    if len(layout.graph.priors):
+        # The grid tells a pass its turn by the mean of its branches, to how well these were read
+        # and how well corridors keep to the grid.
+        count = np.maximum(walk.passes.branches.counts, 1)
+        read = walk.noise.branch_rad**2 / np.mean(count)
+        own[:] = read / (read + OWN_SPREAD_RAD**2)
+    return VertexErrors(error, own)

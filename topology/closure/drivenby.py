@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..mapbuilding import DrawnTrack, Visits, draw_track
 from ..odometry import Odometry
 from ..se2 import wrap
 from ..track import way_along
+from ..visits import DrawnTrack, Visits, draw_track
 from .layout import Layout, LayoutSettings
 from .places import Places, tabulate
 from .walk import Walk

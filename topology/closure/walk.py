@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-_RANDOM = 7
+RANDOM_SUMS = 7
 """Columns of `Walk.sums` that are variances."""
 
 
@@ -119,7 +119,7 @@ def louder(walk: Walk, factor: float) -> Walk:
         branch_rad=factor * n.branch_rad,
     )
     sums = walk.sums.copy()
-    sums[:, :_RANDOM] *= factor**2
+    sums[:, :RANDOM_SUMS] *= factor**2
     return replace(walk, noise=noise, sums=sums)
 
 

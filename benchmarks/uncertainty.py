@@ -1,0 +1,285 @@
+"""Is a sigma a sigma? python benchmarks/uncertainty.py [--seeds 2] [--first 1] [--jobs 1]
+
+How often the truth lies within what 68.3, 95 and 99.7 % of errors should keep to, by what documents
+and merges state:
+
+  length     a corridor's length (`length_sigma`)
+  near, far  where one junction of a map lies, seen from another at most 15 m, at least 30 m away
+  heading    a branch in the map's frame (`branch_sigmas`)
+  fused      a corridor's length in the fused map
+  transform  where the middle of a run's map lies, seen from that of a run it was merged with
+  turn       how the two are turned to each other (`transform_sigma`)
+  placed     the same two for runs that only others tie (`placed`)
+
+Runs of the project's simulator, three to a world, each overlapping the one before; per quantity
+one row for every kind of world and drift, over all faults, and one for every drift and faults, over
+all worlds. `n` counts statements; behind each share stands its standard error, with all statements
+about one run (of merges: one world) as one draw, as errors within a run go together. Junctions,
+corridors and pairs that were identified wrongly are left out: `closure.py` and `chain.py` count
+those. A map's frame is arbitrary: it is laid rigidly over the truth.
+
+`--real FOLDER…` judges recorded runs instead: folders with `truth.json` (vertices and edges of the
+world, passes of every run) and `logs/`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from topobatch.ingest.mapping import build_map_with_errors
+from topobatch.ingest.reading import read_run
+from topobatch.ingest.simulation import (
+    DRIFTS,
+    FAULTS,
+    ScenarioSettings,
+    simulate_scenario,
+    true_vertex_of_nodes,
+)
+from topobatch.ingest.simulation.truth import RunTruth, Truth
+from topobatch.ingest.simulation.world import World
+from topobatch.ingest.simulation.worlds import WORLDS
+from topobatch.merge.merging import merge_maps
+from topobatch.topology.errors import UsageError
+from topobatch.topology.se2 import apply, between, fit_rigid, wrap
+
+SHARES = (0.6827, 0.95, 0.9973)
+QUANTITIES = (
+    "length", "near", "far", "heading", "fused", "transform", "turn", "placed", "placed turn",
+)  # fmt: skip
+NEAR_M, FAR_M = 15.0, 30.0
+MOST_PAIRS = 60
+"""Pairs of junctions judged per run, near and far."""
+MISTAKEN_RAD = 0.4
+"""A branch farther than this from every true one was invented: no error of a heading."""
+
+
+def quantiles(z2, freedom):
+    """(k, 3) whether squared errors in units of their variance lie within each share."""
+    return np.asarray(z2)[:, None] <= chi2.ppf(SHARES, freedom)
+
+
+def true_lengths(truth, runs, graph, label):
+    """(edges of a graph, true lengths) of corridors that were driven and are the only ones between
+    their junctions; of two edges between the same two the one that fits."""
+    world = truth.worlds[truth.runs[runs[0]].world]
+    driven = {int(e) for run in runs for e in truth.runs[run].drive_edge}
+    there, here = defaultdict(list), defaultdict(list)
+    for e, ends in enumerate(zip(world.source.tolist(), world.target.tolist(), strict=True)):
+        there[tuple(sorted(ends))].append(e)
+    for e, ends in enumerate(
+        zip(label[graph.source].tolist(), label[graph.target].tolist(), strict=True)
+    ):
+        if min(ends) >= 0:
+            here[tuple(sorted(ends))].append(e)
+    edges, true = [], []
+    for ends, mine in here.items():
+        if len(there[ends]) == 1 and there[ends][0] in driven:
+            goal = world.length[there[ends][0]]
+            edges.append(min(mine, key=lambda e: abs(graph.length[e] - goal)))
+            true.append(goal)
+    return np.array(edges, np.int64), np.array(true)
+
+
+def judge_lengths(truth, runs, graph, label):
+    edges, true = true_lengths(truth, runs, graph, label)
+    return quantiles(((graph.length[edges] - true) / graph.length_sigma[edges]) ** 2, 1)
+
+
+def judge_map(truth, topomap, errors, seed):
+    """{quantity: (k, 3) within} of one map."""
+    label = true_vertex_of_nodes(truth, topomap)
+    known = np.flatnonzero(label >= 0)
+    out = {"length": judge_lengths(truth, [topomap.run], topomap, label)}
+    if len(known) < 4:
+        return out
+    world = truth.worlds[truth.runs[topomap.run].world]
+    T_map_world = fit_rigid(topomap.xy[known], world.xy[label[known]])
+    off = topomap.xy[known] - apply(T_map_world, world.xy[label[known]])
+    shape = errors.as_a_whole(topomap.xy, np.where(label >= 0, 0, 1))
+    apart = np.hypot(*(topomap.xy[known][:, None] - topomap.xy[known]).transpose(2, 0, 1))
+    rng = np.random.default_rng(seed)
+    for name, low, high in (("near", 0.0, NEAR_M), ("far", FAR_M, np.inf)):
+        i, j = np.nonzero(np.triu((apart >= low) & (apart < high), 1))
+        chosen = rng.permutation(len(i))[:MOST_PAIRS]
+        i, j = i[chosen], j[chosen]
+        step = off[j] - off[i]
+        told = np.linalg.inv(shape.between(known[i], known[j]) + 1e-9 * np.eye(2))
+        out[name] = quantiles(np.einsum("ki,kij,kj->k", step, told, step), 2)
+    z2 = []
+    for n in known.tolist():
+        true = world.branches[int(label[n])] + T_map_world[2]
+        turn = wrap(topomap.branches[n][:, None] - true)
+        turn = np.take_along_axis(turn, np.abs(turn).argmin(axis=1)[:, None], axis=1)[:, 0]
+        z = turn / topomap.branch_sigma[n]
+        z2 += (z[np.abs(turn) < MISTAKEN_RAD] ** 2).tolist()
+    out["heading"] = quantiles(z2, 1)
+    return out
+
+
+def judge_merge(truth, maps, merged):
+    """{quantity: (k, 3) within} of one merge."""
+    labels = {m.run: true_vertex_of_nodes(truth, m) for m in maps}
+    fused = merged.fused
+    of_fused = np.full(len(fused), -1, np.int64)
+    for n, members in enumerate(fused.members):
+        seen = {int(labels[run][v]) for run, vs in members.items() for v in vs}
+        of_fused[n] = seen.pop() if len(seen) == 1 else -1
+    out = defaultdict(list)
+    for component in merged.components:
+        runs = sorted(component.poses)
+        if len(runs) > 1 and len({truth.runs[run].world for run in runs}) == 1:
+            mine = np.where(fused.component == component.id, of_fused, -1)
+            out["fused"].append(judge_lengths(truth, runs, fused, mine))
+    home = {run: c for c in merged.components for run in c.poses}
+    by_run = {m.run: m for m in maps}
+    for v in merged.verdicts:
+        told = v.transform_sigma if v.accepted else v.placed
+        if told is None or truth.runs[v.a].world != truth.runs[v.b].world:
+            continue
+        error = placing_error(truth, by_run[v.a], by_run[v.b], labels, home[v.a].poses)
+        if error is None:
+            continue
+        names = ("transform", "turn") if v.accepted else ("placed", "placed turn")
+        # sigma_m is of the vector: half of its square is the mean variance of a coordinate.
+        out[names[0]].append(quantiles([2 * (error[0] / told[0]) ** 2], 2))
+        out[names[1]].append(quantiles([(error[1] / told[1]) ** 2], 1))
+    return {name: np.concatenate(rows) for name, rows in out.items()}
+
+
+def placing_error(truth, a, b, labels, poses):
+    """(m, rad) by which b is misplaced in a; None where they were laid over one another wrongly."""
+    T_world = {}
+    for m in (a, b):
+        known = np.flatnonzero(labels[m.run] >= 0)
+        world = truth.worlds[truth.runs[m.run].world]
+        if len(known) < 4:
+            return None
+        T_world[m.run] = fit_rigid(world.xy[labels[m.run][known]], m.xy[known])
+    true = between(T_world[a.run], T_world[b.run])
+    found = between(poses[a.run], poses[b.run])
+    middle = b.xy.mean(axis=0)
+    off = float(np.hypot(*(apply(found, middle) - apply(true, middle))))
+    turn = float(abs(wrap(found[2] - true[2])))
+    return None if off > 5.0 or turn > 0.3 else (off, turn)
+
+
+def judged(truth, runs, seed):
+    """[(quantity, k, [within 68, 95, 99.7])] of the maps of some runs and their merge."""
+    built = {name: build_map_with_errors(run) for name, run in runs.items()}
+    rows = []
+    for topomap, errors in built.values():
+        if topomap.pieces == 1:
+            rows += judge_map(truth, topomap, errors, seed).items()
+    whole = [m for m, _ in built.values() if m.pieces == 1]
+    rows += judge_merge(truth, whole, merge_maps(whole)).items()
+    return [(name, len(w), w.sum(axis=0).tolist()) for name, w in rows if len(w)]
+
+
+def simulated(task):
+    """One scenario: (world, drift, faults), and what came of it."""
+    world, drift, faults, seed, junctions = task
+    settings = ScenarioSettings(world, 3, 0.4, junctions, drift=drift, faults=faults, seed=seed)
+    try:
+        scenario = simulate_scenario(settings)
+    except UsageError:  # no room in this world
+        return (world, drift, faults), []
+    return (world, drift, faults), judged(scenario.truth, scenario.runs, seed)
+
+
+def recorded(folder):
+    """(truth, runs) of a folder with logs and the true world."""
+    doc = json.loads((folder / "truth.json").read_bytes())
+    worlds = {}
+    for name, w in doc["worlds"].items():
+        xy = np.array([(v["x"], v["y"]) for v in w["vertices"]])
+        ends = np.array([(e["source"], e["target"]) for e in w["edges"]])
+        keep = np.flatnonzero(ends[:, 0] != ends[:, 1])
+        paths = [
+            np.array([xy[s], *w["edges"][k]["path"][1:-1], xy[t]])
+            for k, (s, t) in zip(keep.tolist(), ends[keep].tolist(), strict=True)
+        ]
+        worlds[name] = World(name, w["kind"], xy, *ends[keep].T, tuple(paths)), keep
+    runs = {}
+    for name, r in doc["runs"].items():
+        passes = [p for p in r["passes"] if p["detected"]]
+        number = {int(e): k for k, e in enumerate(worlds[r["world"]][1])}
+        none = np.zeros(0, np.int64)
+        runs[name] = RunTruth(
+            name,
+            r["world"],
+            np.zeros(3),
+            np.array([p["t_start_ns"] for p in passes]),
+            np.array([p["t_end_ns"] for p in passes]),
+            np.array([p["world_vertex"] for p in passes]),
+            np.array([p["messages"] for p in passes]),
+            ("",) * len(passes),
+            np.array([number[t["edge"]] for t in r["traversals"] if t["edge"] in number]),
+            none, none, none, np.zeros((0, 3)),
+        )  # fmt: skip
+    logs = {name: read_run(folder / "logs" / f"{name}.mcap") for name in runs}
+    return Truth({name: w for name, (w, _) in worlds.items()}, runs), logs
+
+
+def line(name, cells):
+    """One row: counts and shares in per cent, with their standard errors by runs."""
+    n = np.array([count for count, _ in cells], float)
+    hits = np.array([within for _, within in cells])
+    share = hits.sum(axis=0) / n.sum()
+    spare = np.sqrt(((hits - n[:, None] * share) ** 2).sum(axis=0)) / n.sum()
+    cells = "".join(f"{100 * p:8.1f} ±{100 * e:4.1f}" for p, e in zip(share, spare, strict=True))
+    return f"{name:22}{int(n.sum()):7}{cells}"
+
+
+def table(results):
+    """For every quantity: rows by world and drift, rows by drift and faults."""
+    rows = defaultdict(lambda: defaultdict(list))
+    for (world, drift, faults), found in results:
+        for quantity, count, within in found:
+            for name in (f"{world} {drift}", f"drift {drift}, {faults}", f"drift {drift}"):
+                rows[quantity][name].append((count, within))
+    for quantity in QUANTITIES:
+        if quantity in rows:
+            head = "".join(f"{format(100 * p, '.1f') + ' %':>14}" for p in SHARES)
+            yield f"{quantity:22}{'n':>7}{head}"
+            yield from (line(name, cells) for name, cells in sorted(rows[quantity].items()))
+            yield ""
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
+    parser.add_argument("--drifts", nargs="+", default=list(DRIFTS))
+    parser.add_argument("--faults", nargs="+", default=list(FAULTS))
+    parser.add_argument("--seeds", type=int, default=2, help="scenarios per world, drift, faults")
+    parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument("--junctions", type=int, default=40, help="per run")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--real", nargs="+", type=Path, help="folders of recorded runs")
+    args = parser.parse_args()
+    if args.real:
+        results = [
+            ((folder.name, "", ""), judged(*recorded(folder), args.first)) for folder in args.real
+        ]
+    else:
+        seeds = range(args.first, args.first + args.seeds)
+        cells = product(args.worlds, args.drifts, args.faults, seeds, [args.junctions])
+        if args.jobs > 1:
+            with ProcessPoolExecutor(args.jobs) as pool:
+                results = list(pool.map(simulated, cells))
+        else:
+            results = [simulated(cell) for cell in cells]
+    print("\n".join(table(results)))
+
+
+if __name__ == "__main__":
+    main()

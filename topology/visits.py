@@ -1,0 +1,82 @@
+"""When the robot was at which vertex, and the track between two visits, drawn in the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .odometry import Odometry
+from .se2 import wrap
+from .track import way_along, way_at
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visits:
+    """When the robot was at which vertex, by time: passes, and drives by that went undetected.
+
+    time_ns, vertex: (v,); seen: (v,) whether a pass tells it; pose: (v, 3) corrected: position in
+    the map and turn from the odometry's frame to the map's; centre: (v, 2) the vertex in the
+    odometry frame at that time; chain: (v,) unbroken piece of odometry.
+    """
+
+    time_ns: IntArray
+    vertex: IntArray
+    seen: NDArray[np.bool_]
+    pose: FloatArray
+    centre: FloatArray
+    chain: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnTrack:
+    """Pieces of the track between visits, bent to meet the vertices at their ends.
+
+    owner: (k,) number of the piece each point belongs to; offsets: (m + 1,) rows of each piece;
+    way: (k,) way driven [m]; share: (k,) 0 at the piece's first visit, 1 at its last; odom, xy:
+    (k, 2) in the odometry's frame and in the map's; turn: (k,) between the two.
+    """
+
+    owner: IntArray
+    offsets: IntArray
+    way: FloatArray
+    share: FloatArray
+    odom: FloatArray
+    xy: FloatArray
+    turn: FloatArray
+
+
+def draw_track(
+    odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArray, step_m: float
+) -> DrawnTrack:
+    """The track from visit `first[k]` to the next one, for all k at once.
+
+    All pieces are sampled in one flat row. Each point is placed as seen from either visit, and
+    between the two views by the way driven; what is left at the ends is spread likewise.
+    """
+    way = way_along(odometry)
+    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
+    at = way_at(odometry, visits.time_ns)
+    length = at[first + 1] - at[first]
+    points = np.maximum(np.ceil(length / step_m), 2).astype(np.int64) + 1
+    owner = np.repeat(np.arange(len(first)), points)
+    offsets = np.concatenate([[0], np.cumsum(points)]).astype(np.int64)
+    share = (np.arange(len(owner)) - offsets[owner]) / (points[owner] - 1)
+    s = at[first][owner] + share * length[owner]
+    odom = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
+
+    def seen_from(visit: IntArray) -> FloatArray:
+        turn, d = visits.pose[visit, 2][owner], odom - visits.centre[visit][owner]
+        c, sn = np.cos(turn), np.sin(turn)
+        turned = np.column_stack([c * d[:, 0] - sn * d[:, 1], sn * d[:, 0] + c * d[:, 1]])
+        return np.asarray(xy[visits.vertex[visit]][owner] + turned)
+
+    w = share[:, None]
+    drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)
+    turn = visits.pose[first, 2][owner]
+    turn = turn + share * wrap(visits.pose[first + 1, 2][owner] - turn)
+    return DrawnTrack(owner, offsets, s, share, odom, drawn, np.asarray(wrap(turn)))
