@@ -76,7 +76,9 @@ def _unit_walks(walk: Walk, odometry: Odometry) -> list[Walk]:
     """The walk as if there were one random walk of the odometry only, of 1 sigma of 1."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:3]]
-    return [make_walk(odometry, walk.passes, noise, walk.systematic) for noise in noises]
+    units = (make_walk(odometry, walk.passes, noise, walk.systematic) for noise in noises)
+    # What a jump adds is no noise: it would be counted once for every component.
+    return [replace(unit, jumps=np.zeros_like(unit.jumps)) for unit in units]
 
 
 def _leg_covariances(walk: Walk, units: list[Walk]) -> FloatArray:
