@@ -109,8 +109,8 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
 
     Headings taken from a grid that is none bend the layout until visits do not find each other.
     So what is found without the grid counts if it is no less, and the map that nobody held straight
-    bends; or if with the grid many serious doubts remain, and without it more is found and not more
-    doubted.
+    bends; or if with the grid many serious doubts remain, and without it the places that are found
+    again outnumber the doubts that come up.
     """
     grid = grid_headings(walk, settings.grid)
     straight = _closed(walk, grid, settings)
@@ -122,8 +122,8 @@ def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Close
         return straight
     free = _closed(walk, None, settings)
     more = len(straight.layout.xy) - len(free.layout.xy)
-    fewer_doubts = more > 0 and _serious_doubts(free, settings) <= doubts
-    return free if (bent and more >= 0) or fewer_doubts else straight
+    surer = more > max(_serious_doubts(free, settings) - doubts, 0)
+    return free if (bent and more >= 0) or surer else straight
 
 
 def closure_without_grid(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
