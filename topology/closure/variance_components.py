@@ -76,12 +76,13 @@ def _unit_walks(walk: Walk, odometry: Odometry) -> list[Walk]:
     """The walk as if there were one random walk of the odometry only, of 1 sigma of 1."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:3]]
-    return [make_walk(odometry, walk.passes, noise, walk.systematic) for noise in noises]
+    walks = (make_walk(odometry, walk.passes, noise, walk.systematic) for noise in noises)
+    return [replace(unit, jumps=np.zeros_like(unit.jumps)) for unit in walks]
 
 
 def _leg_covariances(walk: Walk, units: list[Walk]) -> FloatArray:
     """(3, k, 3, 3) covariance of every leg by each random walk of 1 sigma of 1."""
-    row = np.flatnonzero(np.isfinite(walk.leg))
+    row = np.flatnonzero(np.diff(walk.chain) == 0)
     return np.stack([relative_covariance(unit, row, row + 1) for unit in units])
 
 
