@@ -83,7 +83,7 @@ def _unit_walks(walk: Walk, odometry: Odometry) -> list[Walk]:
 
 def _leg_covariances(walk: Walk, units: list[Walk]) -> FloatArray:
     """(3, k, 3, 3) covariance of every leg by each random walk of 1 sigma of 1."""
-    row = np.flatnonzero(np.isfinite(walk.leg))
+    row = np.flatnonzero(np.diff(walk.chain) == 0)
     return np.stack([relative_covariance(unit, row, row + 1) for unit in units])
 
 
