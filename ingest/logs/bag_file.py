@@ -598,8 +598,9 @@ class _Walk:
         conn = column(heads, "<u4", template.conn_at)
         time = column(heads, "<u4", template.time_at) * 10**9
         time += column(heads, "<u4", template.time_at + 4)
-        others = where[:0] if len(found) == len(where) else np.setdiff1d(where, found)
-        return conn, time, found + (4 + template.size), others
+        left = np.ones(len(where), bool)
+        left[np.searchsorted(where, found)] = False
+        return conn, time, found + (4 + template.size), where[left]
 
     def _one_by_one(self, data: Bytes, places: Ints) -> list[tuple[int, int, int]]:
         """Connection records, and messages whose header is written in another order."""

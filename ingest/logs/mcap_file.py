@@ -430,10 +430,10 @@ class _Walk:
         """Count the messages of damaged chunks without an index."""
         where, _ = mcap_records(data, NOT_IN_CHUNKS)
         where = where[data[where] == MESSAGE]
-        numbers, counts = np.unique(words(data, "<u2", where + RECORD_HEAD), return_counts=True)
-        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
+        counts = np.bincount(words(data, "<u2", where + RECORD_HEAD))
+        for number in counts.nonzero()[0].tolist():
             if self._known(number):
-                self._tally.lost(number, count)
+                self._tally.lost(number, int(counts[number]))
 
     def _needed(self, position: int) -> bool:
         """Whether a chunk may hold wanted messages; only a checked index is trusted to deny it."""
