@@ -538,8 +538,10 @@ class _Walk:
                 crc = crc32(piece, crc) if head.crc else 0
             if head.crc and not agrees(crc, head.crc):
                 raise _WrongChecksumError
-        if not head.crc and (found or head.data_size) != head.size:
-            raise WrongSizeError
+        if (found or head.data_size) != head.size:
+            if not head.crc:
+                raise WrongSizeError
+            self._findings.repaired += 1
         for part in whole_records(self._pieces(head, None), _in_chunks, _record_length):
             if isinstance(part, Large):
                 self._too_large(part.head)
