@@ -29,7 +29,6 @@ from .bag_wire import (
     Record,
     connection_of,
     fields_of,
-    index_record,
     listed_offsets,
     number,
     op_of,
@@ -142,6 +141,7 @@ class _Walk:
         self._heads = BagHeads(window.copy, window.size)
         self._ahead: Ahead[_Chunk] = Ahead()
         self._allowance = Allowance()
+        self._looked_at: tuple[int, Record | None] = (-1, None)
         self._small_run = 0
         self._packed = False
         self._chunks = 0
@@ -171,7 +171,7 @@ class _Walk:
         while position < window.size:
             if self._index is not None and position == self._index.start:
                 break
-            record = self._heads.record(position, window.view(position, HEAD_BYTES).tobytes())
+            record = self._at(position)
             if record is None or not self._leads_on(record):
                 position = yield from self._around_damage(position, record)
             else:
@@ -182,10 +182,16 @@ class _Walk:
         """Whether a record is all there, and another one behind it."""
         if record.op == CHUNK and self._is_open(record):
             return True
-        behind = self._window.view(record.end, HEAD_BYTES).tobytes()
         return record.end <= self._window.size and (
-            self._heads.record(record.end, behind) is not None or self._heads.begins(record.end)
+            self._at(record.end) is not None or self._heads.begins(record.end)
         )
+
+    def _at(self, position: int) -> Record | None:
+        """The record at a place; each is asked for as what follows, and then as what is next."""
+        if self._looked_at[0] != position:
+            head = self._window.view(position, HEAD_BYTES).tobytes()
+            self._looked_at = position, self._heads.record(position, head)
+        return self._looked_at[1]
 
     def _is_open(self, record: Record) -> bool:
         """Whether the recorder died before it could fill in the head of its last chunk."""
@@ -463,9 +469,8 @@ class _Walk:
         """
         offsets = [np.zeros(0, np.int64)]
         counts: dict[int, int] = {}
-        while index_record(self._window.view(position, HEAD_BYTES)) is not None:
-            record = self._heads.record(position, self._window.view(position, HEAD_BYTES).tobytes())
-            if record is None or record.op != INDEX or record.end > self._window.size:
+        while (record := self._at(position)) is not None:
+            if record.op != INDEX or record.end > self._window.size:
                 break
             counts[number(record.fields, b"conn")] = number(record.fields, b"count")
             # Each entry stands for a record that takes more than the entry does.
@@ -598,8 +603,9 @@ class _Walk:
         conn = column(heads, "<u4", template.conn_at)
         time = column(heads, "<u4", template.time_at) * 10**9
         time += column(heads, "<u4", template.time_at + 4)
-        others = where[:0] if len(found) == len(where) else np.setdiff1d(where, found)
-        return conn, time, found + (4 + template.size), others
+        left = np.ones(len(where), bool)
+        left[np.searchsorted(where, found)] = False
+        return conn, time, found + (4 + template.size), where[left]
 
     def _one_by_one(self, data: Bytes, places: Ints) -> list[tuple[int, int, int]]:
         """Connection records, and messages whose header is written in another order."""

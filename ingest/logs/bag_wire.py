@@ -125,21 +125,6 @@ def connection_of(fields: Fields, data: bytes) -> tuple[int, Channel]:
 INDEX_ENTRY = 12
 """Bytes of an entry in an index record: a time and a place in the chunk."""
 
-_INDEX_MARK = b"\x04\x00\x00\x00op=\x04"
-
-
-def index_record(data: Bytes) -> tuple[int, int] | None:
-    """Where the data of the index record at the front of `data` is, None if there is none.
-
-    Quicker than `record_at`; begin and end may lie behind `data`.
-    """
-    head = data[:128].tobytes()
-    size = U32(head)[0] if len(head) >= RECORD_BYTES else 0
-    if not 0 < size <= len(head) - 8 or _INDEX_MARK not in head[4 : 4 + size]:
-        return None
-    begin = 8 + size
-    return begin, begin + int(U32(head, 4 + size)[0])
-
 
 def listed_offsets(entries: Bytes) -> Ints:
     """Places in their chunk that the entries of an index record list, unchecked."""

@@ -430,10 +430,10 @@ class _Walk:
         """Count the messages of damaged chunks without an index."""
         where, _ = mcap_records(data, NOT_IN_CHUNKS)
         where = where[data[where] == MESSAGE]
-        numbers, counts = np.unique(words(data, "<u2", where + RECORD_HEAD), return_counts=True)
-        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
+        counts = np.bincount(words(data, "<u2", where + RECORD_HEAD))
+        for number in counts.nonzero()[0].tolist():
             if self._known(number):
-                self._tally.lost(number, count)
+                self._tally.lost(number, int(counts[number]))
 
     def _needed(self, position: int) -> bool:
         """Whether a chunk may hold wanted messages; only a checked index is trusted to deny it."""
@@ -538,8 +538,10 @@ class _Walk:
                 crc = crc32(piece, crc) if head.crc else 0
             if head.crc and not agrees(crc, head.crc):
                 raise _WrongChecksumError
-        if not head.crc and (found or head.data_size) != head.size:
-            raise WrongSizeError
+        if (found or head.data_size) != head.size:
+            if not head.crc:
+                raise WrongSizeError
+            self._findings.repaired += 1
         for part in whole_records(self._pieces(head, None), _in_chunks, _record_length):
             if isinstance(part, Large):
                 self._too_large(part.head)

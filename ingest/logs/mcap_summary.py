@@ -56,7 +56,7 @@ class McapSummary(NamedTuple):
     @property
     def describes_all(self) -> bool:
         """Whether every channel that any chunk or the statistics name is described."""
-        named = set(self.counts).union(np.unique(self.chunk_channels).tolist())
+        named = set(self.counts).union(np.bincount(self.chunk_channels).nonzero()[0].tolist())
         return self.channels.keys() >= named
 
     def numbers(self, chunk: int) -> Ints | None:

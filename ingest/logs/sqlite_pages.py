@@ -93,7 +93,7 @@ class Pages:
                 raise DamageError("the database's index of pages is damaged")
             level = np.concatenate([self._children(number) for number in level.tolist()])
             # Each page belongs to one other only.
-            if len(level) > self.count or len(np.unique(level)) < len(level):
+            if len(level) > self.count or (np.diff(np.sort(level)) == 0).any():
                 raise DamageError("the database's index of pages is damaged")
         raise DamageError("the database's index of pages is nested too deeply")
 

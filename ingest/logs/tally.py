@@ -42,7 +42,7 @@ class Tally:
     def unknown(self, number: NDArray[Any]) -> list[int]:
         """The numbers among these that are not described."""
         strange = number[self._sink[number] == UNKNOWN]
-        return [int(n) for n in np.unique(strange)] if len(strange) else []
+        return np.bincount(strange).nonzero()[0].tolist() if len(strange) else []
 
     def adopt(self, number: int) -> bool:
         """Take a number that is described nowhere for the one it can only have been.

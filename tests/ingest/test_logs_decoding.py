@@ -90,12 +90,15 @@ def test_strides_find_the_records_that_a_loop_finds(sizes, tail):
         lengths = [size for size in sizes for _ in range(repeat)]
         mcap = b"".join(b"\x05" + n.to_bytes(8, "little") + b"x" * n for n in lengths)
         bag = b"".join(
-            (n % 3).to_bytes(4, "little") + b"h" * (n % 3) + n.to_bytes(4, "little") + b"x" * n
+            (1 + n % 3).to_bytes(4, "little")
+            + b"h" * (1 + n % 3)
+            + n.to_bytes(4, "little")
+            + b"x" * n
             for n in lengths
         )
         for records, raw, head in (
             (mcap_records, mcap, [9 + n for n in lengths]),
-            (bag_records, bag, [8 + n % 3 + n for n in lengths]),
+            (bag_records, bag, [9 + n % 3 + n for n in lengths]),
         ):
             data = np.frombuffer(raw, np.uint8)
             places, stop = records(data)
