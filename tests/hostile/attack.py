@@ -169,13 +169,16 @@ def main() -> int:
         work(arguments.tries, arguments.seed, arguments.only, (k, n), arguments.keep)
         return 0
     started, found = time.monotonic(), []
-    for result in results(arguments):
-        found.append(result)
-        if result["problem"]:
-            print(f"FAILED {result['class']} {result['number']} ({result['note']}): ", end="")
-            print(ascii(result["problem"]), flush=True)
-        if len(found) % 100 == 0:
-            print(f"{len(found)} tries, {time.monotonic() - started:.0f} s", flush=True)
+    try:
+        for result in results(arguments):
+            found.append(result)
+            if result["problem"]:
+                print(f"FAILED {result['class']} {result['number']} ({result['note']}): ", end="")
+                print(ascii(result["problem"]), flush=True)
+            if len(found) % 100 == 0:
+                print(f"{len(found)} tries, {time.monotonic() - started:.0f} s", flush=True)
+    except KeyboardInterrupt:
+        print("interrupted; so far:")
     print("\n".join(["", *table(found), ""]))
     print(
         f"seed {arguments.seed}, {time.monotonic() - started:.0f} s on {arguments.jobs} processes"
