@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,7 +74,7 @@ def numbers(tries: int, only: str) -> dict[str, int]:
 def work(tries: int, seed: int, only: str, part: tuple[int, int], keep: Path | None) -> None:
     """Every `part[1]`th try, a JSON line for each, on the standard output."""
     import sandbox
-    from trials import prepare
+    from trials import Tried, prepare
 
     sandbox.load()
     made = trials()
@@ -87,7 +88,10 @@ def work(tries: int, seed: int, only: str, part: tuple[int, int], keep: Path | N
             folder.mkdir()
             rng = random.Random(f"{seed} {name} {number}")
             started = time.monotonic()
-            found = made[name](ground, rng, folder)
+            try:
+                found = made[name](ground, rng, folder)
+            except Exception:  # a try that breaks is none, and must not cost the others
+                found = Tried(f"the try itself broke: {traceback.format_exc(limit=-2)}", "")
             line = {"class": name, "number": number, **found._asdict()}
             print(json.dumps(line | {"wall_s": time.monotonic() - started}), flush=True)
             if found.problem and keep is not None:
@@ -165,13 +169,16 @@ def main() -> int:
         work(arguments.tries, arguments.seed, arguments.only, (k, n), arguments.keep)
         return 0
     started, found = time.monotonic(), []
-    for result in results(arguments):
-        found.append(result)
-        if result["problem"]:
-            print(f"FAILED {result['class']} {result['number']} ({result['note']}): ", end="")
-            print(ascii(result["problem"]), flush=True)
-        if len(found) % 100 == 0:
-            print(f"{len(found)} tries, {time.monotonic() - started:.0f} s", flush=True)
+    try:
+        for result in results(arguments):
+            found.append(result)
+            if result["problem"]:
+                print(f"FAILED {result['class']} {result['number']} ({result['note']}): ", end="")
+                print(ascii(result["problem"]), flush=True)
+            if len(found) % 100 == 0:
+                print(f"{len(found)} tries, {time.monotonic() - started:.0f} s", flush=True)
+    except KeyboardInterrupt:
+        print("interrupted; so far:")
     print("\n".join(["", *table(found), ""]))
     print(
         f"seed {arguments.seed}, {time.monotonic() - started:.0f} s on {arguments.jobs} processes"

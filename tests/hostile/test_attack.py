@@ -17,14 +17,8 @@ HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are watched by /proc")
 
 SHORT = (
-    "documents",
-    "cache",
-    "no file",
-    "names that",
-    "broken",
-    "kill -9 of merge",
-    "full",
-    "races",
+    *("hostile documents", "hostile cache", "no file", "names that", "among sound", "races"),
+    *("kill -9 of merge", "full disks"),
 )
 
 

@@ -225,7 +225,8 @@ def not_a_file(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     )
     notes = []
     for name in rng.sample(names, rng.randrange(1, 3)):
-        if (workspace / name).parent.is_dir() or not (workspace / name).parent.exists():
+        above = list((workspace / name).parents)[: name.count("/") + 1]
+        if all(p.is_dir() and not p.is_symlink() for p in above if os.path.lexists(p)):
             notes.append(f"{name}: {_put(workspace / name, victim.folder, rng)}")
     name, call = _calls(workspace, ground, rng)
     outcome = run(call, folder, BUDGET)
