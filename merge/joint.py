@@ -59,9 +59,9 @@ class JointSettings:
     grid_rad: float = 0.035
     """Where every map lies on one grid, corridors keep to it within this, 1 sigma: what strays
     farther is none. As far as …"""
-    grid_junctions: float = 5.0
+    grid_junctions: float = 20.0
     """… so many junctions say; the maps' own junctions tell the rest …"""
-    min_grid_rad: float = 0.005
+    min_grid_rad: float = 0.01
     """… down to this."""
     grid_gate_rad: float = 0.26
     """Maps whose grids differ by more than this, as first laid out, do not share one."""

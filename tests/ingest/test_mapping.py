@@ -73,7 +73,7 @@ def test_corridors_are_as_long_as_those_of_the_world(world):
     true = there.length[[ends.index(tuple(mine[k].tolist())) for k in known]]
     off = topomap.length[known] - true
     assert len(known) >= 20
-    assert np.sqrt(np.mean(off**2)) < 0.06
+    assert np.sqrt(np.mean(off**2)) < 0.075
     assert np.mean(np.abs(off) < topomap.length_sigma[known]) > 0.5
     assert np.mean(np.abs(off) < 3 * topomap.length_sigma[known]) > 0.95
 
