@@ -90,6 +90,10 @@ def _parts(topomap: TopoMap) -> list[TopoMap]:
     return [_part(topomap, label == k, f"{i:0{width}d}") for i, k in enumerate(order.tolist())]
 
 
+_UNKNOWN: dict[str, Any] = {"position_sigma": None, "branch_sigma": None}
+"""The errors of vertices hold for a map as a whole, not for its parts laid together anew."""
+
+
 def _seen(topomap: TopoMap, vertex: IntArray, time_ns: IntArray) -> dict[str, Any]:
     """The passes by the vertices of a part, and the closures that they take part in."""
     times = set(time_ns.tolist())
@@ -105,7 +109,8 @@ def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
     seen = chosen[topomap.observation_vertex]
     vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
     passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
-    return replace(topomap, run=name, info={}, **graph_part(topomap, chosen), **passes)
+    part = graph_part(topomap, chosen)
+    return replace(topomap, run=name, info={}, **part, **passes, **_UNKNOWN)
 
 
 def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
@@ -117,7 +122,8 @@ def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
         for _, time_ns in fused.observations[row]
     )
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
-    return replace(topomap, **graph_part(fused, chosen), **_seen(topomap, vertex, time_ns))
+    seen_there = _seen(topomap, vertex, time_ns)
+    return replace(topomap, **graph_part(fused, chosen), **seen_there, **_UNKNOWN)
 
 
 def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:

@@ -39,6 +39,7 @@ def mirrored(m: TopoMap) -> TopoMap:
         m,
         xy=m.xy * flip,
         branches=Ragged.from_rows(row[o] for row, o in zip(rows, order, strict=True)),
+        branch_sigma=None,
         source_branch=branch(m.source, m.source_branch),
         target_branch=branch(m.target, m.target_branch),
         paths=tuple(path * flip for path in m.paths),
