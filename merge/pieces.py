@@ -90,10 +90,6 @@ def _parts(topomap: TopoMap) -> list[TopoMap]:
     return [_part(topomap, label == k, f"{i:0{width}d}") for i, k in enumerate(order.tolist())]
 
 
-_UNKNOWN: dict[str, Any] = {"position_sigma": None, "branch_sigma": None}
-"""The errors of vertices hold for a map as a whole, not for its parts laid together anew."""
-
-
 def _seen(topomap: TopoMap, vertex: IntArray, time_ns: IntArray) -> dict[str, Any]:
     """The passes by the vertices of a part, and the closures that they take part in."""
     times = set(time_ns.tolist())
@@ -109,8 +105,12 @@ def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
     seen = chosen[topomap.observation_vertex]
     vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
     passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
-    part = graph_part(topomap, chosen)
-    return replace(topomap, run=name, info={}, **part, **passes, **_UNKNOWN)
+    rows, position, branch = np.flatnonzero(chosen), topomap.position_sigma, topomap.branch_sigma
+    sigmas: dict[str, Any] = {
+        "position_sigma": None if position is None else position[rows],
+        "branch_sigma": None if branch is None else branch.take(rows),
+    }
+    return replace(topomap, run=name, info={}, **graph_part(topomap, chosen), **passes, **sigmas)
 
 
 def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
@@ -122,8 +122,10 @@ def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
         for _, time_ns in fused.observations[row]
     )
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
-    seen_there = _seen(topomap, vertex, time_ns)
-    return replace(topomap, **graph_part(fused, chosen), **seen_there, **_UNKNOWN)
+    passes = _seen(topomap, vertex, time_ns)
+    # What each part knew of its own shape says nothing of that of the whole.
+    plain = replace(topomap, position_sigma=None, branch_sigma=None)
+    return replace(plain, **graph_part(fused, chosen), **passes)
 
 
 def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:
