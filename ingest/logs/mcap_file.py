@@ -629,12 +629,20 @@ class _Walk:
         if (op == MESSAGE).all():
             return
         for place in where[(op == SCHEMA) | (op == CHANNEL)].tolist():
-            _, length = _HEAD(data.data, place)
-            body = data[place + RECORD_HEAD : place + RECORD_HEAD + length].tobytes()
+            kind, length = _HEAD(data.data, place)
+            record = data[place : place + RECORD_HEAD + length].tobytes()
+            if self._definitions.met(kind, record[RECORD_HEAD:]):
+                continue
+            heads = self._heads.within(data)
+            head = None if heads.end(place) is not None else heads.repaired(place)
+            if head is not None:
+                # One of the lengths in it was wrong.
+                self._findings.repaired += 1
+                record = head[: len(record)] + record[len(head) :]
             try:
-                found = self._definitions.take(int(data[place]), body)
+                found = self._definitions.take(record[0], record[RECORD_HEAD:])
             except DamageError:
-                self._findings.unreadable_bytes += RECORD_HEAD + length
+                self._findings.unreadable_bytes += len(record)
                 continue
             if found is not None and not (more and self._known(found[0])):
                 self._tally.describe(*found)

@@ -109,6 +109,10 @@ class Definitions:
         self._met: set[bytes] = set()
         self._room = DEFINITION_BYTES
 
+    def met(self, op: int, body: bytes) -> bool:
+        """Whether the same record was taken in before."""
+        return bytes([op]) + body in self._met
+
     def take(self, op: int, body: bytes) -> tuple[int, Channel] | None:
         """Number and content of a channel that is new, None for a schema or for what was met.
 
