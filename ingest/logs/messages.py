@@ -259,6 +259,8 @@ class FileWindow:
     def copy(self, offset: int, length: int) -> bytes:
         """The same bytes to keep, read past the buffer. Other threads may call this."""
         length = max(0, min(length, self.size - offset))
+        if length == 0:
+            return b""  # the offset may be one that no file can have
         try:
             with self._copying:
                 self._second.seek(offset)

@@ -38,7 +38,7 @@ SHARES = {
     "kill -9 of ingest": 0.01,
     "kill -9 of ingest with two processes": 0.002,
     "kill -9 of merge": 0.01,
-    "races": 0.01,
+    "calls at one time": 0.01,
     "full disks": 0.02,
 }
 """Of all tries; hostile logs share the rest, each class alike."""

@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are watched by /proc")
 
 SHORT = (
-    *("hostile documents", "hostile cache", "no file", "names that", "among sound", "races"),
+    *("hostile documents", "hostile cache", "no file", "names that", "among sound", "one time"),
     *("kill -9 of merge", "full disks"),
 )
 

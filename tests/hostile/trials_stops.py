@@ -138,7 +138,7 @@ TRIALS: dict[str, Trial] = {
     "kill -9 of ingest": killed_ingest,
     "kill -9 of ingest with two processes": killed_workers,
     "kill -9 of merge": killed_merge,
-    "races": race,
+    "calls at one time": race,
     "full disks": full_disk,
 }
 """By class."""

@@ -383,3 +383,15 @@ def test_rows_that_are_missing_in_the_middle_are_reported(logs, tmp_path):
     run = read_run(path)
     assert "the numbers of the rows have 1 gaps: 21 rows are missing" in run.warnings
     assert len(run.odometry) + len(run.detections) == 309
+
+
+def test_a_length_beyond_any_file_is_damage(logs, tmp_path):
+    """No file has an offset of 2^63, and asking for it is an error of its own kind."""
+    path = logs.mcap(tmp_path / "x.mcap", logs.drive(), compression="NONE", use_chunking=False)
+    raw = path.read_bytes()
+    for length in (2**63 - 1, 2**63, 2**64 - 1):
+        path.write_bytes(raw[:8] + b"\x05" + struct.pack("<Q", length) + raw[8:])
+        assert len(read_run(path).odometry) == 300
+        path.write_bytes(raw[:8] + b"\x05" + struct.pack("<Q", length) + bytes(range(100)))
+        with pytest.raises(LogError, match="nothing can be read"):
+            read_run(path)
