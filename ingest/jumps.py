@@ -119,7 +119,8 @@ class _Usual:
 
     @classmethod
     def of(cls, time_ns: Ints, pose: Floats, settings: JumpSettings) -> _Usual:
-        k = np.unique(np.linspace(0, len(pose) - 2, settings.samples).astype(np.int64))
+        k = np.linspace(0, len(pose) - 2, settings.samples).astype(np.int64)
+        k = k[np.diff(k, prepend=-1) > 0]
         duration = (time_ns[k + 1] - time_ns[k]) * SECOND_S
         way = np.hypot(*(pose[k + 1, :2] - pose[k, :2]).T)
         turn = np.abs(wrap(pose[k + 1, 2] - pose[k, 2]))

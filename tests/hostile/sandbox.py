@@ -52,7 +52,6 @@ def load() -> None:
     import mcap.reader  # noqa: F401
     import rerun.blueprint  # noqa: F401
     import rosbags.rosbag1  # noqa: F401
-    import ruamel.yaml  # noqa: F401
     import scipy.optimize
     import scipy.sparse.linalg
     import scipy.spatial  # noqa: F401
