@@ -427,8 +427,9 @@ class _Walk:
         return position + batch.stop
 
     def _count_lost(self, data: Bytes) -> None:
-        """Count the messages of damaged chunks without an index."""
+        """Count the messages of damaged chunks without an index, as far as they can be seen."""
         where, _ = mcap_records(data, NOT_IN_CHUNKS)
+        self._findings.lost_at_least |= len(where) > 0
         where = where[data[where] == MESSAGE]
         counts = np.bincount(words(data, "<u2", where + RECORD_HEAD))
         for number in counts.nonzero()[0].tolist():
@@ -523,6 +524,8 @@ class _Walk:
         data = self._window.view(head.data_at, head.data_size)
         if head.compression:
             data = np.frombuffer(inflate_part(head.compression, data), np.uint8)
+            # What a broken stream gives may end early, or be wrong where heads of records are.
+            self._findings.lost_at_least = True
         found = mended(data, self._heads.within(data), self._define_more)
         where = found.where[found.data[found.where] == MESSAGE]
         numbers = words(found.data, "<u2", where + RECORD_HEAD).tolist() + found.lost

@@ -249,7 +249,8 @@ class Heads:
 def _changed(head: bytes) -> Iterator[bytes]:
     """A head with what may have been damaged set right: the size of a chunk, or any one bit.
 
-    The number of a message's channel is left alone: several would do.
+    The number of a message's channel is left alone: several would do. What becomes a message by it
+    comes last, since any length is that of a message.
     """
     size_at = _data_size_at(head)
     if head[0] == CHUNK and size_at:
@@ -258,13 +259,17 @@ def _changed(head: bytes) -> Iterator[bytes]:
         yield head[:size_at] + by_record + head[size_at + 8 :]
         by_data = struct.pack("<Q", (size_at + 8 + size - RECORD_HEAD) % (1 << 64))
         yield head[:1] + by_data + head[RECORD_HEAD:]
+    messages = []
     for bit in range(8 * len(head)):
         changed = bytearray(head)
         changed[bit // 8] ^= 1 << bit % 8
         if changed[0] == MESSAGE and bit >= 8 * RECORD_HEAD:
             break
-        if changed[0] != CHUNK or _data_size_at(changed):
+        if changed[0] == MESSAGE != head[0]:
+            messages.append(bytes(changed))
+        elif changed[0] != CHUNK or _data_size_at(changed):
             yield bytes(changed)
+    yield from messages
 
 
 def _data_size_at(head: bytes | bytearray) -> int:

@@ -120,12 +120,14 @@ class Findings:
     """What was met on the way through a log: counts, and everything that is wrong with it.
 
     counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
-    damaged places; unknown: messages whose channel is described nowhere; repaired: record heads of
-    which one bit was wrong; too_large: records left out as too large.
+    damaged places; lost_at_least: there may be more; unknown: messages whose channel is described
+    nowhere; repaired: record heads of which one bit was wrong; too_large: records left out as too
+    large.
     """
 
     counts: Counter[Channel] = field(default_factory=Counter)
     lost: Counter[str] = field(default_factory=Counter)
+    lost_at_least: bool = False
     unknown: int = 0
     truncated: bool = False
     unreadable_bytes: int = 0
@@ -185,7 +187,8 @@ class Findings:
         if self.unknown:
             out.append(f"{self.unknown} messages belong to channels that the log does not describe")
         for topic, count in sorted(self.lost.items()):
-            out.append(f"{count} messages of {topic} are lost in damaged places")
+            told = f"at least {count}" if self.lost_at_least else str(count)
+            out.append(f"{told} messages of {topic} are lost in damaged places")
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(
