@@ -154,7 +154,10 @@ def read_run(
     clock = clock_without_jumps(odometry, clock, settings.track.backward_min_s, warnings)
     described = _described(odometry_choice, odometry), _described(junction_choice, junctions)
     track = _track(odometry_choice, odometry, frames=frames, clock=clock, settings=settings)
-    check_plausible(track.odometry, odometry_choice.topic, log)
+    driven = without_jumps(track.odometry, track.jumps)
+    # As recorded, but drive by drive: a reset may lead anywhere.
+    drives = replace(track.odometry, breaks=driven.breaks)
+    check_plausible(drives, odometry_choice.topic, log)
     fixed = _fixed_transforms(recording, junctions, track.odometry)
     sightings = _sightings(
         junction_choice,
@@ -167,9 +170,7 @@ def read_run(
     )
     source = {"odometry": described[0], "junctions": described[1], "time": clock}
     warnings += [*track.warnings, *sightings.warnings]
-    odometry_split, carried = split_where_carried(
-        without_jumps(track.odometry, track.jumps), sightings.detections
-    )
+    odometry_split, carried = split_where_carried(driven, sightings.detections)
     if carried:
         warnings.append(
             f"the wheels stand while the junction in view changes {carried} times: the robot was "

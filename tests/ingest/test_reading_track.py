@@ -300,3 +300,15 @@ def test_standing_is_found_as_without_the_shortcut(logs, tmp_path):
         thorough = read_run(path)
     assert len(quick.odometry.breaks) > 0
     assert quick.odometry.breaks.tolist() == thorough.odometry.breaks.tolist()
+
+
+def test_odometry_that_is_reset_to_a_frame_far_away_is_read(logs, tmp_path):
+    """Until it knows better, a driver may report the origin: no robot drove from there."""
+
+    def change(k, m):
+        x, y, *rest = m.poses[0]
+        return m if k < 100 else replace(m, poses=((x + 5e5, y + 5.6e6, *rest),))
+
+    run = read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change)))
+    assert run.odometry.breaks.tolist() == [100]
+    assert len(run.odometry) == 300
