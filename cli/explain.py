@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -234,8 +234,7 @@ def _verdict_lines(said: MergeEntry | None) -> list[str]:
     if said is None:
         return ["verdict: not merged yet; topobatch merge --all"]
     lines = [f"verdict: {said.verdict}, {said.evidence_bits:.1f} bits: {said.reason}"]
-    more: dict[str, Any] = said.model_extra or {}
-    lines += [f"  against it: {sentence}" for sentence in more.get("contradictions", ())]
+    lines += [f"  against it: {sentence}" for sentence in said.contradictions]
     if said.runner_up is not None:
         at = said.runner_up.transform
         lines.append(
@@ -243,6 +242,6 @@ def _verdict_lines(said: MergeEntry | None) -> list[str]:
             f"{count(len(said.runner_up.matched), 'junction')}, at ({at.x:.2f}, {at.y:.2f}) m, "
             f"turned by {degrees(at.theta):.1f}°"
         )
-    if more.get("advice"):
-        lines.append(f"  to settle it: {more['advice']}")
+    if said.advice:
+        lines.append(f"  to settle it: {said.advice}")
     return lines

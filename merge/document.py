@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import (
@@ -85,6 +85,9 @@ class RunnerUp(Model):
     transform: Pose
     evidence_bits: Finite = Field(description=_EVIDENCE)
     matched: list[tuple[Index, Index]]
+    corridors: Index = 0
+    rmse_m: Finite = 0.0
+    contradictions: list[str] = Field(default_factory=list)
 
 
 class Placed(Model):
@@ -136,9 +139,22 @@ class MergeEntry(Model):
     )
     transform: Pose | None = None
     matched: list[tuple[Index, Index]] | None = None
+    corridors: Index = 0
+    rmse_m: Finite = 0.0
+    contradictions: list[str] = Field(default_factory=list)
     runner_up: RunnerUp | None = None
     placed: Placed | None = None
     transform_sigma: Placed | None = None
+    advice: str | None = None
+    locked: str | None = None
+
+    @model_validator(mode="after")
+    def _of_a_pair(self) -> MergeEntry:
+        if not self.a < self.b:
+            raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
+        if self.accepted and self.transform is None:
+            raise ValueError("an accepted pair needs its transform")
+        return self
 
 
 class MergedDocument(Model):
@@ -272,18 +288,10 @@ def poses_from_document(document: MergedDocument) -> dict[str, NDArray[np.float6
 def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
     """What a document says about a pair, as the value it was written from: rounded, and without
     the alignments of unrelated pairs."""
-    more: dict[str, Any] = entry.model_extra or {}
     best = None
     if entry.transform is not None:
-        best = _alignment_from(more, entry.transform, entry.evidence_bits, entry.matched or [])
+        best = _alignment_from(entry, entry.transform, entry.matched or [])
     second = entry.runner_up
-    runner_up = None
-    if second is not None:
-        of_second: dict[str, Any] = second.model_extra or {}
-        runner_up = _alignment_from(
-            of_second, second.transform, second.evidence_bits, second.matched
-        )
-    placed = entry.placed
     return PairVerdict(
         a=entry.a,
         b=entry.b,
@@ -292,15 +300,18 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
         evidence_bits=entry.evidence_bits,
         reason=entry.reason,
         best=best,
-        runner_up=runner_up,
+        runner_up=None
+        if second is None
+        else _alignment_from(second, second.transform, second.matched),
         margin_bits=entry.margin_bits,
-        advice=more.get("advice"),
-        locked=more.get("locked"),
+        advice=entry.advice,
+        locked=entry.locked,
         threshold_bits=entry.threshold_bits,
         accepted_by=entry.accepted_by,
         through=tuple(entry.through or ()),
-        placed=None if placed is None else (placed.sigma_m, placed.sigma_rad),
+        placed=_sigmas_from(entry.placed),
         together=_sides(entry.together),
+        transform_sigma=_sigmas_from(entry.transform_sigma),
     )
 
 
@@ -310,16 +321,20 @@ def _sides(
     return None if together is None else (tuple(together[0]), tuple(together[1]))
 
 
+def _sigmas_from(placed: Placed | None) -> tuple[float, float] | None:
+    return None if placed is None else (placed.sigma_m, placed.sigma_rad)
+
+
 def _alignment_from(
-    more: dict[str, Any], transform: Pose, bits: float, matched: list[tuple[int, int]]
+    entry: MergeEntry | RunnerUp, transform: Pose, matched: list[tuple[int, int]]
 ) -> Alignment:
     return Alignment(
         transform=np.array([transform.x, transform.y, transform.theta]),
-        evidence_bits=bits,
+        evidence_bits=entry.evidence_bits,
         matched=np.array(matched, np.int64),
-        rmse_m=float(more.get("rmse_m", 0.0)),
-        corridors=int(more.get("corridors", 0)),
-        contradictions=tuple(map(str, more.get("contradictions", ()))),
+        rmse_m=entry.rmse_m,
+        corridors=entry.corridors,
+        contradictions=tuple(entry.contradictions),
     )
 
 

@@ -167,7 +167,10 @@ def _of_components(
         swapped,
     )
     answers = view.answers[0]
-    shown = replace(told.best, corridors=len(view.best.corridors))
+    # Of maps that changed since, some junctions may be gone.
+    sizes = [len(batch.maps[batch.row[run]]) for run in (told.a, told.b)]
+    matched = told.best.matched[(told.best.matched < sizes).all(axis=1)]
+    shown = replace(told.best, matched=matched, corridors=len(view.best.corridors))
     return [(Placement(shown, _terms(naming, view.best, answers)), answers)]
 
 

@@ -263,6 +263,13 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     document["graph"]["settings"]["false_merge_rate"] = 7
     merged.write_text(json.dumps(document))
     assert "graph.settings" in topobatch("explain", a, b, "-w", workspace).error(1)
+    for damage in ({"accepted": True, "transform": None}, {"a": b, "b": a}, {"rmse_m": "far"}):
+        topobatch("merge", "--all", "-w", workspace)
+        document = json.loads(merged.read_bytes())
+        document["merges"][0] |= damage
+        merged.write_text(json.dumps(document))
+        told = topobatch("explain", a, b, "-w", workspace).error(1)
+        assert "merged.json: merges.0" in told
     topobatch("merge", "--all", "--method", "paper", "-w", workspace)
     assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
     topobatch("merge", a, "--replace", "-w", workspace)

@@ -120,10 +120,14 @@ def test_what_components_say_together_is_explained(maze, see):
         (shown,) = decision.placements
         known = {tuple(pair) for pair in shown.alignment.matched.tolist()}
         named = {
-            (u, v) for t in shown.terms for u, v in zip(t.a, t.b, strict=False) if len(t.a) == 1
+            (u, v) for t in shown.terms if t.kind == "branches" for u in t.a for v in t.b
         }
-        assert named
-        assert {pair for pair in named if pair[0] >= 0} >= known & named
+        assert named == known
+    less = see(maze, order[30:50].tolist(), 3, "c", missed=0.0)
+    changed = explain(replace_map(batch, less), "a", "c")
+    assert "changed since; merge again" in changed.notes[0]
+    for placement in changed.placements:
+        assert np.all(placement.alignment.matched < (len(a), len(less)))
 
 
 def test_runs_that_others_join_lie_where_these_place_them(maze, see):
