@@ -8,17 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DocumentError, UsageError
+from . import paper_options
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
 from .output import count, say, say_lines, warn
-from .paper_options import (
-    ConfidenceOfOption,
-    ConfidenceOption,
-    DegreeOption,
-    IterativeOption,
-    MetOption,
-    PaperOptions,
-    WeightsOption,
-)
 from .workspace import Workspace, shortened
 
 if TYPE_CHECKING:
@@ -46,12 +38,12 @@ def explain(
         str | None,
         typer.Option(metavar="NAME", help="The merge to ask, by its --output NAME."),
     ] = None,
-    degree: DegreeOption = None,
-    confidence: ConfidenceOption = None,
-    confidence_of: ConfidenceOfOption = None,
-    weights: WeightsOption = None,
-    iterative: IterativeOption = None,
-    met: MetOption = None,
+    degree: paper_options.DegreeOption = None,
+    confidence: paper_options.ConfidenceOption = None,
+    confidence_of: paper_options.ConfidenceOfOption = None,
+    weights: paper_options.WeightsOption = None,
+    iterative: paper_options.IterativeOption = None,
+    met: paper_options.MetOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     rows: Annotated[
         int | None,
@@ -79,7 +71,9 @@ def explain(
     if merge is not None and not place.merged_json.exists():
         raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
     first, second = place.chosen_runs([a, b], False)
-    options = PaperOptions(degree, confidence, confidence_of, weights, iterative, tuple(met or ()))
+    options = paper_options.PaperOptions(
+        degree, confidence, confidence_of, weights, iterative, tuple(met or ())
+    )
     if method == "paper":
         _by_paper(place, (first, second), options, as_json, rows)
     else:
@@ -180,7 +174,7 @@ def _record(recording: Path, draw: Callable[[], None], quiet: bool) -> None:
 def _by_paper(
     place: Workspace,
     pair: tuple[str, str],
-    options: PaperOptions,
+    options: paper_options.PaperOptions,
     as_json: bool,
     rows: int | None,
 ) -> None:

@@ -11,17 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
+from . import paper_options
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
 from .output import Screen, count
-from .paper_options import (
-    ConfidenceOfOption,
-    ConfidenceOption,
-    DegreeOption,
-    IterativeOption,
-    MetOption,
-    PaperOptions,
-    WeightsOption,
-)
 from .workers import start_worker
 from .workspace import MERGED, Workspace, shortened
 
@@ -70,12 +62,12 @@ def merge(
         bool,
         typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
     ] = False,
-    degree: DegreeOption = None,
-    confidence: ConfidenceOption = None,
-    confidence_of: ConfidenceOfOption = None,
-    weights: WeightsOption = None,
-    iterative: IterativeOption = None,
-    met: MetOption = None,
+    degree: paper_options.DegreeOption = None,
+    confidence: paper_options.ConfidenceOption = None,
+    confidence_of: paper_options.ConfidenceOfOption = None,
+    weights: paper_options.WeightsOption = None,
+    iterative: paper_options.IterativeOption = None,
+    met: paper_options.MetOption = None,
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=0, help="Processes to match with; 0: one per core.")
     ] = 1,
@@ -93,7 +85,9 @@ def merge(
     if output is not None:
         place = Workspace(workspace, output)
         place.check_merge()
-    options = PaperOptions(degree, confidence, confidence_of, weights, iterative, tuple(met or ()))
+    options = paper_options.PaperOptions(
+        degree, confidence, confidence_of, weights, iterative, tuple(met or ())
+    )
     settings = _settings(method, false_merge_rate, options)
     with place.held(screen.warn, make=False):
         chosen = place.chosen_runs(runs or [], everything)
@@ -145,7 +139,9 @@ def _read_maps(
 
 
 def _settings(
-    method: Literal["robust", "paper"], false_merge_rate: float | None, options: PaperOptions
+    method: Literal["robust", "paper"],
+    false_merge_rate: float | None,
+    options: paper_options.PaperOptions,
 ) -> MergeSettings:
     """The settings that the options ask for; UsageError if they are the other method's."""
     from ..merge.merging import MergeSettings

@@ -2,31 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from .bag_heads import BagHeads
 from .bag_wire import MESSAGE, number
-from .messages import Bytes, Ints
+from .mended import Mended
+from .messages import Bytes
 
 
-class MendedBag(NamedTuple):
-    """Records found in damaged data.
-
-    data: with their heads set right; where: places of the records; lost: connections of messages
-    that are not among them, as far as that can be told; unreadable: bytes left out; repaired: how
-    many heads were set right.
-    """
-
-    data: Bytes
-    where: Ints
-    lost: list[int]
-    unreadable: int
-    repaired: int
-
-
-def mended(data: Bytes, heads: BagHeads) -> MendedBag:
+def mended(data: Bytes, heads: BagHeads) -> Mended:
     """All records of damaged data that can still be found. heads: of the data. O(records)."""
     data = data.copy()
     heads = heads.within(data)
@@ -59,4 +43,4 @@ def mended(data: Bytes, heads: BagHeads) -> MendedBag:
             lost.append(number(record.fields, b"conn"))
         unreadable += (len(data) if found is None else found) - position
         position = len(data) if found is None else found
-    return MendedBag(data, np.array(where, np.int64), lost, unreadable, repaired)
+    return Mended(data, np.array(where, np.int64), lost, unreadable, repaired)

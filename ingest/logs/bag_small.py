@@ -15,6 +15,9 @@ SMALL_BYTES = 1 << 14
 RUN = 8
 """After so many small chunks the next ones are expected to be small, too."""
 
+LONGEST_HEADER = 256
+"""Headers of chunks and indexes take 50 bytes; longer ones are left to those who read any."""
+
 
 class Batch(NamedTuple):
     """Small chunks one behind the other: bytes of the file that they take, records of each."""
@@ -105,9 +108,6 @@ def small_chunks(raw: Bytes) -> Batch:
                 break
         at = end
     return Batch(stop, data)
-
-
-LONGEST_HEADER = 256
 
 
 def _records(compression: bytes, packed: memoryview, size: int) -> bytes:

@@ -35,8 +35,6 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 SLOW = frozenset({"zstd", "bz2"})
 """Compressions worth another thread: lz4 inflates faster than a chunk goes from core to core."""
 
-COMPRESSIONS = frozenset({"zstd", "lz4", "bz2"})
-
 _local = threading.local()
 
 

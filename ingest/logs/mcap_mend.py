@@ -8,32 +8,18 @@ walk goes on at the next place at which records are.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from .columns import words
 from .mcap_heads import IN_CHUNKS, Heads
 from .mcap_wire import MESSAGE, RECORD_HEAD
+from .mended import Mended
 from .messages import Bytes, Ints
 from .walk import mcap_records
 
 _NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
 _PRIVATE = 0x80
-
-
-class Mended(NamedTuple):
-    """Records found in damaged data.
-
-    data: with their heads set right; where: places of the records; lost: channels of messages that
-    are not among them, as far as that can be told; unreadable: bytes left out; repaired: heads.
-    """
-
-    data: Bytes
-    where: Ints
-    lost: list[int]
-    unreadable: int
-    repaired: int
 
 
 def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], None]) -> Mended:

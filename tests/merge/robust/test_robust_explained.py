@@ -119,9 +119,7 @@ def test_what_components_say_together_is_explained(maze, see):
         )
         (shown,) = decision.placements
         known = {tuple(pair) for pair in shown.alignment.matched.tolist()}
-        named = {
-            (u, v) for t in shown.terms if t.kind == "branches" for u in t.a for v in t.b
-        }
+        named = {(u, v) for t in shown.terms if t.kind == "branches" for u in t.a for v in t.b}
         assert named == known
     less = see(maze, order[30:50].tolist(), 3, "c", missed=0.0)
     changed = explain(replace_map(batch, less), "a", "c")
