@@ -86,15 +86,16 @@ def listed(runs: Sequence[str], most: int = 3) -> str:
 
 def decision_bits(decision: Decision) -> str:
     """The evidence, with the decimals of this decision."""
-    return f"{decision.said.evidence_bits:.{_digits(decision)}f}"
+    return f"{decision.said.evidence_bits:.{decimals_of(decision)}f}"
 
 
 def threshold(decision: Decision) -> str:
     """The threshold, with the decimals of this decision."""
-    return f"{decision.requirement.threshold_bits:.{_digits(decision)}f}"
+    return f"{decision.requirement.threshold_bits:.{decimals_of(decision)}f}"
 
 
-def _digits(decision: Decision) -> int:
+def decimals_of(decision: Decision) -> int:
+    """With how many decimals the evidence and the threshold are told apart."""
     return decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
 
 
@@ -174,7 +175,7 @@ def lies(decision: Decision) -> str:
 def rows(decision: Decision, links: int) -> list[Row]:
     """The table of evidence: what is added up for every placement, and the links of the first one
     that tell most, so many at most. The column of each placement adds up as it stands."""
-    digits = _digits(decision)
+    digits = decimals_of(decision)
     columns = [_groups(p, digits) for p in decision.placements]
     if not columns:
         return []
@@ -323,7 +324,7 @@ def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
 
 def _table(decision: Decision, links: int) -> list[str]:
     """The table of evidence, its sum and what is needed."""
-    digits, count = _digits(decision), len(decision.placements)
+    digits, count = decimals_of(decision), len(decision.placements)
     if not count:
         return [_row([threshold(decision)], f"bits needed: {needs(decision)}")]
     names = (short(decision.said.a, 10), short(decision.said.b, 10))

@@ -24,13 +24,12 @@ def whole_records(
     pieces: Iterator[bytes],
     walk: Callable[[Bytes], tuple[Ints, int]],
     length: Callable[[Bytes], int],
-    skip: Callable[[int], None] | None = None,
 ) -> Iterator[Bytes | Large]:
     """Runs of whole records out of a stream, and the heads of records too long to be kept.
 
     walk: finds the records at the front of bytes and where they stop; length: of the record at the
-    front, 0 if there is none; skip: passes over bytes of the stream without reading them. Raises
-    DamageError if the stream holds anything else, or ends within a record.
+    front, 0 if there is none. Raises DamageError if the stream holds anything else, or ends within
+    a record.
     """
     pending = b""
     over = 0
@@ -50,9 +49,6 @@ def whole_records(
         if total > RECORD_BYTES:
             yield Large(data[stop:])
             over, pending = max(total - len(pending), 0), pending[total:]
-            if over and skip is not None:
-                skip(over)
-                over = 0
         elif total <= 0 and len(pending) > PIECE_BYTES:
             break
     if pending or over:

@@ -58,6 +58,14 @@ def test_a_merged_pair_is_drawn_over_and_tied(tmp_path: Path, make_map) -> None:
     assert "+29.00" in got.value("/evidence", "TextDocument:text")[0]
 
 
+def test_what_falls_short_by_little_is_seen_to_do_so(tmp_path: Path, make_map) -> None:
+    told = decision(Verdict.AMBIGUOUS, [placement(12.51)])
+    near = replace(told, requirement=replace(NEED, threshold_bits=12.53))
+    page = written(tmp_path / "a.rrd", make_map, near).value("/decision", "TextDocument:text")[0]
+    assert "| **12.51** | **evidence** |" in page
+    assert "| 12.53 | needed:" in page
+
+
 def test_tied_maps_are_drawn_apart(tmp_path: Path, make_map) -> None:
     got = written(tmp_path / "a.rrd", make_map, decision(Verdict.MERGED, [placement(30.0)]))
     strips = got.value("/placements/tied/links/a", "LineStrips2D:strips")
