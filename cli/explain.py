@@ -125,7 +125,7 @@ def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap])
     notes = []
     if why_not:
         notes.append(f"{why_not}; this is what a merge of {count(len(maps), 'map')} would say")
-    elif gone:
+    if gone:
         notes.append(
             f"the {count(len(gone), 'map')} of {shortened(gone, 3)} cannot be read: how much the "
             "buildings repeat themselves is told without"

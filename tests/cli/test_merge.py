@@ -274,6 +274,10 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
     topobatch("merge", a, "--replace", "-w", workspace)
     assert "did not have both runs" in topobatch("explain", a, b, "-w", workspace).out
+    third.write_text("{}")
+    shown = topobatch("explain", a, b, "-w", workspace).out
+    assert "did not have both runs" in shown
+    assert "of third cannot be read" in " ".join(shown.split())
 
 
 @pytest.fixture(scope="module")
