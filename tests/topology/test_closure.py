@@ -8,6 +8,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
+from topobatch.topology.closure.answers import explained
 from topobatch.topology.closure.bend import bend
 from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
 from topobatch.topology.closure.drivenby import phantoms, settle
@@ -23,7 +24,6 @@ from topobatch.topology.closure.rates import measured_rates
 from topobatch.topology.closure.rectilinear import RectilinearSettings, grid_headings
 from topobatch.topology.closure.rounds import (
     RoundSettings,
-    _explained,
     full_closure,
     weakest_cut,
 )
@@ -318,7 +318,7 @@ def test_a_better_reason_replaces_only_that_nothing_was_sure():
     unsure = Identification(0, 5, False, 2.0, "not sure enough", round=4)
     other = replace(unsure, second=6, reason="corridors disagree")
     doubts = {(0, 5): unsure, (0, 6): other}
-    found = _explained(doubts, {(0, 5): "rivals", (0, 6): "rivals", (1, 2): "rivals"})
+    found = explained(doubts, {(0, 5): "rivals", (0, 6): "rivals", (1, 2): "rivals"})
     assert list(found) == [(0, 5)]
     assert astuple(found[0, 5]) == astuple(replace(unsure, reason="rivals"))
 

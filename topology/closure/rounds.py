@@ -7,7 +7,6 @@ sure, lay the walk out again, look again with the smaller uncertainty that this 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,6 +14,22 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from .answers import (
+    AGREE,
+    APART,
+    COMMON,
+    DISAGREE,
+    TOGETHER,
+    TORN,
+    UNSURE,
+    Answer,
+    explained,
+    is_open,
+    note,
+    revised_answers,
+    standing_doubts,
+    taken_back,
+)
 from .bend import bend
 from .candidates import Candidates, CandidateSettings, candidates
 from .evidence import background, rarity, with_pattern
@@ -29,18 +44,6 @@ from .walk import Walk, louder, stretch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-_AGREE = "position, branches and corridors agree"
-_TOGETHER = "sure together with others that agree on one position"
-_UNSURE = "not sure enough"
-_DISAGREE = "corridors disagree"
-_COMMON = "places that are certainly two look as much alike"
-_APART = "too far apart once the run was laid out anew"
-_TORN = "taken back: a pass was torn away"
-
-
-_Answer = tuple[int | str | None, ...]
-"""Which question was answered, and how: two passes or places, and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +154,7 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
     strikes: Counter[tuple[int, int]] = Counter()
     torn: Counter[int] = Counter()
     doubts: dict[tuple[int, int], Identification] = {}
-    answers: dict[_Answer, Identification] = {}
+    answers: dict[Answer, Identification] = {}
     place = np.arange(len(walk), dtype=np.int64)
     layout = lay_out(walk, place, grid=grid, settings=settings.layout)
     stage, exact = 0, False
@@ -168,10 +171,10 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         doubts = _doubted(doubts, places, found, settings, number)
         if not new and exact:
             (new, reasons), stage = _together(scene, found, layout, settings), 0
-            doubts |= _explained(doubts, reasons)
+            doubts |= explained(doubts, reasons)
         new = [replace(q, round=number) for q in new]
         made = {(q.first, q.second) for q in new}
-        _noted(answers, (q for pair, q in doubts.items() if _open(q, place) and pair not in made))
+        note(answers, (q for pair, q in doubts.items() if is_open(q, place) and pair not in made))
         if not new and exact:
             break
         if not exact:
@@ -190,14 +193,14 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         bad = _strained(place, layout, links, torn, settings)
         if bad:
             strikes.update((q.first, q.second) for q in bad)
-            back = [_taken_back(q, number) for q in bad]
-            _noted(answers, back)
+            back = [taken_back(q, number) for q in bad]
+            note(answers, back)
             doubts.update(((q.first, q.second), q) for q in back)
             links = [q for q in links if q not in bad]
             place = _partition(len(walk), links)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
-    asked = links + _left(place, doubts)
-    return Closed(walk, place, layout, asked, grid, _revised(place, answers.values(), asked))
+    asked = links + standing_doubts(place, doubts)
+    return Closed(walk, place, layout, asked, grid, revised_answers(place, answers.values(), asked))
 
 
 def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) -> Scene:
@@ -307,7 +310,7 @@ def _certain(
                     rival = max(rival, total[r])
         if total[k] - rival < settings.lead:
             continue
-        out.append(_answer(places, found, int(k), float(total[k]), reason=_AGREE, accepted=True))
+        out.append(_answer(places, found, int(k), float(total[k]), reason=AGREE, accepted=True))
     return out
 
 
@@ -323,21 +326,10 @@ def _together(
         ends = [(int(firsts[found.a[k]]), int(firsts[found.b[k]])) for k in rows]
         return [], {(min(pair), max(pair)): agreed.reason for pair in ends}
     answers = [
-        _answer(scene.places, found, row, value, reason=_TOGETHER, accepted=True)
+        _answer(scene.places, found, row, value, reason=TOGETHER, accepted=True)
         for row, value in zip(rows, agreed.odds.tolist(), strict=True)
     ]
     return answers, {}
-
-
-def _explained(
-    doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
-) -> dict[tuple[int, int], Identification]:
-    """Doubts that were only not sure enough, with the better reason that there is."""
-    return {
-        pair: replace(doubts[pair], reason=reason)
-        for pair, reason in reasons.items()
-        if pair in doubts and doubts[pair].reason == _UNSURE
-    }
 
 
 def _answer(
@@ -402,60 +394,16 @@ def _doubted(
     What was doubted before and is no candidate any more was excluded by the layout.
     """
     out = {
-        pair: q if q.reason in (_TORN, _APART) else replace(q, reason=_APART, round=number)
+        pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
         for pair, q in before.items()
     }
     total, least = found.total, settings.thresholds[-1]
     for k in np.flatnonzero(found.position + found.branches > 0).tolist():
-        reason = _UNSURE
+        reason = UNSURE
         if found.conflict[k] > 2:
-            reason = _DISAGREE
+            reason = DISAGREE
         elif total[k] + found.commonness[k] >= least > total[k]:
-            reason = _COMMON
+            reason = COMMON
         q = _answer(places, found, k, float(total[k]), reason=reason, accepted=False)
         out[q.first, q.second] = replace(q, round=number)
     return out
-
-
-def _open(q: Identification, place: IntArray) -> bool:
-    """Whether the two passes are by different places as yet."""
-    return bool(place[q.first] != place[q.second])
-
-
-def _taken_back(q: Identification, number: int) -> Identification:
-    return replace(q, accepted=False, reason=_TORN, round=number, accepted_round=q.round)
-
-
-def _noted(answers: dict[_Answer, Identification], given: Iterable[Identification]) -> None:
-    """Keep, for two passes, the last answer of each kind."""
-    for q in given:
-        answers[q.first, q.second, q.reason, q.accepted_round] = q
-
-
-def _revised(
-    place: IntArray, answers: Iterable[Identification], asked: list[Identification]
-) -> list[Identification]:
-    """Refusals that do not stand any more: of each reason the last, for each pair of places.
-
-    asked: what stands. Passes that were found to be by one place later on keep theirs.
-    """
-
-    def key(q: Identification) -> _Answer:
-        a, b = sorted((int(place[q.first]), int(place[q.second])))
-        pair = (a, b) if a != b else (q.first, q.second)
-        return *pair, a == b, q.reason, q.accepted_round
-
-    last = {key(q): q for q in sorted(answers, key=lambda q: (q.round, q.first, q.second))}
-    for q in asked:
-        last.pop(key(q), None)
-    return list(last.values())
-
-
-def _left(place: IntArray, doubts: dict[tuple[int, int], Identification]) -> list[Identification]:
-    """The doubts that still join two places, the latest of each two, by their first passes."""
-    latest: dict[tuple[int, int], Identification] = {}
-    for (i, j), q in doubts.items():
-        a, b = sorted((int(place[i]), int(place[j])))
-        if a != b:
-            latest[a, b] = q
-    return [latest[pair] for pair in sorted(latest)]

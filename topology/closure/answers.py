@@ -1,0 +1,83 @@
+"""What loop closure answered to each question, round by round, and which answers still stand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .gated import Identification
+
+IntArray = NDArray[np.int64]
+
+AGREE = "position, branches and corridors agree"
+TOGETHER = "sure together with others that agree on one position"
+UNSURE = "not sure enough"
+DISAGREE = "corridors disagree"
+COMMON = "places that are certainly two look as much alike"
+APART = "too far apart once the run was laid out anew"
+TORN = "taken back: a pass was torn away"
+
+
+Answer = tuple[int | str | None, ...]
+"""Which question was answered, and how: two passes or places, and the reason."""
+
+
+def explained(
+    doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
+) -> dict[tuple[int, int], Identification]:
+    """Doubts that were only not sure enough, with the better reason that there is."""
+    return {
+        pair: replace(doubts[pair], reason=reason)
+        for pair, reason in reasons.items()
+        if pair in doubts and doubts[pair].reason == UNSURE
+    }
+
+
+def is_open(q: Identification, place: IntArray) -> bool:
+    """Whether the two passes are by different places as yet."""
+    return bool(place[q.first] != place[q.second])
+
+
+def taken_back(q: Identification, number: int) -> Identification:
+    """An identification that round `number` refuses after all."""
+    return replace(q, accepted=False, reason=TORN, round=number, accepted_round=q.round)
+
+
+def note(answers: dict[Answer, Identification], given: Iterable[Identification]) -> None:
+    """Keep, for two passes, the last answer of each kind."""
+    for q in given:
+        answers[q.first, q.second, q.reason, q.accepted_round] = q
+
+
+def revised_answers(
+    place: IntArray, answers: Iterable[Identification], asked: list[Identification]
+) -> list[Identification]:
+    """Refusals that do not stand any more: of each reason the last, for each pair of places.
+
+    asked: what stands. Passes that were found to be by one place later on keep theirs.
+    """
+
+    def key(q: Identification) -> Answer:
+        a, b = sorted((int(place[q.first]), int(place[q.second])))
+        pair = (a, b) if a != b else (q.first, q.second)
+        return *pair, a == b, q.reason, q.accepted_round
+
+    last = {key(q): q for q in sorted(answers, key=lambda q: (q.round, q.first, q.second))}
+    for q in asked:
+        last.pop(key(q), None)
+    return list(last.values())
+
+
+def standing_doubts(
+    place: IntArray, doubts: dict[tuple[int, int], Identification]
+) -> list[Identification]:
+    """The doubts that still join two places, the latest of each two, by their first passes."""
+    latest: dict[tuple[int, int], Identification] = {}
+    for (i, j), q in doubts.items():
+        a, b = sorted((int(place[i]), int(place[j])))
+        if a != b:
+            latest[a, b] = q
+    return [latest[pair] for pair in sorted(latest)]
