@@ -154,6 +154,9 @@ class MergeEntry(Model):
             raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
         if self.accepted and self.transform is None:
             raise ValueError("an accepted pair needs its transform")
+        sides = self.together or ([self.a], [self.b])
+        if not any(self.a in x and self.b in y for x, y in (sides, sides[::-1])):
+            raise ValueError("together must name the runs of the two components")
         return self
 
 

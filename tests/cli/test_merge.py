@@ -263,7 +263,12 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     document["graph"]["settings"]["false_merge_rate"] = 7
     merged.write_text(json.dumps(document))
     assert "graph.settings" in topobatch("explain", a, b, "-w", workspace).error(1)
-    for damage in ({"accepted": True, "transform": None}, {"a": b, "b": a}, {"rmse_m": "far"}):
+    for damage in (
+        {"accepted": True, "transform": None},
+        {"a": b, "b": a},
+        {"rmse_m": "far"},
+        {"together": [[a, b], []]},
+    ):
         topobatch("merge", "--all", "-w", workspace)
         document = json.loads(merged.read_bytes())
         document["merges"][0] |= damage
