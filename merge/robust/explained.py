@@ -16,7 +16,7 @@ from ...topology.se2 import between
 from ...topology.topomap import TopoMap
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
 from ..locks import Lock
-from ..result import Alignment, PairVerdict
+from ..result import Alignment, PairVerdict, shown_bits
 from .alignment import CHANCE_BITS, Candidate, best_seed, same_placement
 from .conflicts import CONFLICT_BITS
 from .decide import Assessment, assess, bars
@@ -312,8 +312,8 @@ def _changed(
     if same:
         return ()
     return (
-        f"merged.json says {told.evidence_bits:.1f} bits, the maps now say {now:.1f}: they, the "
-        "locks or topobatch have changed since; merge again",
+        f"merged.json says {shown_bits(told.evidence_bits)} bits, the maps now say "
+        f"{shown_bits(now)}: they, the locks or topobatch have changed since; merge again",
     )
 
 

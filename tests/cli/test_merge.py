@@ -237,6 +237,12 @@ def test_explain_by_the_papers_figures(topobatch, workspace):
     document = json.loads(topobatch("explain", a, b, *options).out)
     assert document["schema"] == "topobatch.explanation/1"
     assert document["verdict"]["a"] == a
+    paper = ("explain", a, b, "--method", "paper", "-w", workspace)
+    assert "verdict of the last merge by another method: " in topobatch(*paper).out
+    topobatch("merge", "--all", "--method", "paper", "-w", workspace)
+    assert "verdict of the last merge: " in topobatch(*paper).out
+    told = topobatch(*paper, "--degree", "inexact").out
+    assert "verdict of the last merge, with the settings of that merge: " in told
 
 
 def test_explain_answers_where_it_cannot_write(topobatch, workspace):
@@ -257,7 +263,7 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     third.write_text(json.dumps(document))
     topobatch("merge", "--all", "-w", workspace)
     third.unlink()
-    assert "of third cannot be read" in topobatch("explain", a, b, "-w", workspace).out
+    assert "the map of third cannot be read" in topobatch("explain", a, b, "-w", workspace).out
     merged = workspace / "merged.json"
     document = json.loads(merged.read_bytes())
     document["graph"]["settings"]["false_merge_rate"] = 7
