@@ -224,6 +224,27 @@ def test_explain(topobatch, workspace):
     assert "not 'copy'" in topobatch("explain", a, "copy", "-w", workspace).error(1)
 
 
+def test_explain_tells_of_locks(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    topobatch("merge", "--all", "-w", workspace)
+    topobatch("lock", a, b, "--never", "-w", workspace)
+    assert "locked apart since the merge" in topobatch("explain", a, b, "-w", workspace).out
+    topobatch("merge", "--all", "-w", workspace)
+    assert "Note" not in topobatch("explain", a, b, "-w", workspace).out
+    topobatch("lock", a, b, "--clear", "-w", workspace)
+    assert "unlocked since the merge" in topobatch("explain", a, b, "-w", workspace).out
+    topobatch("lock", a, b, "--same", "-w", workspace)
+    topobatch("merge", "--all", "-w", workspace)
+    assert "Note" not in topobatch("explain", a, b, "-w", workspace).out
+    document = json.loads((workspace / "merged.json").read_bytes())
+    why = "locked as the same, but no alignment of the two honours the lock"
+    said = {"accepted": False, "accepted_by": None, "reason": f"{why}; the maps alone say: much"}
+    document["merges"][0] |= said
+    (workspace / "merged.json").write_text(json.dumps(document))
+    told = " ".join(topobatch("explain", a, b, "-w", workspace).out.split())
+    assert f"Note: {why}" in told
+
+
 def test_explain_by_the_papers_figures(topobatch, workspace):
     a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
     shown = topobatch("explain", b, a, "--method", "paper", "-w", workspace)
