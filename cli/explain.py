@@ -126,9 +126,10 @@ def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap])
     if why_not:
         notes.append(f"{why_not}; this is what a merge of {count(len(maps), 'map')} would say")
     if gone:
+        noun = "map" if len(gone) == 1 else "maps"
         notes.append(
-            f"the {count(len(gone), 'map')} of {shortened(gone, 3)} cannot be read: how much the "
-            "buildings repeat themselves is told without"
+            f"the {noun} of {shortened(gone, 3)} cannot be read: how much the buildings repeat "
+            "themselves is told without"
         )
     ordered = [maps[run] for run in sorted(maps)]
     batch = Batch(ordered, said, settings, place.locks(), poses)
@@ -181,30 +182,34 @@ def _by_paper(
     """Show what the paper's method finds."""
     from ..merge.explain import explain as explained
     from ..merge.explain import lines, to_document
+    from ..merge.paper import DEFAULT_PAPER
     from ..viz import write_explain_recording
 
     map_a, map_b = (place.read_map(run) for run in pair)
-    found = explained(map_a, map_b, options.over(_merged_with(place)))
+    merged_with = _merged_with(place)
+    found = explained(map_a, map_b, options.over(merged_with or DEFAULT_PAPER))
     said = _said(place, *pair)
     if as_json:
         say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
     else:
-        for line in [*lines(found, rows or 20), "", *_verdict_lines(said)]:
+        how = "" if found.settings == merged_with else ", with the settings of that merge"
+        how = " by another method" if merged_with is None else how
+        for line in [*lines(found, rows or 20), "", *_verdict_lines(said, how)]:
             say_lines(line)
     recording = place.explain_rrd(*pair, method="paper")
     _record(recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json)
 
 
-def _merged_with(place: Workspace) -> PaperSettings:
-    """The settings of the last merge by the paper's method; the defaults if it was another one."""
+def _merged_with(place: Workspace) -> PaperSettings | None:
+    """The settings of the last merge by the paper's method; None if it was another one."""
     from ..merge.document import read_merged
-    from ..merge.paper import DEFAULT_PAPER, settings_from_document
+    from ..merge.paper import settings_from_document
 
     if not place.merged_json.exists():
-        return DEFAULT_PAPER
+        return None
     graph = read_merged(place.merged_json).graph
     if graph.method != "paper":
-        return DEFAULT_PAPER
+        return None
     try:
         return settings_from_document(graph.settings or {})
     except ValueError as error:
@@ -221,18 +226,21 @@ def _said(place: Workspace, a: str, b: str) -> MergeEntry | None:
     return next((entry for entry in merges if (entry.a, entry.b) == (a, b)), None)
 
 
-def _verdict_lines(said: MergeEntry | None) -> list[str]:
-    """The verdict of the last merge, whatever its method."""
+def _verdict_lines(said: MergeEntry | None, how: str) -> list[str]:
+    """The verdict of the last merge, whatever its method. how: what tells it from the figures."""
     from math import degrees
+
+    from ..merge.result import shown_bits
 
     if said is None:
         return ["verdict: not merged yet; topobatch merge --all"]
-    lines = [f"verdict: {said.verdict}, {said.evidence_bits:.1f} bits: {said.reason}"]
+    bits = shown_bits(said.evidence_bits)
+    lines = [f"verdict of the last merge{how}: {said.verdict}, {bits} bits: {said.reason}"]
     lines += [f"  against it: {sentence}" for sentence in said.contradictions]
     if said.runner_up is not None:
         at = said.runner_up.transform
         lines.append(
-            f"  next best: {said.runner_up.evidence_bits:.1f} bits, "
+            f"  next best: {shown_bits(said.runner_up.evidence_bits)} bits, "
             f"{count(len(said.runner_up.matched), 'junction')}, at ({at.x:.2f}, {at.y:.2f}) m, "
             f"turned by {degrees(at.theta):.1f}°"
         )

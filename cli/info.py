@@ -28,7 +28,8 @@ def info(
     """Show what a log holds and what ingest would use.
 
     Its topics, their types and counts, how long it is, which topics would be used and why. Exits
-    with 1 if a log is damaged, or if ingest could not use it as it is.
+    with 1 if a log is seen to be damaged, or if ingest could not use its topics. A finished log is
+    not read whole: what is wrong inside its messages is told by ingest.
     """
     from ..ingest.reading import ReadSettings, find_logs, inspect_log
 

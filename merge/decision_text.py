@@ -22,7 +22,7 @@ from .decision import (
     TermKind,
     rounded_terms,
 )
-from .result import PairVerdict, Verdict
+from .result import PairVerdict, Verdict, shown_bits
 from .robust.wording import counted, decimals
 
 WIDTH, HEIGHT = 79, 22
@@ -86,16 +86,16 @@ def listed(runs: Sequence[str], most: int = 3) -> str:
 
 def decision_bits(decision: Decision) -> str:
     """The evidence, with the decimals of this decision."""
-    return f"{decision.said.evidence_bits:.{decimals_of(decision)}f}"
+    return shown_bits(decision.said.evidence_bits, digits_of(decision))
 
 
 def threshold(decision: Decision) -> str:
     """The threshold, with the decimals of this decision."""
-    return f"{decision.requirement.threshold_bits:.{decimals_of(decision)}f}"
+    return shown_bits(decision.requirement.threshold_bits, digits_of(decision))
 
 
-def decimals_of(decision: Decision) -> int:
-    """With how many decimals the evidence and the threshold are told apart."""
+def digits_of(decision: Decision) -> int:
+    """Decimals that show on which side of the threshold the evidence lies."""
     return decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
 
 
@@ -175,7 +175,7 @@ def lies(decision: Decision) -> str:
 def rows(decision: Decision, links: int) -> list[Row]:
     """The table of evidence: what is added up for every placement, and the links of the first one
     that tell most, so many at most. The column of each placement adds up as it stands."""
-    digits = decimals_of(decision)
+    digits = digits_of(decision)
     columns = [_groups(p, digits) for p in decision.placements]
     if not columns:
         return []
@@ -184,7 +184,7 @@ def rows(decision: Decision, links: int) -> list[Row]:
     out = []
     for kind in kinds:
         bits = tuple(column.get(kind) for column in columns)
-        out.append(Row(_group_told(kind, first), bits))
+        out.append(Row(_group_told(kind, decision.placements), bits))
         of_kind = {"corridor": LINKS, "unseen": AGAINST}.get(kind, ())
         if bits[0] is not None:
             out += _parts(first.of(*of_kind), bits[0], links, digits)
@@ -205,7 +205,8 @@ def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
         "few": sum(t.bits for t in placement.of("few")),
         "copies": sum(t.bits for t in placement.of("copies")),
     }
-    shown = rounded_terms(list(sums.values()), digits)
+    total = float(shown_bits(placement.alignment.evidence_bits, digits))
+    shown = rounded_terms(list(sums.values()), digits, total)
     there = {t.kind for t in placement.terms}
     always = ("corridor", "branches", "unseen", "hypotheses")
     return {
@@ -215,17 +216,26 @@ def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
     }
 
 
-def _group_told(kind: TermKind, first: Placement) -> str:
+def _group_told(kind: TermKind, placements: Sequence[Placement]) -> str:
+    first = placements[0]
     count = len(first.of("branches"))
-    against = len(first.of(*AGAINST))
     return {
         "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
         "branches": f"branches of {counted(count, 'junction')}",
-        "unseen": counted(against, "contradiction") if against else _contradicted(first),
+        "unseen": _against_told(placements),
         "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
         "few": next((t.told for t in first.of("few")), "junctions count only so much"),
         "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
     }[kind]
+
+
+def _against_told(placements: Sequence[Placement]) -> str:
+    """How many contradictions the first placement has, or that only the next one has some."""
+    first, *others = (len(p.of(*AGAINST)) for p in placements)
+    if first:
+        return counted(first, "contradiction")
+    told = _contradicted(placements[0])
+    return f"{told}; next: {counted(others[0], 'contradiction')}" if any(others) else told
 
 
 def _parts(terms: Sequence[Term], total: float, most: int, digits: int) -> list[Row]:
@@ -264,18 +274,25 @@ def missing(decision: Decision) -> str:
     if said.verdict is not Verdict.AMBIGUOUS or said.accepted:
         return ""
     lacks = []
-    short_of = decision.requirement.threshold_bits - said.evidence_bits
-    if short_of > 0:
-        lacks.append(f"{short_of:.1f} bits of evidence")
+    needed = decision.requirement.threshold_bits
+    if said.evidence_bits < needed:
+        lacks.append(f"{_short_of(said.evidence_bits, needed)} bits of evidence")
     lead = decision.requirement.lead_bits
     if said.margin_bits is not None and said.margin_bits < lead:
-        lacks.append(f"{lead - said.margin_bits:.1f} bits of lead")
+        lacks.append(f"{_short_of(said.margin_bits, lead)} bits of lead")
     count = len(decision.placements[0].alignment.matched) if decision.placements else 0
     if count < decision.requirement.least_junctions:
         lacks.append(counted(decision.requirement.least_junctions - count, "junction"))
     told = "Missing: " + " and ".join(lacks) if lacks else ""
     advice = f"To settle it: {said.advice}" if said.advice else ""
     return ". ".join(part for part in (told, advice) if part)
+
+
+def _short_of(bits: float, needed: float) -> str:
+    """How much is missing, as the reader works it out from the two numbers shown."""
+    digits = decimals(bits, needed)
+    has, asked = (float(shown_bits(number, digits)) for number in (bits, needed))
+    return shown_bits(asked - has, digits)
 
 
 def sum_told(decision: Decision) -> str:
@@ -324,7 +341,7 @@ def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
 
 def _table(decision: Decision, links: int) -> list[str]:
     """The table of evidence, its sum and what is needed."""
-    digits, count = decimals_of(decision), len(decision.placements)
+    digits, count = digits_of(decision), len(decision.placements)
     if not count:
         return [_row([threshold(decision)], f"bits needed: {needs(decision)}")]
     names = (short(decision.said.a, 10), short(decision.said.b, 10))
@@ -337,9 +354,11 @@ def _table(decision: Decision, links: int) -> list[str]:
             told, cells = f"{cells[0]:>7}  {told}", [""]
         cells += [""] * (count - len(cells))
         out.append(_row(cells, told, (row.a, row.b)))
-    sums = [f"= {p.alignment.evidence_bits:.{digits}f}" for p in decision.placements]
+    sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
     margin = decision.said.margin_bits
-    lead = f", {margin:.1f} bits ahead of the next best" if count > 1 and margin is not None else ""
+    lead = ""
+    if count > 1 and margin is not None:
+        lead = f", {shown_bits(margin)} bits ahead of the next best"
     out.append(_row(sums, f"{sum_told(decision)}{lead}"))
     blank = [""] * (count - 1)
     need = wrap(f"needed: {needs(decision)}", WIDTH - 8 * count - 2, subsequent_indent="  ")

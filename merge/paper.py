@@ -29,8 +29,8 @@ from .hypotheses import Hypotheses, hypothesise
 from .locking import aligned_at, honour
 from .locks import Lock
 from .meeting import Meeting, near_vertices
-from .result import Alignment, PairVerdict, Verdict
-from .robust.wording import counted
+from .result import Alignment, PairVerdict, Verdict, shown_bits
+from .robust.wording import counted, told_bits
 from .significance import SelfSimilarity, cluster_bits, self_similarity
 
 FloatArray = NDArray[np.float64]
@@ -257,7 +257,7 @@ def _reason(best: Alignment, second: Alignment | None, needed: float, found: Mat
     what = (
         f"the best of {counted(len(found.clusters), 'cluster')} matches "
         f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}: "
-        f"{best.evidence_bits:.1f} bits, {needed:.1f} needed"
+        f"{told_bits(best.evidence_bits, needed)}"
     )
     if best.evidence_bits <= 0:
         return f"{what}; chance offers as much"
@@ -266,7 +266,7 @@ def _reason(best: Alignment, second: Alignment | None, needed: float, found: Mat
     if second is None:
         return f"{what}; none places the runs otherwise"
     lead = best.evidence_bits - second.evidence_bits
-    return f"{what}; the next that places the runs otherwise has {lead:.1f} less"
+    return f"{what}; the next that places the runs otherwise has {shown_bits(lead)} less"
 
 
 def _advice(bits: float, needed: float) -> str:

@@ -22,9 +22,11 @@ from topobatch.ingest.simulation import (
     write_run,
 )
 from topobatch.ingest.simulation.samples import sample_scenario
+from topobatch.merge.decision_text import lines
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import MergeResult, Verdict
+from topobatch.merge.robust.explained import Batch, explain
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.se2 import between
 from topobatch.topology.topomap import TopoMap
@@ -176,3 +178,17 @@ def test_the_picture_shows_what_is_made_of_the_sample_logs_today(merged: MergeRe
     picture = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(picture)
     assert picture.shown_by(picture.PICTURE) == picture.facts(merged_to_document(merged))
+
+
+def test_the_page_on_verdicts_shows_what_explain_says_today(
+    maps: dict[str, TopoMap], merged: MergeResult
+) -> None:
+    page = (SAMPLES.parent / "docs" / "verdicts.md").read_text()
+    shown = [line[4:] for line in page.splitlines() if line.startswith("    ")]
+    example = shown[next(k for k, line in enumerate(shown) if "maze-1 and maze-2" in line) :]
+    said = {(pair.a, pair.b): pair for pair in merged.verdicts}
+    told = lines(explain(Batch(list(maps.values()), said), "maze-1", "maze-2"))
+    assert len(example) > 15
+    assert [
+        line for line in example if line and line.strip() not in {"…", *map(str.strip, told)}
+    ] == []

@@ -14,7 +14,7 @@ from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
 from ..merge.decision_text import (
     agreement,
     because,
-    decimals_of,
+    digits_of,
     headline,
     lies,
     listed,
@@ -26,6 +26,7 @@ from ..merge.decision_text import (
     sum_told,
     threshold,
 )
+from ..merge.result import shown_bits
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from . import palette
@@ -86,7 +87,7 @@ def _drawn(a: TopoMap, b: TopoMap, decision: Decision) -> list[_Picture]:
         out.append(_Picture("joined", title, None, decision.by_others, tied=False))
     for k, placement in enumerate(decision.placements):
         T = placement.alignment.transform
-        bits = f"{placement.alignment.evidence_bits:.1f} bits"
+        bits = f"{shown_bits(placement.alignment.evidence_bits)} bits"
         name = ("placement", "next best")[k]
         title = f"{name}: {bits}" if decision.start is None else "best hypothesis, given up"
         out.append(_Picture(name, title, placement, T, tied=False))
@@ -269,7 +270,7 @@ def _table(decision: Decision, links: int) -> str:
     table = rows(decision, links)
     if not table:
         return plain(f"Needed: {threshold(decision)} bits: {needs(decision)}")
-    count, digits = len(decision.placements), decimals_of(decision)
+    count, digits = len(decision.placements), digits_of(decision)
     names = [plain(short(run, 12)) for run in (decision.said.a, decision.said.b)]
     head = [*(["this", "next"][:count] if count > 1 else ["bits"]), "for and against", *names]
     lines = [_line(head), _line(["---:"] * count + ["---"] * 3)]
@@ -280,7 +281,7 @@ def _table(decision: Decision, links: int) -> str:
             text, cells = f"   {cells[0]}  {text}", []
         cells += [""] * (count - len(cells))
         lines.append(_line([*cells, text, row.a, row.b]))
-    sums = [f"**{p.alignment.evidence_bits:.{digits}f}**" for p in decision.placements]
+    sums = [f"**{shown_bits(p.alignment.evidence_bits, digits)}**" for p in decision.placements]
     lines.append(_line([*sums, f"**{sum_told(decision)}**", "", ""]))
     need, _, more = needs(decision).partition(", ")
     blank = [""] * (count - 1)

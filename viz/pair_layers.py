@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ..merge.result import MergeResult, PairVerdict
+from ..merge.result import MergeResult, PairVerdict, shown_bits
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from . import palette
@@ -176,7 +176,7 @@ def write_undecided(
     together = [pairs.index(pair) for pair, _, _ in laid]
     cells = arrange(points, turns, sheet_margin_m(points), groups=together)
     recording.static((UNDECIDED,), UP)
-    titles = [f"{p.a} - {p.b}, {name}: {a.evidence_bits:.1f} bits" for p, name, a in laid]
+    titles = [f"{p.a} - {p.b}, {name}: {shown_bits(a.evidence_bits)} bits" for p, name, a in laid]
     write_cards(recording, UNDECIDED, cells, titles)
     pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
     for (pair, name, alignment), cell in zip(laid, cells, strict=True):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import Alignment, MergeResult, PairVerdict, Standing
+from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
 from .map_summary import bulleted, plain, several
 from .steps import Step
 
@@ -150,11 +150,11 @@ def _in_short(pair: PairVerdict) -> str:
 def _in_full(pair: PairVerdict) -> str:
     lines = [f"**{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
     if pair.best is not None:
-        lines.append(f"best: {pair.best.evidence_bits:.1f} bits, {_placement(pair.best)}")
+        lines.append(f"best: {shown_bits(pair.best.evidence_bits)} bits, {_placement(pair.best)}")
     if pair.runner_up is not None:
-        bits = f"{pair.runner_up.evidence_bits:.1f} bits"
+        bits = f"{shown_bits(pair.runner_up.evidence_bits)} bits"
         if pair.margin_bits is not None:
-            bits = f"{bits}, {pair.margin_bits:.1f} behind"
+            bits = f"{bits}, {shown_bits(pair.margin_bits)} behind"
         lines.append(f"runner-up: {bits}, {_placement(pair.runner_up)}")
     if pair.advice:
         lines.append(f"to settle it: {plain(pair.advice)}")

@@ -15,8 +15,8 @@ import numpy as np
 from ...topology.se2 import between
 from ...topology.topomap import TopoMap
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
-from ..locks import Lock
-from ..result import Alignment, PairVerdict
+from ..locks import Lock, lock_table
+from ..result import Alignment, PairVerdict, shown_bits
 from .alignment import CHANCE_BITS, Candidate, best_seed, same_placement
 from .conflicts import CONFLICT_BITS
 from .decide import Assessment, assess, bars
@@ -73,7 +73,9 @@ def explain(batch: Batch, a: str, b: str) -> Decision:
         start=start,
         by_others=_by_others(batch, told),
         why="" if told.accepted else own.view.why,
-        notes=_changed(told, alone, placements) if pair in batch.said else (),
+        notes=(*_lock_notes(batch, told), *_changed(told, alone, placements))
+        if pair in batch.said
+        else (),
     )
 
 
@@ -315,9 +317,21 @@ def _changed(
     if same:
         return ()
     return (
-        f"merged.json says {told.evidence_bits:.1f} bits, the maps now say {now:.1f}: they, the "
-        "locks or topobatch have changed since; merge again",
+        f"merged.json says {shown_bits(told.evidence_bits)} bits, the maps now say "
+        f"{shown_bits(now)}: they, the locks or topobatch have changed since; merge again",
     )
+
+
+def _lock_notes(batch: Batch, told: PairVerdict) -> tuple[str, ...]:
+    """A note where a lock was set or taken away since the merge, or could not be honoured."""
+    lock = lock_table(batch.locks).get((told.a, told.b))
+    now = None if lock is None else lock.decision
+    if now != told.locked:
+        what = {"same": "locked as the same", "never": "locked apart", None: "unlocked"}[now]
+        return (f"{what} since the merge; merge again",)
+    if now == "same" and not told.accepted:
+        return (told.reason.partition("; the maps alone say")[0],)
+    return ()
 
 
 def _set_aside(told: PairVerdict, alone: PairVerdict) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ...topology.topomap import TopoMap
+from ..result import shown_bits
 from .alignment import Candidate
 from .prepare import Prepared
 
@@ -14,13 +15,14 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
 
 def decimals(bits: float, need_bits: float) -> int:
     """How many decimals show which of two numbers is the greater one."""
-    return next((d for d in (1, 2, 3) if round(bits, d) != round(need_bits, d)), 4)
+    two = (bits, need_bits)
+    return next((d for d in (1, 2, 3) if len({shown_bits(b, d) for b in two}) > 1), 4)
 
 
 def told_bits(bits: float, need_bits: float) -> str:
     """ "4.1 bits, 12.6 needed": with so many decimals that what falls short is seen to do so."""
     digits = decimals(bits, need_bits)
-    return f"{bits:.{digits}f} bits, {need_bits:.{digits}f} needed"
+    return f"{shown_bits(bits, digits)} bits, {shown_bits(need_bits, digits)} needed"
 
 
 def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
@@ -32,9 +34,10 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     text = f"{text}: {told_bits(bits, need_bits)}"
     if margin is None:
         return f"{text}; no other alignment comes near"
-    if round(margin, 1) < 0:
-        return f"{text}; another alignment has {-margin:.1f} bits more"
-    return f"{text}; next best alignment {abs(margin):.1f} bits behind"
+    lead = shown_bits(abs(margin))
+    if margin < 0 and float(lead) > 0:
+        return f"{text}; another alignment has {lead} bits more"
+    return f"{text}; next best alignment {lead} bits behind"
 
 
 def nothing(best: Candidate | None, bits: float, need_bits: float) -> str:

@@ -224,6 +224,27 @@ def test_explain(topobatch, workspace):
     assert "not 'copy'" in topobatch("explain", a, "copy", "-w", workspace).error(1)
 
 
+def test_explain_tells_of_locks(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    topobatch("merge", "--all", "-w", workspace)
+    topobatch("lock", a, b, "--never", "-w", workspace)
+    assert "locked apart since the merge" in topobatch("explain", a, b, "-w", workspace).out
+    topobatch("merge", "--all", "-w", workspace)
+    assert "Note" not in topobatch("explain", a, b, "-w", workspace).out
+    topobatch("lock", a, b, "--clear", "-w", workspace)
+    assert "unlocked since the merge" in topobatch("explain", a, b, "-w", workspace).out
+    topobatch("lock", a, b, "--same", "-w", workspace)
+    topobatch("merge", "--all", "-w", workspace)
+    assert "Note" not in topobatch("explain", a, b, "-w", workspace).out
+    document = json.loads((workspace / "merged.json").read_bytes())
+    why = "locked as the same, but no alignment of the two honours the lock"
+    said = {"accepted": False, "accepted_by": None, "reason": f"{why}; the maps alone say: much"}
+    document["merges"][0] |= said
+    (workspace / "merged.json").write_text(json.dumps(document))
+    told = " ".join(topobatch("explain", a, b, "-w", workspace).out.split())
+    assert f"Note: {why}" in told
+
+
 def test_explain_by_the_papers_figures(topobatch, workspace):
     a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
     shown = topobatch("explain", b, a, "--method", "paper", "-w", workspace)
@@ -237,6 +258,12 @@ def test_explain_by_the_papers_figures(topobatch, workspace):
     document = json.loads(topobatch("explain", a, b, *options).out)
     assert document["schema"] == "topobatch.explanation/1"
     assert document["verdict"]["a"] == a
+    paper = ("explain", a, b, "--method", "paper", "-w", workspace)
+    assert "verdict of the last merge by another method: " in topobatch(*paper).out
+    topobatch("merge", "--all", "--method", "paper", "-w", workspace)
+    assert "verdict of the last merge: " in topobatch(*paper).out
+    told = topobatch(*paper, "--degree", "inexact").out
+    assert "verdict of the last merge, with the settings of that merge: " in told
 
 
 def test_explain_answers_where_it_cannot_write(topobatch, workspace):
@@ -257,7 +284,7 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     third.write_text(json.dumps(document))
     topobatch("merge", "--all", "-w", workspace)
     third.unlink()
-    assert "of third cannot be read" in topobatch("explain", a, b, "-w", workspace).out
+    assert "the map of third cannot be read" in topobatch("explain", a, b, "-w", workspace).out
     merged = workspace / "merged.json"
     document = json.loads(merged.read_bytes())
     document["graph"]["settings"]["false_merge_rate"] = 7

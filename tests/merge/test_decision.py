@@ -23,7 +23,14 @@ from topobatch.merge.decision import (
 )
 from topobatch.merge.decision_text import HEIGHT, WIDTH, because, headline, lines, missing, rows
 from topobatch.merge.document import MergeEntry
-from topobatch.merge.result import AcceptedBy, Alignment, PairVerdict, Standing, Verdict
+from topobatch.merge.result import (
+    AcceptedBy,
+    Alignment,
+    PairVerdict,
+    Standing,
+    Verdict,
+    shown_bits,
+)
 from topobatch.merge.robust.settings import RobustSettings
 from topobatch.merge.robust.verdict import bar
 
@@ -145,7 +152,7 @@ def test_the_document_adds_up_too():
 
 def test_an_ambiguous_pair_says_what_is_missing():
     assert "repeats itself" in because(AMBIGUOUS)
-    assert missing(AMBIGUOUS).startswith("Missing: 2.6 bits of evidence. To settle it: record")
+    assert missing(AMBIGUOUS).startswith("Missing: 2.7 bits of evidence. To settle it: record")
     close = replace(AMBIGUOUS, said=replace(AMBIGUOUS.said, evidence_bits=20.0, margin_bits=1.0))
     assert missing(close).startswith("Missing: 3.0 bits of lead.")
     assert missing(MERGED) == missing(UNRELATED) == ""
@@ -173,6 +180,37 @@ def test_what_others_and_people_say_stands_in_the_headline():
         assert words in headline(told)
     never = replace(UNRELATED, said=replace(UNRELATED.said, locked="never"))
     assert because(never) == "Locked apart by a person."
+
+
+def sums(told):
+    """What stands behind the equals sign of the table, and the column above it."""
+    table = [line for line in told if line[:8].strip()[:1] in {*"+-="}]
+    column = [float(line[:8]) for line in table if "=" not in line[:8]]
+    total = next(line[:8] for line in table if "=" in line[:8])
+    return sum(column), float(total.replace("=", ""))
+
+
+@given(st.floats(-40, 60))
+def test_a_number_reads_alike_before_and_after_a_document(bits):
+    straight = decision(Verdict.MERGED, bits, [placement(bits)])
+    stored = replace(straight, said=replace(straight.said, evidence_bits=round(bits, 2)))
+    assert lines(straight) == lines(stored)
+    column, total = sums(lines(stored))
+    assert column == pytest.approx(total, abs=1e-6)
+    assert headline(stored).split(": ")[2].startswith(f"{total:.1f}"[:-1])
+
+
+def test_a_lead_reads_alike_in_the_reason_and_on_the_screen():
+    assert shown_bits(3.846) == shown_bits(3.85) == "3.9"  # 3.85 is a hair more than it says
+    assert shown_bits(12.5534, 4) == "12.5534"
+
+
+def test_contradictions_of_the_next_best_are_told():
+    second = placement(4.0)
+    first = placement(14.0)
+    first = replace(first, terms=tuple(t for t in first.terms if t.kind != "unseen"))
+    told = [row.told for row in rows(decision(Verdict.AMBIGUOUS, 14.0, [first, second]), 3)]
+    assert "nothing contradicts; next: 1 contradiction" in told
 
 
 def test_people_read_degrees():
