@@ -96,8 +96,8 @@ def split_told(recorded: Odometry, odometry: Odometry) -> list[str]:
     seconds = (recorded.time_ns[rows] - recorded.time_ns[0]) * 1e-9
     at = ", ".join(f"{second:.1f} s" for second in seconds)
     return [
-        f"{len(rows)} jumps of the odometry (at {at}) are not told by places seen before and "
-        "after: the chain is split there"
+        f"{len(rows)} {'jump' if len(rows) == 1 else 'jumps'} of the odometry (at {at}) not told "
+        "by places seen before and after: the chain is split there"
     ]
 
 

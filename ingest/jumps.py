@@ -29,6 +29,11 @@ BESIDE = np.array([-2, -1, 1, 2])
 """Steps that a step is compared with."""
 
 
+def times(count: int) -> str:
+    """ "once", "2 times"."""
+    return "once" if count == 1 else f"{count} times"
+
+
 @dataclass(frozen=True, slots=True)
 class JumpSettings:
     """Which steps stand out of the run's own motion."""
@@ -89,7 +94,7 @@ class Jumps:
             (self.reset, "odometry is reset", "the chain is split there"),
         )
         return [
-            f"{what} {int(of.sum())} times ({self._sizes(of, time_ns)}): {how}"
+            f"{what} {times(int(of.sum()))} ({self._sizes(of, time_ns)}): {how}"
             for of, what, how in told
             if of.any()
         ]

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .jumps import times
 from .logs.intake import PoseColumns, Sink, no_columns
 from .track import backward_jumps
 
@@ -180,7 +181,7 @@ def clock_without_jumps(odometry: Source, clock: Clock, min_s: float, warnings: 
     if not jumps:
         return clock
     if clock == "header" and not backward_jumps(odometry.time_ns("log"), min_s):
-        warnings.append(f"the header clock goes back {jumps} times; log time is used")
+        warnings.append(f"the header clock goes back {times(jumps)}; log time is used")
         return "log"
     return clock
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..topology.odometry import Odometry
 from ..topology.se2 import wrap
-from .jumps import Jumps, measured_jumps, no_jumps, spikes
+from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -119,8 +119,8 @@ def _forward(
         keep[start:end] = False
     if woven.any():
         warnings.append(
-            f"the clock goes back {int(woven.sum())} times; {int((~keep).sum())} odometry messages "
-            "until it catches up were dropped"
+            f"the clock goes back {times(int(woven.sum()))}; {int((~keep).sum())} odometry "
+            "messages until it catches up were dropped"
         )
     return time_ns[keep], pose[keep]
 
@@ -270,5 +270,5 @@ def _report_gaps(time_ns: Ints, settings: TrackSettings, warnings: list[str]) ->
     gaps = step[step > max(settings.gap_min_s * SECOND_NS, settings.gap_periods * usual)]
     if len(gaps):
         warnings.append(
-            f"odometry is silent {len(gaps)} times (longest {gaps.max() / SECOND_NS:.2f} s)"
+            f"odometry is silent {times(len(gaps))} (longest {gaps.max() / SECOND_NS:.2f} s)"
         )

@@ -57,7 +57,7 @@ def test_a_jump_is_found_and_driven_on_over(row, jump):
     assert min(abs(jump[2]), 1.8) <= sigma_rad + 0.01
     seen = compose(between(pose[row - 1], pose[row]), jump)
     np.testing.assert_allclose(odometry.jump_other[0], seen, atol=1e-9)
-    assert track.warnings[0].startswith("odometry jumps 1 times (")
+    assert track.warnings[0].startswith("odometry jumps once (")
 
 
 def test_an_odometry_that_runs_well_has_no_jumps():
@@ -98,7 +98,7 @@ def test_back_to_the_origin_or_to_the_begin_is_a_reset():
         odometry, track = read(time, again)
         assert odometry.breaks.tolist() == [2500]
         assert len(odometry.jumps) == 0
-        assert "odometry is reset 1 times" in track.warnings[0]
+        assert "odometry is reset once" in track.warnings[0]
         assert "the chain is split there" in track.warnings[0]
 
 
@@ -118,7 +118,7 @@ def test_odometry_that_stands_and_leaps_to_the_robot_was_late():
     # What the odometry repeated meanwhile is not where the robot was.
     np.testing.assert_allclose(odometry.pose, np.delete(stuck, slice(2011, 2040), 0), atol=1e-9)
     assert odometry.jumps.tolist() == [2011]
-    assert "stands still and leaps 1 times" in track.warnings[0]
+    assert "stands still and leaps once" in track.warnings[0]
     assert odometry.jump_sigma[0, 0] > 1.0
 
 
