@@ -103,6 +103,12 @@ class Child:
         """End it and its own children at once."""
         os.killpg(self.process, signal.SIGKILL)
 
+    def _shown(self, name: str) -> str:
+        """What it printed; nothing where it was killed before it could open the file."""
+        path = self._folder / name
+        raw = path.read_bytes() if path.exists() else b""
+        return raw.decode("utf-8", "backslashreplace")
+
     def finish(self) -> Outcome:
         """Wait for its end, or bring it about where a budget is exceeded."""
         over = ""
@@ -122,8 +128,8 @@ class Child:
             over = f"memory: {memory_mb:.0f} MB of {self._budget.memory_mb:.0f}"
         return Outcome(
             os.waitstatus_to_exitcode(status),
-            (self._folder / "out").read_bytes().decode("utf-8", "backslashreplace"),
-            (self._folder / "err").read_bytes().decode("utf-8", "backslashreplace"),
+            self._shown("out"),
+            self._shown("err"),
             cpu_s,
             memory_mb,
             time.monotonic() - self._started,
