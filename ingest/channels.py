@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 from ..topology.errors import UsageError
 from .logs.field_check import check_fields
@@ -19,10 +18,8 @@ from .logs.topics import (
     choose_junctions,
     choose_odometry,
 )
+from .read_settings import ReadSettings
 from .sources import Source
-
-if TYPE_CHECKING:
-    from .reading import ReadSettings
 
 TRIED = 100
 """So many messages are tried before all are read, where only messages tell what is in them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from .carried import split_where_carried
 from .channels import acceptance, check_mapping, decoders, junction_choice, kept_whole
 from .frames import NO_TRANSFORMS, FixedCollector, FixedTransforms
 from .jumps import without_jumps
-from .logs.fields import JunctionFields
 from .logs.intake import Intake, no_columns
 from .logs.messages import Channel, Findings, Survey
 from .logs.recording import (
@@ -34,8 +33,9 @@ from .logs.topics import (
     listing,
 )
 from .plausible import check_plausible
+from .read_settings import DEFAULT_READ, ReadSettings
 from .run import Run
-from .sightings import Sightings, SightingSettings, robot_frame_sightings, side_of
+from .sightings import Sightings, robot_frame_sightings, side_of
 from .sources import (
     Clock,
     Source,
@@ -46,7 +46,7 @@ from .sources import (
     pair_of_transforms,
     told_pairs,
 )
-from .track import Track, TrackSettings, sane_track
+from .track import Track, sane_track
 
 __all__ = [
     "LogInfo",
@@ -61,43 +61,6 @@ __all__ = [
 ]
 
 OnBytes = Callable[[int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class ReadSettings:
-    """What to read out of a log, and how.
-
-    odometry_topic, junction_topic, scan_topic: None finds them; base_frame: the robot's frame,
-    where a topic holds the odometry of several; junction_fields: which fields of any other message
-    are the junction ("center=pose.position,branches=frontiers[].angle"); time: the clock to go by;
-    strict: refuse a damaged log instead of using what it still holds.
-    """
-
-    odometry_topic: str | None = None
-    junction_topic: str | None = None
-    scan_topic: str | None = None
-    base_frame: str | None = None
-    junction_fields: str | None = None
-    time: Clock = "header"
-    strict: bool = False
-    track: TrackSettings = field(default_factory=TrackSettings)
-    sightings: SightingSettings = field(default_factory=SightingSettings)
-
-    def __post_init__(self) -> None:
-        if self.time not in ("header", "log"):
-            raise UsageError(f"--time is {self.time!r}, expected header or log")
-        if self.junction_fields is not None:
-            JunctionFields.parse(self.junction_fields)
-            named = self.odometry_topic
-            if named is not None and f"/{named.strip('/')}" == self.mapped_topic:
-                raise UsageError(f"{self.mapped_topic} cannot be both odometry and junctions")
-
-    @property
-    def mapped_topic(self) -> str | None:
-        """The topic that `junction_fields` is about."""
-        if self.junction_fields is None:
-            return None
-        return "/" + (self.junction_topic or "junctions").strip("/")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +89,7 @@ class LogInfo:
 
 
 def read_run(
-    path: Path, settings: ReadSettings = ReadSettings(), *, on_bytes: OnBytes | None = None
+    path: Path, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
 ) -> Run:
     """Read the odometry and the junction sightings of one log.
 
@@ -181,7 +144,7 @@ def read_run(
     )
 
 
-def inspect_log(path: Path, settings: ReadSettings = ReadSettings()) -> LogInfo:
+def inspect_log(path: Path, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
     """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
     recording, survey = _surveyed(recording_at(Path(path)), exact=True)
     problems = list(recording.notes)

@@ -71,8 +71,9 @@ class Answers:
     """What a placement answers to the two questions, and the one number made of it, in bits.
 
     need: what merging needs. against_chance: all that speaks for it less all that speaks against
-    it; carried: as much of that as its junctions can carry. same_place: what says that it is the
-    place and not a copy of it, None where that was not asked; need_same: what merging needs of it.
+    it; carried: the same with what agrees cut to what its junctions can carry (`counted_bits`).
+    same_place: what says that it is the place and not a copy of it, None where that was not asked;
+    need_same: what merging needs of it.
     """
 
     need: float

@@ -1,0 +1,51 @@
+"""What to read out of a log, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ..topology.errors import UsageError
+from .logs.fields import JunctionFields
+from .sightings import SightingSettings
+from .sources import Clock
+from .track import TrackSettings
+
+
+@dataclass(frozen=True, slots=True)
+class ReadSettings:
+    """What to read out of a log, and how.
+
+    odometry_topic, junction_topic, scan_topic: None finds them; base_frame: the robot's frame,
+    where a topic holds the odometry of several; junction_fields: which fields of any other message
+    are the junction ("center=pose.position,branches=frontiers[].angle"); time: the clock to go by;
+    strict: refuse a damaged log instead of using what it still holds.
+    """
+
+    odometry_topic: str | None = None
+    junction_topic: str | None = None
+    scan_topic: str | None = None
+    base_frame: str | None = None
+    junction_fields: str | None = None
+    time: Clock = "header"
+    strict: bool = False
+    track: TrackSettings = field(default_factory=TrackSettings)
+    sightings: SightingSettings = field(default_factory=SightingSettings)
+
+    def __post_init__(self) -> None:
+        if self.time not in ("header", "log"):
+            raise UsageError(f"--time is {self.time!r}, expected header or log")
+        if self.junction_fields is not None:
+            JunctionFields.parse(self.junction_fields)
+            named = self.odometry_topic
+            if named is not None and f"/{named.strip('/')}" == self.mapped_topic:
+                raise UsageError(f"{self.mapped_topic} cannot be both odometry and junctions")
+
+    @property
+    def mapped_topic(self) -> str | None:
+        """The topic that `junction_fields` is about."""
+        if self.junction_fields is None:
+            return None
+        return "/" + (self.junction_topic or "junctions").strip("/")
+
+
+DEFAULT_READ = ReadSettings()
