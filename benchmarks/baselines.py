@@ -11,10 +11,10 @@ import networkx as nx
 import numpy as np
 from scipy.spatial import cKDTree
 
-from topobatch.merge.registration import register
-from topobatch.topology.correspondence import candidate_nodes, node_rotations
+from topobatch.merge.paper.registration import register
+from topobatch.topology.matching.correspondence import candidate_nodes, node_rotations
+from topobatch.topology.matching.structure import prepare
 from topobatch.topology.se2 import apply, wrap
-from topobatch.topology.structure import prepare
 
 
 def single_vertex_transform(a, b, gate_m=0.75):

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from observed import scattered_maps
 
-from topobatch.ingest.simulation import make_world
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import default_copies, sameness
 from topobatch.merge.robust.verdict import COPY_MARGIN_BITS, counted_bits
+from topobatch.simulation import make_world
 
 COPIES = default_copies(DEFAULT_ROBUST)
 WORLD_SIZE, MAP_SIZE, RUNS = 320, 28, 16

@@ -18,14 +18,14 @@ from itertools import combinations
 import numpy as np
 
 from topobatch.ingest.mapping import build_map
-from topobatch.ingest.simulation import (
+from topobatch.merge.merging import merge_maps
+from topobatch.simulation import (
     MIXED,
     ScenarioSettings,
     placement_error,
     simulate_scenario,
     true_vertex_of_nodes,
 )
-from topobatch.merge.merging import merge_maps
 from topobatch.topology.se2 import between
 
 LEVELS = (("low", "none"), ("mid", "mild"), ("high", "harsh"), ("real", "mild"))

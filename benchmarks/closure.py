@@ -29,21 +29,21 @@ from functools import partial
 import numpy as np
 
 from topobatch.ingest import mapping
-from topobatch.ingest.calibration import apply_calibration, calibrate
-from topobatch.ingest.jumps import without_jumps
-from topobatch.ingest.noise import estimate_noise
+from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
+from topobatch.ingest.odometry.jumps import without_jumps
+from topobatch.ingest.odometry.noise import estimate_noise
+from topobatch.ingest.odometry.track import sane_track
 from topobatch.ingest.passes import fuse_passes
-from topobatch.ingest.simulation import (
+from topobatch.merge.pieces import joined_pieces
+from topobatch.simulation import (
     ScenarioSettings,
     simulate_scenario,
     true_vertex_of_passes,
 )
-from topobatch.ingest.simulation.drift import DRIFTS
-from topobatch.ingest.track import sane_track
-from topobatch.merge.pieces import joined_pieces
-from topobatch.topology.closure.drivenby import settle
-from topobatch.topology.closure.rounds import full_closure
-from topobatch.topology.closure.walk import make_walk
+from topobatch.simulation.drift import DRIFTS
+from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.incremental import full_closure
+from topobatch.topology.closure.missed_detections import settle
 from topobatch.topology.se2 import apply, between, compose, fit_rigid
 
 WORLDS = ("maze", "office", "organic", "city")

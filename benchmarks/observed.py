@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from topobatch.ingest.simulation.chance import Chance
-from topobatch.ingest.simulation.regions import scattered_regions
-from topobatch.ingest.simulation.world import polyline_at, polyline_length
+from topobatch.simulation.chance import Chance
+from topobatch.simulation.regions import scattered_regions
+from topobatch.simulation.world import polyline_at, polyline_length
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
 from topobatch.topology.topomap import RunNoise, TopoMap

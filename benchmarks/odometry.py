@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.ingest.calibration import apply_calibration, calibrate
-from topobatch.ingest.noise import estimate_noise
+from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
+from topobatch.ingest.odometry.noise import estimate_noise
 from topobatch.ingest.passes import fuse_passes
-from topobatch.ingest.simulation import DRIFTS, FAULTS, ScenarioSettings, simulate_scenario
+from topobatch.simulation import DRIFTS, FAULTS, ScenarioSettings, simulate_scenario
 from topobatch.topology.se2 import apply, fit_rigid
 
 CONDITIONS = (("low", "none"), ("mid", "mild"), ("high", "mild"), ("high", "harsh"))

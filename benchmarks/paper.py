@@ -21,13 +21,13 @@ import numpy as np
 from baselines import icp_from_many_starts, largest_common_subgraph, single_vertex_transform
 from mazes import Noise, explored_map, overlapping_regions, random_maze, separate_regions
 
-from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
-from topobatch.ingest.simulation.truth import best_transform
-from topobatch.ingest.simulation.writing import write_scenario
-from topobatch.merge.paper import PaperSettings, judge, match, prepare_map
-from topobatch.topology.association import grow, single_matches
-from topobatch.topology.correspondence import GrowthSettings
+from topobatch.merge.paper.method import PaperSettings, judge, match, prepare_map
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.truth import best_transform
+from topobatch.simulation.writing import write_scenario
 from topobatch.topology.document import read_map
+from topobatch.topology.matching.association import grow, single_matches
+from topobatch.topology.matching.correspondence import GrowthSettings
 from topobatch.topology.se2 import apply, wrap
 
 SIZES = (50, 126, 300, 800)

@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from topobatch.topology.g2o import read_g2o
-from topobatch.topology.posegraph import Marginals, PoseGraph, solve, solve_robust
-from topobatch.topology.posegraph_model import edge_errors, squared
+from topobatch.topology.posegraph.g2o import read_g2o
+from topobatch.topology.posegraph.graph import edge_errors, squared
+from topobatch.topology.posegraph.solve import Marginals, PoseGraph, solve, solve_robust
 from topobatch.topology.se2 import between
 
 

@@ -15,8 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
-from topobatch.ingest.simulation.writing import write_run
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.writing import write_run
 
 ROWS = 10
 KINDS = ("mcap", "bag", "db3")

@@ -36,17 +36,17 @@ from scipy.stats import chi2
 
 from topobatch.ingest.mapping import build_map_with_errors
 from topobatch.ingest.reading import read_run
-from topobatch.ingest.simulation import (
+from topobatch.merge.merging import merge_maps
+from topobatch.simulation import (
     DRIFTS,
     FAULTS,
     ScenarioSettings,
     simulate_scenario,
     true_vertex_of_nodes,
 )
-from topobatch.ingest.simulation.truth import RunTruth, Truth
-from topobatch.ingest.simulation.world import World
-from topobatch.ingest.simulation.worlds import WORLDS
-from topobatch.merge.merging import merge_maps
+from topobatch.simulation.truth import RunTruth, Truth
+from topobatch.simulation.world import World
+from topobatch.simulation.worlds import WORLDS
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply, between, fit_rigid, wrap
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from ..merge.decision import Decision
     from ..merge.document import MergedDocument, MergeEntry
-    from ..merge.paper import PaperSettings
+    from ..merge.paper.method import PaperSettings
     from ..topology.topomap import TopoMap
 
 
@@ -180,9 +180,9 @@ def _by_paper(
     rows: int | None,
 ) -> None:
     """Show what the paper's method finds."""
-    from ..merge.explain import explain as explained
-    from ..merge.explain import lines, to_document
-    from ..merge.paper import DEFAULT_PAPER
+    from ..merge.paper.explain import explain as explained
+    from ..merge.paper.explain import lines, to_document
+    from ..merge.paper.method import DEFAULT_PAPER
     from ..viz import write_explain_recording
 
     map_a, map_b = (place.read_map(run) for run in pair)
@@ -203,7 +203,7 @@ def _by_paper(
 def _merged_with(place: Workspace) -> PaperSettings | None:
     """The settings of the last merge by the paper's method; None if it was another one."""
     from ..merge.document import read_merged
-    from ..merge.paper import settings_from_document
+    from ..merge.paper.method import settings_from_document
 
     if not place.merged_json.exists():
         return None

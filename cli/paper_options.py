@@ -10,7 +10,7 @@ import typer
 from ..topology.errors import UsageError
 
 if TYPE_CHECKING:
-    from ..merge.paper import PaperSettings
+    from ..merge.paper.method import PaperSettings
 
 T = TypeVar("T")
 
@@ -92,7 +92,7 @@ class PaperOptions:
 
     def over(self, settings: PaperSettings) -> PaperSettings:
         """The settings with what was asked for in place of theirs; UsageError on nonsense."""
-        from ..merge.meeting import parse_meeting
+        from ..merge.paper.meeting import parse_meeting
 
         growth, clusters = settings.growth, settings.clusters
         return replace(

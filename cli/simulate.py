@@ -58,8 +58,8 @@ def simulate(
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
-    from ..ingest.simulation import DRIFTS, ScenarioSettings, simulate_scenario
-    from ..ingest.simulation.writing import write_scenario
+    from ..simulation import DRIFTS, ScenarioSettings, simulate_scenario
+    from ..simulation.writing import write_scenario
 
     screen = Screen(quiet)
     settings = ScenarioSettings(

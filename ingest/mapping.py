@@ -10,22 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.closure.certainty import place_errors
-from ..topology.closure.drivenby import DrivenBySettings, settle
-from ..topology.closure.gated import GatedSettings, Identification, gated_closure
-from ..topology.closure.layout import lay_out
+from ..topology.closure.dead_reckoning import SystematicErrors, Walk, make_walk
+from ..topology.closure.estimate import lay_out
+from ..topology.closure.incremental import RoundSettings, closure_without_grid, full_closure
+from ..topology.closure.missed_detections import DrivenBySettings, settle
+from ..topology.closure.nearest_neighbour import GatedSettings, Identification, gated_closure
 from ..topology.closure.pieces import set_apart
-from ..topology.closure.rounds import RoundSettings, closure_without_grid, full_closure
 from ..topology.closure.variance_components import fitted_noise
-from ..topology.closure.walk import SystematicErrors, Walk, make_walk
 from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.topomap import Closure, TopoMap
 from ..topology.vertex_errors import VertexErrors
-from .bridging import bridged, jumps_told, split_told
-from .calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
-from .noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
+from .odometry.bridging import bridged, jumps_told, split_told
+from .odometry.calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
+from .odometry.noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
 from .passes import PassSettings, fuse_passes
 from .run import Run
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 from ..topology.errors import UsageError
 from .logs.fields import JunctionFields
+from .odometry.track import TrackSettings
 from .sightings import SightingSettings
 from .sources import Clock
-from .track import TrackSettings
 
 
 @dataclass(frozen=True, slots=True)

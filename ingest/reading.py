@@ -9,10 +9,8 @@ from typing import Any
 
 from ..topology.errors import LogError, UsageError
 from ..topology.odometry import Odometry
-from .carried import split_where_carried
 from .channels import acceptance, check_mapping, decoders, junction_choice, kept_whole
 from .frames import NO_TRANSFORMS, FixedCollector, FixedTransforms
-from .jumps import without_jumps
 from .logs.intake import Intake, no_columns
 from .logs.messages import Channel, Findings, Survey
 from .logs.recording import (
@@ -32,7 +30,10 @@ from .logs.topics import (
     choose_odometry,
     listing,
 )
-from .plausible import check_plausible
+from .odometry.jumps import without_jumps
+from .odometry.kidnapping import split_where_carried
+from .odometry.plausible import check_plausible
+from .odometry.track import Track, sane_track
 from .read_settings import DEFAULT_READ, ReadSettings
 from .run import Run
 from .sightings import Sightings, robot_frame_sightings, side_of
@@ -46,7 +47,6 @@ from .sources import (
     pair_of_transforms,
     told_pairs,
 )
-from .track import Track, sane_track
 
 __all__ = [
     "LogInfo",

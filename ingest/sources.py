@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .jumps import times
 from .logs.intake import PoseColumns, Sink, no_columns
-from .track import backward_jumps
+from .odometry.jumps import times
+from .odometry.track import backward_jumps
 
 Ints = NDArray[np.int64]
 Clock = Literal["header", "log"]

@@ -12,14 +12,15 @@ import numpy as np
 
 from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
-from . import paper, robust
-from .fusion import DEFAULT_FUSION, FusionSettings, fuse
+from . import robust
+from .fusion.fuse import DEFAULT_FUSION, FusionSettings, fuse
+from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
 from .layers import layers_to_document
 from .locks import Lock
-from .paper import DEFAULT_PAPER, PaperSettings
+from .paper import method as paper
+from .paper.method import DEFAULT_PAPER, PaperSettings
 from .result import Component, MergeResult, PairVerdict, Spread
 from .robust import DEFAULT_ROBUST, RobustSettings
-from .spread import VAGUE_M, VAGUE_RAD
 from .through import joined_through
 
 

@@ -12,7 +12,12 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.reading import read_run
-from topobatch.ingest.simulation import (
+from topobatch.merge.decision_text import lines
+from topobatch.merge.document import merged_to_document
+from topobatch.merge.merging import merge_maps
+from topobatch.merge.result import MergeResult, Verdict
+from topobatch.merge.robust.explained import Batch, explain
+from topobatch.simulation import (
     MIXED,
     Truth,
     placement_error,
@@ -21,12 +26,7 @@ from topobatch.ingest.simulation import (
     true_vertex_of_passes,
     write_run,
 )
-from topobatch.ingest.simulation.samples import sample_scenario
-from topobatch.merge.decision_text import lines
-from topobatch.merge.document import merged_to_document
-from topobatch.merge.merging import merge_maps
-from topobatch.merge.result import MergeResult, Verdict
-from topobatch.merge.robust.explained import Batch, explain
+from topobatch.simulation.samples import sample_scenario
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.se2 import between
 from topobatch.topology.topomap import TopoMap

@@ -13,13 +13,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("topology", "ingest", "merge", "viz", "cli")
+PACKAGES = ("topology", "ingest", "merge", "simulation", "viz", "cli")
 MAY_IMPORT = {
     "topology": set(),
     "ingest": {"topology"},
     "merge": {"topology"},
+    "simulation": {"topology"},
     "viz": {"topology", "merge"},
-    "cli": {"topology", "ingest", "merge", "viz"},
+    "cli": {"topology", "ingest", "merge", "simulation", "viz"},
 }
 VIZ_MAY_USE_OF_MERGE = {"result", "explain", "decision", "decision_text"}
 HEAVY = ("rerun", "numpy", "scipy", "rosbags", "mcap", "networkx", "pydantic", "rich.progress")

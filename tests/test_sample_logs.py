@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from topobatch.ingest.reading import read_run
-from topobatch.ingest.simulation import Truth, read_truth
-from topobatch.ingest.simulation.samples import sample_scenario
+from topobatch.simulation import Truth, read_truth
+from topobatch.simulation.samples import sample_scenario
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "streets-1.mcap")
@@ -28,7 +28,7 @@ def truth() -> Truth:
 
 
 def test_one_command_writes_them_anew_byte_for_byte(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "topobatch.ingest.simulation.samples", str(tmp_path)]
+    command = [sys.executable, "-m", "topobatch.simulation.samples", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
     made, kept = _contents(tmp_path), _contents(SAMPLES)
     assert sorted(made) == sorted(kept)
@@ -84,4 +84,4 @@ def test_the_readme_names_every_log_and_its_command() -> None:
     text = (SAMPLES / "README.md").read_text()
     for log in LOGS:
         assert f"`{log}" in text
-    assert "python -m topobatch.ingest.simulation.samples sample_logs" in text
+    assert "python -m topobatch.simulation.samples sample_logs" in text

@@ -15,10 +15,10 @@ from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from .matching.structure import grid_direction
 from .passes import NO_BRANCH
-from .posegraph import PoseGraph, solve
+from .posegraph.solve import PoseGraph, solve
 from .se2 import rotation, turned_axes
-from .structure import grid_direction
 from .topomap import TopoMap
 
 FloatArray = NDArray[np.float64]

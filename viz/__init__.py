@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..merge.decision import Decision
-    from ..merge.explain import Explanation
+    from ..merge.paper.explain import Explanation
     from ..merge.result import MergeResult
     from ..topology.odometry import Odometry
     from ..topology.topomap import TopoMap

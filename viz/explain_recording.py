@@ -20,7 +20,7 @@ from .recording import UP, Recording, map_view, markdown, placed, write_recordin
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 if TYPE_CHECKING:
-    from ..merge.explain import Explanation
+    from ..merge.paper.explain import Explanation
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...topology.se2 import fit_rigid
 from ...topology.topomap import RunNoise, TopoMap
-from ..fusion import fuse
+from ..fusion.fuse import fuse
 from ..result import Alignment, FusedMap, PairVerdict, Verdict, graph_part
 from .alignment import Candidate, match
 from .components import Components

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from topobatch.cli.main import main
-from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
-from topobatch.ingest.simulation.writing import write_run
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.writing import write_run
 from topobatch.topology.se2 import compose, inverse
 
 

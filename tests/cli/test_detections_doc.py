@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation import ScenarioSettings, simulate_scenario
 
 PAGE = (Path(__file__).parents[2] / "docs" / "detections.md").read_text()
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -316,7 +316,7 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
 def clean(tmp_path_factory):
     """A workspace with the maps of two runs of a maze that overlap, without drift or faults."""
     from topobatch.ingest.mapping import build_map
-    from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
+    from topobatch.simulation import ScenarioSettings, simulate_scenario
     from topobatch.topology.document import write_map
 
     workspace = tmp_path_factory.mktemp("clean")

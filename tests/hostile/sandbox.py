@@ -59,8 +59,8 @@ def load() -> None:
     import topobatch.cli.ingest_worker
     import topobatch.cli.main
     import topobatch.merge.document
-    import topobatch.merge.explain
     import topobatch.merge.merging
+    import topobatch.merge.paper.explain
     import topobatch.viz.explain_recording
     import topobatch.viz.map_recording
     import topobatch.viz.merged_recording  # noqa: F401

@@ -54,8 +54,8 @@ class Ground:
 
 def prepare(root: Path) -> Ground:
     """Write the sound logs and their workspace."""
-    from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
-    from topobatch.ingest.simulation.writing import write_run
+    from topobatch.simulation import ScenarioSettings, simulate_scenario
+    from topobatch.simulation.writing import write_run
 
     ground = Ground(root)
     settings = ScenarioSettings(

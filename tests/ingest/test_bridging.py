@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.jumps import without_jumps
 from topobatch.ingest.mapping import build_map
-from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
-from topobatch.ingest.simulation.drift import DRIFTS
-from topobatch.ingest.track import sane_track
+from topobatch.ingest.odometry.jumps import without_jumps
+from topobatch.ingest.odometry.track import sane_track
+from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
+from topobatch.simulation.drift import DRIFTS
 from topobatch.topology.se2 import between, compose, wrap
 
 

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.calibration import (
+from topobatch.ingest.odometry.calibration import (
     Calibration,
     CalibrationSettings,
     apply_calibration,
     calibrate,
 )
-from topobatch.ingest.heading_evidence import EvidenceSettings
+from topobatch.ingest.odometry.heading_evidence import EvidenceSettings
 from topobatch.ingest.run import Detections
-from topobatch.ingest.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, fit_rigid, inverse, wrap

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.jumps import spikes, without_jumps
-from topobatch.ingest.track import sane_track
+from topobatch.ingest.odometry.jumps import spikes, without_jumps
+from topobatch.ingest.odometry.track import sane_track
 from topobatch.topology.se2 import between, compose, wrap
 
 SECOND = 10**9
@@ -133,7 +133,7 @@ def test_jumps_are_found_as_without_the_shortcut(seed, noise, leap):
     quick = spikes(time, pose)
     with pytest.MonkeyPatch.context() as patch:
         every = np.arange(1, len(pose) - 1)
-        patch.setattr("topobatch.ingest.jumps._large", lambda pose, settings: every)
+        patch.setattr("topobatch.ingest.odometry.jumps._large", lambda pose, settings: every)
         thorough = spikes(time, pose)
     assert np.flatnonzero(quick).tolist() == np.flatnonzero(thorough).tolist()
 

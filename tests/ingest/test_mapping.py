@@ -10,13 +10,13 @@ import pytest
 
 from topobatch.ingest.mapping import MappingSettings, _without_phantoms, build_map
 from topobatch.ingest.run import Detections, Run
-from topobatch.ingest.simulation import (
+from topobatch.simulation import (
     MIXED,
     ScenarioSettings,
     simulate_scenario,
     true_vertex_of_nodes,
 )
-from topobatch.topology.closure.gated import Identification
+from topobatch.topology.closure.nearest_neighbour import Identification
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.calibration import apply_calibration, calibrate
-from topobatch.ingest.noise import NoiseSettings, estimate_noise, refine_noise
+from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
+from topobatch.ingest.odometry.noise import NoiseSettings, estimate_noise, refine_noise
 from topobatch.ingest.passes import fuse_passes, no_passes
 from topobatch.ingest.run import Detections
-from topobatch.ingest.simulation import (
+from topobatch.simulation import (
     DRIFTS,
     FAULTS,
     Scenario,

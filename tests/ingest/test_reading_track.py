@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.jumps import without_jumps
+from topobatch.ingest.odometry.jumps import without_jumps
+from topobatch.ingest.odometry.track import sane_track
 from topobatch.ingest.reading import ReadSettings, read_run
-from topobatch.ingest.track import sane_track
 
 SECOND = 10**9
 
@@ -285,7 +285,7 @@ def test_leaps_are_found_as_without_the_shortcut(seed, leap_m, leap_rad):
     pose[row:] += [leap_m * np.cos(direction), leap_m * np.sin(direction), leap_rad]
     quick = track(time, pose)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("topobatch.ingest.track._any_leap", lambda pose, settings: True)
+        patch.setattr("topobatch.ingest.odometry.track._any_leap", lambda pose, settings: True)
         thorough = track(time, pose)
     assert quick.warnings == thorough.warnings
     assert quick.jumps.rows.tolist() == thorough.jumps.rows.tolist()
@@ -296,7 +296,9 @@ def test_standing_is_found_as_without_the_shortcut(logs, tmp_path):
     path = logs.mcap(tmp_path / "a.mcap", carried_run(logs, 0.05))
     quick = read_run(path)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("topobatch.ingest.carried._may_stand", lambda i, *_: np.ones(len(i), bool))
+        patch.setattr(
+            "topobatch.ingest.odometry.kidnapping._may_stand", lambda i, *_: np.ones(len(i), bool)
+        )
         thorough = read_run(path)
     assert len(quick.odometry.breaks) > 0
     assert quick.odometry.breaks.tolist() == thorough.odometry.breaks.tolist()

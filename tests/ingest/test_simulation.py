@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.simulation import (
+from topobatch.simulation import (
     DRIFTS,
     FAULTS,
     MIXED,
@@ -35,10 +35,10 @@ from topobatch.ingest.simulation import (
     truth_transform,
     write_truth,
 )
-from topobatch.ingest.simulation.chance import Chance, quantised
-from topobatch.ingest.simulation.truth import truth_from_document
-from topobatch.ingest.simulation.walk import explore
-from topobatch.ingest.simulation.world import polyline_heading
+from topobatch.simulation.chance import Chance, quantised
+from topobatch.simulation.truth import truth_from_document
+from topobatch.simulation.walk import explore
+from topobatch.simulation.world import polyline_heading
 from topobatch.topology.errors import DocumentError, UsageError
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap

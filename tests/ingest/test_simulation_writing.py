@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.reading import read_run
-from topobatch.ingest.simulation import (
+from topobatch.simulation import (
     FORMATS,
     MotionSettings,
     Scenario,
@@ -25,8 +25,8 @@ from topobatch.ingest.simulation import (
     write_run,
     write_scenario,
 )
-from topobatch.ingest.simulation.lz4_frame import lz4_frame
-from topobatch.ingest.simulation.messages import (
+from topobatch.simulation.lz4_frame import lz4_frame
+from topobatch.simulation.messages import (
     DIGESTS,
     ODOMETRY_TYPE,
     POSES_TYPE,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.merge.clustering import ClusterSettings, cluster, transform_distances
-from topobatch.merge.hypotheses import Hypotheses
-from topobatch.merge.registration import fit_groups, register, register_groups
-from topobatch.topology.correspondence import Nodes
+from topobatch.merge.paper.clustering import ClusterSettings, cluster, transform_distances
+from topobatch.merge.paper.hypotheses import Hypotheses
+from topobatch.merge.paper.registration import fit_groups, register, register_groups
+from topobatch.topology.matching.correspondence import Nodes
 from topobatch.topology.se2 import apply, fit_rigid
 
 

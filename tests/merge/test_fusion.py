@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from topobatch.merge.fusion import fuse
+from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.incremental import grow_again, grow_pair
-from topobatch.topology.correspondence import GrowthSettings
+from topobatch.merge.paper.incremental import grow_again, grow_pair
+from topobatch.topology.matching.correspondence import GrowthSettings
 
 
 def state(pair):

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.identity import Pool
-from topobatch.merge.joint import DEFAULT_JOINT, JointSettings, grid_sigma, settle
+from topobatch.merge.fusion.joint_graph import DEFAULT_JOINT, JointSettings, grid_sigma, settle
+from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.topology.topomap import RunNoise
 
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from topobatch.merge.document import MergedDocument, merged_to_document
-from topobatch.merge.fusion import fuse
+from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.layers import discard_match
 from topobatch.merge.locks import Lock
-from topobatch.merge.meeting import Meeting
 from topobatch.merge.merging import MergeSettings, merge_maps
-from topobatch.merge.paper import PaperSettings
+from topobatch.merge.paper.meeting import Meeting
+from topobatch.merge.paper.method import PaperSettings
 from topobatch.merge.result import MergeResult, Verdict
-from topobatch.topology.correspondence import GrowthSettings
 from topobatch.topology.errors import DataError, UsageError
+from topobatch.topology.matching.correspondence import GrowthSettings
 
 PAPER = MergeSettings(method="paper", paper=PaperSettings(GrowthSettings()))
 

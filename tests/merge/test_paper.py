@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from topobatch.merge.paper import PaperSettings, decide, judge, prepare_map
+from topobatch.merge.paper.method import PaperSettings, decide, judge, prepare_map
 from topobatch.merge.result import Verdict
-from topobatch.topology.correspondence import GrowthSettings
+from topobatch.topology.matching.correspondence import GrowthSettings
 from topobatch.topology.se2 import wrap
 
 

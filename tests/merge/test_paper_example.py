@@ -18,11 +18,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.merge.explain import explain, lines, to_document
-from topobatch.merge.paper import decide, match, prepare_map
+from topobatch.merge.paper.explain import explain, lines, to_document
+from topobatch.merge.paper.method import decide, match, prepare_map
 from topobatch.merge.result import Verdict
-from topobatch.topology.association import grow
-from topobatch.topology.correspondence import candidate_nodes
+from topobatch.topology.matching.association import grow
+from topobatch.topology.matching.correspondence import candidate_nodes
 from topobatch.topology.se2 import wrap
 
 HEADING = {"E": 0.0, "N": np.pi / 2, "W": np.pi, "S": -np.pi / 2}

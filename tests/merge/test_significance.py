@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.merge.paper import PaperSettings, judge, prepare_map
-from topobatch.merge.significance import (
+from topobatch.merge.paper.method import PaperSettings, judge, prepare_map
+from topobatch.merge.paper.significance import (
     SelfSimilarity,
     cluster_bits,
     independent_lengths,
@@ -14,9 +14,9 @@ from topobatch.merge.significance import (
     self_similarity,
     single_bits,
 )
-from topobatch.topology.association import grow
-from topobatch.topology.correspondence import GrowthSettings
-from topobatch.topology.structure import prepare
+from topobatch.topology.matching.association import grow
+from topobatch.topology.matching.correspondence import GrowthSettings
+from topobatch.topology.matching.structure import prepare
 
 NONE = SelfSimilarity(links=0, tested=0, agreed=0, largest=0, ends=0.25)
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from topobatch.merge.fusion import fuse
-from topobatch.merge.identity import Pool
-from topobatch.merge.joint import run_poses, settle
+from topobatch.merge.fusion.fuse import fuse
+from topobatch.merge.fusion.joint_graph import run_poses, settle
+from topobatch.merge.fusion.uncertainty import spread
+from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
-from topobatch.merge.spread import spread
-from topobatch.topology.posegraph import Marginals
+from topobatch.topology.posegraph.solve import Marginals
 from topobatch.topology.se2 import compose, fit_rigid, inverse, wrap
 
 

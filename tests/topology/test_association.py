@@ -10,20 +10,20 @@ from itertools import product
 import numpy as np
 import pytest
 
-from topobatch.topology.association import Growth, grow, grow_split, single_matches
-from topobatch.topology.correspondence import (
+from topobatch.topology.errors import UsageError
+from topobatch.topology.matching.association import Growth, grow, grow_split, single_matches
+from topobatch.topology.matching.correspondence import (
     GrowthSettings,
     candidate_nodes,
     is_rectilinear,
     node_codes,
     partners,
 )
-from topobatch.topology.errors import UsageError
-from topobatch.topology.local_growth import grow_from
+from topobatch.topology.matching.local_growth import grow_from
+from topobatch.topology.matching.structure import Structure, prepare
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
-from topobatch.topology.structure import Structure, prepare
 from topobatch.topology.topomap import TopoMap
 
 QUARTER = np.pi / 2

@@ -9,25 +9,8 @@ import numpy as np
 import pytest
 
 from topobatch.topology.closure.answers import explained
-from topobatch.topology.closure.bend import bend
 from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
-from topobatch.topology.closure.drivenby import phantoms, settle
-from topobatch.topology.closure.evidence import EvidenceSettings, align, background, rarity
-from topobatch.topology.closure.gated import Identification, gated_closure
-from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
-from topobatch.topology.closure.jointly import JointSettings, agreeing
-from topobatch.topology.closure.layout import lay_out
-from topobatch.topology.closure.pattern import pattern_of
-from topobatch.topology.closure.pieces import set_apart
-from topobatch.topology.closure.places import NOWHERE, tabulate
-from topobatch.topology.closure.rates import measured_rates
-from topobatch.topology.closure.rectilinear import RectilinearSettings, grid_headings
-from topobatch.topology.closure.rounds import (
-    RoundSettings,
-    full_closure,
-    weakest_cut,
-)
-from topobatch.topology.closure.walk import (
+from topobatch.topology.closure.dead_reckoning import (
     SystematicErrors,
     dead_reckoning_covariance,
     louder,
@@ -35,6 +18,23 @@ from topobatch.topology.closure.walk import (
     relative_covariance,
     stretch,
 )
+from topobatch.topology.closure.detector_faults import measured_rates
+from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.evidence import EvidenceSettings, align, background, rarity
+from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
+from topobatch.topology.closure.heading_consistency import bend
+from topobatch.topology.closure.incremental import (
+    RoundSettings,
+    full_closure,
+    weakest_cut,
+)
+from topobatch.topology.closure.joint_compatibility import JointSettings, agreeing
+from topobatch.topology.closure.lattice import pattern_of
+from topobatch.topology.closure.manhattan import RectilinearSettings, grid_headings
+from topobatch.topology.closure.missed_detections import phantoms, settle
+from topobatch.topology.closure.nearest_neighbour import Identification, gated_closure
+from topobatch.topology.closure.pieces import set_apart
+from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.ragged import Ragged

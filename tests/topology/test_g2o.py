@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from topobatch.topology.errors import DocumentError
-from topobatch.topology.g2o import read_g2o, write_g2o
-from topobatch.topology.posegraph import PoseGraph, Priors, solve
+from topobatch.topology.posegraph.g2o import read_g2o, write_g2o
+from topobatch.topology.posegraph.solve import PoseGraph, Priors, solve
 from topobatch.topology.se2 import between
 
 TRIANGLE = """\

@@ -11,8 +11,11 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csc_array
 
-from topobatch.topology.g2o import read_g2o
-from topobatch.topology.posegraph import (
+from topobatch.topology.posegraph.g2o import read_g2o
+from topobatch.topology.posegraph.graph import edge_errors, prior_errors
+from topobatch.topology.posegraph.initialisation import chordal_start, skeleton
+from topobatch.topology.posegraph.normal_equations import build_pattern, linearise
+from topobatch.topology.posegraph.solve import (
     Marginals,
     PoseGraph,
     Priors,
@@ -23,9 +26,6 @@ from topobatch.topology.posegraph import (
     solve_robust,
     straight_sensitivity,
 )
-from topobatch.topology.posegraph_model import edge_errors, prior_errors
-from topobatch.topology.posegraph_start import chordal_start, skeleton
-from topobatch.topology.posegraph_system import build_pattern, linearise
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, wrap
 
 SHARED = Path(os.environ.get("TOPOBATCH_SHARED", Path(__file__).parents[2].parent / "shared"))
@@ -387,7 +387,7 @@ def test_columns_in_many_chunks_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     a, b = rng.integers(0, len(graph), (2, 200))
     whole = marginals.relative(a, b)
-    monkeypatch.setattr("topobatch.topology.posegraph_marginals._CHUNK", 4)
+    monkeypatch.setattr("topobatch.topology.posegraph.marginals._CHUNK", 4)
     np.testing.assert_allclose(marginals.relative(a, b), whole, rtol=1e-9, atol=1e-12)
 
 

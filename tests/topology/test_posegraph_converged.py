@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from topobatch.topology.posegraph import (
+from topobatch.topology.posegraph.graph import edge_errors, prior_errors
+from topobatch.topology.posegraph.solve import (
     PoseGraph,
     Priors,
     SharedErrors,
@@ -18,7 +19,6 @@ from topobatch.topology.posegraph import (
     SolverSettings,
     solve,
 )
-from topobatch.topology.posegraph_model import edge_errors, prior_errors
 from topobatch.topology.se2 import between, compose
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from topobatch.topology.closure.certainty import place_errors
-from topobatch.topology.closure.layout import lay_out
+from topobatch.topology.closure.dead_reckoning import SystematicErrors, make_walk
+from topobatch.topology.closure.estimate import lay_out
 from topobatch.topology.closure.variance_components import fitted_noise
-from topobatch.topology.closure.walk import SystematicErrors, make_walk
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.ragged import Ragged

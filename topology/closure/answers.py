@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .gated import Identification
+from .nearest_neighbour import Identification
 
 IntArray = NDArray[np.int64]
 

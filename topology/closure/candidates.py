@@ -11,6 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ..se2 import turned_axes
+from .dead_reckoning import Walk, dead_reckoning_covariance
+from .estimate import Layout
 from .evidence import (
     Background,
     EvidenceSettings,
@@ -20,9 +22,7 @@ from .evidence import (
     position_odds,
 )
 from .growth import GrowthSettings, Scene, grow
-from .layout import Layout
 from .places import NOWHERE, Places
-from .walk import Walk, dead_reckoning_covariance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

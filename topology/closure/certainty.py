@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..posegraph_samples import SampledMarginals
+from ..posegraph.samples import SampledMarginals
 from ..vertex_errors import VertexErrors
-from .layout import Layout
-from .rectilinear import OWN_SPREAD_RAD
-from .walk import Walk
+from .dead_reckoning import Walk
+from .estimate import Layout
+from .manhattan import OWN_SPREAD_RAD
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

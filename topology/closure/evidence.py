@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.special import chndtr
 
 from ..topomap import RunNoise
-from .pattern import Pattern, PatternSettings, no_pattern, pattern_of, squared_mahalanobis
+from .dead_reckoning import Walk
+from .lattice import Pattern, PatternSettings, no_pattern, pattern_of, squared_mahalanobis
 from .places import Places
-from .walk import Walk
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .dead_reckoning import Walk
 from .evidence import Alignment, Background, align, length_odds
 from .places import NOWHERE, Places
-from .walk import Walk
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

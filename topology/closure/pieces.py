@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .layout import Layout
-from .walk import Walk
+from .dead_reckoning import Walk
+from .estimate import Layout
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..circular import cluster_angles
 from ..passes import NO_BRANCH
-from .walk import Walk
+from .dead_reckoning import Walk
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..odometry import Odometry
-from ..posegraph_model import edge_errors
-from ..posegraph_samples import SampledMarginals
+from ..posegraph.graph import edge_errors
+from ..posegraph.samples import SampledMarginals
 from ..topomap import RunNoise
-from .layout import Layout, lay_out
-from .rectilinear import GridHeadings
-from .walk import RANDOM_SUMS, Walk, make_walk, relative_covariance
+from .dead_reckoning import RANDOM_SUMS, Walk, make_walk, relative_covariance
+from .estimate import Layout, lay_out
+from .manhattan import GridHeadings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

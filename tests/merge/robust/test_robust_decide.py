@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.simulation import make_world
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.locks import Lock
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import RobustSettings, decide, match, prepare
 from topobatch.merge.robust.mirror import mirrored
+from topobatch.simulation import make_world
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply, compose, wrap
 

@@ -1,0 +1,1 @@
+"""From raw poses to an odometry that can be relied on: sanity, jumps, calibration, noise."""

@@ -1,0 +1,196 @@
+"""How large the odometry's jumps were: told by the places seen on both sides, or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.closure.dead_reckoning import Walk
+from ...topology.closure.estimate import Layout
+from ...topology.closure.incremental import Closed
+from ...topology.odometry import Odometry
+from ...topology.se2 import between, compose, inverse, wrap
+from .jumps import driven_on
+
+Bools = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+CLEAR_RAD = np.pi / 12
+"""1 sigma of a turn that is known up to less than an eighth of a turn (3 sigma): a building's right
+angles go on beyond it, and its branches are not taken for each other."""
+CLEAR_LEGS = 0.5
+"""1 sigma of a step, in typical distances of neighbouring junctions."""
+LEAST_PLACES = 2
+"""Places that must have been seen on both sides: one may be a mistake."""
+
+
+def bridged(
+    odometry: Odometry,
+    walk_of: Callable[[Odometry], Walk],
+    close: Callable[[Walk], Closed],
+) -> Odometry:
+    """The odometry with every jump of known size, or broken there.
+
+    walk_of: the passes of an odometry; close: identifies them, without a grid of the building,
+    whose right angles fit every quarter turn. A jump that is small beside what tells places and
+    branches apart is left as it is, with its uncertainty. A larger one is measured, once as if the
+    robot had driven on and once as if it had gone where the odometry says (`Odometry.jump_other`):
+    places seen on both sides tell the step. If they do not, or say this in one case and that in the
+    other, the chain is broken. Closes the loops twice, if there are such jumps.
+    """
+    walk = walk_of(odometry)
+    leg = _legs(odometry, walk)
+    open_ = _unclear(odometry, walk, leg)
+    if not open_.any():
+        return odometry
+    # Between the two cases lies the whole jump: each answers for half of it (1 sigma).
+    sigma = np.where(open_[:, None], 0.5 * odometry.jump_sigma, odometry.jump_sigma)
+    driven_on = replace(odometry, jump_sigma=sigma)
+    moved = _driven(driven_on, open_, odometry.jump_other[open_])
+    found = [_steps(case, walk_of, close, open_) for case in (driven_on, moved)]
+    told = {row: step for row in {*found[0], *found[1]} if (step := _agreed(found, row))}
+    rows = np.array(sorted(told), np.int64)
+    known = np.isin(odometry.jumps, rows) if len(rows) else np.zeros(len(open_), bool)
+    steps = np.array([told[row].step for row in rows.tolist()]).reshape(-1, 3)
+    bridged = _driven(odometry, known, steps)
+    # What the closure says is believed only as far as it takes to go on: the identifications that
+    # it stands on are made again.
+    same_leg = np.isin(leg, leg[known])
+    clear = np.minimum(odometry.jump_sigma, [_clear_m(walk), CLEAR_RAD])
+    sigma = np.where(same_leg[:, None], clear, odometry.jump_sigma)
+    breaks = np.union1d(odometry.breaks, odometry.jumps[open_ & ~same_leg])
+    return replace(bridged, jump_sigma=sigma, breaks=breaks)
+
+
+def jumps_told(recorded: Odometry, odometry: Odometry) -> list[dict[str, Any]]:
+    """For the document: when and how far the odometry jumped, and whether the chain is split there.
+
+    recorded: as read; odometry: `bridged`, its rows at the same places.
+    """
+    rows = recorded.jumps
+    step = between(recorded.pose[rows - 1], recorded.pose[rows])
+    off = recorded.jump_other - step
+    return [
+        {
+            "time_ns": time_ns,
+            "shift_m": round(float(np.hypot(x, y)), 3),
+            "turn_rad": round(abs(float(wrap(turn))), 3),
+            "split": split,
+        }
+        for time_ns, (x, y, turn), split in zip(
+            recorded.time_ns[rows].tolist(), off, _split(odometry).tolist(), strict=True
+        )
+    ]
+
+
+def split_told(recorded: Odometry, odometry: Odometry) -> list[str]:
+    """One sentence on the jumps that nothing tells the size of, if there are any."""
+    rows = recorded.jumps[_split(odometry)]
+    if len(rows) == 0:
+        return []
+    seconds = (recorded.time_ns[rows] - recorded.time_ns[0]) * 1e-9
+    at = ", ".join(f"{second:.1f} s" for second in seconds)
+    return [
+        f"{len(rows)} {'jump' if len(rows) == 1 else 'jumps'} of the odometry (at {at}) not told "
+        "by places seen before and after: the chain is split there"
+    ]
+
+
+def _split(odometry: Odometry) -> Bools:
+    return np.isin(odometry.jumps, odometry.breaks)
+
+
+def _legs(odometry: Odometry, walk: Walk) -> IntArray:
+    """(j,) the leg that each jump falls in: from that pass to the next; -1 if there is none."""
+    leg = np.searchsorted(walk.passes.time_ns, odometry.time_ns[odometry.jumps]) - 1
+    inside = (leg >= 0) & (leg < len(walk) - 1)
+    inside &= np.append(np.diff(walk.chain) == 0, False)[leg]
+    return np.where(inside, leg, -1)
+
+
+def _unclear(odometry: Odometry, walk: Walk, leg: IntArray) -> Bools:
+    """(j,) jumps beyond which places may be taken for others."""
+    sigma = odometry.jump_sigma
+    return np.asarray((leg >= 0) & ((sigma[:, 0] > _clear_m(walk)) | (sigma[:, 1] > CLEAR_RAD)))
+
+
+def _clear_m(walk: Walk) -> float:
+    known = walk.leg[np.isfinite(walk.leg)]
+    return CLEAR_LEGS * float(np.median(known)) if len(known) else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """A jump as places tell it: step (3,) of the robot, with 1 sigma [m per axis] and [rad]; places
+    seen on both sides."""
+
+    step: FloatArray
+    sigma: FloatArray
+    places: int
+
+    def fits(self, step: FloatArray, spare: FloatArray) -> bool:
+        """Whether another step is as near as that [m, rad], and three sigmas of this one."""
+        off = between(self.step, step)
+        apart = np.array([np.hypot(off[0], off[1]), abs(off[2])])
+        return bool(np.all(apart <= spare + 3 * self.sigma))
+
+
+def _steps(
+    case: Odometry,
+    walk_of: Callable[[Odometry], Walk],
+    close: Callable[[Walk], Closed],
+    open_: Bools,
+) -> dict[int, _Step]:
+    """What places tell of the open jumps, by row: of the first one in every leg."""
+    walk = walk_of(case)
+    leg = _legs(case, walk)
+    closed = close(walk)
+    clear = np.array([_clear_m(walk), CLEAR_RAD])
+    out = {}
+    legs = np.unique(leg[open_ & (leg >= 0)])
+    cov = closed.layout.relative_covariance(legs, legs + 1)
+    for k, c in zip(legs.tolist(), cov, strict=True):
+        jump = int(np.flatnonzero(leg == k)[0])
+        row = int(case.jumps[jump])
+        sigma = np.sqrt(np.array([0.5 * (c[0, 0] + c[1, 1]), c[2, 2]]))
+        places = _shared(closed.place, k)
+        T_before_after = compose(
+            inverse(_frame(walk, closed.layout, k)), _frame(walk, closed.layout, k + 1)
+        )
+        moved = between(case.pose[row - 1], compose(T_before_after, case.pose[row]))
+        found = _Step(moved, sigma, places)
+        taken = between(case.pose[row - 1], case.pose[row])
+        # The odometry is at most as wrong as the jump is large: two sigmas of the case.
+        likely = found.fits(taken, 2 * case.jump_sigma[jump])
+        if likely and bool(np.all(sigma < clear)) and places >= LEAST_PLACES:
+            out[row] = found
+    return out
+
+
+def _agreed(found: list[dict[int, _Step]], row: int) -> _Step | None:
+    """The step that the cases tell, the one of more places; None if they contradict each other."""
+    steps = sorted((case[row] for case in found if row in case), key=lambda s: -s.places)
+    if len(steps) == 2 and not steps[0].fits(steps[1].step, 3 * steps[1].sigma):
+        return None
+    return steps[0]
+
+
+def _shared(place: IntArray, leg: int) -> int:
+    """How many places were seen on both sides of a leg."""
+    return len(np.intersect1d(place[: leg + 1], place[leg + 1 :]))
+
+
+def _frame(walk: Walk, layout: Layout, i: int) -> FloatArray:
+    """T_map_odom as pass i sees it."""
+    x, y = walk.passes.centre[i]
+    return compose(layout.pose[i], [-x, -y, 0.0])
+
+
+def _driven(odometry: Odometry, chosen: Bools, step: FloatArray) -> Odometry:
+    """The odometry with the steps of the chosen jumps replaced."""
+    return replace(odometry, pose=driven_on(odometry.pose, odometry.jumps[chosen], step))

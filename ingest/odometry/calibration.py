@@ -1,0 +1,239 @@
+"""Systematic heading errors of the odometry, estimated before any place is recognised.
+
+    θ_true = θ + β·s + κ·θ + δ·ω
+
+Real robots turn degrees too little per metre, steadily; a loop closes only after that is taken out.
+The evidence (`heading_evidence`) needs no identification. It is a likelihood of x = (β, κ, δ) with
+outliers in it: readings within a pass scatter with heavy tails; a leg is straight, or anything; a
+branch is square to one seen before, or anything. How often it is, and how exactly, is estimated
+with it, so that a building without right angles or straight corridors tells nothing instead of
+something wrong. The likelihood has many local maxima (a bias that turns one leg by 90° more fits a
+grid as well): the bias is scanned first, the best few maxima are climbed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.digits import significant
+from ...topology.odometry import Odometry
+from ...topology.se2 import wrap
+from ..passes import PassSettings, fuse_passes
+from ..run import Detections
+from .heading_evidence import TERMS, EvidenceSettings, HeadingEvidence, heading_evidence
+from .heading_likelihood import HeadingLikelihood
+
+FloatArray = NDArray[np.float64]
+Terms = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSettings:
+    """How the heading is calibrated."""
+
+    prior_bias_rad_per_m: float = 0.035
+    prior_turn_scale: float = 0.03
+    prior_lag_s: float = 0.3
+    """1 sigma of what odometry is like in general, about zero."""
+    apply_at_z: float = 3.0
+    """A term is applied only if it is so many sigmas from zero."""
+    floor_bias_rad_per_m: float = 0.0005
+    floor_turn_scale: float = 0.001
+    floor_lag_s: float = 0.01
+    """No estimate is believed to better than this (1 sigma, added in quadrature) …"""
+    floor_turn_scale_per_s: float = 0.01
+    floor_lag_per_s: float = 0.05
+    """… and more with the seconds between two rows of the odometry: what turns it missed."""
+    scan_bias_rad_per_m: float = 0.14
+    """Biases up to this are looked at."""
+    scan_step_rad_per_m: float = 0.0044
+    starts: int = 4
+    """Maxima of the scan that are climbed."""
+    rounds: int = 3
+    """Corrections of the track after each of which the passes are fused anew."""
+    looks_per_pass: float = 2.0
+    """Worth of all the readings of one branch in one pass, in independent looks."""
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Systematic errors of a run's odometry: estimates, 1 sigma, and which were applied.
+
+    Each triple is (bias per metre [rad/m], scale of turns, lag [s]). `applied` values are zero
+    where the data do not show the error at `apply_at_z` sigmas. `estimate` and `sigma` are those
+    of the fit with all three free; `z` is signed: the smaller of estimate / sigma and the root of
+    twice the gain in log-likelihood over an error of zero.
+    """
+
+    applied: Terms = (0.0, 0.0, 0.0)
+    estimate: Terms = (0.0, 0.0, 0.0)
+    sigma: Terms = (0.035, 0.03, 0.3)
+    z: Terms = (0.0, 0.0, 0.0)
+
+    @property
+    def bias_rad_per_m(self) -> float:
+        """Heading to add per metre driven."""
+        return self.applied[0]
+
+    @property
+    def turn_scale(self) -> float:
+        """Heading to add per radian turned."""
+        return self.applied[1]
+
+    @property
+    def lag_s(self) -> float:
+        """Seconds by which the odometry lags behind the detector."""
+        return self.applied[2]
+
+
+def calibrate(
+    odometry: Odometry,
+    detections: Detections,
+    settings: CalibrationSettings = CalibrationSettings(),
+    pass_settings: PassSettings | None = None,
+) -> Calibration:
+    """Estimate the systematic heading errors of a run from its sightings alone.
+
+    Never raises on poor data: without passes or turns the estimate is the prior and nothing is
+    applied. O(readings) a few dozen times.
+    """
+    result = Calibration()
+    if len(odometry) < 2:
+        return result
+    for _ in range(settings.rounds):
+        track = apply_calibration(odometry, result)
+        passes = fuse_passes(track, detections, pass_settings or PassSettings())
+        if len(passes) < 2:
+            return result
+        nominal = _shifted(odometry, result.lag_s)
+        evidence = heading_evidence(track, nominal, detections, passes, settings.evidence)
+        before, result = (
+            result,
+            _fit(evidence, np.array(result.applied), _floor(odometry, settings), settings),
+        )
+        if np.allclose(before.applied, result.applied, rtol=0, atol=1e-4):
+            break
+    return result
+
+
+def _floor(odometry: Odometry, settings: CalibrationSettings) -> FloatArray:
+    """(3,) 1 sigma that no estimate goes below."""
+    spacing_s = float(np.median(np.diff(odometry.time_ns))) * 1e-9
+    return np.array(
+        [
+            settings.floor_bias_rad_per_m,
+            np.hypot(settings.floor_turn_scale, settings.floor_turn_scale_per_s * spacing_s),
+            np.hypot(settings.floor_lag_s, settings.floor_lag_per_s * spacing_s),
+        ]
+    )
+
+
+def _fit(
+    evidence: HeadingEvidence,
+    already: FloatArray,
+    floor: FloatArray,
+    settings: CalibrationSettings,
+) -> Calibration:
+    """Total errors under evidence that was corrected by `already`."""
+    sigma = (settings.prior_bias_rad_per_m, settings.prior_turn_scale, settings.prior_lag_s)
+    minus = tuple((-already).tolist())
+    model = HeadingLikelihood.of(
+        evidence, prior_sigma=sigma, centre=minus, worth=settings.looks_per_pass
+    )
+    starts = _scan(model, already, settings)
+    every = np.ones(TERMS, bool)
+    fitted, x = _best(model, starts, every)
+    plain, shown_spread = fitted.sigma(x)
+    spread = np.hypot(shown_spread, floor)
+    gain = [
+        fitted.value(x) - _without(model, [*starts, x], np.arange(TERMS) != k, already)[0]
+        for k in range(TERMS)
+    ]
+    # A narrow false maximum far from zero is many of its own sigmas away and hardly more likely:
+    # the gain over an error of zero must say the same.
+    total = x + already
+    likely = np.sqrt(2 * np.maximum(gain, 0.0)) * plain / spread
+    z = np.sign(total) * np.minimum(np.abs(total) / spread, likely)
+    shown = np.abs(z) >= settings.apply_at_z
+    applied = total
+    if not shown.all():
+        applied = _without(model, [*starts, x], shown, already)[1] + already
+    return Calibration(*(_terms(v) for v in (np.where(shown, applied, 0.0), total, spread, z)))
+
+
+def _without(
+    model: HeadingLikelihood,
+    starts: list[FloatArray],
+    free: NDArray[np.bool_],
+    already: FloatArray,
+) -> tuple[float, FloatArray]:
+    """Highest likelihood, and where, with all errors zero that are not `free`."""
+    fitted, x = _best(model, [np.where(free, start, -already) for start in starts], free)
+    return fitted.value(x), x
+
+
+def _terms(values: FloatArray) -> Terms:
+    # As documents state them: what is applied is what is stated, the same on every processor.
+    a, b, c = (significant(float(v)) for v in values)
+    return a, b, c
+
+
+def _scan(
+    model: HeadingLikelihood, already: FloatArray, settings: CalibrationSettings
+) -> list[FloatArray]:
+    """Corrections to climb from: the best local maxima over the bias, no error, no change."""
+    steps = int(np.ceil(settings.scan_bias_rad_per_m / settings.scan_step_rad_per_m))
+    bias = np.arange(-steps, steps + 1) * settings.scan_step_rad_per_m - already[0]
+    points = np.zeros((len(bias), TERMS))
+    points[:, 0] = bias
+    value = np.array([model.value(x) for x in points])
+    padded = np.concatenate([[-np.inf], value, [-np.inf]])
+    peaks = np.flatnonzero((value >= padded[:-2]) & (value >= padded[2:]))
+    best = peaks[np.argsort(-value[peaks], kind="stable")][: settings.starts]
+    return [*points[best], -already, np.zeros(TERMS)]
+
+
+def _best(
+    model: HeadingLikelihood, starts: list[FloatArray], free: NDArray[np.bool_]
+) -> tuple[HeadingLikelihood, FloatArray]:
+    """The highest of the maxima reached from the starts."""
+    # A few steps show which maxima compete; only the best two are climbed to the top.
+    reached = [model.climb(x, free, most=6) for x in _distinct(starts)]
+    reached.sort(key=lambda found: -found[0].value(found[1]))
+    final = [fitted.climb(x, free) for fitted, x in reached[:2]]
+    value = [fitted.value(x) for fitted, x in final]
+    return final[value.index(max(value))]
+
+
+def _distinct(points: list[FloatArray]) -> list[FloatArray]:
+    """The points without repetitions, in their order."""
+    return list({tuple(point.tolist()): point for point in points}.values())
+
+
+def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:
+    """The track re-integrated with the applied errors taken out; the same rows, breaks, frames.
+
+    A lag moves the times of the rows. Every step turns by the mean correction at its two ends;
+    across a break the jump is turned along. The first row stays. O(n).
+    """
+    if not any(calibration.applied) or len(odometry) == 0:
+        return odometry
+    way, turned = np.cumsum(odometry.step_m), np.cumsum(odometry.turn_rad)
+    correction = calibration.bias_rad_per_m * way + calibration.turn_scale * turned
+    step = np.diff(odometry.pose[:, 0] + 1j * odometry.pose[:, 1])
+    step = step * np.exp(0.5j * (correction[1:] + correction[:-1]))
+    start = complex(odometry.pose[0, 0], odometry.pose[0, 1])
+    at = start + np.concatenate([[0.0], np.cumsum(step)])
+    pose = np.column_stack([at.real, at.imag, wrap(odometry.pose[:, 2] + correction)])
+    return replace(_shifted(odometry, calibration.lag_s), pose=pose)
+
+
+def _shifted(odometry: Odometry, lag_s: float) -> Odometry:
+    """The track at the times at which the detector's clock would have seen it."""
+    if lag_s == 0:
+        return odometry
+    return replace(odometry, time_ns=odometry.time_ns - round(lag_s * 1e9))

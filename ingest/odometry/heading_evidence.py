@@ -1,0 +1,278 @@
+"""What the sightings of a run say about its heading, before any place is recognised.
+
+The odometry's heading θ is wrong by β·s + κ·θ + δ·ω (way driven, angle turned, turning rate: a
+bias per metre, a scale of turns, a time lag). Three kinds of evidence need no identification:
+
+* *pass*: while the robot drives by a junction and turns, a branch keeps its direction;
+* *leg*: corridors are mostly straight, so the heading of the branch by which the robot left one
+  junction is mostly opposite to the one by which it came to the next;
+* *grid*: the branches of neighbouring junctions are mostly parallel or square to each other.
+
+All are rows y + a·x ≈ 0 with x = (β, κ, δ) and a = (s, θ, ω) or a difference of two such.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.odometry import Odometry
+from ...topology.passes import NO_BRANCH, Passes
+from ...topology.se2 import wrap
+from ...topology.track import stretch_of
+from ..run import Detections
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+TERMS = 3
+"""Unknowns: bias per metre, scale of turns, lag."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceSettings:
+    """Which sightings are compared."""
+
+    match_rad: float = 0.35
+    """A reading farther than this from every fused branch of its pass is noise."""
+    interpolated_rad: float = 0.03
+    """Readings farther in angle from the next row of the odometry are not used."""
+    rate_window_s: float = 0.25
+    """The turning rate is taken over twice this time."""
+    parts: int = 6
+    """The readings of one branch in one pass are averaged over so many stretches of time."""
+    most_passes: int = 600
+    """More passes are thinned out evenly: they tell the errors well enough."""
+    grid_reach: int = 3
+    """Branches are compared with those of so many passes before …"""
+    grid_reach_m: float = 40.0
+    """… if not farther back than this along the way."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Rows y + a·x ≈ 0: y (r,) [rad], a (r, 3); `owner` (r,) groups rows that tell one thing.
+
+    share: (r,) weights that sum to 1 within an owner; visit: (r,) pass at which the row was seen:
+    rows of one visit share its errors.
+    """
+
+    y: FloatArray
+    a: FloatArray
+    owner: IntArray
+    share: FloatArray
+    visit: IntArray
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def owners(self) -> int:
+        """Number of groups."""
+        return int(self.owner[-1]) + 1 if len(self.owner) else 0
+
+    @property
+    def visits(self) -> int:
+        """One more than the last visit."""
+        return int(self.visit.max(initial=-1)) + 1
+
+    def of_every(self, stride: int) -> Rows:
+        """The rows of every `stride`-th visit."""
+        kept = np.flatnonzero(self.visit % stride == 0)
+        owner = np.cumsum(np.diff(self.owner[kept], prepend=-1) != 0) - 1
+        return Rows(self.y[kept], self.a[kept], owner, self.share[kept], self.visit[kept] // stride)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadingEvidence:
+    """The three kinds of evidence of one run."""
+
+    passes: Rows
+    legs: Rows
+    grid: Rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looks:
+    """Every branch of every pass as it was seen: heading (b,), regressors (b, 3), pass (b,)."""
+
+    heading: FloatArray
+    regressor: FloatArray
+    owner: IntArray
+    seen: NDArray[np.bool_]
+
+
+def heading_evidence(
+    odometry: Odometry,
+    nominal: Odometry,
+    detections: Detections,
+    passes: Passes,
+    settings: EvidenceSettings = EvidenceSettings(),
+) -> HeadingEvidence:
+    """Rows from the sightings of a run.
+
+    odometry: the track as corrected so far, in which headings are compared and `passes` are
+    expressed; nominal: the same rows and times uncorrected, which the regressors are taken from.
+    O(readings + branches · grid_reach).
+    """
+    reading = assign_readings(
+        odometry, detections, passes, settings.match_rad, settings.interpolated_rad
+    )
+    time_ns = detections.time_ns[detections.branches.owner[reading.row]]
+    regressor = regressors(nominal, time_ns, settings.rate_window_s)
+    count = len(passes.branches.values)
+    n = np.bincount(reading.branch, minlength=count)
+    off = wrap(reading.heading - passes.branches.values[reading.branch])
+    mean_off = _mean(reading.branch, off, n)
+    mean_regressor = np.column_stack(
+        [_mean(reading.branch, regressor[:, k], n) for k in range(TERMS)]
+    )
+    looks = _Looks(
+        np.asarray(wrap(passes.branches.values + mean_off)),
+        mean_regressor,
+        passes.branches.owner,
+        n > 0,
+    )
+    within = _within(
+        looks,
+        reading.branch,
+        off - mean_off[reading.branch],
+        regressor - mean_regressor[reading.branch],
+        settings.parts,
+    )
+    chain = stretch_of(odometry, passes.time_ns)
+    parts = (within, _legs(passes, looks, chain), _grid(looks, chain, settings))
+    stride = -(-len(passes) // settings.most_passes)
+    return HeadingEvidence(*(rows.of_every(stride) if stride > 1 else rows for rows in parts))
+
+
+def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray, parts: int) -> Rows:
+    """Readings about the mean of their branch, averaged over at most `parts` stretches of time."""
+    order = np.argsort(branch, kind="stable")
+    n = np.bincount(branch, minlength=len(looks.heading))
+    owner = branch[order]
+    first = np.concatenate([[0], np.cumsum(n)])[owner]
+    part = (np.arange(len(owner)) - first) * parts // np.maximum(n[owner], parts)
+    group = np.cumsum(np.diff(owner * parts + part, prepend=-1) != 0) - 1
+    size = np.bincount(group)
+    mean = [_mean(group, column[order], size) for column in (y, *a.T)]
+    home = owner[np.flatnonzero(np.diff(group, prepend=-1))]
+    return Rows(mean[0], np.column_stack(mean[1:]), home, size / n[home], looks.owner[home])
+
+
+def regressors(odometry: Odometry, time_ns: IntArray, window_s: float) -> FloatArray:
+    """(m, 3) way driven [m], angle turned [rad] and turning rate [rad/s] at the given times."""
+    origin = odometry.time_ns[0]
+    t = (odometry.time_ns - origin) * 1e-9
+    q = (np.asarray(time_ns, np.int64) - origin) * 1e-9
+    way, turned = np.cumsum(odometry.step_m), np.cumsum(odometry.turn_rad)
+    before, after = np.maximum(q - window_s, t[0]), np.minimum(q + window_s, t[-1])
+    rise = np.interp(after, t, turned) - np.interp(before, t, turned)
+    rate = rise / np.maximum(after - before, 1e-3)
+    return np.column_stack([np.interp(q, t, way), np.interp(q, t, turned), rate])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Branch readings that belong to a fused branch: row (into the flat readings), branch, heading.
+
+    heading is in the odometry frame.
+    """
+
+    row: IntArray
+    branch: IntArray
+    heading: FloatArray
+
+
+def assign_readings(
+    odometry: Odometry,
+    detections: Detections,
+    passes: Passes,
+    match_rad: float,
+    interpolated_rad: float = np.inf,
+) -> Readings:
+    """The fused branch (flat index) of every reading, where one is near.
+
+    Readings whose heading would be interpolated over more than `interpolated_rad` are left out. All
+    readings at once: each is paired with every branch of its pass, and the nearest pair kept.
+    """
+    message = detections.branches.owner
+    time_ns = detections.time_ns[message]
+    heading = detections.branches.values + odometry.at(time_ns)[:, 2]
+    home = np.searchsorted(passes.start_ns, time_ns, side="right") - 1
+    inside = (home >= 0) & (time_ns <= passes.end_ns[np.maximum(home, 0)])
+    if np.isfinite(interpolated_rad):
+        inside &= _interpolated(odometry, time_ns) <= interpolated_rad
+    rows = np.flatnonzero(inside)
+    counts = passes.branches.counts[home[rows]]
+    rows, counts = rows[counts > 0], counts[counts > 0]
+    if len(rows) == 0:
+        none = np.zeros(0, np.int64)
+        return Readings(none, none, np.zeros(0))
+    starts = np.cumsum(counts) - counts
+    local = np.arange(int(counts.sum())) - np.repeat(starts, counts)
+    candidate = np.repeat(passes.branches.offsets[home[rows]], counts) + local
+    pair_row = np.repeat(rows, counts)
+    off = np.abs(wrap(heading[pair_row] - passes.branches.values[candidate]))
+    # Least of each contiguous block, and where it is; backwards, so that the first of equals stays.
+    hit = np.flatnonzero(off == np.repeat(np.minimum.reduceat(off, starts), counts))[::-1]
+    nearest = np.empty(len(rows), np.int64)
+    nearest[np.repeat(np.arange(len(rows)), counts)[hit]] = hit
+    near = off[nearest] <= match_rad
+    return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
+
+
+def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
+    """(m,) angle turned [rad] between each time and the nearer one of the rows around it.
+
+    What happens between two rows is unknown: a turn within one second is no even turning, and taken
+    for one it looks like a wrong scale of turns.
+    """
+    after = np.clip(np.searchsorted(odometry.time_ns, time_ns), 1, len(odometry) - 1)
+    t0, t1 = odometry.time_ns[after - 1], odometry.time_ns[after]
+    share = np.clip((time_ns - t0) / np.maximum(t1 - t0, 1), 0.0, 1.0)
+    return np.asarray(np.minimum(share, 1 - share) * np.abs(odometry.turn_rad[after]))
+
+
+def _mean(group: IntArray, values: FloatArray, n: IntArray) -> FloatArray:
+    return np.asarray(np.bincount(group, values, len(n)) / np.maximum(n, 1))
+
+
+def _legs(passes: Passes, looks: _Looks, chain: IntArray) -> Rows:
+    """One row per leg between consecutive passes whose branches at both ends are known."""
+    k = np.arange(max(len(passes) - 1, 0))
+    known = (passes.exit[k] != NO_BRANCH) & (passes.entry[k + 1] != NO_BRANCH)
+    k = k[known & (chain[k] == chain[k + 1])]
+    left = passes.branches.offsets[k] + passes.exit[k]
+    came = passes.branches.offsets[k + 1] + passes.entry[k + 1]
+    both = looks.seen[left] & looks.seen[came]
+    left, came = left[both], came[both]
+    y = np.asarray(wrap(looks.heading[came] + np.pi - looks.heading[left]))
+    a = looks.regressor[came] - looks.regressor[left]
+    return Rows(y, a, np.arange(len(y)), np.ones(len(y)), k[both] + 1)
+
+
+def _grid(looks: _Looks, chain: IntArray, settings: EvidenceSettings) -> Rows:
+    """Every branch beside those of a few passes before: alternatives that may be square to it."""
+    b = np.arange(len(looks.heading))
+    first = np.searchsorted(looks.owner, np.arange(len(chain) + 1))
+    begin = first[np.maximum(looks.owner - settings.grid_reach, 0)]
+    end = first[looks.owner]
+    counts = end - begin
+    here = np.repeat(b, counts)
+    starts = np.cumsum(counts) - counts
+    there = np.arange(int(counts.sum())) - np.repeat(starts, counts) + np.repeat(begin, counts)
+    a = looks.regressor[here] - looks.regressor[there]
+    keep = (
+        looks.seen[here]
+        & looks.seen[there]
+        & (chain[looks.owner[here]] == chain[looks.owner[there]])
+        & (np.abs(a[:, 0]) <= settings.grid_reach_m)
+    )
+    here, there, a = here[keep], there[keep], a[keep]
+    owner = np.cumsum(np.diff(here, prepend=here[:1]) != 0)
+    size = np.bincount(owner) if len(owner) else np.zeros(0, np.int64)
+    y = np.asarray(wrap(looks.heading[here] - looks.heading[there]))
+    return Rows(y, a, owner, 1.0 / size[owner], looks.owner[here])

@@ -1,0 +1,338 @@
+"""Steps of the odometry that the robot did not drive: how large they are, and what they mean.
+
+A jump is a step of unknown size. The odometry's frame has jumped while the robot drove on (a
+slipped wheel, a pose corrected by the driver), or the robot was knocked and the odometry saw it:
+what it reports is at most as wrong as the jump is large. So the track goes on as its neighbours
+say, with an uncertainty of the size of the jump. A reset is no step at all: nothing is known of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.odometry import Odometry
+from ...topology.se2 import between, compose, inverse, wrap
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SECOND_S = 1e-9
+BLOCK_STEPS = 1 << 13
+"""So many steps are looked at together where few are expected to matter."""
+MOST_TOLD = 5
+"""So many jumps are told one by one."""
+BESIDE = np.array([-2, -1, 1, 2])
+"""Steps that a step is compared with."""
+
+
+def times(count: int) -> str:
+    """ "once", "2 times"."""
+    return "once" if count == 1 else f"{count} times"
+
+
+@dataclass(frozen=True, slots=True)
+class JumpSettings:
+    """Which steps stand out of the run's own motion."""
+
+    least_m: float = 0.05
+    least_rad: float = 0.07
+    """Smaller ones are hidden by the noise of one sighting (0.05 to 0.1 m, 2 to 5 degrees)."""
+    usual_way_m: float = 30.0
+    """What befalls the odometry more often than once in so much way is how this robot moves."""
+    factor: float = 3.0
+    """A jump stands out by so many times what is usual."""
+    margin: float = 1.2
+    """A turn is fast if it is so many times as fast as is seldom exceeded."""
+    few_steps: int = 100
+    """Shorter tracks do not tell what is usual."""
+    samples: int = 20_000
+    """Steps that tell how fast the robot usually is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Jumps:
+    """Steps that were not driven, by row: the step from row - 1 to row.
+
+    rows: (j,) ascending; way: (j,) [m] and turn: (j,) [rad] by which they differ from what their
+    neighbours say; reset: (j,) nothing is known of the motion; late: (j,) the odometry had stood
+    still for so long that the robot can have driven the step; since: (j,) row from which on it had.
+    """
+
+    rows: Ints
+    way: Floats
+    turn: Floats
+    reset: Bools
+    late: Bools
+    since: Ints
+
+    def fresh(self, count: int) -> Bools:
+        """(count,) rows of the track but those that repeat a pose before a late leap."""
+        keep = np.ones(count, bool)
+        for since, row in zip(self.since[self.late], self.rows[self.late], strict=True):
+            keep[since + 1 : row] = False
+        return keep
+
+    def among(self, keep: Bools) -> Jumps:
+        """The same jumps in a track of fewer rows."""
+        number = np.cumsum(keep) - 1
+        return replace(self, rows=number[self.rows], since=number[self.since])
+
+    def sentences(self, time_ns: Ints) -> list[str]:
+        """What a person is told of them, one sentence per kind."""
+        jump = ~self.reset & ~self.late
+        told = (
+            (
+                jump,
+                "odometry jumps",
+                "steps of unknown size, for places seen before and after to tell",
+            ),
+            (self.late, "odometry stands still and leaps", "taken for late; steps of unknown size"),
+            (self.reset, "odometry is reset", "the chain is split there"),
+        )
+        return [
+            f"{what} {times(int(of.sum()))} ({self._sizes(of, time_ns)}): {how}"
+            for of, what, how in told
+            if of.any()
+        ]
+
+    def _sizes(self, of: Bools, time_ns: Ints) -> str:
+        at = (time_ns[self.rows[of]] - time_ns[0]) * SECOND_S
+        sizes = [
+            f"{way:.2f} m and {np.degrees(turn):.0f} degrees at {second:.1f} s"
+            for way, turn, second in zip(self.way[of], self.turn[of], at, strict=True)
+        ]
+        return ", ".join(sizes[:MOST_TOLD]) + (", …" if len(sizes) > MOST_TOLD else "")
+
+
+def no_jumps() -> Jumps:
+    """None at all."""
+    none, false, zero = np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(0)
+    return Jumps(none, zero, zero, false, false, none)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Usual:
+    """Seconds between rows (median); speed [m/s] and turning rate [rad/s] seldom exceeded."""
+
+    period: float
+    speed: float
+    rate: float
+
+    @classmethod
+    def of(cls, time_ns: Ints, pose: Floats, settings: JumpSettings) -> _Usual:
+        k = np.linspace(0, len(pose) - 2, settings.samples).astype(np.int64)
+        k = k[np.diff(k, prepend=-1) > 0]
+        duration = (time_ns[k + 1] - time_ns[k]) * SECOND_S
+        way = np.hypot(*(pose[k + 1, :2] - pose[k, :2]).T)
+        turn = np.abs(wrap(pose[k + 1, 2] - pose[k, 2]))
+        period = float(np.median(duration))
+        # Stamps that come in bursts make no robot fast.
+        duration = np.maximum(duration, 0.5 * period)
+        return cls(period, _seldom(way / duration), _seldom(turn / duration))
+
+
+def _seldom(values: Floats) -> float:
+    moving = values[values > 0]
+    return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
+
+
+def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings()) -> Bools:
+    """(n - 1,) steps that stand out of their neighbours as few others of the run do.
+
+    Between two quiet steps no robot makes a large one: it has inertia. What is usual for this robot
+    and this odometry (sparse rows, jerky drives) the run shows itself. Light robots turn on the
+    spot by jerks: a turn stands out only if it is faster than they usually are. O(n), a few passes
+    over the rows that may matter.
+    """
+    found = np.zeros(max(len(pose) - 1, 0), bool)
+    if len(pose) <= settings.few_steps:
+        return found
+    rows = _large(pose, settings)
+    if len(rows) == 0:
+        return found
+    usual = _Usual.of(time_ns, pose, settings)
+    way, turn = _excess(time_ns, pose, rows, usual)
+    driven = float(np.hypot(*np.diff(pose[:, :2], axis=0).T).sum())
+    often = 1 + int(driven / settings.usual_way_m)
+    out = way > max(settings.least_m, settings.factor * _at_rank(way, often))
+    fast = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
+    fast = fast > settings.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
+    out |= fast & (turn > max(settings.least_rad, settings.factor * _at_rank(turn, often)))
+    found[rows[out]] = True
+    return found
+
+
+def _large(pose: Floats, settings: JumpSettings) -> Ints:
+    """Steps that may leave the range of their neighbours by so much that it matters.
+
+    They differ from the step before by no less, which is cheap to bound. In blocks that stay in the
+    processor's cache, so that no large array is made.
+    """
+    share = 0.99 / settings.factor
+    least_m, least_rad = share * settings.least_m, share * settings.least_rad
+    found = [np.zeros(0, np.int64)]
+    for first in range(0, len(pose) - 2, BLOCK_STEPS):
+        step = np.diff(pose[first : first + BLOCK_STEPS + 2], axis=0)
+        x, y, turn = np.abs(step[:-1].T)
+        # From one end of the range of angles to the other is a short turn as well.
+        turn = np.minimum(turn, np.abs(turn - 2 * np.pi))
+        dx, dy, other = np.abs(np.diff(step, axis=0).T)
+        # Seen from the robot, the step before is turned by what it turned.
+        large = dx + dy + (x + y) * turn > least_m
+        large |= (other > least_rad) & (np.abs(other - 2 * np.pi) > least_rad)
+        found.append(first + 1 + np.flatnonzero(large))
+    return np.concatenate(found)
+
+
+def _at_rank(values: Floats, rank: int) -> float:
+    """The largest value but for so many; 0 if there are no more."""
+    if len(values) <= rank:
+        return 0.0
+    return float(np.partition(values, len(values) - rank - 1)[len(values) - rank - 1])
+
+
+def _moved(pose: Floats, rows: Ints) -> Floats:
+    """(k, 3) motion forward [m], to the left [m], turn [rad] of the steps that begin at rows."""
+    return between(pose[rows], pose[rows + 1])
+
+
+def _excess(time_ns: Ints, pose: Floats, rows: Ints, usual: _Usual) -> tuple[Floats, Floats]:
+    """(k,) way [m] and turn [rad] by which steps leave the range that their neighbours span.
+
+    The range holds standing still, and the neighbours' motion both per step and per second: stamps
+    may be wrong. Beyond the usual period anything may have been driven, at the usual speed.
+    """
+    beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
+    around = _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
+    own = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
+    theirs = (time_ns[beside + 1] - time_ns[beside]) * SECOND_S
+    scaled = around * (own[:, None] / np.maximum(theirs, 0.5 * usual.period))[:, :, None]
+    span = np.concatenate([around, scaled, np.zeros((len(rows), 1, 3))], axis=1)
+    spare = np.maximum(_waited(time_ns, pose, rows) - usual.period, 0.0)
+    spare = spare[:, None] * np.array([usual.speed, usual.speed, usual.rate])
+    moved = _moved(pose, rows)
+    off = moved - np.clip(moved, span.min(axis=1) - spare, span.max(axis=1) + spare)
+    way: Floats = np.hypot(off[:, 0], off[:, 1])
+    turn: Floats = np.abs(off[:, 2])
+    return way, turn
+
+
+def _waited(time_ns: Ints, pose: Floats, rows: Ints) -> Floats:
+    """(k,) seconds from the first row that held the pose before each step to the end of it."""
+    waited = time_ns[rows + 1] - time_ns[_first_alike(pose, rows)]
+    return np.asarray(waited * SECOND_S, np.float64)
+
+
+def _first_alike(pose: Floats, rows: Ints) -> Ints:
+    """(k,) first of the rows in a row that hold the same pose as each."""
+    since = rows.copy()
+    stood = np.flatnonzero((rows > 0) & (pose[rows] == pose[rows - 1]).all(axis=1))
+    if len(stood):
+        changed = np.concatenate([[True], (pose[1:] != pose[:-1]).any(axis=1)])
+        first = np.maximum.accumulate(np.where(changed, np.arange(len(pose)), 0))
+        since[stood] = first[rows[stood]]
+    return since
+
+
+def measured_jumps(
+    time_ns: Ints,
+    pose: Floats,
+    leaps: Bools,
+    restarted: Bools,
+    settings: JumpSettings = JumpSettings(),
+) -> Jumps:
+    """What the given steps are: jumps, late messages, or resets.
+
+    leaps: (n - 1,) steps that cannot have been driven; restarted: (n - 1,) those of them at which
+    the clock leaps as well. A reset leads back to the origin or to where the track began, or
+    farther than the robot drives in the whole run.
+    """
+    begin = np.flatnonzero(leaps)
+    usual = _Usual.of(time_ns, pose, settings)
+    duration = (time_ns[begin + 1] - time_ns[begin]) * SECOND_S
+    off = _moved(pose, begin) - _expected(time_ns, pose, leaps, begin, usual)
+    way, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap(off[:, 2]))
+    driven = float(np.hypot(*np.diff(pose[:, :2], axis=0).T)[~leaps].sum())
+    again = np.minimum(duration, 2 * usual.period)
+    reset = _near(pose, begin + 1, np.zeros(3), again, usual)
+    reset |= _near(pose, begin + 1, pose[0], again, usual)
+    reset |= restarted[begin] | (way > max(driven, settings.least_m))
+    since, moved = _first_alike(pose, begin), _moved(pose, begin)
+    waited = (time_ns[begin + 1] - time_ns[since]) * SECOND_S
+    late = waited > 2 * usual.period
+    late &= np.hypot(moved[:, 0], moved[:, 1]) <= usual.speed * waited
+    late &= np.abs(moved[:, 2]) <= usual.rate * waited
+    return Jumps(begin + 1, way, turn, reset & ~late, late, since)
+
+
+def _near(pose: Floats, rows: Ints, home: Floats, spare_s: Floats, usual: _Usual) -> Bools:
+    """(k,) whether rows lie where a robot that has just started at `home` may have got to."""
+    away = np.hypot(*(pose[rows, :2] - home[:2]).T)
+    turned = np.abs(wrap(pose[rows, 2] - home[2]))
+    return np.asarray((away <= usual.speed * spare_s) & (turned <= usual.rate * spare_s))
+
+
+def _expected(time_ns: Ints, pose: Floats, leaps: Bools, rows: Ints, usual: _Usual) -> Floats:
+    """(k, 3) motion of steps as the nearest good steps before and after say, per second."""
+    good = np.flatnonzero(~leaps)
+    if len(good) == 0:
+        return np.zeros((len(rows), 3))
+    after = np.searchsorted(good, rows)
+    sides = good[np.clip(np.stack([after - 1, after]), 0, len(good) - 1)]
+    own = np.minimum((time_ns[rows + 1] - time_ns[rows]) * SECOND_S, 2 * usual.period)
+    out = np.zeros((len(rows), 3))
+    for side in sides:
+        theirs = (time_ns[side + 1] - time_ns[side]) * SECOND_S
+        out += 0.5 * _moved(pose, side) * (own / np.maximum(theirs, 0.5 * usual.period))[:, None]
+    return out
+
+
+def without_jumps(
+    odometry: Odometry, jumps: Jumps, settings: JumpSettings = JumpSettings()
+) -> Odometry:
+    """The odometry with breaks at resets, and going on over every jump as its neighbours say.
+
+    The uncertainty of such a step is the size of the jump, and what the robot usually drives in the
+    time. Rows before the first jump stay as they are. O(n).
+    """
+    breaks = np.union1d(odometry.breaks, jumps.rows[jumps.reset]).astype(np.int64)
+    known = ~jumps.reset
+    rows = jumps.rows[known]
+    if len(rows) == 0:
+        return replace(odometry, breaks=breaks)
+    time_ns, pose = odometry.time_ns, odometry.pose
+    usual = _Usual.of(time_ns, pose, settings)
+    leaps = np.zeros(len(pose) - 1, bool)
+    leaps[jumps.rows - 1] = True
+    step = _expected(time_ns, pose, leaps, rows - 1, usual)
+    other = _moved(pose, rows - 1)
+    late = jumps.late[known]
+    step[late], other[late] = other[late], step[late]
+    own = (time_ns[rows] - time_ns[rows - 1]) * SECOND_S
+    sigma = np.column_stack(
+        [
+            np.hypot(jumps.way[known], usual.speed * own),
+            np.minimum(np.hypot(jumps.turn[known], usual.rate * own), np.pi / np.sqrt(3)),
+        ]
+    )
+    return replace(
+        odometry,
+        pose=driven_on(pose, rows, step),
+        breaks=breaks,
+        jumps=rows,
+        jump_sigma=sigma,
+        jump_other=other,
+    )
+
+
+def driven_on(pose: Floats, rows: Ints, step: Floats) -> Floats:
+    """Poses with the steps into the given rows replaced; what lies between them stays rigid."""
+    out, ends = pose.copy(), np.append(rows, len(pose))[1:]
+    for row, end, moved in zip(rows, ends, step, strict=True):
+        T_new_old = compose(compose(out[row - 1], moved), inverse(pose[row]))
+        out[row:end] = compose(T_new_old, pose[row:end])
+    return out

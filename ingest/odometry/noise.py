@@ -1,0 +1,413 @@
+"""How noisy a run is, from the run itself.
+
+Before any place is recognised (`estimate_noise`): readings of one branch from message to message
+scatter by the detector's noise; from the first third of a pass to its last they move by what the
+odometry drifted meanwhile; and where branches of different junctions are mostly square to each
+other, they stay so less and less exactly the longer the way between. Drift is a small difference of
+noisy numbers in short runs: a prior of what robots are like holds it (docs of `NoiseSettings`).
+
+After loop closure (`refine_noise`): passes of one junction repeat each other, which tells the noise
+of a whole pass and the rates of faults.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.digits import significant
+from ...topology.odometry import Odometry
+from ...topology.passes import Passes
+from ...topology.se2 import apply, wrap
+from ...topology.topomap import RunNoise
+from ...topology.track import stretch_of
+from ..run import Detections
+from .heading_evidence import assign_readings
+from .revisits import Repeats
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSettings:
+    """What is expected of a run before it is looked at, and how it is looked at."""
+
+    prior: RunNoise = field(default_factory=RunNoise)
+    """Centre of every prior; kept where a run tells nothing."""
+    prior_spread: float = 0.7
+    """1 sigma of the logarithm of a random walk: a factor of two either way."""
+    prior_messages: float = 20.0
+    """Worth of the prior of the detector's scatter, in messages."""
+    prior_passes: float = 15.0
+    """Worth of the prior of a fault rate, in passes."""
+    scale_prior: float = 0.01
+    """1 sigma of the relative error of lengths in general, before closure tells of the odometry."""
+    match_rad: float = 0.35
+    """Readings farther than this from a branch are of another."""
+    least_messages: int = 6
+    """Shorter passes tell no drift."""
+    straight_rad: float = 0.3
+    """Only passes that turn by no more tell of lengths."""
+    reach_passes: int = 6
+    reach_m: float = 60.0
+    """Branches are compared with those of so many passes before, not farther back than this."""
+    most_passes: int = 500
+    """Passes compared with those before; more are thinned out evenly."""
+
+
+def estimate_noise(
+    odometry: Odometry,
+    detections: Detections,
+    passes: Passes,
+    settings: NoiseSettings = NoiseSettings(),
+) -> RunNoise:
+    """Noise of the odometry and of the detector, before closure; rates are those of the prior.
+
+    odometry: calibrated, the frame of `passes`. O(readings); never raises on few data.
+    """
+    thirds = _Thirds.of(odometry, detections, passes, settings)
+    if thirds is None:
+        return settings.prior
+    prior = settings.prior
+    walk_m, walk_rad = _heading_walk(odometry, passes, thirds, settings)
+    along, scale = _along(thirds, settings)
+    # Half of the variance of a reading is taken to be common to its pass (a junction is seen
+    # askew from one side): what does not scatter cannot be seen to.
+    return _stated(
+        prior,
+        along_m_per_sqrt_m=along,
+        heading_rad_per_sqrt_m=walk_m,
+        heading_rad_per_sqrt_rad=walk_rad,
+        scale=scale,
+        centre_m=float(thirds.centre_sigma * np.sqrt(1 + 1 / thirds.messages)),
+        branch_rad=float(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Thirds:
+    """How readings moved from the first to the last third of each pass that is long enough.
+
+    turn (q,) [rad] of the branches, turn_variance (q,) of it by the detector's scatter; shift
+    (q, 2) [m] of the centre along and across the motion, shift_variance (q,); way (q,) and turned
+    (q,) driven in between, as far as a random walk averaged over both thirds counts; moved (q,) way
+    between the middles of the thirds. branch_sigma, centre_sigma: scatter of single messages;
+    messages: usual number in a pass.
+    """
+
+    turn: FloatArray
+    turn_variance: FloatArray
+    shift: FloatArray
+    shift_variance: FloatArray
+    way: FloatArray
+    turned: FloatArray
+    moved: FloatArray
+    branch_sigma: float
+    centre_sigma: float
+    messages: float
+
+    @classmethod
+    def of(
+        cls, odometry: Odometry, detections: Detections, passes: Passes, settings: NoiseSettings
+    ) -> _Thirds | None:
+        """None if no message belongs to a pass."""
+        if len(passes) == 0:
+            return None
+        message_pass, order = _messages(detections, passes)
+        rows = np.flatnonzero(message_pass >= 0)
+        if len(rows) == 0:
+            return None
+        home, time_ns = message_pass[rows], detections.time_ns[rows]
+        pose = odometry.at(time_ns)
+        centre = apply(pose, detections.centre[rows])
+        p = len(passes)
+        n = np.bincount(home, minlength=p)
+        centre_sigma = _scatter(centre, home, settings.prior.centre_m, settings)
+        readings = assign_readings(odometry, detections, passes, settings.match_rad)
+        reading_message = detections.branches.owner[readings.row]
+        sequence = np.lexsort((reading_message, readings.branch))
+        heading = np.asarray(wrap(readings.heading - passes.branches.values[readings.branch]))
+        branch_sigma = _scatter(
+            heading[sequence, None], readings.branch[sequence], settings.prior.branch_rad, settings
+        )
+        third = np.minimum(3 * order // np.maximum(n[message_pass], 1), 2)
+        way, turned = np.cumsum(odometry.step_m), np.cumsum(np.abs(odometry.turn_rad))
+        usable = np.flatnonzero(n >= settings.least_messages)
+
+        def mean(values: FloatArray, which: int) -> FloatArray:
+            chosen = third[rows] == which
+            size = np.bincount(home[chosen], minlength=p)
+            total = np.bincount(home[chosen], values[chosen], p)
+            return np.asarray(total / np.maximum(size, 1))[usable]
+
+        track = [_at(odometry, column, time_ns) for column in (way, turned)]
+        moved = mean(track[0], 2) - mean(track[0], 0)
+        spun = mean(track[1], 2) - mean(track[1], 0)
+        drift = np.column_stack([mean(c, 2) - mean(c, 0) for c in centre.T])
+        going = np.column_stack([mean(c, 2) - mean(c, 0) for c in pose[:, :2].T])
+        size = n[usable] / 3.0
+        going /= np.maximum(np.hypot(*going.T), 1e-9)[:, None]
+        shift = np.column_stack(
+            [
+                drift[:, 0] * going[:, 0] + drift[:, 1] * going[:, 1],
+                drift[:, 1] * going[:, 0] - drift[:, 0] * going[:, 1],
+            ]
+        )
+        turn, variance = _branch_turn(readings.branch, heading, third[reading_message], passes)
+        return cls(
+            turn=turn[usable],
+            turn_variance=branch_sigma**2 * variance[usable],
+            shift=shift,
+            shift_variance=centre_sigma**2 * 2 / size,
+            # Mean of a random walk over one window against that over another one window later:
+            # variance (1 + 2/3) of a window, where the middles are two windows apart.
+            way=moved * 5 / 6,
+            turned=spun * 5 / 6,
+            moved=moved,
+            branch_sigma=branch_sigma,
+            centre_sigma=centre_sigma,
+            messages=float(np.median(n[n > 0])),
+        )
+
+
+def refine_noise(
+    passes: Passes,
+    vertex: IntArray,
+    turn_rad: FloatArray,
+    noise: RunNoise,
+    *,
+    drive_bys: int = 0,
+    settings: NoiseSettings = NoiseSettings(),
+) -> RunNoise:
+    """Noise and fault rates after loop closure, from passes that repeat each other.
+
+    vertex: (p,) place of each pass, negative for those dissolved as phantoms; turn_rad: (p,) turn
+    from the odometry's frame to the map's at each pass; noise: what was known before, the prior of
+    `branch_rad`; drive_bys: times that the robot drove by a known place without seeing it.
+    Every rate is held by `settings.prior_passes` passes at the prior rate. O(b log b).
+    """
+    prior, worth = settings.prior, settings.prior_passes
+    seen = int(np.sum(vertex >= 0))
+    legs = max(seen + drive_bys - 1, 0)
+    invented = len(passes) - seen
+    visits = Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad, settings.match_rad)
+    faulty, judged = visits.faults()
+    return _stated(
+        noise,
+        branch_rad=visits.branch_sigma(noise.branch_rad, settings.prior_messages),
+        miss_rate=_rate(drive_bys, seen + drive_bys, prior.miss_rate, worth),
+        phantom_rate=_rate(invented, legs, prior.phantom_rate, worth),
+        branch_fault_rate=_rate(faulty, judged, prior.branch_fault_rate, worth),
+    )
+
+
+def _stated(before: RunNoise, **measured: float) -> RunNoise:
+    """The noise with what was measured, in the digits of documents: all that follows from it is
+    the same on every processor, though the searches above multiply the error of sums."""
+    return replace(before, **{name: significant(value) for name, value in measured.items()})
+
+
+def refine_scale(
+    odometry: Odometry,
+    detections: Detections,
+    passes: Passes,
+    noise: RunNoise,
+    settings: NoiseSettings = NoiseSettings(),
+) -> float:
+    """1 sigma of the relative error of lengths, after loop closure told how the heading drifts.
+
+    No loop tells of it: all close whatever the scale. What passes tell is held by the prior's
+    scale, taken to be as much better or worse as the odometry's heading is than the prior's.
+    """
+    prior = settings.prior
+    good = noise.heading_rad_per_sqrt_m / prior.heading_rad_per_sqrt_m
+    thirds = _Thirds.of(odometry, detections, passes, settings)
+    if thirds is None:
+        return good * prior.scale
+    return _along(thirds, replace(settings, scale_prior=good * prior.scale))[1]
+
+
+def _rate(events: float, trials: float, prior: float, worth: float) -> float:
+    """Mean of the Beta posterior."""
+    return (events + worth * prior) / (trials + worth)
+
+
+def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:
+    """(k,) pass of every message, -1 for none, and its number within the pass."""
+    home = np.searchsorted(passes.start_ns, detections.time_ns, side="right") - 1
+    inside = (home >= 0) & (detections.time_ns <= passes.end_ns[np.maximum(home, 0)])
+    home = np.where(inside, home, -1)
+    first = np.searchsorted(detections.time_ns, passes.start_ns)
+    return home, np.arange(len(home)) - first[home]
+
+
+def _scatter(values: FloatArray, group: IntArray, prior: float, settings: NoiseSettings) -> float:
+    """1 sigma of single readings (k, d) about their group, from differences of successive ones.
+
+    Differences do not see what moves slowly; the median does not see flicker.
+    """
+    same = np.diff(group) == 0
+    step = np.abs(np.diff(values, axis=0)[same]).ravel()
+    if len(step) == 0:
+        return float(prior / np.sqrt(2))
+    # Median of |N(0, 2σ²)| = 0.6745 √2 σ.
+    found = float(np.median(step)) / (0.6745 * np.sqrt(2))
+    weight, expected = float(len(step)), prior**2 / 2
+    total = weight + settings.prior_messages
+    variance = (weight * found**2 + settings.prior_messages * expected) / total
+    return float(np.sqrt(variance))
+
+
+def _at(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> FloatArray:
+    origin = odometry.time_ns[0]
+    out = np.interp((time_ns - origin) * 1e-9, (odometry.time_ns - origin) * 1e-9, values)
+    return np.asarray(out, np.float64)
+
+
+def _branch_turn(
+    branch: IntArray, heading: FloatArray, third: IntArray, passes: Passes
+) -> tuple[FloatArray, FloatArray]:
+    """(p,) mean turn of a pass's branches from first to last third, and its variance at unit noise.
+
+    The variance is infinite where no branch was seen in both.
+    """
+    count, p = len(passes.branches.values), len(passes)
+    total = np.bincount(branch * 3 + third, heading, 3 * count).reshape(-1, 3)
+    size = np.bincount(branch * 3 + third, minlength=3 * count).reshape(-1, 3)
+    both = (size[:, 0] > 0) & (size[:, 2] > 0)
+    n0, n2 = np.maximum(size[:, 0], 1), np.maximum(size[:, 2], 1)
+    weight = np.where(both, 1 / (1 / n0 + 1 / n2), 0.0)
+    owner = passes.branches.owner
+    sums = np.bincount(owner, weight, p)
+    moved = np.bincount(owner, weight * (total[:, 2] / n2 - total[:, 0] / n0), p)
+    safe = np.where(sums > 0, sums, 1.0)
+    return moved / safe, np.where(sums > 0, 1 / safe, np.inf)
+
+
+def _heading_walk(
+    odometry: Odometry, passes: Passes, thirds: _Thirds, settings: NoiseSettings
+) -> tuple[float, float]:
+    """Random walk of the heading per √m and per √rad: the most likely one under the prior."""
+    from scipy.optimize import minimize
+
+    prior = settings.prior
+    seen = np.isfinite(thirds.turn_variance)
+    pairs = _grid_pairs(odometry, passes, settings)
+    centre = np.log([prior.heading_rad_per_sqrt_m, prior.heading_rad_per_sqrt_rad])
+    branch = np.log(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages))
+
+    def cost(x: FloatArray) -> float:
+        walk_m, walk_rad = np.exp(2 * x[:2])
+        variance = thirds.turn_variance + walk_m * thirds.way + walk_rad * thirds.turned
+        out = _student_cost(thirds.turn[seen], variance[seen])
+        out += pairs.cost(walk_m, walk_rad, float(np.exp(x[2])), float(1 / (1 + np.exp(-x[3]))))
+        pull = (x[:2] - centre) / settings.prior_spread
+        out += 0.5 * float(pull @ pull) + 2.0 * float((x[2] - branch) ** 2)
+        return out + 0.05 * float(x[3] ** 2)
+
+    start = np.array([*centre, branch, 0.0])
+    found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02})
+    walk_m, walk_rad = np.exp(found.x[:2])
+    return float(walk_m), float(walk_rad)
+
+
+def _student_cost(error: FloatArray, variance: FloatArray) -> float:
+    """Negative log-likelihood of errors under Student's t, four degrees of freedom.
+
+    The scale is the one that fits normal errors of the given variance best, so that data without
+    outliers are judged without bias.
+    """
+    nu, scale = 4.0, 0.6906 * variance
+    tails = 0.5 * (nu + 1) * np.log1p(error**2 / scale / nu)
+    return float(np.sum(0.5 * np.log(scale) + tails))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Branches beside those of passes before: angle to the next multiple of 90°, way between."""
+
+    residual: FloatArray
+    way: FloatArray
+    turned: FloatArray
+    owner: IntArray
+    share: FloatArray
+    worth: FloatArray
+
+    def cost(self, walk_m: float, walk_rad: float, sigma: float, square: float) -> float:
+        """Negative log-likelihood gain over "anything goes"; `square` is the share that is square.
+
+        As in the calibration, a branch is square to one of those before it, or anything.
+        """
+        if len(self.residual) == 0:
+            return 0.0
+        quarter = np.pi / 2
+        variance = 2 * sigma**2 + walk_m * self.way + walk_rad * self.turned
+        # Two images of the wrapped normal are enough up to a sigma of 45°.
+        density = sum(
+            np.exp(-0.5 * (self.residual + shift) ** 2 / variance)
+            for shift in (-quarter, 0, quarter)
+        ) / np.sqrt(2 * np.pi * variance)
+        inlier = np.bincount(self.owner, self.share * density, len(self.worth))
+        return -float((self.worth * np.log((1 - square) + square * quarter * inlier)).sum())
+
+
+def _grid_pairs(odometry: Odometry, passes: Passes, settings: NoiseSettings) -> _Pairs:
+    way = _at(odometry, np.cumsum(odometry.step_m), passes.time_ns)
+    turned = _at(odometry, np.cumsum(np.abs(odometry.turn_rad)), passes.time_ns)
+    chain, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
+    stride = -(-len(passes) // settings.most_passes)
+    b = np.flatnonzero(of % stride == 0)
+    # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then expand
+    # each by the branches of that pass.
+    b, lag = (
+        np.repeat(b, settings.reach_passes),
+        np.tile(np.arange(settings.reach_passes) + 1, len(b)),
+    )
+    earlier = of[b] - lag
+    keep = earlier >= 0
+    b, earlier = b[keep], earlier[keep]
+    keep = (chain[of[b]] == chain[earlier]) & (way[of[b]] - way[earlier] <= settings.reach_m)
+    b, earlier = b[keep], earlier[keep]
+    counts = passes.branches.counts[earlier]
+    owner = np.repeat(np.arange(len(b)), counts)
+    local = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    there = passes.branches.offsets[earlier][owner] + local
+    turn = passes.branches.values[b][owner] - passes.branches.values[there]
+    return _Pairs(
+        np.asarray(wrap(4 * turn) / 4),
+        (way[of[b]] - way[earlier])[owner],
+        (turned[of[b]] - turned[earlier])[owner],
+        owner,
+        1.0 / counts[owner],
+        # Branches of one pass share the error of the heading, and the lags share the way: together
+        # they are one look.
+        1.0 / (passes.branches.counts[of[b]] * settings.reach_passes),
+    )
+
+
+def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
+    """Random walk along the way, and size of the constant error of lengths.
+
+    A junction that seems to move along with the robot tells of wrong lengths; the detector may do
+    the same, so it is used as a size of the error and not to correct it. Turns are left out: there
+    the odometry's point and the detector's need not move alike.
+    """
+    from scipy.optimize import minimize_scalar
+
+    straight = thirds.turned <= settings.straight_rad
+    along, moved = thirds.shift[straight, 0], np.maximum(thirds.moved[straight], 0.0)
+    variance = thirds.shift_variance[straight]
+    belief = moved @ (moved / variance) + settings.scale_prior**-2
+    scale = float(moved @ (along / variance) / belief)
+    centre = np.log(settings.prior.along_m_per_sqrt_m)
+
+    def cost(x: float) -> float:
+        spread = variance + np.exp(2 * x) * np.maximum(thirds.way[straight], 0.0)
+        pull = (x - centre) / settings.prior_spread
+        return _student_cost(along - scale * moved, spread) + 0.5 * float(pull**2)
+
+    found = minimize_scalar(cost, bounds=(centre - 3, centre + 3), method="bounded")
+    return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))

@@ -1,0 +1,274 @@
+"""From raw poses to an odometry track that can be relied on: time and pose made sane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.odometry import Odometry
+from ...topology.se2 import wrap
+from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+SECOND_NS = 10**9
+
+BLOCK_STEPS = 1 << 13
+"""So many steps are looked at together where few are expected to matter."""
+
+FEW_STEPS = 20
+"""With fewer steps in motion than this, nothing is known about how fast the robot usually is."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """When odometry is taken for broken.
+
+    A step is a teleport if it is long in itself and asks for a speed far above what this robot
+    does elsewhere; likewise for turns. A gap is a silence far above the usual period.
+    """
+
+    teleport_min_m: float = 0.5
+    teleport_min_rad: float = 0.7
+    teleport_speed_factor: float = 5.0
+    teleport_min_speed_m_per_s: float = 3.0
+    teleport_min_turn_rad_per_s: float = 6.0
+    reset_min_m: float = 0.1
+    reset_min_rad: float = 0.1
+    gap_periods: float = 20.0
+    gap_min_s: float = 1.0
+    backward_min_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive")
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A track in order, as recorded, its jumps (still in it), and one sentence per kind of thing
+    that had to be repaired."""
+
+    odometry: Odometry
+    jumps: Jumps
+    warnings: tuple[str, ...]
+
+
+def backward_jumps(time_ns: Ints, min_s: float) -> int:
+    """How often the clock itself went back: a step back that is not made up for at once.
+
+    Messages that only changed places are late one by one and are no jump. O(n).
+    """
+    starts, ends = _behind(time_ns)
+    return int((time_ns[ends - 1] - time_ns[starts] >= min_s * SECOND_NS).sum())
+
+
+def _behind(time_ns: Ints) -> tuple[Ints, Ints]:
+    """Runs [start, end) of rows that lie before a time already seen."""
+    if (time_ns[1:] >= time_ns[:-1]).all():
+        none = np.zeros(0, np.int64)
+        return none, none
+    behind = time_ns < np.maximum.accumulate(time_ns)
+    edges = np.flatnonzero(np.diff(behind.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def sane_track(
+    time_ns: Ints,
+    pose: Floats,
+    frame: str,
+    child_frame: str,
+    settings: TrackSettings = TrackSettings(),
+) -> Track:
+    """Sort, drop what is double, single out glitches and jumps. `without_jumps` comes next.
+
+    time_ns: (n,) in the order of the log, n ≥ 1; pose: (n, 3) x, y [m], theta [rad], finite.
+    O(n log n) at worst, O(n) for times in order.
+    """
+    warnings: list[str] = []
+    time_ns, pose = _forward(time_ns, pose, settings, warnings)
+    time_ns, pose = _in_order(time_ns, pose, warnings)
+    time_ns, pose, jumps = _measured(time_ns, pose, settings, warnings)
+    _report_gaps(time_ns, settings, warnings)
+    for array in (time_ns, pose):
+        array.flags.writeable = False
+    unbroken = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
+    return Track(unbroken, jumps, tuple(warnings))
+
+
+def _forward(
+    time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
+) -> tuple[Ints, Floats]:
+    """Drop what was recorded after the clock was set back, until it has caught up.
+
+    Sorting would weave two stretches of the drive into each other. A stretch that fills a gap is
+    kept: the log was not written in the order of time.
+    """
+    starts, ends = _behind(time_ns)
+    jumps = time_ns[ends - 1] - time_ns[starts] >= settings.backward_min_s * SECOND_NS
+    if not jumps.any():
+        return time_ns, pose
+    starts, ends = starts[jumps], ends[jumps]
+    woven = ~_fills_gaps(time_ns, starts, ends, settings)
+    keep = np.ones(len(time_ns), bool)
+    for start, end in zip(starts[woven].tolist(), ends[woven].tolist(), strict=True):
+        keep[start:end] = False
+    if woven.any():
+        warnings.append(
+            f"the clock goes back {times(int(woven.sum()))}; {int((~keep).sum())} odometry "
+            "messages until it catches up were dropped"
+        )
+    return time_ns[keep], pose[keep]
+
+
+def _fills_gaps(
+    time_ns: Ints, starts: Ints, ends: Ints, settings: TrackSettings
+) -> NDArray[np.bool_]:
+    """Which rows [start, end) lie between two others in time, without a gap to either.
+
+    A clock that was set back hardly stops where its times begin. O(n log n).
+    """
+    order = np.argsort(time_ns, kind="stable")
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    step = np.diff(time_ns[order], prepend=time_ns[order[0]], append=time_ns[order[-1]])
+    near = step <= settings.gap_min_s * SECOND_NS
+    fills = np.zeros(len(starts), bool)
+    for k, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        first, last = int(place[start:end].min()), int(place[start:end].max())
+        alone = last - first == end - start - 1
+        fills[k] = alone and near[first] and near[last + 1]
+    return fills
+
+
+def _in_order(time_ns: Ints, pose: Floats, warnings: list[str]) -> tuple[Ints, Floats]:
+    if (time_ns[1:] > time_ns[:-1]).all():
+        return time_ns, pose
+    late = int((time_ns[1:] < time_ns[:-1]).sum())
+    if late:
+        order = np.argsort(time_ns, kind="stable")
+        time_ns, pose = time_ns[order], pose[order]
+        warnings.append(f"{late} odometry messages are out of order; they were sorted by time")
+    fresh = np.concatenate([[True], np.diff(time_ns) > 0])
+    if not fresh.all():
+        twice = int((~fresh).sum())
+        time_ns, pose = time_ns[fresh], pose[fresh]
+        warnings.append(f"{twice} odometry messages repeat the time of another and were dropped")
+    return time_ns, pose
+
+
+def _measured(
+    time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
+) -> tuple[Ints, Floats, Jumps]:
+    """Leaps: single poses off the track are dropped, others are jumps or resets."""
+    leaps = _leaps(time_ns, pose, settings)
+    if not leaps.any():
+        return time_ns, pose, no_jumps()
+    glitch = _glitches(time_ns, pose, leaps, settings)
+    if glitch.any():
+        count = int(glitch.sum())
+        warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
+        time_ns, pose = time_ns[~glitch], pose[~glitch]
+        leaps = _leaps(time_ns, pose, settings)
+    if not leaps.any():
+        return time_ns, pose, no_jumps()
+    duration = np.diff(time_ns)
+    gap_ns = max(settings.gap_min_s * SECOND_NS, settings.gap_periods * float(np.median(duration)))
+    restarted = (duration > gap_ns) & _teleports(time_ns, pose, settings)
+    jumps = measured_jumps(time_ns, pose, leaps, restarted)
+    warnings += jumps.sentences(time_ns)
+    keep = jumps.fresh(len(pose))
+    return time_ns[keep], pose[keep], jumps.among(keep)
+
+
+def _leaps(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[np.bool_]:
+    """(n - 1,) steps that cannot have been driven, or stand out of all others."""
+    return _teleports(time_ns, pose, settings) | spikes(time_ns, pose)
+
+
+def _motion(time_ns: Ints, pose: Floats) -> tuple[Floats, Floats, Floats]:
+    """(n - 1,) way [m], turn [rad] and duration [s] of every step."""
+    way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
+    turn = np.abs(wrap(np.diff(pose[:, 2])))
+    return way, turn, np.diff(time_ns) / SECOND_NS
+
+
+def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[np.bool_]:
+    """(n - 1,) whether a step cannot have been driven, or falls back to the origin exactly."""
+    if len(time_ns) < 2:
+        return np.zeros(0, bool)
+    if not _any_leap(pose, settings):
+        return np.zeros(len(time_ns) - 1, bool)
+    way, turn, duration = _motion(time_ns, pose)
+    zero = ~pose[1:].any(axis=1)
+    away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)
+    reset = zero & away
+    long_step = (way > settings.teleport_min_m) | (turn > settings.teleport_min_rad)
+    if not (long_step | reset).any():
+        return reset
+    speed_limit = _limit(way, duration, settings, settings.teleport_min_speed_m_per_s)
+    turn_limit = _limit(turn, duration, settings, settings.teleport_min_turn_rad_per_s)
+    far = (way > settings.teleport_min_m) & (way > speed_limit * duration)
+    far |= (turn > settings.teleport_min_rad) & (turn > turn_limit * duration)
+    # Driving through the exact origin takes a step like any other; a reset takes a far longer one.
+    sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
+    return far | (reset & sudden)
+
+
+def _any_leap(pose: Floats, settings: TrackSettings) -> bool:
+    """Whether any step may be long, by bounds that cost a fraction of the true lengths.
+
+    A way is at most the sum of its two parts; a turn is at most the difference of the angles.
+    """
+    least_m = 0.99 * min(settings.teleport_min_m, settings.reset_min_m)
+    least_rad = 0.99 * min(settings.teleport_min_rad, settings.reset_min_rad)
+    # In blocks that stay in the processor's cache, so that no large array is made.
+    for first in range(0, len(pose) - 1, BLOCK_STEPS):
+        x, y, turn = np.abs(np.diff(pose[first : first + BLOCK_STEPS + 1], axis=0)).T
+        # From one end of the range of angles to the other is a short turn as well.
+        turned = (turn > least_rad) & (np.abs(turn - 2 * np.pi) > least_rad)
+        if turned.any() or (x + y > least_m).any():
+            return True
+    return False
+
+
+def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float) -> float:
+    """Speed above which a step is not believed: far above what the robot does otherwise."""
+    moving = size > 0
+    if int(moving.sum()) < FEW_STEPS:
+        return least
+    usual = float(np.quantile(size[moving] / duration[moving], 0.95))
+    return max(least, settings.teleport_speed_factor * usual)
+
+
+def _glitches(
+    time_ns: Ints, pose: Floats, teleport: NDArray[np.bool_], settings: TrackSettings
+) -> NDArray[np.bool_]:
+    """(n,) single poses between two teleports whose neighbours fit each other."""
+    glitch = np.zeros(len(time_ns), bool)
+    lone = np.flatnonzero(teleport[:-1] & teleport[1:]) + 1
+    if len(lone) == 0:
+        return glitch
+    way = np.hypot(*(pose[lone + 1, :2] - pose[lone - 1, :2]).T)
+    turn = np.abs(wrap(pose[lone + 1, 2] - pose[lone - 1, 2]))
+    fits = (way <= settings.teleport_min_m) & (turn <= settings.teleport_min_rad)
+    glitch[lone[fits]] = True
+    return glitch
+
+
+def _report_gaps(time_ns: Ints, settings: TrackSettings, warnings: list[str]) -> None:
+    if len(time_ns) < 3:
+        return
+    step = np.diff(time_ns)
+    if step.max() <= settings.gap_min_s * SECOND_NS:
+        return
+    usual = float(np.median(step))
+    gaps = step[step > max(settings.gap_min_s * SECOND_NS, settings.gap_periods * usual)]
+    if len(gaps):
+        warnings.append(
+            f"odometry is silent {times(len(gaps))} (longest {gaps.max() / SECOND_NS:.2f} s)"
+        )

@@ -1,0 +1,1 @@
+"""Maps and accepted verdicts to one fused map (§4)."""

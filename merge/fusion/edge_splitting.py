@@ -1,0 +1,279 @@
+"""Corridors that run past a junction which another run knows, replaced by their parts.
+
+A run that misses a junction draws one long corridor through it. Where the junction is known from
+another run the long corridor is the short ones, driven without noticing: by the branches it shares
+with them at both ends, or by the path it took.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...topology.passes import NO_BRANCH
+from ...topology.se2 import wrap
+from .edges import (
+    DEFAULT_CORRIDOR,
+    Corridor,
+    CorridorSettings,
+    fuse_corridors,
+    oriented,
+    same_corridor,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PassageSettings:
+    """When a corridor passes through a junction that its run did not see."""
+
+    pass_m: float = 0.8
+    """It does if the junction is no further from its path than this …"""
+    pass_end_m: float = 1.2
+    """… and at least this far from both of its ends along the path …"""
+    pass_rad: float = 0.6
+    """… and has branches along the path both ways within this angle."""
+    junction_m: float = 0.3
+    """A corridor past a junction is this much longer or shorter than its parts, 1 sigma."""
+    deepest: int = 4
+    """Junctions missed in one corridor, at most, where its branches tell."""
+    rounds: int = 5
+    """Rounds of replacing: the parts of one corridor may be replaced in the next."""
+
+
+DEFAULT_PASSAGE = PassageSettings()
+
+
+def split_at_places(
+    corridors: list[Corridor],
+    place_xy: FloatArray,
+    branches: list[FloatArray],
+    settings: PassageSettings = DEFAULT_PASSAGE,
+    agreement: CorridorSettings = DEFAULT_CORRIDOR,
+) -> list[Corridor]:
+    """Replace corridors that run through known places by the corridors between those.
+
+    place_xy: (p, 2); branches: headings of every place, in the frame of the corridors. A part that
+    is known already takes the long corridor in as a member; a part that no run drove from junction
+    to junction becomes a corridor of its own. Where no part is known, or a place has no branches
+    along the path, the corridor stays whole.
+    """
+    world = _World(cKDTree(place_xy) if len(place_xy) else None, place_xy, branches, settings)
+    for _ in range(settings.rounds):
+        replaced = _replaced_once(corridors, world, agreement)
+        if len(replaced) == len(corridors) and all(
+            x is y for x, y in zip(replaced, corridors, strict=True)
+        ):
+            break
+        corridors = fuse_corridors(replaced, agreement)
+    return corridors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _World:
+    """The places that corridors may run through."""
+
+    tree: Any
+    xy: FloatArray
+    branches: list[FloatArray]
+    settings: PassageSettings
+
+
+def _replaced_once(
+    corridors: list[Corridor], world: _World, agreement: CorridorSettings
+) -> list[Corridor]:
+    """One round: shortest corridors first; one that is a part of another waits for the next."""
+    index, leaving = _by_ends(corridors), _by_branch(corridors)
+    gone: set[int] = set()
+    busy: dict[int, list[Corridor]] = {}
+    fresh: list[Corridor] = []
+    for number in sorted(range(len(corridors)), key=lambda k: (corridors[k].length, k)):
+        if number in busy:
+            continue
+        c = corridors[number]
+        chain = _chain(number, corridors, leaving, world.settings, agreement)
+        parts = [c] * len(chain) if chain else _parts(c, world)
+        known = (_known_part(p, number, corridors, index, agreement) for p in parts)
+        found = list(chain) if chain else list(known)
+        if len(parts) < 2 or all(f is None for f in found) or gone & {*found}:
+            continue
+        gone.add(number)
+        for part, k in zip(parts, found, strict=True):
+            if k is None:
+                fresh.append(oriented(part))
+            else:
+                busy.setdefault(k, []).append(part)
+    kept = [_with_extra(c, busy.get(k, [])) for k, c in enumerate(corridors) if k not in gone]
+    return [*kept, *fresh]
+
+
+def _by_ends(corridors: list[Corridor]) -> dict[tuple[int, int], list[int]]:
+    index: dict[tuple[int, int], list[int]] = {}
+    for k, c in enumerate(corridors):
+        index.setdefault((c.u, c.v), []).append(k)
+    return index
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """A corridor as it leaves a place: its number, and the place and branch it leads to."""
+
+    number: int
+    place: int
+    branch: int
+
+
+def _by_branch(corridors: list[Corridor]) -> dict[int, list[tuple[int, _Way]]]:
+    """For every place the corridors that leave it: (branch, way)."""
+    out: dict[int, list[tuple[int, _Way]]] = {}
+    for k, c in enumerate(corridors):
+        out.setdefault(c.u, []).append((c.branch_u, _Way(k, c.v, c.branch_v)))
+        out.setdefault(c.v, []).append((c.branch_v, _Way(k, c.u, c.branch_u)))
+    return out
+
+
+def _chain(
+    number: int,
+    corridors: list[Corridor],
+    leaving: dict[int, list[tuple[int, _Way]]],
+    settings: PassageSettings,
+    agreement: CorridorSettings,
+) -> tuple[int, ...]:
+    """Known corridors that together are this one: same first and last branch, same length.
+
+    A branch leads into one corridor only, so a shorter corridor that leaves by the same branch ends
+    at a junction on the way. Of several chains the one nearest in length; () if there is none.
+    """
+    c = corridors[number]
+    if NO_BRANCH in {c.branch_u, c.branch_v} or c.u == c.v:
+        return ()
+    best: tuple[float, tuple[int, ...]] = (np.inf, ())
+    for chain in _chains(c, number, corridors, leaving, settings):
+        parts = [corridors[k] for k in chain]
+        missed = (len(parts) - 1) * settings.junction_m**2
+        sigma = float(np.sqrt(sum(p.sigma**2 for p in parts) + c.sigma**2 + missed))
+        off = abs(sum(p.length for p in parts) - c.length)
+        allowed = agreement.agree_m + agreement.agree_share * c.length
+        if off <= max(allowed, agreement.agree_sigmas * sigma):
+            best = min(best, (off, chain))
+    return best[1]
+
+
+def _chains(
+    c: Corridor,
+    number: int,
+    corridors: list[Corridor],
+    leaving: dict[int, list[tuple[int, _Way]]],
+    settings: PassageSettings,
+) -> Iterator[tuple[int, ...]]:
+    """All chains of corridors from one end of a corridor to the other by its own branches."""
+    longest = 1.2 * c.length + 1.0
+    stack: list[tuple[int, int | None, float, tuple[int, ...]]] = [(c.u, None, 0.0, ())]
+    while stack:
+        place, arrived, way, chain = stack.pop()
+        for branch, step in leaving[place]:
+            total = way + corridors[step.number].length
+            onwards = branch == c.branch_u if arrived is None else branch != arrived
+            if not onwards or step.number == number or step.number in chain or total > longest:
+                continue
+            longer = (*chain, step.number)
+            if (step.place, step.branch) == (c.v, c.branch_v):
+                if len(longer) > 1:
+                    yield longer
+            elif len(longer) <= settings.deepest:
+                stack.append((step.place, step.branch, total, longer))
+
+
+def _with_extra(c: Corridor, parts: list[Corridor]) -> Corridor:
+    if not parts:
+        return c
+    members = tuple(sorted({*c.members, *(m for p in parts for m in p.members)}))
+    return replace(c, traversals=c.traversals + sum(p.traversals for p in parts), members=members)
+
+
+def _known_part(
+    part: Corridor,
+    number: int,
+    corridors: list[Corridor],
+    index: dict[tuple[int, int], list[int]],
+    agreement: CorridorSettings,
+) -> int | None:
+    """The corridor that is already known between the ends of a part, by the same branches."""
+    p = oriented(part)
+    for k in index.get((p.u, p.v), []):
+        if k != number and same_corridor([corridors[k]], p, agreement):
+            return k
+    return None
+
+
+def _parts(c: Corridor, world: _World) -> list[Corridor]:
+    """The corridor cut at the places its path runs through; itself alone if there are none."""
+    settings = world.settings
+    steps = np.hypot(*np.diff(c.path, axis=0).T)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    if way[-1] < 2 * settings.pass_end_m:
+        return [c]
+    fine = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.25)) + 1))
+    points = np.column_stack([np.interp(fine, way, c.path[:, k]) for k in (0, 1)])
+    near = {k for hits in world.tree.query_ball_point(points, settings.pass_m) for k in hits}
+    cuts = []
+    for place in sorted(near - {c.u, c.v}):
+        at = int(np.argmin(np.hypot(*(points - world.xy[place]).T)))
+        if settings.pass_end_m <= fine[at] <= way[-1] - settings.pass_end_m:
+            back, on = _along(points, at, world.branches[place], settings)
+            if back is not None and on is not None and back != on:
+                cuts.append((float(fine[at]), place, back, on, at))
+    if not cuts:
+        return [c]
+    return _cut(c, sorted(cuts), points, float(way[-1]))
+
+
+def _along(
+    points: FloatArray, at: int, headings: FloatArray, settings: PassageSettings
+) -> tuple[int | None, int | None]:
+    """The branches of a place by which a path through it comes in and goes on."""
+    if len(headings) == 0:
+        return None, None
+    low, high = max(at - 4, 0), min(at + 4, len(points) - 1)
+    out = []
+    for other in (low, high):
+        step = points[other] - points[at]
+        off = np.abs(wrap(headings - np.arctan2(step[1], step[0])))
+        best = int(off.argmin())
+        out.append(best if off[best] <= settings.pass_rad else None)
+    return out[0], out[1]
+
+
+def _cut(
+    c: Corridor,
+    cuts: list[tuple[float, int, int, int, int]],
+    points: FloatArray,
+    drawn_length: float,
+) -> list[Corridor]:
+    """The corridor in parts, each from one place to the next; lengths in proportion to the path."""
+    scale = c.length / drawn_length
+    stops = [(0.0, c.u, NO_BRANCH, c.branch_u, 0), *cuts]
+    stops.append((drawn_length, c.v, c.branch_v, NO_BRANCH, len(points) - 1))
+    parts = []
+    for (s0, u, _, out, i), (s1, v, into, _, j) in pairwise(stops):
+        share = (s1 - s0) / drawn_length
+        parts.append(
+            replace(
+                c,
+                u=u,
+                v=v,
+                branch_u=out,
+                branch_v=into,
+                length=max((s1 - s0) * scale, 1e-3),
+                sigma=float(np.hypot(c.sigma * np.sqrt(share), 0.1)),
+                path=points[i : j + 1].copy() if j > i else points[[i, min(i + 1, j)]].copy(),
+            )
+        )
+    return parts

@@ -1,0 +1,183 @@
+"""Corridors of several runs that are one: fused where they join the same places the same way.
+
+§4: "estimates of path lengths can be updated by combining the measurements from the two maps";
+here by inverse variance. Parallel corridors differ in their branches or their lengths and stay
+apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.passes import NO_BRANCH
+from ...topology.se2 import apply
+from .vertex_partition import Pool
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class CorridorSettings:
+    """When corridors agree in length."""
+
+    agree_sigmas: float = 4.0
+    """Lengths agree within so many sigmas of their difference …"""
+    agree_m: float = 0.4
+    """… or within this …"""
+    agree_share: float = 0.05
+    """… plus this share of the length."""
+
+
+DEFAULT_CORRIDOR = CorridorSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corridor:
+    """A corridor between two places: ends in ascending (place, branch), path from u to v.
+
+    members: (run, edge) pairs, sorted. Branches are those of the fused places.
+    """
+
+    u: int
+    v: int
+    branch_u: int
+    branch_v: int
+    length: float
+    sigma: float
+    traversals: int
+    path: FloatArray
+    members: tuple[tuple[str, int], ...]
+
+
+def corridors_of(
+    pool: Pool, label: IntArray, pose: FloatArray, place_xy: FloatArray, branch_of: list[IntArray]
+) -> list[Corridor]:
+    """Every corridor of every run, drawn between the fused places.
+
+    branch_of: for each row of the pool, the fused branch of each of its branches.
+    """
+    out = []
+    for m in pool.maps:
+        first = pool.first[m.run]
+        for e in range(len(m.source)):
+            s, t = first + int(m.source[e]), first + int(m.target[e])
+            i, j = int(m.source_branch[e]), int(m.target_branch[e])
+            branch_s = int(branch_of[s][i]) if i != NO_BRANCH else NO_BRANCH
+            branch_t = int(branch_of[t][j]) if j != NO_BRANCH else NO_BRANCH
+            ends = (m.xy[m.source[e]], m.xy[m.target[e]])
+            path = _drawn(m.paths[e], ends, pose[[s, t]], place_xy[label[[s, t]]])
+            corridor = Corridor(
+                u=int(label[s]),
+                v=int(label[t]),
+                branch_u=branch_s,
+                branch_v=branch_t,
+                length=float(m.length[e]),
+                sigma=float(m.length_sigma[e]),
+                traversals=int(m.traversals[e]),
+                path=path,
+                members=((m.run, e),),
+            )
+            out.append(oriented(corridor))
+    return out
+
+
+def _drawn(
+    path: FloatArray, ends: tuple[FloatArray, FloatArray], pose: FloatArray, place: FloatArray
+) -> FloatArray:
+    """A path of a run's map in the component's frame, its ends on the fused places.
+
+    Both ends carry the path along rigidly; in between they hand over in proportion to the way.
+    """
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    t = (way / way[-1] if way[-1] > 0 else np.linspace(0, 1, len(path)))[:, None]
+    turned = [
+        apply(np.array([place[k, 0], place[k, 1], pose[k, 2]]), path - ends[k]) for k in (0, 1)
+    ]
+    return np.asarray((1 - t) * turned[0] + t * turned[1])
+
+
+def oriented(c: Corridor) -> Corridor:
+    """The corridor with its ends in ascending order."""
+    if (c.u, c.branch_u) <= (c.v, c.branch_v):
+        return c
+    return replace(
+        c, u=c.v, v=c.u, branch_u=c.branch_v, branch_v=c.branch_u, path=c.path[::-1].copy()
+    )
+
+
+def fuse_corridors(
+    corridors: Iterable[Corridor], settings: CorridorSettings = DEFAULT_CORRIDOR
+) -> list[Corridor]:
+    """Corridors that join the same places by the same branches and agree in length made one.
+
+    A corridor of which a branch is unknown joins the nearest in length that fits what is known.
+    """
+    known = sorted(corridors, key=_order)
+    out: dict[tuple[int, int], list[list[Corridor]]] = {}
+    for c in known:
+        bundles = out.setdefault((c.u, c.v), [])
+        fitting = [b for b in bundles if same_corridor(b, c, settings)]
+        if fitting:
+            min(fitting, key=lambda b: abs(_mean_length(b) - c.length)).append(c)
+        else:
+            bundles.append([c])
+    fused = [_combined(b) for bundles in out.values() for b in bundles]
+    return sorted(fused, key=_order)
+
+
+def _order(c: Corridor) -> tuple[object, ...]:
+    """Known branches first, then by ends, certainty and provenance."""
+    unknown = (c.branch_u == NO_BRANCH) + (c.branch_v == NO_BRANCH)
+    return (unknown, c.u, c.v, c.branch_u, c.branch_v, c.sigma, c.members)
+
+
+def same_corridor(bundle: list[Corridor], c: Corridor, settings: CorridorSettings) -> bool:
+    """Whether a corridor between the same places is that of a bundle: branches and length.
+
+    A branch leads into one corridor only: one that is the same is enough if the other end was seen
+    differently. Where branches are unknown the length decides.
+    """
+    lead = bundle[0]
+    ends = ((lead.branch_u, c.branch_u), (lead.branch_v, c.branch_v))
+    known = [x == y for x, y in ends if NO_BRANCH not in (x, y)]
+    if known and not any(known):
+        return False
+    return _agree(_mean_length(bundle), lead.sigma, c.length, c.sigma, settings)
+
+
+def _agree(x: float, sigma_x: float, y: float, sigma_y: float, settings: CorridorSettings) -> bool:
+    allowed = settings.agree_m + settings.agree_share * min(x, y)
+    return abs(x - y) <= max(allowed, settings.agree_sigmas * float(np.hypot(sigma_x, sigma_y)))
+
+
+def _weights(bundle: list[Corridor]) -> FloatArray:
+    return np.array([c.sigma for c in bundle]) ** -2.0
+
+
+def _mean_length(bundle: list[Corridor]) -> float:
+    w = _weights(bundle)
+    return float(w @ np.array([c.length for c in bundle]) / w.sum())
+
+
+def _combined(bundle: list[Corridor]) -> Corridor:
+    """One corridor of several: lengths by inverse variance (§4), path of the best measured."""
+    if len(bundle) == 1:
+        return bundle[0]
+    best = min(bundle, key=lambda c: (c.sigma, _order(c)))
+    lead = bundle[0]
+    members = tuple(sorted({m for c in bundle for m in c.members}))
+    return replace(
+        best,
+        branch_u=lead.branch_u,
+        branch_v=lead.branch_v,
+        length=_mean_length(bundle),
+        sigma=float(_weights(bundle).sum() ** -0.5),
+        traversals=sum(c.traversals for c in bundle),
+        members=members,
+    )

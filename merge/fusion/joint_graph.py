@@ -1,0 +1,326 @@
+"""One pose graph over all runs of a component: where every vertex lies when all maps count.
+
+Every vertex of every run is a pose: its position, and how far the run's map is turned there
+against the component. Corridors are relative measurements within a run, with sigmas from the
+run's noise and one scale for all of them; vertices that are one place are tied by relative
+measurements across runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ...topology.embedding import odometry_measurements
+from ...topology.matching.structure import grid_direction, padded_branches
+from ...topology.posegraph.solve import (
+    PoseGraph,
+    Priors,
+    SharedErrors,
+    Solution,
+    SolverSettings,
+    solve,
+)
+from ...topology.se2 import apply, compose, fit_rigid, inverse, wrap
+from ...topology.topomap import TopoMap
+from ..result import PairVerdict
+from .vertex_partition import Pool
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class JointSettings:
+    """Sigmas that maps do not state, and how much a false match may pull."""
+
+    min_position_m: float = 0.01
+    """No two visits agree better than this on where a junction's centre is, 1 sigma."""
+    min_heading_rad: float = 0.01
+    """Nor on the direction of its branches."""
+    branch_gate_rad: float = 0.6
+    """Branches further apart than this do not measure the turn between two maps."""
+    bridge_m: float = 1.0
+    """Parts of one map that no corridor joins keep their places to this, 1 sigma …"""
+    bridge_rad: float = 0.1
+    """… and their directions to this."""
+    scaled_runs: int = 24
+    """Up to so many runs the scale of each run's odometry is estimated, too: unknowns that many
+    measurements share cost memory and time by the square of their number."""
+    min_scale: float = 1e-4
+    """No odometry's scale is known better than this."""
+    kernel_sigmas: float = 3.0
+    """Identities count by a Cauchy kernel of this width: a false one gives way."""
+    grid_rad: float = 0.035
+    """Where every map lies on one grid, corridors keep to it within this, 1 sigma: what strays
+    farther is none. As far as …"""
+    grid_junctions: float = 20.0
+    """… so many junctions say; the maps' own junctions tell the rest …"""
+    min_grid_rad: float = 0.01
+    """… down to this."""
+    grid_gate_rad: float = 0.26
+    """Maps whose grids differ by more than this, as first laid out, do not share one."""
+
+
+DEFAULT_JOINT = JointSettings()
+
+SOLVER = SolverSettings(start="given", relative_tolerance=1e-5, max_iterations=25)
+"""Cauchy kernels converge slowly in their last digits, which are far below a millimetre."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Factors:
+    """Relative measurements between rows: T_source_target (k, 3) and its information (k, 3, 3)."""
+
+    source: IntArray
+    target: IntArray
+    measurement: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """Poses (n, 3) of all rows of a pool in the component's frame (position, and turn of the run's
+    map there), and the graph that gave them with its solution in a frame of its own; None where no
+    place ties two runs."""
+
+    pose: FloatArray
+    graph: PoseGraph | None
+    solution: Solution | None
+
+
+def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str, FloatArray]:
+    """A first T_component_run of every run along the strongest accepted verdicts.
+
+    The frame is that of the first run by name; runs that no verdict reaches are left out.
+    """
+    start = min(runs)
+    poses = {start: np.zeros(3)}
+    links = sorted((v for v in verdicts if v.accepted), key=lambda v: (-v.evidence_bits, v.a, v.b))
+    while True:  # Prim: the strongest verdict that reaches a new run
+        step = next((v for v in links if (v.a in poses) != (v.b in poses)), None)
+        if step is None or step.best is None:
+            return poses
+        if step.a in poses:
+            poses[step.b] = compose(poses[step.a], step.best.transform)
+        else:
+            poses[step.a] = compose(poses[step.b], inverse(step.best.transform))
+
+
+def settle(
+    pool: Pool,
+    label: IntArray,
+    start: Mapping[str, FloatArray],
+    settings: JointSettings = DEFAULT_JOINT,
+) -> Joint:
+    """The most likely poses of all rows of a pool.
+
+    label: (n,) the place of each row; start: T_component_run of every run. The frame is chosen so
+    that the first run, laid rigidly over its optimised vertices, does not move.
+    """
+    guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
+    ties = _identity_factors(pool, label, guess, settings)
+    if len(ties.source) == 0:
+        return Joint(guess, None, None)
+    within = _concatenated([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
+    factors = _concatenated([within, ties])
+    kernel = np.full(len(factors.source), np.inf)
+    kernel[len(within.source) :] = settings.kernel_sigmas
+    graph = PoseGraph(
+        pose=guess,
+        source=factors.source,
+        target=factors.target,
+        measurement=factors.measurement,
+        information=factors.information,
+        kernel=kernel,
+        priors=_grid_priors(pool, guess, settings),
+        shared=_scales(pool, factors, len(within.source), settings),
+    )
+    solution = solve(graph, SOLVER)
+    first = pool.maps[0]
+    home = fit_rigid(solution.pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
+    return Joint(compose(inverse(home), solution.pose), graph, solution)
+
+
+def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
+    """T_component_run of every run: its map laid rigidly over its optimised vertices."""
+    out = {}
+    for m in pool.maps:
+        rows = slice(pool.first[m.run], pool.first[m.run] + len(m))
+        out[m.run] = _fit(pose[rows], m.xy)
+    out[pool.maps[0].run] = np.zeros(3)
+    return out
+
+
+def _fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
+    """Rigid transform from map positions to poses; the poses' own turns decide for one vertex."""
+    if len(xy) == 0:
+        return np.zeros(3)
+    if len(xy) > 1 and np.ptp(xy, axis=0).max() > 0:
+        return fit_rigid(pose[:, :2], xy)
+    T = np.array([0.0, 0.0, pose[0, 2]])
+    T[:2] = pose[0, :2] - apply(T, xy[0])
+    return T
+
+
+def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
+    local = np.column_stack([topomap.xy, np.zeros(len(topomap))])
+    return compose(T_component_run, local)
+
+
+def _concatenated(parts: Sequence[_Factors]) -> _Factors:
+    return _Factors(
+        source=np.concatenate([p.source for p in parts]),
+        target=np.concatenate([p.target for p in parts]),
+        measurement=np.concatenate([p.measurement for p in parts]),
+        information=np.concatenate([p.information for p in parts]),
+    )
+
+
+def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
+    """The corridors of one map as relative measurements, from row `first` of the pool on."""
+    given = odometry_measurements(topomap)
+    roads = _Factors(
+        given.source + first, given.target + first, given.measurement, given.information
+    )
+    return _concatenated([roads, _bridges(topomap, first, settings)])
+
+
+def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
+    """Loose measurements between the parts of a map that no corridor joins."""
+    n = len(topomap)
+    graph = coo_array((np.ones(len(topomap.source)), (topomap.source, topomap.target)), (n, n))
+    parts, label = connected_components(graph, directed=False)
+    anchor = np.array([np.flatnonzero(label == p)[0] for p in range(parts)], np.int64)
+    u, v = anchor[:-1], anchor[1:]
+    measured = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
+    weight = np.array([settings.bridge_m, settings.bridge_m, settings.bridge_rad]) ** -2.0
+    information = np.tile(np.diag(weight), (len(u), 1, 1))
+    return _Factors(u + first, v + first, measured.reshape(-1, 3), information)
+
+
+def _scales(pool: Pool, factors: _Factors, within: int, settings: JointSettings) -> SharedErrors:
+    """The scale of each run's odometry: one unknown that all its measurements share.
+
+    within: how many of the factors, the first ones, are measurements within a run.
+    """
+    count = len(pool.maps)
+    if count > settings.scaled_runs:
+        return SharedErrors.none()
+    sensitivity = np.zeros((len(factors.source), 3, count))
+    run = pool.run[factors.source[:within]]
+    sensitivity[np.arange(within), :2, run] = factors.measurement[:within, :2]
+    sigma = np.array([max(m.measured.scale, settings.min_scale) for m in pool.maps])
+    return SharedErrors(sensitivity, sigma)
+
+
+def _identity_factors(
+    pool: Pool, label: IntArray, guess: FloatArray, settings: JointSettings
+) -> _Factors:
+    """Every further row of a place tied to its first: same position, turn as the branches say."""
+    order = np.argsort(label, kind="stable")
+    first = order[np.searchsorted(label[order], label[order])]
+    source, target = first[first != order], order[first != order]
+    heading, visits = branch_headings(pool), pass_counts(pool)
+    noise = [m.measured for m in pool.maps]
+    centre = np.array([x.centre_m for x in noise])[pool.run] / np.sqrt(visits)
+    spread = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
+    turn, count = measured_turn(
+        heading[source], heading[target], wrap(guess[target, 2] - guess[source, 2]),
+        settings.branch_gate_rad,
+    )  # fmt: skip
+    position = np.maximum(np.hypot(centre[source], centre[target]), settings.min_position_m)
+    both = np.hypot(spread[source], spread[target]) / np.sqrt(np.maximum(count, 1))
+    sigma = np.maximum(both, settings.min_heading_rad)
+    information = np.zeros((len(source), 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = position**-2.0
+    information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
+    measured = np.column_stack([np.zeros((len(source), 2)), turn])
+    return _Factors(source, target, measured.reshape(-1, 3), information)
+
+
+def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Priors:
+    """Headings of all rows where every map is rectilinear and their grids agree.
+
+    In a rectilinear building the directions of corridors are known up to quarter turns (§2.3), so
+    a heading does not drift from map to map.
+    """
+    grids = [grid_direction(m.branches.values) for m in pool.maps]
+    if any(g is None for g in grids):
+        return Priors.empty()
+    grid = np.array(grids, np.float64)[pool.run]
+    target = float(grid[0] + guess[0, 2])  # the grid of the first map gives the frame
+    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * settings.grid_gate_rad:
+        return Priors.empty()
+    heading, visits = branch_headings(pool), pass_counts(pool)
+    off = wrap(4 * (heading + guess[:, 2:] - target)) / 4
+    used = np.abs(off) <= settings.grid_gate_rad  # NaN, beyond the degree, is not
+    count = used.sum(axis=1)
+    rows = np.flatnonzero(count)
+    mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
+    spread = np.array([m.measured.branch_rad for m in pool.maps])[pool.run[rows]]
+    spread = spread / np.sqrt(count[rows] * visits[rows])
+    own = grid_sigma(mean, spread, pool.run[rows], settings)
+    if own > settings.grid_rad:
+        return Priors.empty()  # square at every crossing, and bent as a whole
+    sigma = np.hypot(spread, own)
+    kernel = np.full(len(rows), settings.kernel_sigmas)
+    return Priors.headings(rows, np.asarray(wrap(guess[rows, 2] - mean)), sigma, kernel)
+
+
+def grid_sigma(
+    off_rad: FloatArray, spread_rad: FloatArray, run: IntArray, settings: JointSettings
+) -> float:
+    """How truly a building keeps to its grid, 1 sigma [rad], by what its maps show of it.
+
+    off_rad, spread_rad: (k,) means of the branches of each row off the grid, and their noise; run:
+    (k,) their runs, each of which may be turned as a whole. The sample variance beyond noise is
+    shrunk towards the settings as by so many more junctions.
+    """
+    count = np.maximum(np.bincount(run), 1)
+    own = off_rad - (np.bincount(run, off_rad) / count)[run]
+    beyond = float((own**2 - spread_rad**2).sum())
+    known = settings.grid_junctions
+    variance = (beyond + known * settings.grid_rad**2) / (len(run) + known)
+    return float(np.sqrt(max(variance, settings.min_grid_rad**2)))
+
+
+def measured_turn(
+    heading_a: FloatArray, heading_b: FloatArray, expected_rad: FloatArray, gate_rad: float
+) -> tuple[FloatArray, IntArray]:
+    """Turn of frame b in frame a from branches of one place seen in both, and how many told it.
+
+    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,) the turn
+    to within the gate. Mutually nearest branches within the gate measure it: mean of a minus b.
+    """
+    off = wrap(heading_a[:, :, None] - heading_b[:, None, :] - expected_rad[:, None, None])
+    size = np.where(np.isnan(off), np.inf, np.abs(off))
+    if size.size == 0:
+        return expected_rad.copy(), np.zeros(len(expected_rad), np.int64)
+    nearest, back = size.argmin(axis=2), size.argmin(axis=1)
+    mutual = np.take_along_axis(back, nearest, axis=1) == np.arange(heading_a.shape[1])
+    gap = np.take_along_axis(off, nearest[:, :, None], axis=2)[:, :, 0]
+    used = mutual & (np.take_along_axis(size, nearest[:, :, None], axis=2)[:, :, 0] <= gate_rad)
+    count = used.sum(axis=1)
+    mean = np.where(used, gap, 0.0).sum(axis=1) / np.maximum(count, 1)
+    return np.asarray(wrap(expected_rad + mean)), count
+
+
+def branch_headings(pool: Pool) -> FloatArray:
+    """(n, D) branch headings of all rows in their own maps, NaN where there are no more."""
+    rows = [padded_branches(m) for m in pool.maps]
+    width = max((r.shape[1] for r in rows), default=0)
+    return np.concatenate(
+        [np.pad(r, ((0, 0), (0, width - r.shape[1])), constant_values=np.nan) for r in rows]
+    )
+
+
+def pass_counts(pool: Pool) -> IntArray:
+    """(n,) passes by every row, at least 1."""
+    counts = [np.bincount(m.observation_vertex, minlength=len(m)) for m in pool.maps]
+    return np.maximum(np.concatenate(counts), 1)

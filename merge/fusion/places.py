@@ -1,0 +1,165 @@
+"""Fused places: what several visits by several runs say of one junction."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.passes import NO_BRANCH
+from ...topology.se2 import wrap
+from .joint_graph import pass_counts
+from .vertex_partition import Pool
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceSettings:
+    """Which branches of a fused place are one, and which are believed."""
+
+    branch_gate_rad: float = 0.6
+    """Branches of one place seen by different runs are one within this angle."""
+    min_branch_share: float = 0.3
+    """A branch that nobody drove stays if this share of the passes saw it."""
+
+
+DEFAULT_PLACE = PlaceSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A fused vertex.
+
+    rows: its members in the pool; headings: (d,) branches in the component's frame [rad],
+    ascending; branch_of: for each row, the fused branch of each of its own branches, NO_BRANCH for
+    one that was not believed; kind: what most passes say it is.
+    """
+
+    rows: list[int]
+    headings: FloatArray
+    branch_of: dict[int, IntArray]
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Sighting:
+    """A branch as one row saw it, in the component's frame."""
+
+    heading: float
+    weight: float
+    row: int
+    branch: int
+
+
+def fused_places(
+    pool: Pool, label: IntArray, pose: FloatArray, settings: PlaceSettings = DEFAULT_PLACE
+) -> list[Place]:
+    """The places of a pool, in the order of their labels. pose: (n, 3) of every row."""
+    order = np.argsort(label, kind="stable")
+    rows = np.split(order, np.cumsum(np.bincount(label))[:-1]) if len(label) else []
+    visits, driven = pass_counts(pool), _driven(pool)
+    out = []
+    for members in (r.tolist() for r in rows):
+        clusters = _clusters(pool, members, pose, visits, settings)
+        kept = _believed(clusters, members, visits, driven, settings)
+        means = np.array([_mean(c) for c in kept])
+        order = np.argsort(means, kind="stable")
+        branch_of = {r: np.full(_degree(pool, r), NO_BRANCH, np.int64) for r in members}
+        for position, k in enumerate(order.tolist()):
+            for s in kept[k]:
+                branch_of[s.row][s.branch] = position
+        out.append(Place(members, means[order], branch_of, _kind(pool, members, visits)))
+    return out
+
+
+def _driven(pool: Pool) -> list[set[int]]:
+    """For each row the branches by which a corridor was driven."""
+    out: list[set[int]] = [set() for _ in range(len(pool))]
+    for m in pool.maps:
+        first = pool.first[m.run]
+        for vertex, branch in ((m.source, m.source_branch), (m.target, m.target_branch)):
+            for v, i in zip(vertex.tolist(), branch.tolist(), strict=True):
+                if i != NO_BRANCH:
+                    out[first + v].add(i)
+    return out
+
+
+def _clusters(
+    pool: Pool, rows: list[int], pose: FloatArray, visits: IntArray, settings: PlaceSettings
+) -> list[list[_Sighting]]:
+    """Branches of all rows of a place on one circle.
+
+    The row with the most passes begins; the branches of the others go to the nearest one not yet
+    taken by the same row, or are new.
+    """
+    clusters: list[list[_Sighting]] = []
+    for row in sorted(rows, key=lambda r: (-int(visits[r]), r)):
+        m = pool.maps[int(pool.run[row])]
+        headings = wrap(m.branches[int(pool.vertex[row])] + pose[row, 2])
+        weight = float(visits[row]) / max(m.noise.branch_rad, 1e-3) ** 2
+        centres = np.array([_mean(c) for c in clusters])
+        for branch, k in enumerate(_assigned(headings, centres, settings.branch_gate_rad)):
+            sighting = _Sighting(float(headings[branch]), weight, row, branch)
+            if k is None:
+                clusters.append([sighting])
+            else:
+                clusters[k].append(sighting)
+    return clusters
+
+
+def _believed(
+    clusters: list[list[_Sighting]],
+    rows: list[int],
+    visits: IntArray,
+    driven: list[set[int]],
+    settings: PlaceSettings,
+) -> list[list[_Sighting]]:
+    """Branches that somebody drove or enough passes saw."""
+    enough = settings.min_branch_share * float(visits[rows].sum())
+    return [
+        c
+        for c in clusters
+        if any(s.branch in driven[s.row] for s in c)
+        or float(visits[[s.row for s in c]].sum()) >= enough
+    ]
+
+
+def _mean(cluster: list[_Sighting]) -> float:
+    """Circular mean heading, weighted by inverse variance (§4)."""
+    if len(cluster) == 1:
+        return cluster[0].heading
+    weight = np.array([s.weight for s in cluster])
+    return float(np.angle(weight @ np.exp(1j * np.array([s.heading for s in cluster]))))
+
+
+def _assigned(headings: FloatArray, centres: FloatArray, gate_rad: float) -> list[int | None]:
+    """For each heading the centre it belongs to: nearest pairs first, each used once."""
+    out: list[int | None] = [None] * len(headings)
+    if len(centres) == 0:
+        return out
+    off = np.abs(wrap(headings[:, None] - centres[None, :]))
+    used: set[int] = set()
+    for flat in np.argsort(off, axis=None, kind="stable").tolist():
+        i, j = divmod(flat, len(centres))
+        if off[i, j] > gate_rad:
+            break
+        if out[i] is None and j not in used:
+            out[i] = j
+            used.add(j)
+    return out
+
+
+def _degree(pool: Pool, row: int) -> int:
+    return int(pool.maps[int(pool.run[row])].degree[int(pool.vertex[row])])
+
+
+def _kind(pool: Pool, rows: list[int], visits: IntArray) -> str:
+    """The kind that most passes speak for; ties go to the first run."""
+    count: Counter[str] = Counter()
+    for row in rows:
+        count[pool.maps[int(pool.run[row])].kind[int(pool.vertex[row])]] += int(visits[row])
+    return max(count, key=lambda kind: count[kind])

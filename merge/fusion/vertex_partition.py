@@ -1,0 +1,98 @@
+"""Which vertices of several runs are one place: groups grown from matched pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.topomap import TopoMap
+from ..result import PairVerdict
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pool:
+    """The vertices of several maps in one row: `runs` sorted by name, rows run by run.
+
+    run: (n,) index of the run of each row; vertex: (n,) its vertex; first: row of each run's
+    vertex 0. A row is internal to one fusion; outside, a place is (run, vertex).
+    """
+
+    maps: tuple[TopoMap, ...]
+    run: IntArray
+    vertex: IntArray
+    first: dict[str, int]
+
+    @classmethod
+    def of(cls, maps: Sequence[TopoMap]) -> Pool:
+        """Pool the maps, sorted by run name."""
+        ordered = tuple(sorted(maps, key=lambda m: m.run))
+        sizes = [len(m) for m in ordered]
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        return cls(
+            maps=ordered,
+            run=np.repeat(np.arange(len(ordered)), sizes),
+            vertex=np.arange(starts[-1]) - np.repeat(starts[:-1], sizes),
+            first={m.run: int(s) for m, s in zip(ordered, starts[:-1], strict=True)},
+        )
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+
+class Groups:
+    """Rows of a pool in disjoint groups, at most one vertex of a run in each."""
+
+    def __init__(self, run: IntArray) -> None:
+        self._run = run
+        self._head = list(range(len(run)))
+        self._rows = [[row] for row in range(len(run))]
+
+    def head(self, row: int) -> int:
+        """The row that stands for the group of `row`."""
+        return self._head[row]
+
+    def rows(self, row: int) -> list[int]:
+        """All rows of the group of `row`, ascending."""
+        return sorted(self._rows[self._head[row]])
+
+    def join(self, row: int, other: int) -> bool:
+        """Make two groups one, unless that puts two vertices of a run into it."""
+        keep, gone = sorted((self._head[row], self._head[other]))
+        if keep == gone:
+            return True
+        runs = {int(self._run[r]) for r in self._rows[keep]}
+        if any(int(self._run[r]) in runs for r in self._rows[gone]):
+            return False
+        for r in self._rows[gone]:
+            self._head[r] = keep
+        self._rows[keep] += self._rows[gone]
+        self._rows[gone] = []
+        return True
+
+    def labels(self) -> IntArray:
+        """(n,) number of the group of each row, groups numbered by their first rows."""
+        heads = np.array(self._head, np.int64)
+        first = np.full(len(heads), len(heads), np.int64)
+        np.minimum.at(first, heads, np.arange(len(heads)))
+        return np.unique(first[heads], return_inverse=True)[1].astype(np.int64)
+
+
+def identify(pool: Pool, verdicts: Iterable[PairVerdict]) -> Groups:
+    """Groups from the matched pairs of all accepted verdicts, the strongest evidence first.
+
+    Matches are transitive over all pairs; one that would put two vertices of the same run into a
+    group contradicts stronger ones and is left out.
+    """
+    groups = Groups(pool.run)
+    for verdict in sorted(verdicts, key=lambda v: (-v.evidence_bits, v.a, v.b)):
+        if verdict.best is None:
+            continue
+        a, b = pool.first[verdict.a], pool.first[verdict.b]
+        for u, v in verdict.best.matched.tolist():
+            groups.join(a + u, b + v)
+    return groups

@@ -1,0 +1,1 @@
+"""The method of Huang & Beevers, *Topological Map Merging*, as published."""

@@ -1,0 +1,209 @@
+"""What the paper's method found between two maps, as its figures show it.
+
+Fig. 1: tables of vertex pairs, one per number of branches, each cell with the hypotheses that the
+pair belongs to under each correspondence, × where none survived. Fig. 2: the clusters of transform
+space with their sizes and errors. As lines of text and as JSON values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.digits import rounded
+from ...topology.matching.correspondence import candidate_nodes, node_rotations
+from ...topology.topomap import TopoMap
+from ..document import pose_to_document
+from ..robust.wording import counted
+from .clustering import Clusters
+from .hypotheses import Hypotheses
+from .method import DEFAULT_PAPER, PaperSettings, PreparedMap, match, prepare_map
+
+IntArray = NDArray[np.int64]
+
+NONE = "×"  # noqa: RUF001 - the paper's sign
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """Everything found between two maps; `tables` is Fig. 1, `clusters` Fig. 2.
+
+    candidate_a, candidate_b: (K,) compatible vertex pairs, once per correspondence; turn_rad: (K,)
+    rotation of b under it; hypothesis: (K,) number of the hypothesis, -1 where none survived;
+    degree_a, degree_b: branches of every vertex; bits: (C,) how much more than chance each cluster
+    is; settings: those that the maps were matched with.
+    """
+
+    a: str
+    b: str
+    hypotheses: Hypotheses
+    clusters: Clusters
+    candidate_a: IntArray
+    candidate_b: IntArray
+    turn_rad: NDArray[np.float64]
+    hypothesis: IntArray
+    degree_a: IntArray
+    degree_b: IntArray
+    bits: NDArray[np.float64]
+    settings: PaperSettings
+
+
+def explain(a: TopoMap, b: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> Explanation:
+    """Match two maps by the paper's method and keep all of it."""
+    pa, pb = prepare_map(a, settings), prepare_map(b, settings)
+    found = match(pa, pb, settings)
+    nodes = candidate_nodes(pa.structure, pb.structure, settings.growth)
+    h = found.hypotheses
+    turn = node_rotations(pa.structure, pb.structure, nodes, h.rectilinear)
+    return Explanation(
+        a=a.run,
+        b=b.run,
+        hypotheses=h,
+        clusters=found.clusters,
+        candidate_a=nodes.vertex_a,
+        candidate_b=nodes.vertex_b,
+        turn_rad=turn,
+        hypothesis=_hypothesis_of(pa, pb, h, nodes),
+        degree_a=a.degree,
+        degree_b=b.degree,
+        bits=found.bits,
+        settings=settings,
+    )
+
+
+def _hypothesis_of(a: PreparedMap, b: PreparedMap, h: Hypotheses, nodes: Any) -> IntArray:
+    """(K,) the hypothesis that holds each candidate, -1 for none."""
+    column = {"vertex_a": len(a.xy), "vertex_b": len(b.xy)}
+    size = int(max(nodes.correspondence.max(initial=0), h.nodes.correspondence.max(initial=0))) + 1
+
+    def key(n: Any) -> IntArray:
+        pair = n.vertex_a * column["vertex_b"] + n.vertex_b
+        return np.asarray(pair * size + n.correspondence)
+
+    held, wanted = key(h.nodes), key(nodes)
+    order = np.argsort(held)
+    place = np.searchsorted(held[order], wanted)
+    known = np.append(held[order], -1)[np.minimum(place, len(held))] == wanted
+    return np.where(known, np.append(h.of[order], -1)[np.minimum(place, len(held))], -1)
+
+
+def lines(e: Explanation, most: int = 20) -> list[str]:
+    """The explanation as text: the tables while they fit a screen, then the clusters.
+
+    most: rows of a table, and clusters, at most.
+    """
+    return [*_table_lines(e, most), *_cluster_lines(e, most)]
+
+
+def _table_lines(e: Explanation, most: int) -> Iterator[str]:
+    pairs = len(np.unique(e.candidate_a * len(e.degree_b) + e.candidate_b))
+    yield (
+        f"{e.a} ({counted(len(e.degree_a), 'junction')}) and "
+        f"{e.b} ({counted(len(e.degree_b), 'junction')}): {counted(pairs, 'compatible pair')}, "
+        f"{len(e.candidate_a)} with their rotations; "
+        f"{counted(len(e.hypotheses), 'hypothesis', 'hypotheses')} in "
+        f"{counted(len(e.clusters), 'cluster')}"
+    )
+    yield _settings_line(e.settings)
+    for degree in np.unique(e.degree_a[e.candidate_a]).tolist():
+        rows, columns = (np.flatnonzero(d == degree) for d in (e.degree_a, e.degree_b))
+        branches = counted(degree, "branch", "branches")
+        yield ""
+        if len(rows) > most or len(columns) > most:
+            yield f"{branches}: a table of {len(rows)} by {len(columns)}, left out"
+            continue
+        yield f"{branches}; rows {e.a}, columns {e.b}; H of each rotation, {NONE}: none"
+        cells = [[_cell(e, int(u), int(v)) for v in columns] for u in rows]
+        width = max((len(c) for row in cells for c in row), default=1)
+        width = max(width, len(str(len(e.degree_b))) + 1)
+        yield " " * 6 + " ".join(f"{'b' + str(v):>{width}}" for v in columns)
+        for u, row in zip(rows.tolist(), cells, strict=True):
+            yield f"{'a' + str(u):>5} " + " ".join(f"{c:>{width}}" for c in row)
+
+
+def _settings_line(settings: PaperSettings) -> str:
+    """The settings, by the names of their options."""
+    growth, clusters = settings.growth, settings.clusters
+    met = f", {counted(len(settings.meetings), 'meeting')}" if settings.meetings else ""
+    return (
+        f"degree {growth.degree}, confidence {growth.confidence:g} of each {growth.confidence_of}, "
+        f"weights {clusters.weights}, clusters {'iterative' if clusters.iterative else 'once'}{met}"
+    )
+
+
+def _cell(e: Explanation, u: int, v: int) -> str:
+    """What became of a vertex pair, in the order of rotations: H3, or × for none; · if unlike."""
+    k = np.flatnonzero((e.candidate_a == u) & (e.candidate_b == v))
+    if len(k) == 0:
+        return "·"
+    order = k[np.argsort(np.round(e.turn_rad[k], 6), kind="stable")]
+    alive = [f"H{h + 1}" for h in e.hypothesis[order].tolist() if h >= 0]
+    return "/".join(alive) if alive else NONE
+
+
+def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
+    c = e.clusters
+    yield ""
+    yield (
+        "cluster  junctions  hypotheses  largest  rms m        x        y  turn°    bits"
+        f"   of {len(c)}"
+    )
+    for k in range(min(len(c), most)):
+        rms = np.sqrt(c.squared_error[k] / c.vertices[k])
+        x, y, turn = c.transform[k].tolist()
+        yield (
+            f"{k + 1:>7}  {c.vertices[k]:>9}  {c.hypotheses[k]:>10}  {c.largest[k]:>7}  {rms:>5.2f}"
+            f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}  {e.bits[k]:>6.1f}"
+        )
+    if len(c) > most:
+        yield f"… and {len(c) - most} more clusters"
+
+
+def to_document(e: Explanation) -> dict[str, Any]:
+    """The explanation as JSON values."""
+    h, c = e.hypotheses, e.clusters
+    groups = [np.flatnonzero(h.of == k) for k in range(len(h))]
+    return {
+        "schema": "topobatch.explanation/1",
+        "a": e.a,
+        "b": e.b,
+        "settings": asdict(e.settings),
+        "candidates": [
+            {"a": u, "b": v, "turn": t, "hypothesis": None if k < 0 else k}
+            for u, v, t, k in zip(
+                e.candidate_a.tolist(),
+                e.candidate_b.tolist(),
+                rounded(e.turn_rad),
+                e.hypothesis.tolist(),
+                strict=True,
+            )
+        ],
+        "hypotheses": [
+            {
+                "id": k,
+                "matched": np.column_stack([h.vertex_a[g], h.vertex_b[g]]).tolist(),
+                "corridors": int(h.corridors[k]),
+                "transform": pose_to_document(h.transform[k]),
+                "mean_squared_error": rounded(h.error[k]),
+                "cluster": None if c.of[k] < 0 else int(c.of[k]),
+            }
+            for k, g in enumerate(groups)
+        ],
+        "clusters": [
+            {
+                "id": k,
+                "vertices": int(c.vertices[k]),
+                "hypotheses": int(c.hypotheses[k]),
+                "largest": int(c.largest[k]),
+                "squared_error": rounded(c.squared_error[k]),
+                "evidence_bits": rounded(e.bits[k], 2),
+                "transform": pose_to_document(c.transform[k]),
+            }
+            for k in range(len(c))
+        ],
+        "threshold": rounded(c.threshold),
+    }

@@ -1,0 +1,196 @@
+"""The paper's hypotheses: every valid grown match, the single-vertex ones included, with its
+transform (§2, §3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.matching.association import Growth, SingleMatches, grow, single_matches
+from ...topology.matching.correspondence import (
+    DEFAULT_GROWTH,
+    GrowthSettings,
+    Nodes,
+    candidate_nodes,
+    is_rectilinear,
+    node_rotations,
+    shared_branches,
+)
+from ...topology.matching.local_growth import grow_from
+from ...topology.matching.structure import Structure
+from ...topology.se2 import apply
+from .registration import Weights, fit_groups
+from .significance import SelfSimilarity, match_bits, self_similarity, single_bits
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypotheses:
+    """H valid hypotheses, the largest first, then by their first pair.
+
+    of: (N,) hypothesis of each vertex pair, ascending; nodes: the N pairs with the correspondence
+    of their branches, rotation (N,) its angle. size: (H,) vertex pairs; corridors: (H,) corridor
+    pairs; transform: (H, 3) T_a_b; error: (H,) mean squared distance of the matched vertices [m²].
+    bits: (H,) how much more each is than chance (`significance`); candidates: compatible (vertex,
+    vertex, correspondence) in all.
+    """
+
+    of: IntArray
+    nodes: Nodes
+    rotation: FloatArray
+    size: IntArray
+    corridors: IntArray
+    transform: FloatArray
+    error: FloatArray
+    bits: FloatArray
+    rectilinear: bool
+    candidates: int
+
+    def __len__(self) -> int:
+        return len(self.size)
+
+    @property
+    def vertex_a(self) -> IntArray:
+        """(N,) vertices of a."""
+        return self.nodes.vertex_a
+
+    @property
+    def vertex_b(self) -> IntArray:
+        """(N,) vertices of b."""
+        return self.nodes.vertex_b
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Matches:
+    """Hypotheses before their transforms: pairs with the match of each; corridors and bits."""
+
+    of: IntArray
+    nodes: Nodes
+    corridors: IntArray
+    bits: FloatArray
+
+
+def hypothesise(
+    a: Structure,
+    b: Structure,
+    xy: tuple[FloatArray, FloatArray],
+    settings: GrowthSettings = DEFAULT_GROWTH,
+    *,
+    single_vertex: bool = True,
+    near: tuple[IntArray, IntArray] | None = None,
+    alike: tuple[SelfSimilarity, SelfSimilarity] | None = None,
+    weights: Weights = "equal",
+) -> Hypotheses:
+    """All valid hypotheses of two maps and their transforms.
+
+    xy: embedded vertices of a and of b (§3.1). single_vertex: with the pairs of vertices that no
+    corridor tests (§2.3: "cannot be grown further"). near: vertices of a and of b from which alone
+    matches are grown (§4.2). alike: how each map resembles itself, if at hand. weights:
+    of the vertices in registration.
+    """
+    if alike is None:
+        alike = self_similarity(a, settings), self_similarity(b, settings)
+    grown, singles = _grown(a, b, settings, near)
+    share = 1.0 if near is None else len(near[0]) * len(near[1]) / (len(a) * len(b))
+    matches = _surviving(grown, match_bits(grown, a, alike, share))
+    candidates = singles.candidates
+    if single_vertex:
+        matches = _with_singles(matches, singles.nodes, single_bits(candidates))
+    matches = _ordered(matches)
+    of, nodes = matches.of, matches.nodes
+    rectilinear = is_rectilinear(a, b, settings)
+    rotation = node_rotations(a, b, nodes, rectilinear)
+    p, q = xy[0][nodes.vertex_a], xy[1][nodes.vertex_b]
+    size = np.bincount(of, minlength=len(matches.corridors))
+    transform = _transforms(p, q, of, rotation, weights, rectilinear=rectilinear)
+    squared = np.bincount(of, ((p - apply(transform[of], q)) ** 2).sum(axis=1), len(size))
+    return Hypotheses(
+        of=of,
+        nodes=nodes,
+        rotation=rotation,
+        size=size,
+        corridors=matches.corridors,
+        transform=transform,
+        error=squared / np.maximum(size, 1),
+        bits=matches.bits,
+        rectilinear=rectilinear,
+        candidates=candidates,
+    )
+
+
+def _grown(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings,
+    near: tuple[IntArray, IntArray] | None,
+) -> tuple[Growth, SingleMatches]:
+    """All matches, or those that begin near a meeting."""
+    if near is None:
+        growth = grow(a, b, settings)
+        return growth, single_matches(a, b, growth, settings)
+    seeds = candidate_nodes(a, b, settings, near)
+    growth = grow_from(a, b, seeds, settings)
+    untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
+    pairs = len(np.unique(seeds.vertex_a * len(b) + seeds.vertex_b))
+    return growth, SingleMatches(seeds.take(untested), len(seeds), pairs)
+
+
+def _surviving(growth: Growth, bits: FloatArray) -> _Matches:
+    """The matches that were not rejected."""
+    number = np.cumsum(~growth.rejected) - 1
+    keep = ~growth.rejected[growth.component]
+    links = ~growth.rejected[growth.link_component]
+    of_link = number[growth.link_component[links]]
+    count = int(np.count_nonzero(~growth.rejected))
+    corridors = np.bincount(of_link, minlength=count).astype(np.int64)
+    of, nodes = number[growth.component[keep]], growth.nodes.take(keep)
+    return _Matches(of, nodes, corridors, bits[~growth.rejected])
+
+
+def _with_singles(matches: _Matches, singles: Nodes, bits: float) -> _Matches:
+    lone = np.arange(len(singles)) + len(matches.corridors)
+    names = ("vertex_a", "vertex_b", "correspondence")
+    joined = (np.concatenate([getattr(matches.nodes, n), getattr(singles, n)]) for n in names)
+    return _Matches(
+        of=np.concatenate([matches.of, lone]),
+        nodes=Nodes(*joined),
+        corridors=np.concatenate([matches.corridors, np.zeros(len(lone), np.int64)]),
+        bits=np.concatenate([matches.bits, np.full(len(lone), bits)]),
+    )
+
+
+def _ordered(matches: _Matches) -> _Matches:
+    """Hypotheses renumbered: the largest first, then by their first pair; pairs in order."""
+    of, nodes, count = matches.of, matches.nodes, len(matches.corridors)
+    if count == 0:
+        return matches
+    keys = (nodes.correspondence, nodes.vertex_b, nodes.vertex_a)
+    size = np.bincount(of, minlength=count)
+    first = np.lexsort((*keys, of))[np.concatenate([[0], np.cumsum(size)[:-1]])]
+    order = np.lexsort((*(k[first] for k in keys), -size))
+    rank = np.empty(count, np.int64)
+    rank[order] = np.arange(count)
+    rows = np.lexsort((*keys, rank[of]))
+    chosen = (matches.corridors[order], matches.bits[order])
+    return _Matches(rank[of][rows], nodes.take(rows), *chosen)
+
+
+def _transforms(
+    p: FloatArray,
+    q: FloatArray,
+    of: IntArray,
+    rotation: FloatArray,
+    weights: Weights,
+    *,
+    rectilinear: bool,
+) -> FloatArray:
+    """T_a_b of every hypothesis; the branches give the rotation where points cannot."""
+    count = int(of.max(initial=-1)) + 1
+    cos, sin = (np.bincount(of, f(rotation), count) for f in (np.cos, np.sin))
+    several = np.bincount(of, minlength=count) > 1
+    free = several & (not rectilinear)
+    return fit_groups(p, q, of, np.arctan2(sin, cos), free=free, weights=weights)

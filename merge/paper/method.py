@@ -1,0 +1,326 @@
+"""`method="paper"`: Huang & Beevers, *Topological Map Merging*, as published.
+
+For every pair of maps: grow hypotheses (§2), estimate their transforms (§3.1), cluster them
+(§3.2), take the best cluster. The paper leaves the last word to its reader ("even the best cluster
+choice may later turn out to be incorrect"); here a cluster has to be more than chance offers, and
+more than any cluster that places the maps otherwise (`significance`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from itertools import combinations, islice
+from math import log2
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from ...topology.errors import UsageError
+from ...topology.matching.correspondence import DEFAULT_GROWTH, GrowthSettings
+from ...topology.matching.structure import Structure, prepare
+from ...topology.se2 import apply, between
+from ...topology.topomap import TopoMap
+from ..locking import aligned_at, honour
+from ..locks import Lock
+from ..result import Alignment, PairVerdict, Verdict, shown_bits
+from ..robust.wording import counted, told_bits
+from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
+from .hypotheses import Hypotheses, hypothesise
+from .meeting import Meeting, near_vertices
+from .significance import SelfSimilarity, cluster_bits, self_similarity
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class PaperSettings:
+    """The paper's method, and what makes its best cluster an answer."""
+
+    growth: GrowthSettings = DEFAULT_GROWTH
+    clusters: ClusterSettings = DEFAULT_CLUSTERS
+    single_vertex: bool = True
+    """Hypotheses of one vertex that no corridor tests (§2.3) take part."""
+    false_merge_rate: float = 1e-3
+    """Share of batches of maps that may hold any false merge. Clusters of which chance offers more
+    are "generally not significant" (§3.2)."""
+    rival_m: float = 3.0
+    """Clusters elsewhere: they displace the best cluster's vertices by more than this …"""
+    rival_rad: float = 0.35
+    """… or turn them by more than this."""
+    meetings: tuple[Meeting, ...] = ()
+    """Runs that met: matches are grown from pairs of vertices near both robots only (§4.2)."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.false_merge_rate < 1.0:
+            raise UsageError(f"a rate lies between 0 and 1, not at {self.false_merge_rate}")
+
+    def needed_bits(self, pairs: int = 1) -> float:
+        """Bits that merging needs, by themselves and as a lead, in a batch of so many pairs."""
+        return log2(max(pairs, 1) / self.false_merge_rate)
+
+
+DEFAULT_PAPER = PaperSettings()
+
+
+def settings_from_document(values: Mapping[str, Any]) -> PaperSettings:
+    """The settings of a merge from its document's `graph.settings`; ValueError on nonsense."""
+    try:
+        return TypeAdapter(PaperSettings).validate_python(values)
+    except UsageError as error:
+        raise ValueError(str(error)) from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedMap:
+    """What matching needs of one map; a pure function of the map."""
+
+    run: str
+    structure: Structure
+    xy: FloatArray
+    shortest_edge_m: float
+    alike: SelfSimilarity
+    near: Mapping[Meeting, IntArray] = field(default_factory=dict)
+    """Vertices near the robot at each of its meetings."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matching:
+    """Everything the paper's method found between two maps."""
+
+    hypotheses: Hypotheses
+    clusters: Clusters
+
+    @property
+    def bits(self) -> FloatArray:
+        """(C,) how much more than chance each cluster is."""
+        return cluster_bits(self.clusters.of, self.hypotheses.bits, len(self.clusters))
+
+
+def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> PreparedMap:
+    """Prepare a map for any number of comparisons."""
+    shortest = float(topomap.length.min()) if len(topomap.length) else np.inf
+    near = {}
+    for m in settings.meetings:
+        if topomap.run in (m.run_a, m.run_b):
+            time_ns = m.time_a_ns if topomap.run == m.run_a else m.time_b_ns
+            near[m] = near_vertices(topomap, time_ns, m.range_m)
+    structure = prepare(topomap)
+    alike = self_similarity(structure, settings.growth)
+    return PreparedMap(topomap.run, structure, topomap.xy, shortest, alike, near)
+
+
+def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
+    """Hypotheses and their clusters, §2 and §3."""
+    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
+    hypotheses = hypothesise(
+        a.structure,
+        b.structure,
+        (a.xy, b.xy),
+        settings.growth,
+        single_vertex=settings.single_vertex,
+        near=None if meeting is None else (a.near[meeting], b.near[meeting]),
+        alike=(a.alike, b.alike),
+        weights=settings.clusters.weights,
+    )
+    shortest = min(a.shortest_edge_m, b.shortest_edge_m)
+    return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), shortest, settings.clusters))
+
+
+def decide(
+    maps: Sequence[TopoMap],
+    settings: PaperSettings = DEFAULT_PAPER,
+    *,
+    locks: Sequence[Lock] = (),
+    on_pair: Callable[[int, int], None] | None = None,
+    executor: Executor | None = None,
+) -> tuple[PairVerdict, ...]:
+    """A verdict for every pair of maps, sorted by name. on_pair(done, total) after each pair.
+
+    Raises UsageError on locks that contradict each other or name a junction that does not exist,
+    and on a meeting of a run that is not there.
+    """
+    ordered = sorted(maps, key=lambda m: m.run)
+    by_run = {m.run: m for m in ordered}
+    _check_meetings(settings, by_run)
+    prepared = [prepare_map(m, settings) for m in ordered]
+    pairs = list(combinations(prepared, 2))
+    out = []
+    for verdict in _judged(pairs, settings, executor):
+        out.append(verdict)
+        if on_pair is not None:
+            on_pair(len(out), len(pairs))
+    return honour(out, locks, lambda lock: _forced(by_run, lock, settings))
+
+
+def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> None:
+    for m in settings.meetings:
+        for run in (m.run_a, m.run_b):
+            if run not in runs:
+                raise UsageError(f"a meeting names run {run!r}, which is not among the maps")
+
+
+def _forced(by_run: Mapping[str, TopoMap], lock: Lock, settings: PaperSettings) -> Alignment | None:
+    """The best cluster that honours a "same" lock; at given junctions failing all else."""
+    map_a, map_b = by_run[lock.a], by_run[lock.b]
+    a, b = prepare_map(map_a, settings), prepare_map(map_b, settings)
+    found = match(a, b, settings)
+    h, c = found.hypotheses, found.clusters
+    if lock.at is None:
+        return alignment(a, b, found, int(np.argmax(found.bits))) if len(c) else None
+    alone = aligned_at(map_a, map_b, lock.at)
+    rows = np.flatnonzero((h.vertex_a == lock.at[0]) & (h.vertex_b == lock.at[1]))
+    numbers = c.of[h.of[rows]]
+    if np.any(numbers >= 0):
+        return alignment(a, b, found, int(numbers[numbers >= 0].min()))
+    return alone
+
+
+def _judged(
+    pairs: Sequence[tuple[PreparedMap, PreparedMap]],
+    settings: PaperSettings,
+    executor: Executor | None,
+) -> Iterator[PairVerdict]:
+    """Verdicts in the order of the pairs; on an executor in batches, to keep messages few."""
+    if executor is None:
+        yield from (judge(a, b, settings, len(pairs)) for a, b in pairs)
+        return
+    size = max(1, min(32, len(pairs) // 64))
+    batches = [
+        executor.submit(_judge_all, part, settings, len(pairs)) for part in _batched(pairs, size)
+    ]
+    for batch in batches:
+        yield from batch.result()
+
+
+def _judge_all(
+    part: Sequence[tuple[PreparedMap, PreparedMap]], settings: PaperSettings, pairs: int
+) -> list[PairVerdict]:
+    return [judge(a, b, settings, pairs) for a, b in part]
+
+
+def _batched(
+    pairs: Iterable[tuple[PreparedMap, PreparedMap]], size: int
+) -> Iterator[list[tuple[PreparedMap, PreparedMap]]]:
+    rest = iter(pairs)
+    while part := list(islice(rest, size)):
+        yield part
+
+
+def judge(
+    a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER, pairs: int = 1
+) -> PairVerdict:
+    """The most significant cluster of a pair, and whether it is enough to merge.
+
+    pairs: how many pairs of maps the batch compares.
+    """
+    found = match(a, b, settings)
+    if len(found.clusters) == 0:
+        reason = "no pair of junctions is compatible"
+        return PairVerdict(a.run, b.run, Verdict.UNRELATED, False, 0.0, reason)
+    ranked = np.argsort(-found.bits, kind="stable").tolist()
+    best = alignment(a, b, found, ranked[0])
+    rival = _rival(found, ranked, b, settings)
+    second = None if rival is None else alignment(a, b, found, rival)
+    lead = best.evidence_bits - (0.0 if second is None else second.evidence_bits)
+    needed = settings.needed_bits(pairs)
+    verdict = _verdict(best.evidence_bits, lead, needed)
+    related = verdict is not Verdict.UNRELATED
+    return PairVerdict(
+        a=a.run,
+        b=b.run,
+        verdict=verdict,
+        accepted=verdict is Verdict.MERGED,
+        evidence_bits=best.evidence_bits,
+        reason=_reason(best, second, needed, found),
+        best=best if related else None,
+        runner_up=second if related else None,
+        margin_bits=None if second is None else lead,
+        advice=_advice(best.evidence_bits, needed) if verdict is Verdict.AMBIGUOUS else None,
+        threshold_bits=needed,
+        accepted_by="pair" if verdict is Verdict.MERGED else None,
+        extra={"hypotheses": len(found.hypotheses), "clusters": len(found.clusters)},
+    )
+
+
+def _verdict(bits: float, lead: float, needed: float) -> Verdict:
+    if bits <= 0:
+        return Verdict.UNRELATED
+    return Verdict.MERGED if min(bits, lead) >= needed else Verdict.AMBIGUOUS
+
+
+def _reason(best: Alignment, second: Alignment | None, needed: float, found: Matching) -> str:
+    what = (
+        f"the best of {counted(len(found.clusters), 'cluster')} matches "
+        f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}: "
+        f"{told_bits(best.evidence_bits, needed)}"
+    )
+    if best.evidence_bits <= 0:
+        return f"{what}; chance offers as much"
+    if best.evidence_bits < needed:
+        return f"{what}; chance offers as much in one of {2**best.evidence_bits:.0f} such pairs"
+    if second is None:
+        return f"{what}; none places the runs otherwise"
+    lead = best.evidence_bits - second.evidence_bits
+    return f"{what}; the next that places the runs otherwise has {shown_bits(lead)} less"
+
+
+def _advice(bits: float, needed: float) -> str:
+    if bits < needed:
+        return "drive more of the places that both runs know"
+    return "drive on to where the two placements differ"
+
+
+def _rival(
+    found: Matching, ranked: Sequence[int], b: PreparedMap, settings: PaperSettings
+) -> int | None:
+    """The first of the ranked clusters that places b elsewhere than the very first does."""
+    h, c = found.hypotheses, found.clusters
+    points = b.xy[np.unique(h.vertex_b[c.of[h.of] == ranked[0]])]
+    at = c.transform[ranked[0]]
+    home = apply(at, points)
+    for k in ranked[1:]:
+        moved = np.sqrt(((apply(c.transform[k], points) - home) ** 2).sum(axis=1).mean())
+        turned = abs(between(at, c.transform[k])[2])
+        if moved > settings.rival_m or turned > settings.rival_rad:
+            return k
+    return None
+
+
+def alignment(a: PreparedMap, b: PreparedMap, found: Matching, number: int) -> Alignment:
+    """A cluster as an alignment: its transform and its pairs, one to one."""
+    h, c = found.hypotheses, found.clusters
+    rows = np.flatnonzero(c.of[h.of] == number)
+    T = c.transform[number]
+    error = np.hypot(*(a.xy[h.vertex_a[rows]] - apply(T, b.xy[h.vertex_b[rows]])).T)
+    rows = rows[one_to_one(h.vertex_a[rows], h.vertex_b[rows], h.size[h.of[rows]], error)]
+    matched = np.column_stack([h.vertex_a[rows], h.vertex_b[rows]])
+    residual = a.xy[matched[:, 0]] - apply(T, b.xy[matched[:, 1]])
+    corridors = int(h.corridors[c.of == number].sum())
+    return Alignment(
+        transform=T,
+        evidence_bits=float(found.bits[number]),
+        matched=matched[np.lexsort((matched[:, 1], matched[:, 0]))],
+        rmse_m=float(np.sqrt((residual**2).sum(axis=1).mean())),
+        corridors=corridors,
+    )
+
+
+def one_to_one(
+    vertex_a: IntArray, vertex_b: IntArray, size: IntArray, error: FloatArray
+) -> IntArray:
+    """Rows that pair no vertex twice: larger hypotheses first, then the nearer pair."""
+    taken_a: set[int] = set()
+    taken_b: set[int] = set()
+    keep = []
+    for row in np.lexsort((vertex_b, vertex_a, error, -size)).tolist():
+        u, v = int(vertex_a[row]), int(vertex_b[row])
+        if u not in taken_a and v not in taken_b:
+            taken_a.add(u)
+            taken_b.add(v)
+            keep.append(row)
+    return np.array(sorted(keep), np.int64)

@@ -1,0 +1,154 @@
+"""How often chance alone grows a match as large (§3.2).
+
+"Clusters containing only one or two pairs of vertices ... are generally not significant", and how
+many are depends on "the size, complexity, and self-similarity of the environment". All three are
+measured. Where two maps share nothing, L pairs of corridors agree by chance, and each begins a
+match; at a pair of vertices so reached, a further corridor that both maps drove agrees with some
+probability p. A match of v vertices needed v - 2 further agreements, so that E = L p^(v - 2) of
+them are to be expected; -log2 E are the bits by which it is more than chance. L and p are seen in
+all other matches of the two maps, and in those of either map with other parts of itself. Where a
+building repeats itself, p differs from place to place: a match of as many vertices as a map shares
+with another part of itself is none that chance does not offer, so that E is no less than
+p^(v - m), m the vertices of the largest such match. And where walls run through a rectilinear
+building, a map slid along them still agrees in all lengths across: of the independent lengths along
+either axis only the fewer, n, tell. The other agreements are then of branches alone, which agree
+with some probability q, and E is no less than L p^n q^(v - 2 - n).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.matching.association import Growth, components, grow
+from ...topology.matching.correspondence import GrowthSettings, masks_agree, node_rotations
+from ...topology.matching.structure import Structure
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class SelfSimilarity:
+    """What a map's matches with other parts of itself show of chance.
+
+    links: pairs of corridors that agree; tested: corridors compared at vertices that a match had
+    reached; agreed: how many of these agree; largest: vertices of the largest match, rejected or
+    not; ends: how often corridors from vertices that pair end, whatever their lengths, at vertices
+    that pair (q; 1 where the world is not rectilinear).
+    """
+
+    links: int
+    tested: int
+    agreed: int
+    largest: int
+    ends: float = 1.0
+
+
+def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
+    """The map matched with itself, without the match of every vertex with itself."""
+    growth = grow(s, s, settings)
+    itself = np.flatnonzero(growth.nodes.vertex_a == growth.nodes.vertex_b)
+    turn = node_rotations(s, s, growth.nodes.take(itself), growth.rectilinear)
+    other = np.ones(len(growth.rejected), np.bool_)
+    # A vertex may well be laid on itself turned: only unturned it is the map as it is.
+    other[growth.component[itself[np.abs(turn) < 1e-6]]] = False
+    vertices = np.bincount(growth.component, minlength=len(other))[other]
+    return SelfSimilarity(
+        links=int(np.count_nonzero(other[growth.link_component])),
+        tested=int(growth.tested[other].sum() - vertices.sum()),
+        agreed=int(growth.agreed[other].sum() - vertices.sum()),
+        largest=int(vertices.max(initial=0)),
+        ends=_ends_alike(s, settings) if growth.rectilinear else 1.0,
+    )
+
+
+def _ends_alike(s: Structure, settings: GrowthSettings) -> float:
+    """Share of the pairs of darts from compatible vertices whose turns and end vertices agree."""
+    kind, count = np.unique(s.slot_kind, return_counts=True)
+    turn, start, end = kind // 256, kind // 16 % 16, kind % 16
+    zero = np.zeros((1, 1), np.int64)
+    begins, ends = (masks_agree(m[:, None], m[None], zero, settings) for m in (start, end))
+    pairs = count[:, None] * count * begins
+    return float((pairs * ends * (turn[:, None] == turn)).sum() / max(pairs.sum(), 1))
+
+
+def match_bits(
+    growth: Growth,
+    a: Structure,
+    alike: tuple[SelfSimilarity, SelfSimilarity],
+    share: float = 1.0,
+) -> FloatArray:
+    """(C,) bits of every grown match of two maps.
+
+    a: the first of the maps; alike: how each of them resembles itself; share: of all pairs of
+    vertices, those that matches were grown from.
+
+    A match is no witness of its own chance; rejected ones are. Corridors that close circles add
+    nothing: their lengths follow from the others. p is the mean of its posterior under a uniform
+    prior, so that few comparisons promise little.
+    """
+    count = len(growth.rejected)
+    vertices = np.bincount(growth.component, minlength=count)
+    links = np.bincount(growth.link_component, minlength=count)
+    rest = len(growth.link_component) - links
+    # One agreement led to each pair of vertices: only the others were open.
+    reached = len(growth.nodes) - vertices
+    agreed = growth.agreed.sum() - growth.agreed - reached + sum(x.agreed for x in alike)
+    tested = growth.tested.sum() - growth.tested - reached + sum(x.tested for x in alike)
+    surprise = -np.log2((agreed + 1) / (tested + 2))
+    starts = np.maximum(rest, share * max(x.links for x in alike)) + 1
+    beyond_chance = (vertices - 2) * surprise - np.log2(starts)
+    beyond_copies = (vertices - max(x.largest for x in alike)) * surprise
+    bits = np.minimum(beyond_chance, beyond_copies)
+    if not growth.rectilinear:
+        return np.asarray(bits)
+    across = independent_lengths(growth, a).min(axis=0)
+    branches_only = np.maximum(vertices - 2 - across, 0)
+    of_branches = -np.log2(max(*(x.ends for x in alike), 2.0**-16))
+    beyond_slides = across * surprise + branches_only * of_branches - np.log2(starts)
+    return np.asarray(np.minimum(bits, beyond_slides))
+
+
+def independent_lengths(growth: Growth, a: Structure) -> IntArray:
+    """(2, C) lengths along either axis that do not follow from others, of matches in a rectilinear
+    world; 0 for matches of one corridor.
+
+    Vertices that corridors across join lie on one line: the lengths between n + 1 lines are n.
+    """
+    count = len(growth.rejected)
+    several = np.bincount(growth.link_component, minlength=count)[growth.link_component] > 1
+    links = growth.links
+    codes = np.concatenate([links.start[several], links.end[several]])
+    code, node = np.unique(codes, return_inverse=True)
+    ends = node.reshape(2, -1)
+    match = np.zeros(len(code), np.int64)
+    match[ends] = growth.link_component[several]
+    axis = a.out_slot[links.dart_a[several]] % 2
+    out = np.zeros((2, count), np.int64)
+    for k in (0, 1):
+        start, end = ends[:, axis != k]
+        line = components(start, end, len(code))
+        first = np.unique(line, return_index=True)[1]
+        out[k] = np.maximum(np.bincount(match[first], minlength=count) - 1, 0)
+    return out
+
+
+def single_bits(candidates: int) -> float:
+    """Bits of a match of one pair of vertices: any of the compatible pairs would have done."""
+    return float(-np.log2(max(candidates, 1)))
+
+
+def cluster_bits(of: IntArray, bits: FloatArray, count: int) -> FloatArray:
+    """(count,) bits of clusters: the sum over their significant hypotheses, else the best one's.
+
+    of, bits: (H,) cluster of each hypothesis (-1: none) and its bits. Every hypothesis of a sum
+    pays for the whole search, though under the cluster's transform there were few to choose from.
+    """
+    kept = of >= 0
+    total = np.bincount(of[kept], np.maximum(bits[kept], 0.0), count)
+    best = np.full(count, -np.inf)
+    np.maximum.at(best, of[kept], bits[kept])
+    return np.where(total > 0, total, best)

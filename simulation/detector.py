@@ -1,0 +1,195 @@
+"""The junction detector: what the robot reports while it drives by a junction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.ragged import Ragged
+from ..topology.se2 import apply, inverse, wrap
+from .chance import Chance, quantised
+from .faults import Faults
+from .motion import Drive
+from .world import FloatArray, IntArray, World
+
+REACH_M = 1.0
+"""A junction is seen from this way before it to this way after it."""
+
+NO_VERTEX = -1
+"""Stands for the vertex of a phantom, and for no vertex at all."""
+
+LEAST_GAP_RAD = 0.7
+"""Invented branches keep this distance from the others."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """Messages and passes; times in seconds of the detector's clock (true time + lag).
+
+    Messages: time_s: (k,); centre: (k, 2) and branches: k rows, in the robot's frame. Passes by
+    time: start_s, end_s: (p,); vertex: (p,), NO_VERTEX for phantoms; messages: (p,) how many were
+    sent; fault: p words: "" where nothing was wrong, "missed", "wrong pass", "wrong vertex",
+    "phantom". A pass of no messages was missed.
+    """
+
+    time_s: FloatArray
+    centre: FloatArray
+    branches: Ragged
+    start_s: FloatArray
+    end_s: FloatArray
+    vertex: IntArray
+    messages: IntArray
+    fault: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """One pass before the detector's noise: what there is to see, and when."""
+
+    start_s: float
+    end_s: float
+    vertex: int
+    centre: tuple[float, float]
+    branches: tuple[float, ...]
+    fault: str
+
+
+def sightings(
+    world: World,
+    drive: Drive,
+    closed: set[int],
+    faults: Faults,
+    *,
+    rate_hz: float,
+    chance: Chance,
+) -> Sightings:
+    """Everything that the detector reports during a drive, and the truth about it."""
+    passes = _visits(world, drive, closed, faults, chance) + _phantoms(world, drive, faults, chance)
+    passes.sort(key=lambda p: p.start_s)
+    time, owner = _message_times(passes, float(drive.time_s[-1]), rate_hz, faults, chance)
+    pose = drive.at(time)
+    half = np.sqrt(0.5) * faults.centre_m
+    centre = np.array([p.centre for p in passes])
+    centre = centre + chance.normal(half, centre.size).reshape(-1, 2)
+    seen = apply(inverse(pose), centre[owner]) + chance.normal(half, 2 * len(time)).reshape(-1, 2)
+    return Sightings(
+        time_s=time + faults.lag_s,
+        centre=quantised(seen, 16),
+        branches=_branch_rows(passes, owner, pose[:, 2], faults, chance),
+        start_s=np.array([p.start_s for p in passes]) + faults.lag_s,
+        end_s=np.array([p.end_s for p in passes]) + faults.lag_s,
+        vertex=np.array([p.vertex for p in passes], np.int64),
+        messages=np.bincount(owner, minlength=len(passes)),
+        fault=tuple(p.fault for p in passes),
+    )
+
+
+def _visits(
+    world: World, drive: Drive, closed: set[int], faults: Faults, chance: Chance
+) -> list[_Pass]:
+    """A pass for every visit of a vertex; half-way to the next visit belongs to each."""
+    way = drive.visit_way_m
+    gap = np.concatenate([[np.inf], np.diff(way), [np.inf]])
+    start = drive.first_at(way - np.minimum(REACH_M, 0.45 * gap[:-1]))
+    end = drive.last_at(way + np.minimum(REACH_M, 0.45 * gap[1:]))
+    by_vertex = _branches_of_run(world, set(drive.visit_vertex.tolist()), closed, faults, chance)
+    missed = chance.happens(faults.missed_pass_rate, len(way))
+    wrong = chance.happens(faults.wrong_pass_rate, len(way))
+    passes = []
+    for i, v in enumerate(drive.visit_vertex.tolist()):
+        branches, fault = by_vertex[v]
+        if wrong[i]:
+            branches, fault = _altered(branches, chance), "wrong pass"
+        if missed[i] or not branches:
+            branches, fault = (), "missed"
+        x, y = world.xy[v].tolist()
+        passes.append(_Pass(float(start[i]), float(end[i]), v, (x, y), branches, fault))
+    return passes
+
+
+def _branches_of_run(
+    world: World, vertices: set[int], closed: set[int], faults: Faults, chance: Chance
+) -> dict[int, tuple[tuple[float, ...], str]]:
+    """What there is to see at each vertex during this run, and what is wrong with it."""
+    out = {}
+    for v in sorted(vertices):
+        branches = tuple(h for e, _, h in world.ends(v) if e not in closed)
+        wrong = chance.one_happens(faults.wrong_vertex_rate)
+        out[v] = (_altered(branches, chance), "wrong vertex") if wrong else (branches, "")
+    return out
+
+
+def _altered(branches: tuple[float, ...], chance: Chance) -> tuple[float, ...]:
+    """One branch less (six times in ten) or more; a lone branch can only gain one."""
+    ordered = np.sort(np.array(branches))
+    gaps = np.diff(np.append(ordered, ordered[:1] + 2 * np.pi))
+    room: FloatArray = np.maximum(gaps - 2 * LEAST_GAP_RAD, 0.0)
+    if len(branches) > 1 and (chance.one_happens(0.6) or room.sum() == 0):
+        gone = chance.index(len(branches))
+        return branches[:gone] + branches[gone + 1 :]
+    if room.sum() == 0:
+        return branches
+    at = chance.weighted_index(quantised(room, 30))
+    new = ordered[at] + LEAST_GAP_RAD + chance.one_uniform() * room[at]
+    return (*branches, float(np.round(wrap(new), 9)))
+
+
+def _phantoms(world: World, drive: Drive, faults: Faults, chance: Chance) -> list[_Pass]:
+    """Invented junctions in corridors: the corridor's two branches and up to two more."""
+    length = drive.leg_to_m - drive.leg_from_m
+    hit = chance.happens(faults.phantom_rate, len(length)) & (length > 4.5)
+    passes = []
+    for i in np.flatnonzero(hit).tolist():
+        way = chance.one_uniform(drive.leg_from_m[i] + 1.7, drive.leg_to_m[i] - 2.2)
+        span = np.array([way, way + chance.one_uniform(0.3, 0.9)])
+        start, end = drive.first_at(span[:1])[0], drive.last_at(span[1:])[0]
+        x, y, theta = drive.at(np.array([0.5 * (start + end)]))[0].tolist()
+        branches: tuple[float, ...] = (float(wrap(theta)), float(wrap(theta + np.pi)))
+        for _ in range(chance.index(3)):
+            sideways = wrap(theta + np.pi / 2 * (1 if len(branches) == 2 else -1))
+            branches = (*branches, float(wrap(sideways + chance.one_uniform(-0.6, 0.6))))
+        passes.append(_Pass(float(start), float(end), NO_VERTEX, (x, y), branches, "phantom"))
+    return passes
+
+
+def _message_times(
+    passes: list[_Pass], end_s: float, rate_hz: float, faults: Faults, chance: Chance
+) -> tuple[FloatArray, IntArray]:
+    """(k,) ascending message times within passes that are seen, and (k,) the pass of each."""
+    count = int(end_s * rate_hz)
+    ticks = np.arange(count) + chance.uniform(0.35, 0.65, count)
+    time = quantised(ticks[~chance.happens(faults.lost_message_rate, count)] / rate_hz, 20)
+    start = np.array([p.start_s for p in passes])
+    end = np.array([p.end_s if p.branches else -1.0 for p in passes])
+    owner = np.searchsorted(start, time, side="right") - 1
+    seen = (owner >= 0) & (time <= end[owner])
+    return time[seen], owner[seen]
+
+
+def _branch_rows(
+    passes: list[_Pass], owner: IntArray, theta: FloatArray, faults: Faults, chance: Chance
+) -> Ragged:
+    """The branches of every message in the robot's frame, in random order.
+
+    Rows are laid out flat: the pass's branches repeated for each of its messages; only the few
+    wrong messages are made one by one.
+    """
+    half = np.radians(np.sqrt(0.5) * faults.branch_deg)
+    by_pass = Ragged.from_rows([p.branches for p in passes])
+    skewed = Ragged(by_pass.offsets, by_pass.values + chance.normal(half, len(by_pass.values)))
+    rows = skewed.take(owner)
+    wrong = np.flatnonzero(chance.happens(faults.wrong_message_rate, len(owner)))
+    if len(wrong):
+        rows = _with_wrong_rows(rows, wrong, chance)
+    flat = rows.values + chance.normal(half, len(rows.values)) - theta[rows.owner]
+    order = np.lexsort((chance.uniform(0.0, 1.0, len(flat)), rows.owner))
+    return Ragged(rows.offsets, quantised(wrap(flat[order]), 16))
+
+
+def _with_wrong_rows(rows: Ragged, wrong: NDArray[np.int64], chance: Chance) -> Ragged:
+    listed = [rows[i] for i in range(len(rows))]
+    for i in wrong.tolist():
+        listed[i] = np.array(_altered(tuple(rows[i].tolist()), chance))
+    return Ragged.from_rows(listed)

@@ -1,0 +1,223 @@
+"""Odometry: the true motion, measured badly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+
+import numpy as np
+
+from ..topology.errors import UsageError
+from ..topology.se2 import between, wrap
+from .chance import Chance, quantised
+from .motion import Drive
+from .world import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """What is wrong with the odometry. Names that end in `_sigma` are drawn once per run."""
+
+    along_m_per_sqrt_m: float = 0.0
+    """Random walk of the position along the way; across it half as much."""
+    heading_deg_per_sqrt_m: float = 0.0
+    """Random walk of the heading with the way."""
+    heading_deg_per_sqrt_rad: float = 0.0
+    """Random walk of the heading with the angle turned."""
+    scale_sigma: float = 0.0
+    """Relative error of all lengths."""
+    turn_scale_sigma: float = 0.0
+    """Relative error of all turns."""
+    gyro_bias_deg_per_s_sigma: float = 0.0
+    """Steady turning with time."""
+    heading_bias_deg_per_m: float = 0.0
+    """Steady turning with the way, for every run: 3 means 3° too little per metre."""
+    sideways_slip_m_per_rad: float = 0.0
+    """Unseen sliding outwards in turns while driving."""
+    heading_jumps_per_100_m: float = 0.0
+    """Knocks that turn the heading at once, and go unseen."""
+    heading_jump_deg: float = 20.0
+    """1 sigma of such a knock."""
+    resets_per_100_m: float = 0.0
+    """The odometry starts again from zero: the track is broken there."""
+    jumps: int = 0
+    """So often, spread over the way, the odometry's frame jumps while the robot drives on."""
+    jump_m: float = 0.5
+    jump_deg: float = 30.0
+    """Size of every such jump; whither is random."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            signed = field.name in ("heading_bias_deg_per_m", "sideways_slip_m_per_rad")
+            if not np.isfinite(value) or (value < 0 and not signed):
+                raise UsageError(f"drift: {field.name} cannot be {value}")
+
+
+DRIFTS: Mapping[str, Drift] = MappingProxyType(
+    {
+        "none": Drift(),
+        "low": Drift(
+            along_m_per_sqrt_m=0.005,
+            heading_deg_per_sqrt_m=0.2,
+            heading_deg_per_sqrt_rad=0.3,
+            scale_sigma=0.002,
+            turn_scale_sigma=0.001,
+        ),
+        "mid": Drift(
+            along_m_per_sqrt_m=0.01,
+            heading_deg_per_sqrt_m=0.5,
+            heading_deg_per_sqrt_rad=0.8,
+            scale_sigma=0.005,
+            turn_scale_sigma=0.004,
+            gyro_bias_deg_per_s_sigma=0.003,
+        ),
+        "high": Drift(
+            along_m_per_sqrt_m=0.02,
+            heading_deg_per_sqrt_m=1.0,
+            heading_deg_per_sqrt_rad=1.5,
+            scale_sigma=0.01,
+            turn_scale_sigma=0.008,
+            gyro_bias_deg_per_s_sigma=0.015,
+        ),
+        "real": Drift(
+            along_m_per_sqrt_m=0.02,
+            heading_deg_per_sqrt_m=1.0,
+            heading_deg_per_sqrt_rad=1.5,
+            scale_sigma=0.01,
+            turn_scale_sigma=0.01,
+            heading_bias_deg_per_m=1.5,
+            sideways_slip_m_per_rad=0.02,
+            heading_jumps_per_100_m=0.3,
+            heading_jump_deg=8.0,
+        ),
+    }
+)
+"""Levels by name; "real" stands for the odometry of the robots in public data sets."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredTrack:
+    """Odometry rows: time_s: (n,); pose: (n, 3) T_odom_base; breaks: (k,) rows where a reset is.
+
+    jumps: (j,) rows into which a jump or an unseen knock of the heading falls; true_pose: (n, 3) in
+    the world; twist: (n, 2) forward speed [m/s] and turning speed [rad/s].
+    """
+
+    time_s: FloatArray
+    pose: FloatArray
+    breaks: IntArray
+    jumps: IntArray
+    true_pose: FloatArray
+    twist: FloatArray
+
+
+def measured(drive: Drive, drift: Drift, rate_hz: float, chance: Chance) -> MeasuredTrack:
+    """What the robot's odometry says of a drive, in a frame of its own. O(n), vectorised."""
+    time = _stamps(float(drive.time_s[-1]), rate_hz, chance)
+    period = np.diff(time)
+    true = drive.at(time)
+    step = between(true[:-1], true[1:])
+    way, turn = np.hypot(step[:, 0], step[:, 1]), np.diff(true[:, 2])
+    forward, aside = _moves(step, turn, drift, chance)
+    heading = _turns(way, turn, period, drift, chance)
+    jumps = _struck(way, drift.heading_jumps_per_100_m, chance)
+    heading[jumps] += np.radians(chance.normal(drift.heading_jump_deg, len(jumps)))
+    breaks = _struck(way, drift.resets_per_100_m, chance) + 1
+    origin = _origin(chance)
+    twist = np.column_stack([forward / period, heading / period])
+    leapt, (ahead, left, turned) = _leaps(way, drift, chance)
+    forward[leapt] += ahead
+    aside[leapt] += left
+    heading[leapt] += turned
+    pose = _integrated(forward, aside, heading, origin, breaks)
+    jumps = np.union1d(jumps, leapt) + 1
+    return MeasuredTrack(time, pose, breaks, jumps, true, np.concatenate([twist, twist[-1:]]))
+
+
+def _stamps(end_s: float, rate_hz: float, chance: Chance) -> FloatArray:
+    """(n,) times of the odometry's messages: even but for some jitter."""
+    count = int(end_s * rate_hz) + 1
+    time = np.arange(count) / rate_hz
+    time[1:-1] += np.clip(chance.normal(0.05, count - 2), -0.3, 0.3) / rate_hz
+    return quantised(time, 20)
+
+
+def _moves(
+    step: FloatArray, turn: FloatArray, drift: Drift, chance: Chance
+) -> tuple[FloatArray, FloatArray]:
+    """Way forward and to the left in every step, as measured."""
+    way = np.hypot(step[:, 0], step[:, 1])
+    noise = drift.along_m_per_sqrt_m * np.sqrt(way)
+    scale = 1 + chance.one_normal(drift.scale_sigma)
+    forward = step[:, 0] * scale + noise * chance.normal(1.0, len(way))
+    aside = step[:, 1] * scale + 0.5 * noise * chance.normal(1.0, len(way))
+    rolling = way > 0.2 * np.abs(turn)
+    return forward, aside + drift.sideways_slip_m_per_rad * turn * rolling
+
+
+def _turns(
+    way: FloatArray, turn: FloatArray, period: FloatArray, drift: Drift, chance: Chance
+) -> FloatArray:
+    """Turn in every step [rad], as measured."""
+    scaled = turn * (1 + chance.one_normal(drift.turn_scale_sigma))
+    walk = drift.heading_deg_per_sqrt_m * np.sqrt(way) * chance.normal(1.0, len(way))
+    per_turn = drift.heading_deg_per_sqrt_rad * np.sqrt(np.abs(turn))
+    walk = walk + per_turn * chance.normal(1.0, len(way))
+    bias = chance.one_normal(drift.gyro_bias_deg_per_s_sigma) * period
+    return scaled + np.radians(walk + bias - drift.heading_bias_deg_per_m * way)
+
+
+def _struck(way: FloatArray, per_100_m: float, chance: Chance) -> IntArray:
+    """Steps in which something befalls the robot, at an even rate along the way; not the ends."""
+    hit = chance.uniform(0.0, 1.0, len(way)) < per_100_m * way / 100
+    hit[:2] = hit[-2:] = False
+    return np.flatnonzero(hit)
+
+
+def _leaps(way: FloatArray, drift: Drift, chance: Chance) -> tuple[IntArray, FloatArray]:
+    """Steps in which the odometry's frame jumps; (3, j) forward, to the left [m] and turn [rad]."""
+    if drift.jumps == 0:
+        return np.zeros(0, np.int64), np.zeros((3, 0))
+    # One in the middle half of each of as many equal parts of the way.
+    share = (np.arange(drift.jumps) + chance.uniform(0.25, 0.75, drift.jumps)) / drift.jumps
+    row = np.unique(np.searchsorted(np.cumsum(way), share * way.sum()))
+    whither = chance.uniform(-np.pi, np.pi, len(row))
+    turn = np.where(chance.happens(0.5, len(row)), 1, -1) * np.radians(drift.jump_deg)
+    shift = [drift.jump_m * quantised(of(whither), 26) for of in (np.cos, np.sin)]
+    return row, np.stack([*shift, turn])
+
+
+def _origin(chance: Chance) -> FloatArray:
+    """The first pose: zero for half of the robots, anything for the others."""
+    if chance.one_happens(0.5):
+        return np.zeros(3)
+    xy = chance.uniform(-30.0, 30.0, 2)
+    return quantised(np.append(xy, chance.one_uniform(-np.pi, np.pi)), 20)
+
+
+def _integrated(
+    forward: FloatArray,
+    aside: FloatArray,
+    heading: FloatArray,
+    origin: FloatArray,
+    breaks: IntArray,
+) -> FloatArray:
+    """(n + 1, 3) poses; at a break the track starts again from zero.
+
+    Increments are rounded to a micrometre before they are summed: then the sums are exact, and
+    the same on every machine.
+    """
+    n = len(forward)
+    segment = np.searchsorted(breaks, np.arange(n + 1), side="right")
+    first = np.concatenate([[0], breaks])
+    turned = np.concatenate([[0.0], np.cumsum(quantised(heading, 26))])
+    theta = turned - turned[first][segment] + np.where(segment == 0, origin[2], 0.0)
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    out = np.zeros((n + 1, 3))
+    for axis, move in enumerate((c * forward - s * aside, s * forward + c * aside)):
+        moved = np.concatenate([[0.0], np.cumsum(quantised(move, 20))])
+        out[:, axis] = moved - moved[first][segment] + np.where(segment == 0, origin[axis], 0.0)
+    out[:, 2] = wrap(theta)
+    return quantised(out, 16)

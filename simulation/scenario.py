@@ -1,0 +1,282 @@
+"""Scenarios: several runs in one world (and some elsewhere), all from one seed.
+
+scenario = simulate_scenario(ScenarioSettings("maze", runs=3, overlap=0.4, seed=7))
+scenario.runs["run1"]     # an ingest.run.Run, as if read from a log
+scenario.truth            # what really happened
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..ingest.run import Detections, Run
+from ..topology.errors import UsageError
+from ..topology.odometry import Odometry
+from ..topology.se2 import compose, inverse, wrap
+from .chance import Chance
+from .detector import sightings
+from .drift import DRIFTS, Drift, MeasuredTrack, measured
+from .faults import FAULTS, Faults
+from .motion import Drive, MotionSettings, drive
+from .regions import chain_of_regions, scattered_regions
+from .truth import RunTruth, Truth
+from .walk import WalkSettings, explore
+from .world import FloatArray, World
+from .worlds import WORLDS, make_world
+
+EPOCH_NS = 1_700_000_000 * 10**9
+BETWEEN_RUNS_NS = 7200 * 10**9
+LAYOUTS = ("chain", "scatter")
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """How one run is driven and recorded."""
+
+    drift: Drift = DRIFTS["mid"]
+    faults: Faults = FAULTS["mild"]
+    walk: WalkSettings = field(default_factory=WalkSettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    odometry_hz: float = 20.0
+    detector_hz: float = 7.0
+
+    def __post_init__(self) -> None:
+        for name in ("odometry_hz", "detector_hz"):
+            if not 1 <= getattr(self, name) <= 1000:
+                raise UsageError(f"{name} must lie in 1 … 1000, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioSettings:
+    """What to simulate. Raises UsageError on what makes no sense."""
+
+    world: str = "maze"
+    """Kind of world: maze, office, organic, city or rows."""
+    runs: int = 3
+    overlap: float = 0.4
+    """Chain layout: share of a run's junctions that the run before it also visits, 0 … 0.9."""
+    junctions_per_run: int = 50
+    unrelated_runs: int = 0
+    """Further runs, each in a world of its own of the same kind."""
+    layout: str = "chain"
+    """"chain": each run overlaps with the one before; "scatter": runs anywhere in the world."""
+    world_junctions: int | None = None
+    """Size of the world; by default the chain just fits, or three runs' worth for "scatter"."""
+    drift: str | Drift = "mid"
+    """A level (none, low, mid, high, real) or a Drift."""
+    faults: str | Faults = "mild"
+    """A level (none, mild, harsh) or a Faults."""
+    walk: WalkSettings = field(default_factory=WalkSettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    odometry_hz: float = 20.0
+    detector_hz: float = 7.0
+    prefix: str = "run"
+    """Runs are named prefix + number."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _one_of("world", self.world, WORLDS)
+        _one_of("layout", self.layout, LAYOUTS)
+        if isinstance(self.drift, str):
+            _one_of("drift", self.drift, DRIFTS)
+        if isinstance(self.faults, str):
+            _one_of("faults", self.faults, FAULTS)
+        for name, least, most in (
+            ("runs", 1, 10_000),
+            ("unrelated_runs", 0, 10_000),
+            ("junctions_per_run", 5, 100_000),
+            ("world_junctions", 5, 1_000_000),
+            ("overlap", 0.0, 0.9),
+            ("seed", 0, 2**63 - 1),
+        ):
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise UsageError(f"{name} must lie in {least} … {most}, not {value}")
+        if not self.prefix or "/" in self.prefix or self.prefix.startswith("."):
+            raise UsageError(f"prefix {self.prefix!r} cannot begin the name of a file")
+        self.of_run()
+
+    def of_run(self) -> RunSettings:
+        """The settings of every single run."""
+        return RunSettings(
+            drift=DRIFTS[self.drift] if isinstance(self.drift, str) else self.drift,
+            faults=FAULTS[self.faults] if isinstance(self.faults, str) else self.faults,
+            walk=self.walk,
+            motion=self.motion,
+            odometry_hz=self.odometry_hz,
+            detector_hz=self.detector_hz,
+        )
+
+
+def _one_of(name: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> None:
+    if value not in known:
+        raise UsageError(f"no {name} {value!r}: choose one of {', '.join(known)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedRun:
+    """A run as its log will hold it, the truth about it, and the measured speeds.
+
+    twist: (n, 2) forward [m/s] and turning speed [rad/s] of every odometry row.
+    """
+
+    run: Run
+    truth: RunTruth
+    twist: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scenario:
+    """Simulated runs, sorted by name, and the worlds they were driven in."""
+
+    simulated: tuple[SimulatedRun, ...]
+    worlds: Mapping[str, World]
+
+    @property
+    def runs(self) -> dict[str, Run]:
+        """The runs by name."""
+        return {s.run.name: s.run for s in self.simulated}
+
+    @property
+    def truth(self) -> Truth:
+        """The truth about all runs."""
+        return Truth(self.worlds, {s.run.name: s.truth for s in self.simulated})
+
+
+def joined(*scenarios: Scenario) -> Scenario:
+    """Several scenarios as one; UsageError if two of their runs or worlds have the same name."""
+    simulated = [s for scenario in scenarios for s in scenario.simulated]
+    worlds = {name: w for scenario in scenarios for name, w in scenario.worlds.items()}
+    if len({s.run.name for s in simulated}) < len(simulated):
+        raise UsageError("two scenarios have runs of the same name: give them another prefix")
+    if len(worlds) < sum(len(scenario.worlds) for scenario in scenarios):
+        raise UsageError("two scenarios have worlds of the same name: give them another prefix")
+    return Scenario(tuple(sorted(simulated, key=lambda s: s.run.name)), worlds)
+
+
+def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
+    """The runs that the settings describe: same settings, same runs, on any machine.
+
+    The names of the runs are dealt out at random, so they tell nothing about who overlaps with
+    whom. Raises UsageError if no world has room for what is asked.
+    """
+    s = settings or ScenarioSettings()
+    world, regions = _world_with_regions(s)
+    stem = s.prefix.rstrip("-_")
+    worlds = {f"{stem}-world": world}
+    plan = [(f"{stem}-world", region) for region in regions]
+    for k in range(s.unrelated_runs):
+        alone = replace(s, runs=1, layout="chain", world_junctions=None, seed=0)
+        other, parts = _world_with_regions(alone, Chance("elsewhere", s.seed, k).index(2**31))
+        worlds[f"{stem}-other{k + 1}"] = other
+        plan.append((f"{stem}-other{k + 1}", parts[0]))
+    digits = len(str(len(plan)))
+    simulated = []
+    for number, place in enumerate(Chance("names", s.seed).order(len(plan)).tolist(), 1):
+        where, region = plan[place]
+        simulated.append(
+            simulate_run(
+                worlds[where],
+                region,
+                s.of_run(),
+                name=f"{s.prefix}{number:0{digits}d}",
+                seed=Chance("run", s.seed, place).index(2**31),
+                world_name=where,
+                start_ns=EPOCH_NS + number * BETWEEN_RUNS_NS,
+            )
+        )
+    return Scenario(tuple(simulated), worlds)
+
+
+def _world_with_regions(
+    s: ScenarioSettings, seed: int | None = None
+) -> tuple[World, list[set[int]]]:
+    """A world with room for the runs, and the region of each run; larger worlds until they fit."""
+    world_seed = s.seed if seed is None else seed
+    size, chance = s.junctions_per_run, Chance("regions", world_seed)
+    if s.layout == "scatter":
+        world = make_world(s.world, s.world_junctions or 3 * size, world_seed)
+        return world, scattered_regions(world, s.runs, min(size, len(world)), chance)
+    wanted = size * (1 + (s.runs - 1) * (1 - s.overlap))
+    asked = [s.world_junctions] if s.world_junctions else [wanted * f for f in (1.15, 1.4, 1.8)]
+    for junctions in asked:
+        aspect = max(1.0, 0.8 * wanted / size)
+        world = make_world(s.world, round(junctions), world_seed, aspect)
+        regions = chain_of_regions(world, s.runs, size, s.overlap, chance)
+        if len(regions) == s.runs and min(len(r) for r in regions) >= 0.9 * size:
+            return world, regions
+    raise UsageError(
+        f"no room for {s.runs} runs of {size} junctions in a {s.world} of {len(world)} junctions: "
+        "ask for fewer or smaller runs, or a larger world"
+    )
+
+
+def simulate_run(
+    world: World,
+    region: set[int] | None = None,
+    settings: RunSettings | None = None,
+    *,
+    name: str = "run",
+    seed: int = 0,
+    world_name: str | None = None,
+    start_ns: int = EPOCH_NS,
+) -> SimulatedRun:
+    """One robot explores a connected region of a world (all of it by default) and records a run.
+
+    O(way driven), vectorised: about 50 ms for 100 junctions. Raises UsageError if the region has
+    no corridor to drive in.
+    """
+    s = settings or RunSettings()
+    inside = set(range(len(world))) if region is None else region
+    legs, closed = explore(world, inside, s.walk, s.faults, Chance("walk", seed))
+    if not legs:
+        raise UsageError(f"{name}: the region of {len(inside)} junctions has no corridor to drive")
+    driven = drive(world, legs, s.motion, Chance("motion", seed))
+    track = measured(driven, s.drift, s.odometry_hz, Chance("odometry", seed))
+    seen = sightings(
+        world, driven, closed, s.faults, rate_hz=s.detector_hz, chance=Chance("detector", seed)
+    )
+
+    def stamps(time_s: FloatArray) -> Any:
+        return start_ns + np.round(time_s * 1e6).astype(np.int64) * 1000
+
+    odometry = Odometry(time_ns=stamps(track.time_s), pose=track.pose, breaks=track.breaks)
+    detections = Detections(stamps(seen.time_s), seen.centre, seen.branches)
+    every = np.arange(0, len(track.time_s), max(1, round(s.odometry_hz / 2)))
+    wrapped = np.column_stack([track.true_pose[:, :2], wrap(track.true_pose[:, 2])])
+    truth = RunTruth(
+        name=name,
+        world=world_name or world.name,
+        T_world_odom=np.round(compose(wrapped[0], inverse(track.pose[0])), 6),
+        start_ns=stamps(seen.start_s),
+        end_ns=stamps(seen.end_s),
+        vertex=seen.vertex,
+        messages=seen.messages,
+        fault=seen.fault,
+        **_drives(driven, stamps),
+        path_ns=odometry.time_ns[every],
+        path=wrapped[every],
+        closed_edges=tuple(sorted(closed)),
+        **_events(track, odometry),
+        settings={"seed": seed, **asdict(s)},
+    )
+    return SimulatedRun(Run(name, odometry, detections), truth, track.twist)
+
+
+def _drives(driven: Drive, stamps: Any) -> dict[str, Any]:
+    return {
+        "drive_edge": driven.leg_edge,
+        "drive_start_ns": stamps(driven.last_at(driven.leg_from_m)),
+        "drive_end_ns": stamps(driven.first_at(driven.leg_to_m)),
+    }
+
+
+def _events(track: MeasuredTrack, odometry: Odometry) -> dict[str, Any]:
+    return {
+        "break_ns": tuple(odometry.time_ns[track.breaks].tolist()),
+        "jump_ns": tuple(odometry.time_ns[track.jumps].tolist()),
+    }

@@ -1,0 +1,307 @@
+"""The truth about simulated runs, and `truth.json`: schema `topobatch.truth/1`.
+
+    {"schema": "topobatch.truth/1",
+     "worlds": {"maze": {"kind": "maze",
+                         "vertices": [[x, y], …],
+                         "edges": [[source, target, length, [[x, y], …]], …]}},
+     "runs": {"run1": {"world": "maze",
+                       "T_world_odom": [x, y, theta],
+                       "passes": {"start_ns": […], "end_ns": […], "vertex": […],
+                                  "messages": […], "fault": […]},
+                       "drives": {"edge": […], "start_ns": […], "end_ns": […]},
+                       "closed_edges": […], "break_ns": […], "jump_ns": […],
+                       "path": [[time_ns, x, y, theta], …],
+                       "settings": {…}}},
+     "pairs": [{"a": "run1", "b": "run2", "common": [vertex, …], "transform": [x, y, theta]}]}
+
+Metres and radians in the frame of the world. A vertex or edge is named by its place in the list of
+its world. `vertex` is -1 for a phantom; a pass with 0 messages was not detected. Pass times are the
+detector's stamps, `path` and `drives` are true times. `T_world_odom` places the odometry frame by
+the first pose; drift comes on top of it. `transform` is T_a_b, from the same placing; it and
+`common` (vertices that both runs detected) are there for every pair of runs of one world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..topology.document import read_json, write_json
+from ..topology.errors import DocumentError
+from ..topology.se2 import apply, between, fit_rigid, wrap
+from ..topology.topomap import TopoMap
+from .detector import NO_VERTEX
+from .world import FloatArray, IntArray, World
+
+TRUTH_SCHEMA = "topobatch.truth/1"
+
+MIXED = -2
+"""Stands for the vertex of a map's node that holds passes of several vertices."""
+
+PASS_TOLERANCE_NS = 1_000_000_000
+"""An observation this near to a pass still belongs to it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunTruth:
+    """What really happened in a run; the fields are those of `truth.json`, as arrays.
+
+    start_ns, end_ns, vertex, messages: (p,) and fault: p words, the passes by time. drive_edge,
+    drive_start_ns, drive_end_ns: (l,) corridors driven end to end. path_ns: (k,), path: (k, 3).
+    """
+
+    name: str
+    world: str
+    T_world_odom: FloatArray
+    start_ns: IntArray
+    end_ns: IntArray
+    vertex: IntArray
+    messages: IntArray
+    fault: tuple[str, ...]
+    drive_edge: IntArray
+    drive_start_ns: IntArray
+    drive_end_ns: IntArray
+    path_ns: IntArray
+    path: FloatArray
+    closed_edges: tuple[int, ...] = ()
+    break_ns: tuple[int, ...] = ()
+    jump_ns: tuple[int, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def detected(self) -> set[int]:
+        """World vertices of which the run reported at least one pass."""
+        return set(self.vertex[self.messages > 0].tolist()) - {NO_VERTEX}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """The worlds and the true runs of a scenario, by name."""
+
+    worlds: Mapping[str, World]
+    runs: Mapping[str, RunTruth]
+
+    def common(self, a: str, b: str) -> list[int]:
+        """World vertices that both runs detected, ascending; none if the worlds differ."""
+        if self.runs[a].world != self.runs[b].world:
+            return []
+        return sorted(self.runs[a].detected & self.runs[b].detected)
+
+    def linked(self, least_common: int = 1) -> list[set[str]]:
+        """Groups of runs that a chain of pairs with so many common vertices links, by first name.
+
+        These are the components that a perfect merge finds.
+        """
+        groups = [{name} for name in sorted(self.runs)]
+        for a, b in combinations(sorted(self.runs), 2):
+            if len(self.common(a, b)) >= least_common:
+                of_a = next(g for g in groups if a in g)
+                of_b = next(g for g in groups if b in g)
+                if of_a is not of_b:
+                    of_a |= of_b
+                    groups.remove(of_b)
+        return groups
+
+
+def truth_transform(truth: Truth, a: str, b: str) -> FloatArray:
+    """(3,) T_a_b between the odometry frames of two runs of one world, by their first poses.
+
+    ValueError if the runs belong to different worlds.
+    """
+    run_a, run_b = truth.runs[a], truth.runs[b]
+    if run_a.world != run_b.world:
+        raise ValueError(f"{a} and {b} belong to different worlds")
+    return between(run_a.T_world_odom, run_b.T_world_odom)
+
+
+def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
+    """(k,) the world vertex that the run was passing at each time; NO_VERTEX where none.
+
+    A time belongs to the nearest detected pass, if that is within PASS_TOLERANCE_NS; the times
+    are those of observations or passes, by the detector's clock. O((k + p) log p).
+    """
+    of_run = truth.runs[run]
+    seen = np.flatnonzero(of_run.messages > 0)
+    query = np.asarray(time_ns, np.int64)
+    if len(seen) == 0:
+        return np.full(len(query), NO_VERTEX, np.int64)
+    start, end = of_run.start_ns[seen], of_run.end_ns[seen]
+    after = np.searchsorted(start, query, side="right")
+    before = np.clip(after - 1, 0, len(seen) - 1)
+    after = np.clip(after, 0, len(seen) - 1)
+
+    def away(i: IntArray) -> IntArray:
+        outside: IntArray = np.maximum(np.maximum(start[i] - query, query - end[i]), 0)
+        return outside
+
+    nearest = np.where(away(before) <= away(after), before, after)
+    vertex = of_run.vertex[seen[nearest]]
+    return np.where(away(nearest) <= PASS_TOLERANCE_NS, vertex, NO_VERTEX)
+
+
+def true_vertex_of_nodes(truth: Truth, topomap: TopoMap) -> IntArray:
+    """(n,) the world vertex that every vertex of a run's map stands for.
+
+    NO_VERTEX where all its observations are phantoms, MIXED where they belong to several places:
+    such a node is a false loop closure.
+    """
+    of_pass = true_vertex_of_passes(truth, topomap.run, topomap.observation_time_ns)
+    out = np.full(len(topomap), NO_VERTEX, np.int64)
+    for node, vertex in zip(topomap.observation_vertex.tolist(), of_pass.tolist(), strict=True):
+        if out[node] in (NO_VERTEX, vertex):
+            out[node] = vertex
+        elif vertex != NO_VERTEX:
+            out[node] = MIXED
+    return out
+
+
+def best_transform(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> FloatArray:
+    """(3,) T_a_b that lays the common vertices of two maps over one another best.
+
+    What a perfect merge of these two maps, drifted as they are, would answer. ValueError if they
+    have no common vertex.
+    """
+    in_a, in_b = _common_nodes(truth, map_a, map_b)
+    return fit_rigid(map_a.xy[in_a], map_b.xy[in_b])
+
+
+def placement_error(
+    truth: Truth, map_a: TopoMap, map_b: TopoMap, T_a_b: FloatArray
+) -> tuple[float, float]:
+    """How far a transform is from the best one: (metres, radians).
+
+    The metres are the mean distance by which it misplaces the common vertices of b, so they do not
+    depend on where b's frame has its origin. ValueError if the maps have no common vertex.
+    """
+    _, in_b = _common_nodes(truth, map_a, map_b)
+    best = best_transform(truth, map_a, map_b)
+    off = apply(T_a_b, map_b.xy[in_b]) - apply(best, map_b.xy[in_b])
+    return float(np.mean(np.hypot(*off.T))), float(abs(wrap(T_a_b[2] - best[2])))
+
+
+def _common_nodes(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> tuple[IntArray, IntArray]:
+    """Nodes of a and nodes of b, pair by pair the same place; ValueError if there are none."""
+    a, b = true_vertex_of_nodes(truth, map_a), true_vertex_of_nodes(truth, map_b)
+    same_world = truth.runs[map_a.run].world == truth.runs[map_b.run].world
+    in_a, in_b = np.nonzero((a[:, None] == b[None, :]) & (a[:, None] >= 0) & same_world)
+    if len(in_a) == 0:
+        raise ValueError(f"{map_a.run} and {map_b.run} have no common vertex")
+    return in_a, in_b
+
+
+def truth_to_document(truth: Truth) -> dict[str, Any]:
+    """The dict of `truth.json`; inverse of `truth_from_document`."""
+    pairs = []
+    for a, b in combinations(sorted(truth.runs), 2):
+        if truth.runs[a].world == truth.runs[b].world:
+            transform = _rounded(truth_transform(truth, a, b), 6)
+            pairs.append({"a": a, "b": b, "common": truth.common(a, b), "transform": transform})
+    return {
+        "schema": TRUTH_SCHEMA,
+        "worlds": {name: _world_to_document(w) for name, w in truth.worlds.items()},
+        "runs": {name: _run_to_document(truth.runs[name]) for name in sorted(truth.runs)},
+        "pairs": pairs,
+    }
+
+
+def _rounded(values: Any, decimals: int) -> Any:
+    return (np.round(np.asarray(values, np.float64), decimals) + 0.0).tolist()
+
+
+def _world_to_document(world: World) -> dict[str, Any]:
+    ends = zip(world.source.tolist(), world.target.tolist(), strict=True)
+    return {
+        "kind": world.kind,
+        "vertices": _rounded(world.xy, 3),
+        "edges": [
+            [u, v, _rounded(world.length[i], 3), _rounded(world.paths[i], 3)]
+            for i, (u, v) in enumerate(ends)
+        ],
+    }
+
+
+def _run_to_document(run: RunTruth) -> dict[str, Any]:
+    path = zip(run.path_ns.tolist(), _rounded(run.path, 3), strict=True)
+    return {
+        "world": run.world,
+        "T_world_odom": _rounded(run.T_world_odom, 6),
+        "passes": {
+            "start_ns": run.start_ns.tolist(),
+            "end_ns": run.end_ns.tolist(),
+            "vertex": run.vertex.tolist(),
+            "messages": run.messages.tolist(),
+            "fault": list(run.fault),
+        },
+        "drives": {
+            "edge": run.drive_edge.tolist(),
+            "start_ns": run.drive_start_ns.tolist(),
+            "end_ns": run.drive_end_ns.tolist(),
+        },
+        "closed_edges": list(run.closed_edges),
+        "break_ns": list(run.break_ns),
+        "jump_ns": list(run.jump_ns),
+        "path": [[t, *pose] for t, pose in path],
+        "settings": dict(run.settings),
+    }
+
+
+def truth_from_document(doc: Any, name: str = "truth") -> Truth:
+    """The truth that a parsed document describes; DocumentError if it is no such document."""
+    if not isinstance(doc, dict) or doc.get("schema") != TRUTH_SCHEMA:
+        raise DocumentError(f"{name}: is not a document of schema {TRUTH_SCHEMA}")
+    try:
+        worlds = {key: _world_from_document(key, w) for key, w in doc["worlds"].items()}
+        runs = {key: _run_from_document(key, r) for key, r in doc["runs"].items()}
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise DocumentError(f"{name}: {type(error).__name__}: {error}") from error
+    return Truth(worlds, runs)
+
+
+def _world_from_document(name: str, doc: Any) -> World:
+    edges = doc["edges"]
+    return World(
+        name=name,
+        kind=doc["kind"],
+        xy=np.array(doc["vertices"], np.float64).reshape(-1, 2),
+        source=np.array([e[0] for e in edges], np.int64),
+        target=np.array([e[1] for e in edges], np.int64),
+        paths=tuple(np.array(e[3], np.float64) for e in edges),
+    )
+
+
+def _run_from_document(name: str, doc: Any) -> RunTruth:
+    passes, drives, path = doc["passes"], doc["drives"], doc["path"]
+    return RunTruth(
+        name=name,
+        world=doc["world"],
+        T_world_odom=np.array(doc["T_world_odom"], np.float64),
+        start_ns=np.array(passes["start_ns"], np.int64),
+        end_ns=np.array(passes["end_ns"], np.int64),
+        vertex=np.array(passes["vertex"], np.int64),
+        messages=np.array(passes["messages"], np.int64),
+        fault=tuple(passes["fault"]),
+        drive_edge=np.array(drives["edge"], np.int64),
+        drive_start_ns=np.array(drives["start_ns"], np.int64),
+        drive_end_ns=np.array(drives["end_ns"], np.int64),
+        path_ns=np.array([row[0] for row in path], np.int64),
+        path=np.array([row[1:] for row in path], np.float64).reshape(-1, 3),
+        closed_edges=tuple(doc["closed_edges"]),
+        break_ns=tuple(doc["break_ns"]),
+        jump_ns=tuple(doc["jump_ns"]),
+        settings=doc["settings"],
+    )
+
+
+def read_truth(path: Path) -> Truth:
+    """The truth of a `truth.json`; DocumentError if it cannot be read or is no such document."""
+    return truth_from_document(read_json(path), str(path))
+
+
+def write_truth(path: Path, truth: Truth) -> None:
+    """Write `truth.json`."""
+    write_json(path, truth_to_document(truth))

@@ -1,0 +1,189 @@
+"""How a robot explores: which corridor it takes next."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..topology.errors import UsageError
+from ..topology.se2 import wrap
+from .chance import Chance
+from .faults import Faults
+from .world import World
+
+
+@dataclass(frozen=True, slots=True)
+class WalkSettings:
+    """How thoroughly a robot explores its region."""
+
+    coverage: float = 0.97
+    """Stop when this share of the region's corridors is driven."""
+    revisit_share: float = 0.15
+    """Then drive to known places for this share of the way so far, which closes more loops."""
+    detour_rate: float = 0.03
+    """Before a step: chance of going to some known place instead of exploring on."""
+
+    def __post_init__(self) -> None:
+        for name in ("coverage", "detour_rate"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UsageError(f"{name} is a share, from 0 to 1, not {getattr(self, name)}")
+        if not 0 <= self.revisit_share <= 100:
+            raise UsageError(f"revisit_share must lie in 0 … 100, not {self.revisit_share}")
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A corridor driven from `source` to `target`; or, with turn_back_m, so far in and back."""
+
+    edge: int
+    source: int
+    target: int
+    turn_back_m: float | None = None
+
+
+def explore(
+    world: World, region: set[int], settings: WalkSettings, faults: Faults, chance: Chance
+) -> tuple[list[Leg], set[int]]:
+    """The legs of one run inside a connected region, and the corridors closed during it.
+
+    The robot takes an untried corridor where it stands, rather ahead than aside, else it goes the
+    shortest known way to the nearest place that has one.
+    """
+    inside = [
+        e
+        for e, (u, v) in enumerate(zip(world.source.tolist(), world.target.tolist(), strict=True))
+        if u in region and v in region
+    ]
+    closed = _closed(world, inside, faults.closed_share, chance)
+    open_edges = set(inside) - closed
+    starts = sorted({int(end[e]) for e in open_edges for end in (world.source, world.target)})
+    if not starts:
+        return [], closed
+    walker = _Walker(world, open_edges, starts[chance.index(len(starts))])
+    while len(walker.driven) < settings.coverage * len(open_edges):
+        if len(walker.known) > 6 and chance.one_happens(settings.detour_rate):
+            walker.go_to(_some_known(walker, chance))
+        elif not walker.try_here(chance) and not walker.go_to_nearest_untried():
+            break
+    stop = walker.way_m * (1 + settings.revisit_share)
+    while walker.way_m < stop and len(walker.known) > 1:
+        walker.go_to(_some_known(walker, chance))
+    return _with_turns_back(world, walker.legs, faults.turn_back_rate, chance), closed
+
+
+def _closed(world: World, inside: list[int], share: float, chance: Chance) -> set[int]:
+    """Corridors to close: a random share, but what a spanning forest of the rest needs stays.
+
+    Dead ends may be shut away; the region's loops open, its parts stay together.
+    """
+    if share == 0:
+        return set()
+    drawn = {e for e, hit in zip(inside, chance.happens(share, len(inside)), strict=True) if hit}
+    degree = world.branches.counts
+    root = list(range(len(world)))
+
+    def find(v: int) -> int:
+        while root[v] != v:
+            root[v] = root[root[v]]
+            v = root[v]
+        return v
+
+    closed = set()
+    for e in sorted(inside, key=lambda e: (e in drawn, e)):
+        u, v = int(world.source[e]), int(world.target[e])
+        apart = find(u) != find(v)
+        if e in drawn and (not apart or min(degree[u], degree[v]) == 1):
+            closed.add(e)
+        elif apart:
+            root[find(u)] = find(v)
+    return closed
+
+
+def _some_known(walker: _Walker, chance: Chance) -> int:
+    options = sorted(walker.known - {walker.here})
+    return options[chance.index(len(options))]
+
+
+def _with_turns_back(world: World, legs: list[Leg], rate: float, chance: Chance) -> list[Leg]:
+    """The legs, some of them begun, broken off and begun again."""
+    out = []
+    turns, parts = chance.happens(rate, len(legs)), chance.uniform(0.0, 1.0, len(legs))
+    for leg, turn, part in zip(legs, turns.tolist(), parts.tolist(), strict=True):
+        length = float(world.length[leg.edge])
+        if turn and length > 5.0:
+            way = float(np.round(2.4 + part * (length - 4.6), 3))
+            out.append(Leg(leg.edge, leg.source, leg.target, way))
+        out.append(leg)
+    return out
+
+
+class _Walker:
+    """A robot on its way: where it is, what it knows."""
+
+    def __init__(self, world: World, edges: set[int], start: int) -> None:
+        self.world, self.edges, self.here = world, edges, start
+        self.legs: list[Leg] = []
+        self.known, self.driven = {start}, set[int]()
+        self.way_m = 0.0
+
+    def go(self, edge: int, target: int) -> None:
+        self.legs.append(Leg(edge, self.here, target))
+        self.driven.add(edge)
+        self.known.add(target)
+        self.here = target
+        self.way_m += float(self.world.length[edge])
+
+    def untried(self, vertex: int) -> list[tuple[int, int, float]]:
+        ends = self.world.ends(vertex)
+        return [end for end in ends if end[0] in self.edges and end[0] not in self.driven]
+
+    def try_here(self, chance: Chance) -> bool:
+        """Take an untried corridor here, if there is one."""
+        options = self.untried(self.here)
+        if not options:
+            return False
+        ahead = self._heading_ahead()
+        turns = np.array([0.0 if ahead is None else wrap(h - ahead) for _, _, h in options])
+        edge, target, _ = options[chance.weighted_index(1.3 + np.cos(np.round(turns, 6)))]
+        self.go(edge, target)
+        return True
+
+    def _heading_ahead(self) -> float | None:
+        if not self.legs:
+            return None
+        came_by = self.legs[-1].edge
+        return next(h + np.pi for e, _, h in self.world.ends(self.here) if e == came_by)
+
+    def go_to_nearest_untried(self) -> bool:
+        """Drive to the nearest known place with an untried corridor; False if there is none."""
+        return self._drive({v for v in self.known if self.untried(v)})
+
+    def go_to(self, vertex: int) -> None:
+        """Drive the shortest known way to a place."""
+        self._drive({vertex})
+
+    def _drive(self, goals: set[int]) -> bool:
+        """Dijkstra over the corridors driven so far."""
+        reached, came = {self.here: 0.0}, dict[int, tuple[int, int]]()
+        heap = [(0.0, self.here)]
+        while heap:
+            way, vertex = heapq.heappop(heap)
+            if way > reached[vertex]:
+                continue
+            if vertex in goals and vertex != self.here:
+                steps = []
+                while vertex != self.here:
+                    edge, before = came[vertex]
+                    steps.append((edge, vertex))
+                    vertex = before
+                for edge, target in reversed(steps):
+                    self.go(edge, target)
+                return True
+            for edge, other, _ in self.world.ends(vertex):
+                new = way + float(self.world.length[edge])
+                if edge in self.driven and new < reached.get(other, np.inf):
+                    reached[other], came[other] = new, (edge, vertex)
+                    heapq.heappush(heap, (new, other))
+        return False

@@ -1,0 +1,171 @@
+"""Worlds: junctions in the plane, joined by corridors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..topology.frozen import frozen_array
+from ..topology.ragged import Ragged
+from ..topology.se2 import wrap
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BRANCH_REACH_M = 0.7
+"""A branch points to where its corridor is at this distance along the way."""
+
+COORDINATE_DECIMALS = 3
+
+Link = tuple[int, int, FloatArray]
+"""Two vertices and the polyline (k, 2) between them; the form in which worlds are built."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """A connected multigraph of `n` junctions and `m` corridors, without loops to oneself.
+
+    xy: (n, 2) [m]; source, target: (m,); paths: m polylines (k, 2) from source to target.
+    Derived: length: (m,) [m]; branches: n rows of headings [rad], ascending in [-pi, pi);
+    branch_edge, branch_other: for every value of `branches`, the corridor that leaves there and
+    the vertex at its far end. Raises ValueError where the parts do not fit.
+    """
+
+    name: str
+    kind: str
+    xy: FloatArray
+    source: IntArray
+    target: IntArray
+    paths: tuple[FloatArray, ...]
+    length: FloatArray = field(init=False)
+    branches: Ragged = field(init=False)
+    branch_edge: IntArray = field(init=False)
+    branch_other: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.xy), len(self.source)
+        paths = tuple(frozen_array(p, np.float64, (None, 2), "path") for p in self.paths)
+        source = frozen_array(self.source, np.int64, (m,), "source")
+        target = frozen_array(self.target, np.int64, (m,), "target")
+        xy = frozen_array(self.xy, np.float64, (n, 2), "xy")
+        if len(paths) != m or np.any(source == target):
+            raise ValueError("one path per edge is needed, and no edge may join a vertex to itself")
+        for u, v, path in zip(source.tolist(), target.tolist(), paths, strict=True):
+            if not (np.array_equal(path[0], xy[u]) and np.array_equal(path[-1], xy[v])):
+                raise ValueError(f"the path of corridor {u} to {v} does not begin and end there")
+        length = np.array([polyline_length(p) for p in paths])
+        heading = [polyline_heading(p) for p in paths] + [polyline_heading(p[::-1]) for p in paths]
+        vertex = np.concatenate([source, target])
+        order = np.lexsort((np.array(heading), vertex))
+        offsets = np.searchsorted(vertex[order], np.arange(n + 1))
+        values = {
+            "xy": xy,
+            "source": source,
+            "target": target,
+            "paths": paths,
+            "length": frozen_array(length, np.float64, (m,), "length"),
+            "branches": Ragged(offsets, np.array(heading)[order]),
+            "branch_edge": frozen_array(order % m, np.int64, (2 * m,), "branch_edge"),
+            "branch_other": frozen_array(
+                np.concatenate([target, source])[order], np.int64, (2 * m,), "branch_other"
+            ),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        """Number of vertices."""
+        return len(self.xy)
+
+    def ends(self, vertex: int) -> list[tuple[int, int, float]]:
+        """(corridor, vertex at its far end, heading [rad]) of each branch of a vertex."""
+        rows = slice(*self.branches.offsets[vertex : vertex + 2].tolist())
+        edges, others = self.branch_edge[rows].tolist(), self.branch_other[rows].tolist()
+        return list(zip(edges, others, self.branches[vertex].tolist(), strict=True))
+
+    def path_from(self, edge: int, vertex: int) -> FloatArray:
+        """(k, 2) polyline of a corridor, beginning at the given one of its ends."""
+        path = self.paths[edge]
+        return path if int(self.source[edge]) == vertex else path[::-1]
+
+
+def polyline_at(path: FloatArray, way_m: FloatArray) -> FloatArray:
+    """(k, 2) points at the given ways along a polyline, held at its ends."""
+    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    return np.column_stack([np.interp(way_m, at, path[:, 0]), np.interp(way_m, at, path[:, 1])])
+
+
+def polyline_length(path: FloatArray) -> float:
+    """Way along a polyline [m]."""
+    return float(np.sum(np.hypot(*np.diff(path, axis=0).T)))
+
+
+def polyline_heading(path: FloatArray) -> float:
+    """Direction [rad] in which a polyline leaves its first point, measured over BRANCH_REACH_M."""
+    reach = min(BRANCH_REACH_M, 0.5 * polyline_length(path))
+    dx, dy = polyline_at(path, np.array([reach]))[0] - path[0]
+    return float(np.round(wrap(np.arctan2(dy, dx)), 9))
+
+
+def straight(xy: FloatArray, u: int, v: int) -> Link:
+    """A straight corridor between two vertices."""
+    return u, v, np.array([xy[u], xy[v]])
+
+
+def without_bends(links: Sequence[Link], is_junction: NDArray[np.bool_]) -> list[Link]:
+    """The links with every vertex of two corridors that is no junction turned into a bend.
+
+    A vertex stays where joining its corridors would make a loop to oneself. O(links).
+    """
+    joined: dict[int, Link] = dict(enumerate(links))
+    at: list[set[int]] = [set() for _ in is_junction]
+    for i, (u, v, _) in joined.items():
+        at[u].add(i)
+        at[v].add(i)
+    for vertex in np.flatnonzero(~is_junction).tolist():
+        if len(at[vertex]) != 2:
+            continue
+        first, second = sorted(at[vertex])
+        u, path_in = _towards(joined[first], vertex)
+        w, path_out = _towards(joined[second], vertex)
+        if u == w:
+            continue
+        joined[first] = (u, w, np.concatenate([path_in, path_out[-2::-1]]))
+        del joined[second]
+        at[w] = (at[w] - {second}) | {first}
+        at[vertex] = set()
+    return [joined[i] for i in sorted(joined)]
+
+
+def _towards(link: Link, vertex: int) -> tuple[int, FloatArray]:
+    """The other end of a link, and its path from there to `vertex`."""
+    u, v, path = link
+    return (u, path) if v == vertex else (v, path[::-1])
+
+
+def world_of_links(name: str, kind: str, xy: FloatArray, links: Sequence[Link]) -> World:
+    """The largest connected part of what is given, vertices renumbered in their order."""
+    xy = np.round(xy, COORDINATE_DECIMALS) + 0.0
+    ends = np.array([(u, v) for u, v, _ in links], np.int64).reshape(-1, 2)
+    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(xy), len(xy)))
+    _, part = connected_components(graph, directed=False)
+    keep = part == np.bincount(part[ends[:, 0]]).argmax()
+    number = np.cumsum(keep) - 1
+    chosen = [(u, v, path) for u, v, path in links if keep[u]]
+    paths = []
+    for u, v, path in chosen:
+        inner = np.round(path[1:-1], COORDINATE_DECIMALS) + 0.0
+        paths.append(np.concatenate([xy[u : u + 1], inner, xy[v : v + 1]]))
+    return World(
+        name=name,
+        kind=kind,
+        xy=xy[keep],
+        source=np.array([number[u] for u, _, _ in chosen], np.int64),
+        target=np.array([number[v] for _, v, _ in chosen], np.int64),
+        paths=tuple(paths),
+    )

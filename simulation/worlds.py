@@ -1,0 +1,369 @@
+"""Kinds of world: rectilinear mazes, repetitive offices, organic ways, city blocks, equal rows.
+
+Corners count as junctions in mazes and offices; elsewhere a bend is no junction. `aspect` is
+length over width, so that a row of overlapping runs finds room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.errors import UsageError
+from ..topology.se2 import wrap
+from .chance import Chance
+from .world import (
+    FloatArray,
+    Link,
+    World,
+    polyline_heading,
+    straight,
+    without_bends,
+    world_of_links,
+)
+
+STRAIGHT_RAD = 0.05
+"""Two corridors that go on this straight make no junction."""
+
+
+def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """A rectilinear maze: a random spanning tree of an uneven grid, with loops broken in.
+
+    Rows and columns lie 2.5 to 8 m apart. About `junctions` vertices of one to four branches.
+    """
+    chance = Chance("maze", seed)
+    x, y, walls = _lattice(junctions / 0.86, aspect, 2, (2.5, 8.0), chance)
+    xy = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+    opened = _growing_tree(walls, len(xy), chance) | chance.happens(0.25, len(walls))
+    return _straight_world("maze", junctions, seed, xy, walls[opened].tolist())
+
+
+def _lattice(
+    cells: float, aspect: float, least: int, apart_m: tuple[float, float], chance: Chance
+) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """An uneven grid of about so many cells, numbered row by row, at least so many per row and
+    column: where its columns (c,) and rows (r,) are, and pairs (w, 2) of cells side by side."""
+    columns = max(least, round(np.sqrt(cells * aspect)))
+    rows = max(least, round(cells / columns))
+    x, y = (
+        np.concatenate([[0.0], np.cumsum(chance.uniform(*apart_m, count - 1))])
+        for count in (columns, rows)
+    )
+    return x, y, np.concatenate(_neighbours(columns, rows))
+
+
+def _neighbours(columns: int, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs (w, 2) of cells, numbered row by row, that are side by side in a row; in a column."""
+    cell = np.arange(rows * columns).reshape(rows, columns)
+    across = np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()])
+    along = np.column_stack([cell[:-1].ravel(), cell[1:].ravel()])
+    return across, along
+
+
+def _growing_tree(walls: NDArray[np.int64], cells: int, chance: Chance) -> NDArray[np.bool_]:
+    """Which walls to open so that all cells hang together: mostly on from the newest cell."""
+    beside: list[list[tuple[int, int]]] = [[] for _ in range(cells)]
+    for wall, (u, v) in enumerate(walls.tolist()):
+        beside[u].append((wall, v))
+        beside[v].append((wall, u))
+    opened = np.zeros(len(walls), np.bool_)
+    active = [chance.index(cells)]
+    reached = set(active)
+    while active:
+        at = len(active) - 1 if chance.one_happens(0.7) else chance.index(len(active))
+        new = [(wall, cell) for wall, cell in beside[active[at]] if cell not in reached]
+        if not new:
+            active.pop(at)
+            continue
+        wall, cell = new[chance.index(len(new))]
+        opened[wall] = True
+        reached.add(cell)
+        active.append(cell)
+    return opened
+
+
+def _straight_world(
+    kind: str, junctions: int, seed: int, xy: FloatArray, pairs: Iterable[Sequence[int]]
+) -> World:
+    """A world of straight corridors between pairs of points; of two in line one is made."""
+    links = [straight(xy, u, v) for u, v in pairs]
+    links = without_bends(links, ~_goes_straight(len(xy), links))
+    return world_of_links(f"{kind}-{junctions}-{seed}", kind, xy, links)
+
+
+def _goes_straight(count: int, links: list[Link]) -> NDArray[np.bool_]:
+    """(count,) vertices of just two corridors that leave in opposite directions."""
+    leaving: list[list[float]] = [[] for _ in range(count)]
+    for u, v, path in links:
+        leaving[u].append(polyline_heading(path))
+        leaving[v].append(polyline_heading(path[::-1]))
+    return np.array(
+        [len(h) == 2 and abs(wrap(h[0] - h[1] + np.pi)) < STRAIGHT_RAD for h in leaving]
+    )
+
+
+def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """A building of wings that repeat one plan, along one main corridor.
+
+    Every wing has two corridors with rooms at even spacing, joined halfway and at the far end;
+    wings lie on both sides of the main corridor. The copies differ by 2 % in lengths (1 sigma) and
+    by one door in sixteen. `aspect` has no effect: a building grows along its main corridor.
+    """
+    chance = Chance("office", seed)
+    rooms = 7
+    plan = chance.happens(0.85, 4 * rooms).reshape(2, 2, rooms)
+    plan[..., rooms // 2] = False  # where the two corridors are joined
+    wings = max(1, round(junctions / (2 + 2 * rooms + plan.sum())))
+    xy: list[tuple[float, float]] = []
+    links: list[tuple[int, int]] = []
+
+    def vertex(x: float, y: float, joined_to: int | None) -> int:
+        xy.append((x, y))
+        if joined_to is not None:
+            links.append((joined_to, len(xy) - 1))
+        return len(xy) - 1
+
+    last: int | None = None
+    for pair in range((wings + 1) // 2):
+        x_main = pair * 21.0 + np.cumsum([0.0, 9.0]) * (1 + chance.one_normal(0.02))
+        feet = []
+        for x in x_main.tolist():
+            last = vertex(x, 0.0, last)
+            feet.append(last)
+        for side in (1.0, -1.0)[: min(2, wings - 2 * pair)]:
+            doors = plan ^ chance.happens(1 / 16, plan.size).reshape(plan.shape)
+            doors[..., rooms // 2] = False
+            _add_wing(
+                vertex,
+                links,
+                feet=feet,
+                x_main=x_main,
+                side=side,
+                doors=doors,
+                chance=chance,
+            )
+    return _straight_world("office", junctions, seed, np.array(xy), links)
+
+
+def _add_wing(
+    vertex: Callable[[float, float, int | None], int],
+    links: list[tuple[int, int]],
+    *,
+    feet: list[int],
+    x_main: FloatArray,
+    side: float,
+    doors: NDArray[np.bool_],
+    chance: Chance,
+) -> None:
+    """One wing: a corridor from each foot with rooms to the left and right, joined twice.
+
+    The wing opposite is this one turned by half a circle, so its corridors change places.
+    """
+    room = 3.0
+    along = side * np.cumsum(4.2 * (1 + chance.normal(0.02, doors.shape[2] + 1)))
+    joins: list[list[int]] = []
+    for corridor in (0, 1):
+        foot = corridor if side > 0 else 1 - corridor
+        x, here = float(x_main[foot]), feet[foot]
+        joins.append([])
+        for number, y in enumerate(along[:-1].tolist()):
+            here = vertex(x, y, here)
+            if number == doors.shape[2] // 2:
+                joins[-1].append(here)
+            for wall, direction in enumerate((-side, side)):
+                if doors[corridor, wall, number]:
+                    vertex(x + direction * room * (1 + chance.one_normal(0.02)), y, here)
+        joins[-1].append(vertex(x, float(along[-1]), here))
+    links.extend(zip(*joins, strict=True))
+
+
+def organic_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """Streets: junctions at uneven distances, arbitrary angles, curved corridors.
+
+    A Gabriel graph of scattered points (two points are neighbours if the disc between them is
+    empty), thinned at random and where streets would leave too close together.
+    """
+    from scipy.spatial import Delaunay
+
+    chance = Chance("organic", seed)
+    xy = _scattered(round(junctions * 1.22) + 4, aspect, chance)
+    triangles = Delaunay(xy).simplices
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=1)
+    pairs = _gabriel(xy, np.unique(sides, axis=0).astype(np.int64))
+    pairs = _thinned(xy, pairs, chance)
+    paths = _curved(xy, pairs, chance)
+    links = [(u, v, path) for (u, v), path in zip(pairs.tolist(), paths, strict=True)]
+    degree = np.bincount(pairs.ravel(), minlength=len(xy))
+    links = without_bends(links, degree != 2)
+    return world_of_links(f"organic-{junctions}-{seed}", "organic", xy, links)
+
+
+def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """City blocks: streets that meet nearly at right angles, of a grid that turns on its way.
+
+    An uneven grid, its crossings moved by 6 % of their distances, one street in six not built,
+    bent by the conformal map w = z + a z² (right angles stay right, directions change by some 50°
+    from end to end, lengths by half). What is rectilinear at every crossing is not as a whole.
+    """
+    chance = Chance("city", seed)
+    x, y, streets = _lattice(junctions / 0.9, aspect, 3, (6.0, 12.0), chance)
+    z = np.tile(x - x.mean(), len(y)) + 1j * np.repeat(y - y.mean(), len(x))
+    z = z + 0.5 * (chance.normal(1.0, len(z)) + 1j * chance.normal(1.0, len(z)))
+    bend = 0.22 / float(np.abs(z).max()) * np.exp(1j * chance.uniform(-np.pi, np.pi, 1)[0])
+
+    def bent(flat: NDArray[np.complex128]) -> FloatArray:
+        w = flat + bend * flat**2
+        return np.column_stack([w.real, w.imag])
+
+    built = _growing_tree(streets, len(z), chance) | chance.happens(0.7, len(streets))
+    way = np.linspace(0.0, 1.0, 6)
+    links: list[Link] = [
+        (u, v, bent(z[u] + way * (z[v] - z[u]))) for u, v in streets[built].tolist()
+    ]
+    degree = np.bincount(streets[built].ravel(), minlength=len(z))
+    links = without_bends(links, degree != 2)
+    return world_of_links(f"city-{junctions}-{seed}", "city", bent(z), links)
+
+
+def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """Rows of crops or racks: aisles 3 m apart, to 1 %, between two or three cross ways.
+
+    One aisle in twenty-five is blocked. What tells one aisle from the next is little more than how
+    far the robot thinks it has come. `aspect` has no effect: a field grows along its cross ways.
+    """
+    chance = Chance("rows", seed)
+    ways = 2 + int(chance.one_happens(0.5))
+    aisles = max(3, round(junctions / ways))
+    x = np.cumsum(3.0 * (1 + chance.normal(0.01, aisles)))
+    y = 30.0 * np.arange(ways)
+    xy = np.column_stack([np.tile(x, ways), np.repeat(y, aisles)])
+    across, along = _neighbours(aisles, ways)
+    open_to_drive = ~chance.happens(0.04, len(along))
+    pairs = np.concatenate([across, along[open_to_drive]])
+    return _straight_world("rows", junctions, seed, xy, pairs.tolist())
+
+
+def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:
+    """(count, 2) points in a rectangle, no two nearer than 4.8 m, about 7.5 m apart."""
+    area = count * 7.5**2 * 0.9
+    size = np.array([np.sqrt(area * aspect), np.sqrt(area / aspect)])
+    chosen = np.zeros((0, 2))
+    # Dart throwing in batches: the batch against what stands, then the batch against itself.
+    while len(chosen) < count:
+        darts = chance.uniform(0.0, 1.0, 8 * count).reshape(-1, 2) * size
+        for dart in darts:
+            if len(chosen) == count:
+                break
+            if not len(chosen) or np.min(np.hypot(*(chosen - dart).T)) > 4.8:
+                chosen = np.concatenate([chosen, dart[None]])
+        else:
+            size = size * 1.02
+    return chosen
+
+
+def _gabriel(xy: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The pairs whose disc of diameter u–v holds no other point."""
+    from scipy.spatial import cKDTree
+
+    middle = 0.5 * (xy[pairs[:, 0]] + xy[pairs[:, 1]])
+    nearest, _ = cKDTree(xy).query(middle)
+    radius = 0.5 * np.hypot(*(xy[pairs[:, 0]] - xy[pairs[:, 1]]).T)
+    kept: NDArray[np.int64] = pairs[(nearest >= radius - 1e-9) & (radius < 8.0)]
+    return kept
+
+
+def _thinned(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> NDArray[np.int64]:
+    """A random spanning forest of the pairs, and of the others those that crowd nobody.
+
+    A street that closes a loop is built with probability 0.7, if it leaves both its junctions
+    at 50° or more from every street there and neither has five streets.
+    """
+    root = list(range(len(xy)))
+
+    def find(u: int) -> int:
+        while root[u] != u:
+            root[u] = root[root[u]]
+            u = root[u]
+        return u
+
+    step = xy[pairs[:, 1]] - xy[pairs[:, 0]]
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    headings: list[list[float]] = [[] for _ in xy]
+    wanted = chance.happens(0.7, len(pairs))
+    order = np.argsort(np.hypot(*step.T) * chance.uniform(0.6, 1.4, len(pairs)), kind="stable")
+    tree, loops = [], []
+    for i in order.tolist():
+        u, v = pairs[i].tolist()
+        if find(u) != find(v):
+            root[find(u)] = find(v)
+            tree.append(i)
+            headings[u].append(float(heading[i]))
+            headings[v].append(float(wrap(heading[i] + np.pi)))
+        else:
+            loops.append(i)
+    for i in loops:
+        u, v = pairs[i].tolist()
+        out, back = float(heading[i]), float(wrap(heading[i] + np.pi))
+        roomy = len(headings[u]) < 5 and len(headings[v]) < 5
+        if wanted[i] and roomy and _clear(out, headings[u], 50) and _clear(back, headings[v], 50):
+            tree.append(i)
+            headings[u].append(out)
+            headings[v].append(back)
+    built: NDArray[np.int64] = pairs[np.sort(tree)]
+    return built
+
+
+def _clear(heading: float, others: list[float], least_deg: float) -> bool:
+    return all(abs(wrap(heading - other)) >= np.radians(least_deg) for other in others)
+
+
+def _curved(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> list[FloatArray]:
+    """A path for every pair: bowed sideways by up to 14 % of its length where there is room."""
+    from scipy.spatial import cKDTree
+
+    t = np.linspace(0.0, 1.0, 13)
+    bows = chance.uniform(-0.14, 0.14, len(pairs))
+    paths = [np.array([xy[u], xy[v]]) for u, v in pairs.tolist()]
+    leaving: list[dict[int, float]] = [{} for _ in xy]
+    for i, (u, v) in enumerate(pairs.tolist()):
+        leaving[u][i] = polyline_heading(paths[i])
+        leaving[v][i] = polyline_heading(paths[i][::-1])
+    fine = xy[pairs[:, :1]] + np.linspace(0, 1, 25)[None, :, None] * (
+        xy[pairs[:, 1:]] - xy[pairs[:, :1]]
+    )
+    tree, owner = cKDTree(fine.reshape(-1, 2)), np.repeat(np.arange(len(pairs)), 25)
+    for i, (u, v) in enumerate(pairs.tolist()):
+        across = (xy[v] - xy[u]) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+        bent = xy[u] + t[:, None] * (xy[v] - xy[u])
+        bent = bent + (4 * t * (1 - t) * bows[i])[:, None] * across
+        bent[[0, -1]] = xy[u], xy[v]
+        out, back = polyline_heading(bent), polyline_heading(bent[::-1])
+        if not (
+            _clear(out, [h for k, h in leaving[u].items() if k != i], 40)
+            and _clear(back, [h for k, h in leaving[v].items() if k != i], 40)
+        ):
+            continue
+        near = tree.query_ball_point(bent[3:-3], 1.2 + 0.14 * 8)
+        if {int(owner[k]) for row in near for k in row} <= {i, *leaving[u], *leaving[v]}:
+            paths[i] = bent
+            leaving[u][i], leaving[v][i] = out, back
+    return paths
+
+
+WORLDS: Mapping[str, Callable[[int, int, float], World]] = {
+    "maze": maze_world,
+    "office": office_world,
+    "organic": organic_world,
+    "city": city_world,
+    "rows": rows_world,
+}
+"""Generators by kind: (junctions, seed, aspect) to a world."""
+
+
+def make_world(kind: str, junctions: int, seed: int, aspect: float = 1.0) -> World:
+    """A world of a kind; UsageError if there is no such kind."""
+    if kind not in WORLDS:
+        raise UsageError(f"no world {kind!r}: choose one of {', '.join(WORLDS)}")
+    return WORLDS[kind](junctions, seed, aspect)

@@ -1,0 +1,231 @@
+"""Where the passes and places of a walk lie, given which passes were by the same place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..circular import cluster_angles
+from ..posegraph.samples import SampledMarginals
+from ..posegraph.solve import (
+    Marginals,
+    PoseGraph,
+    Priors,
+    SharedErrors,
+    Solution,
+    SolverSettings,
+    solve,
+)
+from ..se2 import wrap
+from .dead_reckoning import Walk, relative_covariance, systematic_modes
+from .manhattan import GridHeadings
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+_FEW = 40
+"""Nodes whose covariances are worked out exactly: more cost more than the samples do."""
+_SAMPLES = 64
+_CAUTION = 1.1
+"""What the samples may have missed."""
+_SETTLED = 0.1
+"""A step that lowers χ² by less moves no pose by more than a third of its error."""
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutSettings:
+    """How identifications and grid headings pull at the layout."""
+
+    slot_gap_rad: float = 0.35
+    """Branch readings of several passes farther apart than this belong to different branches."""
+    sighting_kernel: float = 3.0
+    """Cauchy width [sigmas] of "this pass was by that place"."""
+    grid_kernel: float = 2.0
+    """Cauchy width [sigmas] of headings taken from the grid of a rectilinear building."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """The solved pose graph of a walk.
+
+    pose: (p, 3) of every pass in the map frame: its centre, and the turn from odometry to map.
+    xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: a vertex of its own
+    if it has several passes, else its pass. sighting: (k,) pass of each sighting edge;
+    sighting_chi2: (k,) its squared error in sigmas. misfit: mean squared error in sigmas per
+    degree of freedom, 1 if the noise of the walk is right; freedom: how many degrees tell it.
+    """
+
+    pose: FloatArray
+    xy: FloatArray
+    node: IntArray
+    sighting: IntArray
+    sighting_chi2: FloatArray
+    misfit: float
+    freedom: int
+    graph: PoseGraph
+    solution: Solution
+
+    def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
+        """(k, 3, 3) of nodes b seen from nodes a, axes of a: exact for few, sampled for many."""
+        if len(np.unique(np.concatenate([a, b]))) <= _FEW:
+            return Marginals.of(self.graph, self.solution).relative(a, b)
+        sampled = SampledMarginals.of(self.graph, self.solution, _SAMPLES)
+        return _CAUTION * sampled.relative(a, b)
+
+
+def lay_out(
+    walk: Walk,
+    place: IntArray,
+    start: FloatArray | None = None,
+    *,
+    turn: FloatArray | None = None,
+    grid: GridHeadings | None = None,
+    settings: LayoutSettings = LayoutSettings(),
+) -> Layout:
+    """Most likely poses of passes and places, from odometry and identifications.
+
+    place: (p,) place of each pass, numbered from 0; negative: none. start: (p, 3) poses to begin
+    with; turn: (p,) turns at which the branches of the passes of one place meet, where these are
+    not (nearly) those of `start` yet.
+
+    Nodes of the pose graph are the passes (at their centre, turned like the odometry's frame) and
+    the places of several passes; legs join passes, sightings join passes to places, the systematic
+    errors of the odometry are variables shared by all legs.
+    """
+    count = len(walk)
+    if start is None:
+        start = _dead_reckoned(walk, grid)
+    places = int(place.max(initial=-1)) + 1
+    visits = np.bincount(place[place >= 0], minlength=places)
+    several = np.flatnonzero(visits > 1)
+    node = np.full(places, -1, np.int64)
+    alone = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] == 1))
+    node[place[alone]] = alone
+    node[several] = count + np.arange(len(several))
+    legs, shared = (
+        _legs(walk),
+        _sightings(walk, place, visits, start[:, 2] if turn is None else turn, settings),
+    )
+    guess = np.zeros((len(several), 3))
+    for k in (0, 1):
+        total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
+        guess[:, k] = total[several] / visits[several]
+    sensitivity = np.zeros((len(legs.row) + len(shared.row), 3, 2))
+    sensitivity[: len(legs.row)] = systematic_modes(walk, legs.row, legs.row + 1)
+    s = walk.systematic
+    graph = PoseGraph(
+        pose=np.vstack([start, guess]),
+        source=np.concatenate([legs.row, shared.row]),
+        target=np.concatenate([legs.row + 1, node[place[shared.row]]]),
+        measurement=np.vstack([legs.measurement, shared.measurement]),
+        information=np.concatenate([legs.information, shared.information]),
+        priors=_priors(grid, settings),
+        shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
+    )
+    graph, solution, chi2 = _solved(graph, len(legs.row), settings)
+    freedom = 3 * (len(shared.row) - len(several))
+    return Layout(
+        pose=solution.pose[:count],
+        xy=solution.pose[node, :2],
+        node=node,
+        sighting=shared.row,
+        sighting_chi2=solution.edge_chi2[len(legs.row) :],
+        misfit=_misfit(chi2, freedom),
+        freedom=freedom,
+        graph=graph,
+        solution=solution,
+    )
+
+
+def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
+    """(p, 3) poses by odometry, its legs turned as the grid of the building says.
+
+    Hundreds of corridors later the headings of the odometry may be anywhere, and from there no
+    solver finds the way back.
+    """
+    centre = walk.passes.centre
+    if grid is None:
+        return np.column_stack([centre, np.zeros(len(centre))])
+    turn, piece = np.zeros(len(centre)), walk.chain[grid.row]
+    for k in np.unique(piece).tolist():
+        mine, known = np.flatnonzero(walk.chain == k), piece == k
+        turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
+    half = 0.5 * (turn[1:] + turn[:-1])
+    step = np.diff(centre, axis=0)
+    c, s = np.cos(half), np.sin(half)
+    steps = np.column_stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]])
+    xy = centre[0] + np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return np.column_stack([xy, wrap(turn)])
+
+
+def _solved(
+    graph: PoseGraph, legs: int, settings: LayoutSettings
+) -> tuple[PoseGraph, Solution, FloatArray]:
+    """Believe every sighting at first: a new identification may pull places together from afar,
+    where a robust kernel would let go of it. Then let go of those that do not fit."""
+    given = SolverSettings(start="given", relative_tolerance=0.0, absolute_tolerance=_SETTLED)
+    solution = solve(graph, given)
+    if np.all(solution.edge_chi2[legs:] < settings.sighting_kernel**2):
+        return graph, solution, solution.edge_chi2
+    width = np.full(len(graph.source), np.inf)
+    width[legs:] = settings.sighting_kernel
+    robust = replace(graph, pose=solution.pose, kernel=width)
+    return robust, solve(robust, given), solution.edge_chi2
+
+
+def _misfit(chi2: FloatArray, freedom: int) -> float:
+    """Σ χ² per degree of freedom, edges beyond 4 sigmas of it counted as 4; 1 if there are few."""
+    if freedom < 12:
+        return 1.0
+    value = float(chi2.sum()) / freedom
+    for _ in range(20):
+        value = float(np.minimum(chi2, 16.0 * value).sum()) / freedom
+    return value
+
+
+def _priors(grid: GridHeadings | None, settings: LayoutSettings) -> Priors:
+    if grid is None:
+        return Priors.empty()
+    kernel = np.full(len(grid.row), settings.grid_kernel)
+    return Priors.headings(grid.row, grid.turn, grid.sigma, kernel)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Factors:
+    """row: (k,) pass that each factor begins at."""
+
+    row: IntArray
+    measurement: FloatArray
+    information: FloatArray
+
+
+def _legs(walk: Walk) -> _Factors:
+    row = np.flatnonzero(np.diff(walk.chain) == 0)
+    cov = relative_covariance(walk, row, row + 1) + np.diag([1e-6, 1e-6, 1e-8])
+    shift = np.diff(walk.passes.centre, axis=0)[row]
+    information: FloatArray = np.linalg.inv(cov).astype(np.float64)
+    return _Factors(row, np.column_stack([shift, np.zeros(len(row))]), information)
+
+
+def _sightings(
+    walk: Walk, place: IntArray, visits: IntArray, turn: FloatArray, settings: LayoutSettings
+) -> _Factors:
+    """Passes of places with several: the centre coincides, the branches fix the direction."""
+    row = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] > 1))
+    branches = walk.passes.branches
+    home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(walk)), place)
+    slots = cluster_angles(
+        branches.values + turn[branches.owner], home[branches.owner], settings.slot_gap_rad
+    )
+    # How each pass would have to be turned for its branches to meet the places' mean branches.
+    off = wrap(slots.mean[slots.of] - branches.values - turn[branches.owner])
+    counts = np.maximum(branches.counts, 1)
+    turn = turn + np.bincount(branches.owner, off, minlength=len(walk)) / counts
+    measurement = np.column_stack([np.zeros((len(row), 2)), wrap(-turn[row])])
+    information = np.zeros((len(row), 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = walk.noise.centre_m**-2
+    information[:, 2, 2] = counts[row] * walk.noise.branch_rad**-2
+    return _Factors(row, measurement, information)

@@ -1,0 +1,409 @@
+"""The full closure: greedy rounds of the most certain identifications.
+
+A run is at hand as a whole, so certainty is collected first and spent later: identify what is
+sure, lay the walk out again, look again with the smaller uncertainty that this leaves.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from .answers import (
+    AGREE,
+    APART,
+    COMMON,
+    DISAGREE,
+    TOGETHER,
+    TORN,
+    UNSURE,
+    Answer,
+    explained,
+    is_open,
+    note,
+    revised_answers,
+    standing_doubts,
+    taken_back,
+)
+from .candidates import Candidates, CandidateSettings, candidates
+from .dead_reckoning import Walk, louder, stretch
+from .detector_faults import RateSettings, measured_rates
+from .estimate import Layout, LayoutSettings, lay_out
+from .evidence import background, rarity, with_pattern
+from .growth import Scene
+from .heading_consistency import bend
+from .joint_compatibility import JointSettings, agreeing
+from .manhattan import GridHeadings, RectilinearSettings, grid_headings
+from .nearest_neighbour import Identification
+from .places import Places, tabulate
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class RoundSettings:
+    """When an identification is certain enough, round by round."""
+
+    thresholds: tuple[float, ...] = (9.0, 7.0, 5.5, 4.5)
+    """Log odds asked of an identification; the next one is used when no more is found."""
+    lead: float = 3.0
+    """Log odds that it must have over every rival that it excludes."""
+    conflict_price: float = 0.2
+    """Added to the threshold for each unit of disagreement."""
+    most_rounds: int = 40
+    caution: float = 1.25
+    """Random errors are taken to be this many times those estimated: a dozen repeats tell a sigma
+    to a quarter."""
+    loud: float = 1.5
+    """Mean squared error, in units of what the noise allows, at which the noise is raised …"""
+    loudest: float = 4.0
+    """… to at most this many times what was estimated."""
+    low: float = 0.35
+    """Mean squared error at which the noise is lowered …"""
+    lowest: float = 0.35
+    """… to at least this share of what was estimated."""
+    strain: float = 30.0
+    """Squared error [3 d.o.f.] of a sighting from which its identification is taken back …"""
+    patience: int = 2
+    """… so many times."""
+    pattern_reserve: float = 1.0
+    """In a map that repeats, log odds asked above the logarithm of the number of passes."""
+    doubt_bits: float = 3.0
+    """A refused identification with more evidence than this is a serious doubt."""
+    most_doubts: float = 0.01
+    """Serious doubts per pass from which the grid of the building is doubted."""
+    least_wander: float = 0.7
+    """A grid that wanders less (`GridHeadings.wander`) is not tried."""
+    trial_passes: int = 400
+    """Passes at the begin and at the end of a run on which the grid is tried."""
+    most_bend: float = 3.2
+    """A map bends from here on (`bend`: 0.2 to 2.5 in 80 walks of mazes and offices, mostly 4 to 6
+    in 30 of bent cities)."""
+    candidates: CandidateSettings = field(default_factory=CandidateSettings)
+    rates: RateSettings = field(default_factory=RateSettings)
+    layout: LayoutSettings = field(default_factory=LayoutSettings)
+    joint: JointSettings = field(default_factory=JointSettings)
+    grid: RectilinearSettings = field(default_factory=RectilinearSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closed:
+    """place: (p,) of each pass, numbered by first visit; layout: of these places; asked: evidence
+    for every identification made, and for those refused that had some; walk: the one given, its
+    noise raised by `caution`, and as the layout asked for; grid: the headings that held it;
+    revised: earlier answers, where a later round gave another one."""
+
+    walk: Walk
+    place: IntArray
+    layout: Layout
+    asked: list[Identification]
+    grid: GridHeadings | None
+    revised: list[Identification] = field(default_factory=list)
+
+
+def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
+    """Identify the passes of a walk.
+
+    Headings taken from a grid that is none bend the layout until visits do not find each other.
+    So what is found without the grid counts if it is no less, and the map that nobody held straight
+    bends; or if with the grid many serious doubts remain, and without it the places that are found
+    again outnumber the doubts that come up.
+    """
+    grid = grid_headings(walk, settings.grid)
+    straight = _closed(walk, grid, settings)
+    if grid is None:
+        return straight
+    doubts = _serious_doubts(straight, settings)
+    bent = grid.wander > settings.least_wander and _bends(walk, settings)
+    if not bent and doubts <= settings.most_doubts * len(walk):
+        return straight
+    free = _closed(walk, None, settings)
+    more = len(straight.layout.xy) - len(free.layout.xy)
+    surer = more > max(_serious_doubts(free, settings) - doubts, 0)
+    return free if (bent and more >= 0) or surer else straight
+
+
+def closure_without_grid(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
+    """Identify the passes of a walk whose headings are known up to quarter turns only."""
+    return _closed(walk, None, settings)
+
+
+def _bends(walk: Walk, settings: RoundSettings) -> bool:
+    """Whether the begin or the end of the walk, closed without the grid, turns it on its way."""
+    length = settings.trial_passes
+    parts = (stretch(walk, b, b + length) for b in sorted({0, max(len(walk) - length, 0)}))
+    trials = (_closed(part, None, settings) for part in parts)
+    return any(bend(t.walk, t.place, t.layout) > settings.most_bend for t in trials)
+
+
+def _serious_doubts(closed: Closed, settings: RoundSettings) -> int:
+    """How many identifications are left undecided that much speaks for."""
+    return sum(not q.accepted and q.bits > settings.doubt_bits for q in closed.asked)
+
+
+def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
+    walk = louder(walk, settings.caution)
+    quiet, loudness = walk, 1.0
+    links: list[Identification] = []
+    strikes: Counter[tuple[int, int]] = Counter()
+    torn: Counter[int] = Counter()
+    doubts: dict[tuple[int, int], Identification] = {}
+    answers: dict[Answer, Identification] = {}
+    place = np.arange(len(walk), dtype=np.int64)
+    layout = lay_out(walk, place, grid=grid, settings=settings.layout)
+    stage, exact = 0, False
+    for number in range(1, settings.most_rounds + 1):
+        places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
+        scene = _scene(walk, places, layout, settings)
+        found = candidates(scene, place, layout, settings.candidates, exact=exact)
+        new: list[Identification] = []
+        while not new and stage < len(settings.thresholds):
+            barred = _barred(strikes, stage, place)
+            threshold = max(settings.thresholds[stage], _least(scene, settings))
+            new = _certain(places, found, threshold, barred, settings)
+            stage += not new
+        doubts = _doubted(doubts, places, found, settings, number)
+        if not new and exact:
+            (new, reasons), stage = _together(scene, found, layout, settings), 0
+            doubts |= explained(doubts, reasons)
+        new = [replace(q, round=number) for q in new]
+        made = {(q.first, q.second) for q in new}
+        note(answers, (q for pair, q in doubts.items() if is_open(q, place) and pair not in made))
+        if not new and exact:
+            break
+        if not exact:
+            exact, stage = True, 0
+        if not new:
+            continue
+        links += new
+        turn = layout.pose[:, 2] + _turns(place, new)
+        place = _partition(len(walk), links)
+        layout = lay_out(walk, place, layout.pose, turn=turn, grid=grid, settings=settings.layout)
+        better = _loudness(loudness, layout.misfit, settings)
+        if better != loudness:
+            # The noise is not what it seemed before anything was identified.
+            loudness, walk = better, louder(quiet, better)
+            layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
+        bad = _strained(place, layout, links, torn, settings)
+        if bad:
+            strikes.update((q.first, q.second) for q in bad)
+            back = [taken_back(q, number) for q in bad]
+            note(answers, back)
+            doubts.update(((q.first, q.second), q) for q in back)
+            links = [q for q in links if q not in bad]
+            place = _partition(len(walk), links)
+            layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
+    asked = links + standing_doubts(place, doubts)
+    return Closed(walk, place, layout, asked, grid, revised_answers(place, answers.values(), asked))
+
+
+def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) -> Scene:
+    evidence = settings.candidates.evidence
+    noise = measured_rates(places, walk.noise, settings.rates)
+    common = background(walk, noise, evidence)
+    common = with_pattern(common, places, layout.xy, evidence)
+    return Scene(walk, places, layout.xy, common, rarity(places, common, evidence))
+
+
+def _least(scene: Scene, settings: RoundSettings) -> float:
+    """Log odds that are asked at least: where many are doubtful, some of many chances come true."""
+    if not scene.common.pattern.repeats:
+        return 0.0
+    return float(np.log(len(scene.walk))) + settings.pattern_reserve
+
+
+def _loudness(now: float, misfit: float, settings: RoundSettings) -> float:
+    """Factor on the estimated noise: raised to fit, lowered with reserve."""
+    if misfit > settings.loud:
+        return min(now * float(np.sqrt(misfit)), settings.loudest)
+    if misfit < settings.low:
+        return max(now * float(np.sqrt(1.5 * misfit)), settings.lowest)
+    return now
+
+
+def _barred(strikes: Counter[tuple[int, int]], stage: int, place: IntArray) -> set[frozenset[int]]:
+    """Pairs of places whose identification was taken back more often than stages have passed."""
+    return {
+        frozenset((int(place[i]), int(place[j])))
+        for (i, j), count in strikes.items()
+        if count > stage
+    }
+
+
+def _partition(count: int, links: list[Identification]) -> IntArray:
+    """(p,) places by the links, numbered by first visit."""
+    i = np.array([q.first for q in links], np.int64)
+    j = np.array([q.second for q in links], np.int64)
+    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    out: IntArray = rank[inverse]
+    return out
+
+
+def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
+    """(p,) turns that bring the branches of newly joined places into agreement.
+
+    place: (p,) before they were joined. Turns are handed on from place to place along the links.
+    """
+    beside: dict[int, list[tuple[int, float]]] = {}
+    for q in new:
+        a, b = int(place[q.first]), int(place[q.second])
+        beside.setdefault(a, []).append((b, q.turn_rad))
+        beside.setdefault(b, []).append((a, -q.turn_rad))
+    turn = np.zeros(int(place.max(initial=-1)) + 1)
+    known: set[int] = set()
+    for root in sorted(beside):
+        if root in known:
+            continue
+        known.add(root)
+        front = [root]
+        while front:
+            a = front.pop()
+            for b, more in beside[a]:
+                if b not in known:
+                    known.add(b)
+                    turn[b] = turn[a] + more
+                    front.append(b)
+    out: FloatArray = turn[place]
+    return out
+
+
+def _certain(
+    places: Places,
+    found: Candidates,
+    threshold: float,
+    barred: set[frozenset[int]],
+    settings: RoundSettings,
+) -> list[Identification]:
+    """The candidates that are sure and have no rival, best first."""
+    total = found.total
+    # Rivals of a candidate share one of its places and put it somewhere else.
+    by_place: dict[int, list[int]] = {}
+    serious = np.flatnonzero(total > threshold - settings.lead - 2.0)
+    known = {(int(found.a[k]), int(found.b[k])): float(total[k]) for k in serious}
+    for k in serious:
+        by_place.setdefault(int(found.a[k]), []).append(int(k))
+        by_place.setdefault(int(found.b[k]), []).append(int(k))
+    out = []
+    asked = threshold + settings.conflict_price * found.conflict
+    for k in serious[np.argsort(-total[serious], kind="stable")]:
+        a, b = int(found.a[k]), int(found.b[k])
+        if total[k] < asked[k] or frozenset((a, b)) in barred:
+            continue
+        rival = -np.inf
+        for mine, other in ((a, b), (b, a)):
+            for r in by_place[mine]:
+                third = int(found.a[r] + found.b[r]) - mine
+                if third == other:
+                    continue
+                pair = (min(other, third), max(other, third))
+                if known.get(pair, -np.inf) < 0.0:
+                    rival = max(rival, total[r])
+        if total[k] - rival < settings.lead:
+            continue
+        out.append(_answer(places, found, int(k), float(total[k]), reason=AGREE, accepted=True))
+    return out
+
+
+def _together(
+    scene: Scene, found: Candidates, layout: Layout, settings: RoundSettings
+) -> tuple[list[Identification], dict[tuple[int, int], str]]:
+    """The candidates that are sure only together; by their passes, why those were refused."""
+    evidence = settings.candidates.evidence
+    agreed = agreeing(layout, found, scene.common, evidence, settings.joint)
+    rows = agreed.rows.tolist()
+    if agreed.reason:
+        firsts = scene.places.first
+        ends = [(int(firsts[found.a[k]]), int(firsts[found.b[k]])) for k in rows]
+        return [], {(min(pair), max(pair)): agreed.reason for pair in ends}
+    answers = [
+        _answer(scene.places, found, row, value, reason=TOGETHER, accepted=True)
+        for row, value in zip(rows, agreed.odds.tolist(), strict=True)
+    ]
+    return answers, {}
+
+
+def _answer(
+    places: Places, found: Candidates, row: int, odds: float, *, reason: str, accepted: bool
+) -> Identification:
+    """What became of a candidate."""
+    i, j = int(places.first[found.a[row]]), int(places.first[found.b[row]])
+    turn = float(found.turn[row])
+    if i > j:
+        i, j, turn = j, i, -turn
+    return Identification(i, j, accepted, odds / float(np.log(2)), reason, turn)
+
+
+def _strained(
+    place: IntArray,
+    layout: Layout,
+    links: list[Identification],
+    torn: Counter[int],
+    settings: RoundSettings,
+) -> list[Identification]:
+    """The weakest links of every place that a pass is torn away from, enough to split it in two.
+
+    torn: how often that has been done for a pass already; counted on. What is found the same again
+    and again is left as it is.
+    """
+    loose = layout.sighting[layout.sighting_chi2 > settings.strain]
+    loose = loose[[torn[i] < settings.patience for i in loose.tolist()]]
+    torn.update(loose.tolist())
+    bad = set(place[loose].tolist())
+    of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
+    for q in links:
+        if int(place[q.first]) in bad:
+            of_place[int(place[q.first])].append(q)
+    return [q for mine in of_place.values() for q in weakest_cut(mine)]
+
+
+def weakest_cut(links: list[Identification]) -> list[Identification]:
+    """The links between the two parts of a place that are joined last, strongest links first."""
+    passes = sorted({i for q in links for i in (q.first, q.second)})
+    part = {i: i for i in passes}
+    parts = len(passes)
+    for q in sorted(links, key=lambda q: (-q.bits, q.first, q.second)):
+        a, b = part[q.first], part[q.second]
+        if a == b:
+            continue
+        if parts == 2:
+            return [r for r in links if part[r.first] != part[r.second]]
+        part = {i: a if p == b else p for i, p in part.items()}
+        parts -= 1
+    return []
+
+
+def _doubted(
+    before: dict[tuple[int, int], Identification],
+    places: Places,
+    found: Candidates,
+    settings: RoundSettings,
+    number: int,
+) -> dict[tuple[int, int], Identification]:
+    """Doubtful identifications by their passes: those of before, and the candidates of this round.
+
+    What was doubted before and is no candidate any more was excluded by the layout.
+    """
+    out = {
+        pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
+        for pair, q in before.items()
+    }
+    total, least = found.total, settings.thresholds[-1]
+    for k in np.flatnonzero(found.position + found.branches > 0).tolist():
+        reason = UNSURE
+        if found.conflict[k] > 2:
+            reason = DISAGREE
+        elif total[k] + found.commonness[k] >= least > total[k]:
+            reason = COMMON
+        q = _answer(places, found, k, float(total[k]), reason=reason, accepted=False)
+        out[q.first, q.second] = replace(q, round=number)
+    return out

@@ -1,0 +1,242 @@
+"""Identifications that only together are certain (joint compatibility).
+
+A long loop that ends in a dozen places: none of them is sure to be the one left an hour ago, but
+if one is, all the others lie where they should. Neira, Tardós: Data Association in Stochastic
+Mapping Using the Joint Compatibility Test (T-RO 2001), here with odds in place of gates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from ..posegraph.solve import Marginals
+from .candidates import Candidates
+from .estimate import Layout
+from .evidence import Background, EvidenceSettings, among_neighbours, position_odds
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+RIVALS = "sure together with others, but as many that exclude one of them are nearly as sure"
+STEP_OFF = "sure together with others, but all might be one step of the map's pattern off"
+
+_DIRECTIONS = 16
+"""In so many directions a step of the pattern is tried, besides those known."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSettings:
+    """When identifications are believed that are doubtful one by one."""
+
+    most: int = 30
+    """So many candidates, the best, are looked at together."""
+    least: float = -4.0
+    """Candidates with less than these log odds are left out."""
+    threshold: float = 9.0
+    """Log odds asked of all together …"""
+    member: float = 4.5
+    """… and of each, given the others."""
+    lead: float = 3.0
+    """Log odds that they must have over every set that excludes one of them; asked of a candidate,
+    given those before it, to join them."""
+    largest: int = 12
+    stiff: tuple[float, ...] = (0.3, 1.0, 1e3)
+    """Candidates whose errors differ by less than this share of a step of the map's pattern (1
+    sigma) may be a step off together."""
+
+
+class Agreement(NamedTuple):
+    """Candidates that are certain together, or a set that nearly was.
+
+    rows: (k,) of the candidates; odds: (k,) log odds of each given the others, none where refused;
+    reason: why they are refused, empty where they are certain or where no set is worth it.
+    """
+
+    rows: IntArray
+    odds: FloatArray
+    reason: str = ""
+
+
+_NOBODY = Agreement(np.zeros(0, np.int64), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Beliefs:
+    """Where the second place of each candidate lies seen from the first, given what is accepted.
+
+    shift: (2 k,) [m]; cov: (2 k, 2 k) without the noise of the two centres; alike: (k,) log odds of
+    everything but position.
+    """
+
+    shift: FloatArray
+    cov: FloatArray
+    alike: FloatArray
+    common: Background
+    evidence: EvidenceSettings
+
+    def odds(self) -> FloatArray:
+        """(k,) log odds of each candidate."""
+        k = len(self.alike)
+        own = np.arange(k)
+        blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
+        cov = blocks + 2 * self.common.centre_sigma**2 * np.eye(2)
+        shift = self.shift.reshape(k, 2)
+        odds, _ = position_odds(self.common, shift, cov, self.evidence)
+        out: FloatArray = among_neighbours(self.common, odds, shift, cov) + self.alike
+        return out
+
+    def given(self, row: int) -> _Beliefs:
+        """Beliefs if that candidate is one place: a Kalman update with "no shift"."""
+        at = slice(2 * row, 2 * row + 2)
+        noise = 2 * self.common.centre_sigma**2 * np.eye(2)
+        gain = np.linalg.solve(self.cov[at, at] + noise, self.cov[at]).T
+        shift = self.shift - gain @ self.shift[at]
+        cov = self.cov - gain @ self.cov[at]
+        return _Beliefs(shift, cov, self.alike, self.common, self.evidence)
+
+
+def agreeing(
+    layout: Layout,
+    found: Candidates,
+    common: Background,
+    evidence: EvidenceSettings,
+    settings: JointSettings = JointSettings(),
+) -> Agreement:
+    """The candidates that are certain together.
+
+    There are none where no set is certain, or where another set that excludes one of it is nearly
+    as good, or the map repeats itself and all might be one step off.
+    """
+    total = found.total
+    rows = np.flatnonzero(total > settings.least)
+    rows = np.sort(rows[np.argsort(-total[rows], kind="stable")[: settings.most]])
+    if len(rows) < 2:
+        return _NOBODY
+    a, b = found.a[rows], found.b[rows]
+    start = _Beliefs(*_shifts(layout, a, b), found.alike[rows], common, evidence)
+    shared, excluded = _sharing(a, b)
+    # Candidates that share a place say in part the same; one of them is enough for now.
+    sets = [_grown(start, seed, shared, settings) for seed in range(len(rows))]
+    worth = np.array([value for value, _ in sets])
+    best = int(worth.argmax())
+    members = np.sort(np.array(sets[best][1]))
+    if len(members) < 2 or worth[best] < settings.threshold:
+        return _NOBODY
+    rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
+    if worth[best] - max(rivals, default=-np.inf) < settings.lead:
+        return Agreement(rows[members], np.zeros(0), RIVALS)
+    left = float(worth[best])
+    while len(members) > 1:
+        each = np.array([_odds_given(start, k, members) for k in members.tolist()])
+        weakest = int(each.argmin())
+        if each[weakest] >= settings.member:
+            one_off = _one_step_off(start, members, settings)
+            if one_off > -settings.lead:
+                return Agreement(rows[members], np.zeros(0), STEP_OFF)
+            return Agreement(rows[members], each)
+        left -= float(each[weakest])
+        members = np.delete(members, weakest)
+        if left < settings.threshold:
+            break
+    return _NOBODY
+
+
+def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -> float:
+    """Log odds of the likeliest rival in a map that repeats: some members one step off.
+
+    Those that are tied to each other firmly move together.
+    """
+    pattern = start.common.pattern
+    if not pattern.repeats:
+        return -np.inf
+    rows = (2 * members[:, None] + np.arange(2)).ravel()
+    cov = start.cov[np.ix_(rows, rows)] + 2 * start.common.centre_sigma**2 * np.eye(len(rows))
+    own = cov.reshape(len(members), 2, len(members), 2).trace(axis1=1, axis2=3)
+    apart = own.diagonal()[:, None] + own.diagonal() - 2 * own
+    step_m = np.hypot(*pattern.steps.T)
+    groups = np.concatenate([_tied(apart, share * step_m.min()) for share in settings.stiff])
+    # A map that is not laid out yet may be bent: steps in all directions, too.
+    angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    turned = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    step = np.concatenate([pattern.steps, turned.reshape(-1, 2)])
+    odds = np.log(np.concatenate([pattern.share, pattern.share.repeat(_DIRECTIONS)]))
+    information = np.linalg.inv(cov)
+    push = information @ start.shift[rows]
+    worst = -np.inf
+    for group in np.unique(groups, axis=0):
+        mine = group.repeat(2)
+        # What is known of the mean shift of the group, given the others.
+        mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
+        own_cov = np.linalg.inv(information[np.ix_(mine, mine)])
+        at, known = mean @ own_cov @ push[mine], np.linalg.inv(mean @ own_cov @ mean.T)
+        further = np.einsum("ri,ij,rj->r", step - 2 * at, known, step)
+        worst = max(worst, float((odds - 0.5 * further).max()))
+    return worst
+
+
+def _tied(apart: FloatArray, sigma_m: float) -> NDArray[np.bool_]:
+    """(g, k) groups of candidates whose errors differ by less than that, 1 sigma."""
+    count, group = connected_components(apart <= sigma_m**2, directed=False)
+    out: NDArray[np.bool_] = group == np.arange(count)[:, None]
+    return out
+
+
+def _sharing(a: IntArray, b: IntArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(k, k) candidates that share a place; those of them that cannot both be true.
+
+    "a is b" and "a is c" exclude each other unless "b is c" is a candidate as well.
+    """
+    shared = (a[:, None] == a) | (b[:, None] == b) | (a[:, None] == b) | (b[:, None] == a)
+    known = {frozenset(pair) for pair in zip(a.tolist(), b.tolist(), strict=True)}
+    excluded = np.zeros_like(shared)
+    for i, j in np.argwhere(shared).tolist():
+        third = frozenset((a[i], b[i])) ^ frozenset((a[j], b[j]))
+        excluded[i, j] = i != j and third not in known
+    return shared, excluded
+
+
+def _shifts(layout: Layout, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(2 k,) positions of places a less those of b, and their joint covariance (2 k, 2 k)."""
+    nodes, at = np.unique(layout.node[np.concatenate([a, b])], return_inverse=True)
+    n, k = len(nodes), len(a)
+    marginals = Marginals.of(layout.graph, layout.solution)
+    first, second = np.divmod(np.arange(n * n), n)
+    _, _, cross = marginals.joint(nodes[first], nodes[second])
+    full = cross[:, :2, :2].reshape(n, n, 2, 2).transpose(0, 2, 1, 3).reshape(2 * n, 2 * n)
+    difference = np.zeros((2 * k, 2 * n))
+    for axis in (0, 1):
+        difference[2 * np.arange(k) + axis, 2 * at[:k] + axis] = 1.0
+        difference[2 * np.arange(k) + axis, 2 * at[k:] + axis] -= 1.0
+    return (layout.xy[a] - layout.xy[b]).ravel(), difference @ full @ difference.T
+
+
+def _grown(
+    start: _Beliefs, seed: int, shared: NDArray[np.bool_], settings: JointSettings
+) -> tuple[float, list[int]]:
+    """Joint log odds of the set that grows from a seed, best first, and its members."""
+    value, members, beliefs = float(start.odds()[seed]), [seed], start.given(seed)
+    allowed = ~shared[seed]
+    while len(members) < settings.largest:
+        odds = np.where(allowed, beliefs.odds(), -np.inf)
+        best = int(odds.argmax())
+        if odds[best] < settings.lead:
+            break
+        value += float(odds[best])
+        members.append(best)
+        allowed &= ~shared[best]
+        beliefs = beliefs.given(best)
+    return value, members
+
+
+def _odds_given(start: _Beliefs, row: int, members: IntArray) -> float:
+    """Log odds of one member if all the others are true."""
+    beliefs = start
+    for other in members.tolist():
+        if other != row:
+            beliefs = beliefs.given(other)
+    return float(beliefs.odds()[row])

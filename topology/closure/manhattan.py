@@ -1,0 +1,99 @@
+"""Buildings whose corridors cross at right angles (the paper's rectilinear worlds).
+
+There the branches of a single pass tell the robot's heading up to quarter turns, and the odometry
+knows which quarter: heading drift does not grow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..se2 import wrap
+from .dead_reckoning import Walk, dead_reckoning_covariance
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+OWN_SPREAD_RAD = 0.02
+"""How far a corridor's true direction strays from the grid of its building, 1 sigma."""
+
+
+@dataclass(frozen=True, slots=True)
+class RectilinearSettings:
+    """When a building counts as rectilinear."""
+
+    least_share: float = 0.9
+    """Share of the angles between branches of a pass that must be near quarter turns."""
+    tolerance_rad: float = 0.26
+    least_angles: int = 20
+    most_wander: float = 1.15
+    """In streets that meet at right angles and bend between, the grid wanders more than the
+    odometry drifts (0.8 to 2.4 in 150 city walks, 0.6 to 1.2 in 170 of mazes and offices)."""
+    clip: float = 6.0
+    """Faults of the detector count no more than this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridHeadings:
+    """Passes whose branches tell the turn from the odometry's frame to the map's.
+
+    The map's frame is that of the odometry at the first of them, in each piece of a broken odometry
+    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; sigma: (k,) [rad].
+    wander: mean squared turn of the grid from one pass to the next, in units of what the odometry
+    may drift.
+    """
+
+    row: IntArray
+    turn: FloatArray
+    sigma: FloatArray
+    wander: float
+
+
+def grid_headings(
+    walk: Walk, settings: RectilinearSettings = RectilinearSettings()
+) -> GridHeadings | None:
+    """Headings from the building's grid; None if the building is not rectilinear."""
+    branches = walk.passes.branches
+    owner = branches.owner
+    # Angles between neighbouring branches of a pass, as distance from the next quarter turn.
+    same = owner[1:] == owner[:-1]
+    off = from_quarter(np.diff(branches.values)[same])
+    # Noise of the sensor alone must not make a grid look crooked.
+    tolerance = max(settings.tolerance_rad, 3.0 * walk.noise.branch_rad)
+    if len(off) < settings.least_angles or tolerance > 0.5:
+        return None
+    if np.mean(np.abs(off) < tolerance) < settings.least_share:
+        return None
+    # Direction of the grid as each pass sees it: mean on the circle of quarter turns.
+    count = len(walk)
+    z = np.bincount(owner, np.cos(4 * branches.values), count) + 1j * np.bincount(
+        owner, np.sin(4 * branches.values), count
+    )
+    n = branches.counts
+    row = np.flatnonzero((n > 0) & (np.abs(z) > 0.5 * np.maximum(n, 1)))
+    if len(row) < 2:
+        return None
+    grid = np.angle(z[row]) / 4
+    # The grid seems to turn as the odometry drifts; between two passes by little.
+    step = from_quarter(np.diff(grid))
+    sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + OWN_SPREAD_RAD**2)
+    drift = dead_reckoning_covariance(walk, row[:-1], row[1:])[:, 2, 2]
+    excess = np.minimum(step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2), settings.clip)
+    joined = walk.chain[row[:-1]] == walk.chain[row[1:]]
+    wander = float(excess[joined].mean()) if joined.any() else 0.0
+    if wander > settings.most_wander:
+        return None
+    # A break in the odometry starts anew, in a frame of its own.
+    turn = -np.concatenate([[0.0], np.cumsum(step)])
+    begin = np.flatnonzero(np.concatenate([[True], ~joined]))
+    turn -= np.repeat(turn[begin], np.diff(begin, append=len(row)))
+    return GridHeadings(row, np.asarray(wrap(turn)), sigma, wander)
+
+
+def from_quarter(angle: FloatArray) -> FloatArray:
+    """Distance to the nearest multiple of a quarter turn, in [-pi/4, pi/4)."""
+    out: FloatArray = (angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    return out

@@ -1,0 +1,222 @@
+"""What the track tells after the places are known: junctions driven by unseen, and phantoms.
+
+A leg that leads past a known place without a detection was two legs, with a junction missed in
+between. A place that was seen once and driven by unseen again and again was never there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..odometry import Odometry
+from ..se2 import wrap
+from ..track import way_along
+from ..visits import DrawnTrack, Visits, draw_track
+from .dead_reckoning import Walk
+from .estimate import Layout, LayoutSettings
+from .places import Places, tabulate
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenBySettings:
+    """How near is "by", and when a place is taken to be a phantom."""
+
+    reach_m: float = 0.7
+    """The track leads past a place if it comes this near to its centre."""
+    step_m: float = 0.1
+    match_rad: float = 0.6
+    """The place must have branches within this of the directions driven."""
+    straight_gain: float = 4.5
+    """Log odds of being a phantom that two opposite branches and nothing else add."""
+    least_odds: float = 2.0
+    """Log odds of being a phantom at which a place is dissolved."""
+    least_miss_rate: float = 0.1
+    """A junction driven by unseen once is unseen again at least this often: causes last."""
+    least_phantom_rate: float = 0.01
+    straight_rad: float = 0.35
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """The places that stay, and every visit to them.
+
+    place: (p,) of each pass, negative for phantoms; xy: (n, 2); visits: seen and unseen; kept: (n,)
+    number that each had before.
+    """
+
+    place: IntArray
+    xy: FloatArray
+    visits: Visits
+    kept: IntArray
+
+
+def settle(
+    walk: Walk,
+    odometry: Odometry,
+    place: IntArray,
+    layout: Layout,
+    settings: DrivenBySettings = DrivenBySettings(),
+) -> Settled:
+    """Dissolve the phantoms, then split the legs that lead past known places.
+
+    place: (p,) of each pass, numbered from 0 by first visit.
+    """
+    gap = LayoutSettings().slot_gap_rad
+    places = tabulate(walk, place, layout.pose[:, 2], gap)
+    found = driven_by(odometry, visits_of(walk, place, layout), layout.xy, places, settings)
+    unseen = np.bincount(found.place, minlength=len(places))
+    keep = ~phantoms(walk, places, unseen, settings)
+    number = np.where(keep, np.cumsum(keep) - 1, -1)
+    place, xy = number[place], layout.xy[keep]
+    places = tabulate(walk, place, layout.pose[:, 2], gap)
+    visits = visits_of(walk, place, layout)
+    found = driven_by(odometry, visits, xy, places, settings)
+    visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
+    return Settled(place, xy, visits, np.flatnonzero(keep))
+
+
+def _time_of(odometry: Odometry, way: FloatArray) -> IntArray:
+    """(k,) when the robot had driven so far."""
+    along = way_along(odometry)
+    moving = np.flatnonzero(np.concatenate([[True], np.diff(along) > 0]))
+    since = (odometry.time_ns[moving] - odometry.time_ns[0]).astype(np.float64)
+    out: IntArray = odometry.time_ns[0] + np.rint(np.interp(way, along[moving], since)).astype(int)
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivenBy:
+    """Times when the robot drove by a known place that it did not report.
+
+    leg: (k,) pass before; place: (k,); way: (k,) [m]; share: (k,) of the leg; odom: (k, 2) point of
+    the track in the odometry's frame; xy: (k, 2) the same in the map; turn: (k,) between the two.
+    """
+
+    leg: IntArray
+    place: IntArray
+    way: FloatArray
+    odom: FloatArray
+    xy: FloatArray
+    turn: FloatArray
+
+
+def driven_by(
+    odometry: Odometry,
+    visits: Visits,
+    xy: FloatArray,
+    places: Places,
+    settings: DrivenBySettings = DrivenBySettings(),
+) -> DrivenBy:
+    """Places on the track between two visits. visits.vertex: place of each, none negative.
+
+    The whole track is sampled, each sample asked for its nearest place, runs of samples near one
+    place become one event at its nearest sample. O(way / step · log n).
+    """
+    first = np.flatnonzero(np.diff(visits.chain) == 0)
+    track = draw_track(odometry, visits, xy, first, settings.step_m)
+    found = cKDTree(xy).query(track.xy, distance_upper_bound=settings.reach_m)
+    distance, near = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
+    hit = np.flatnonzero(np.isfinite(distance))
+    if len(hit) == 0:
+        return _events(track, first, near, hit)
+    fresh = np.ones(len(hit), bool)
+    fresh[1:] = (np.diff(hit) != 1) | (np.diff(near[hit]) != 0) | (np.diff(track.owner[hit]) != 0)
+    run = np.cumsum(fresh) - 1
+    best = hit[np.lexsort((distance[hit], run))[np.flatnonzero(fresh)]]
+    begin = hit[np.flatnonzero(fresh)]
+    end = hit[np.concatenate([np.flatnonzero(fresh)[1:], [len(hit)]]) - 1]
+    # The visits at the two ends are known already.
+    at_start = begin == track.offsets[track.owner[begin]]
+    at_end = end == track.offsets[track.owner[end] + 1] - 1
+    best = best[~(at_start | at_end)]
+    best = best[_along_branches(track, places, near, best, settings)]
+    return _events(track, first, near, best)
+
+
+def _events(track: DrawnTrack, first: IntArray, near: IntArray, row: IntArray) -> DrivenBy:
+    return DrivenBy(
+        first[track.owner[row]],
+        near[row],
+        track.way[row],
+        track.odom[row],
+        track.xy[row],
+        track.turn[row],
+    )
+
+
+def _along_branches(
+    track: DrawnTrack, places: Places, near: IntArray, row: IntArray, settings: DrivenBySettings
+) -> NDArray[np.bool_]:
+    """Does the place have branches where the robot came from and where it went?"""
+    reach = max(1, round(1.0 / settings.step_m))
+    low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
+    heading = places.heading[near[row]]
+    fits = np.zeros(len(row), np.int64)
+    for other in (np.maximum(row - reach, low), np.minimum(row + reach, high)):
+        step = track.xy[other] - track.xy[row]
+        off = np.abs(wrap(heading - np.arctan2(step[:, 1], step[:, 0])[:, None]))
+        fits += np.where(np.isfinite(off), off, np.inf).min(axis=1) < settings.match_rad
+    result: NDArray[np.bool_] = fits >= 1
+    return result
+
+
+def phantoms(
+    walk: Walk, places: Places, unseen: IntArray, settings: DrivenBySettings = DrivenBySettings()
+) -> NDArray[np.bool_]:
+    """(n,) places that are more likely invented than missed each time they were driven by unseen.
+
+    unseen: (n,) times each place was driven by without a detection.
+    """
+    noise = walk.noise
+    miss = max(2 * noise.miss_rate, settings.least_miss_rate)
+    invented = max(noise.phantom_rate, settings.least_phantom_rate)
+    odds = places.visits * np.log(invented) - unseen * np.log(miss)
+    count = np.isfinite(places.heading).sum(axis=1)
+    first_two = np.sort(places.heading, axis=1)[:, :2]
+    if first_two.shape[1] == 2:
+        opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
+        straight = (count == 2) & (opposite < settings.straight_rad)
+        odds = odds + settings.straight_gain * straight
+    # A robot that turned into a branch there knows better.
+    turned = (places.driven > 0).sum(axis=1) > 2
+    result: NDArray[np.bool_] = (odds > settings.least_odds) & (unseen > 0) & ~turned
+    return result
+
+
+def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: FloatArray) -> Visits:
+    """The visits with the unseen ones put in where they happened. time_ns: (k,) of each."""
+    turn = found.turn
+    c, s = np.cos(turn), np.sin(turn)
+    d = xy[found.place] - found.xy
+    # The place in the odometry's frame at that time: the turn taken back.
+    centre = found.odom + np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]])
+    pose = np.column_stack([xy[found.place], turn])
+    order = np.argsort(np.concatenate([visits.time_ns, time_ns]), kind="stable")
+    return Visits(
+        time_ns=np.concatenate([visits.time_ns, time_ns])[order],
+        vertex=np.concatenate([visits.vertex, found.place])[order],
+        seen=np.concatenate([visits.seen, np.zeros(len(turn), bool)])[order],
+        pose=np.concatenate([visits.pose, pose])[order],
+        centre=np.concatenate([visits.centre, centre])[order],
+        chain=np.concatenate([visits.chain, visits.chain[found.leg]])[order],
+    )
+
+
+def visits_of(walk: Walk, place: IntArray, layout: Layout) -> Visits:
+    """The visits that passes tell."""
+    row = np.flatnonzero(place >= 0)
+    return Visits(
+        time_ns=walk.passes.time_ns[row],
+        vertex=place[row],
+        seen=np.ones(len(row), bool),
+        pose=layout.pose[row],
+        centre=walk.passes.centre[row],
+        chain=walk.chain[row],
+    )

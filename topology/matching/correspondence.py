@@ -1,0 +1,354 @@
+"""Pairs of vertices under a correspondence of their branches (§2.1, §2.3).
+
+In a rectilinear world orientations are exact up to the four rotations, and a vertex is a set of
+slots; on general angles branches are compared with a similarity test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import expm1, log
+from statistics import NormalDist
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import UsageError
+from ..se2 import wrap
+from .structure import FloatArray, IntArray, Structure
+
+World = Literal["auto", "rectilinear", "general"]
+
+
+QUARTER = np.pi / 2
+
+
+POPCOUNT = np.array([bin(m).count("1") for m in range(16)], np.int64)
+
+
+TURNED = np.array([[((m << r) | (m >> (4 - r))) & 15 for r in range(4)] for m in range(16)])
+"""TURNED[mask, r]: the slots of `mask` turned by r quarter turns."""
+
+
+@dataclass(frozen=True, slots=True)
+class GrowthSettings:
+    """When vertices and corridors are compatible (§2.1, §2.2, §2.3)."""
+
+    world: World = "auto"
+    """rectilinear: branch directions are exact up to the four rotations (§2.3); general: they are
+    compared with a similarity test; auto: rectilinear if both maps are."""
+    degree: Literal["exact", "inexact"] = "exact"
+    """exact: a static world; inexact: doors open and close (§2.1)."""
+    unmatched_branches: int = 1
+    """Inexact degree: branches that either vertex of a pair may have and the other not."""
+    branch_tolerance_rad: float = 0.35
+    """General world: how far a branch may be from its partner under the pair's rotation."""
+    confidence: float = 0.999
+    """Probability with which a right match survives the comparison of its lengths."""
+    confidence_of: Literal["match", "corridor"] = "match"
+    """match: of all its corridors together, however many they are; corridor: of each by itself,
+    as published (§5: 95 %), so that a right match of k corridors survives with confidence ** k."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.confidence < 1.0:
+            raise UsageError(f"a confidence lies between 0 and 1, not at {self.confidence}")
+        if self.unmatched_branches < 0 or not self.branch_tolerance_rad > 0:
+            raise UsageError("branches: neither a count below 0 nor a tolerance of 0 makes sense")
+
+    def bound_sigmas(self, corridors: int) -> float:
+        """Standard deviations by which the lengths of each of so many corridors may differ.
+
+        Of k differences of normal errors, correlated or not, all lie within z standard deviations
+        with a probability of at least (2 Φ(z) - 1) ** k (Šidák 1967); z makes that `confidence`.
+        """
+        count = corridors if self.confidence_of == "match" else 1
+        outside = -expm1(log(self.confidence) / max(count, 1))
+        return -NormalDist().inv_cdf(outside / 2)
+
+
+DEFAULT_GROWTH = GrowthSettings()
+
+
+Ends = tuple[IntArray, IntArray]
+"""Vertices (k,) and, at each, the branch by which a dart leaves or arrives (k,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nodes:
+    """Vertices of a paired with vertices of b under a correspondence of their branches.
+
+    vertex_a, vertex_b: (N,); correspondence: (N,) quarter turns of b (rectilinear worlds) or the
+    partners of a's branches as one number (general worlds, see `partners`).
+    """
+
+    vertex_a: IntArray
+    vertex_b: IntArray
+    correspondence: IntArray
+
+    def __len__(self) -> int:
+        return len(self.vertex_a)
+
+    def take(self, rows: IntArray | NDArray[np.bool_]) -> Nodes:
+        """The given rows."""
+        return Nodes(self.vertex_a[rows], self.vertex_b[rows], self.correspondence[rows])
+
+
+def is_rectilinear(a: Structure, b: Structure, settings: GrowthSettings) -> bool:
+    """Whether a and b are matched with exact orientations (§2.3)."""
+    return settings.world != "general" and a.grid_rad is not None and b.grid_rad is not None
+
+
+def correspond(
+    a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings = DEFAULT_GROWTH
+) -> tuple[NDArray[np.bool_], IntArray]:
+    """Correspondences of the branches of (k,) vertex pairs, given one pair of branches (§2.1).
+
+    Returns ok (k,): whether the vertices are compatible that way; partner (k, D_a): for each
+    branch of a its partner in b, -1 for none. Correspondences keep the order around the vertex: a
+    plane map has no mirror image.
+    """
+    if settings.degree == "exact":
+        return _all_branches(a, b, at_a, at_b, settings)
+    return _most_branches(a, b, at_a, at_b, settings)
+
+
+def _all_branches(
+    a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
+) -> tuple[NDArray[np.bool_], IntArray]:
+    """Equal degrees: branch i of a goes with branch i + shift of b, all within the tolerance."""
+    (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
+    degree, shift = a.degree[vertex_a], branch_b - branch_a
+    equal = degree == b.degree[vertex_b]
+    columns = np.arange(a.heading.shape[1])
+    inside = (columns < degree[:, None]) & equal[:, None]
+    partner = np.where(inside, (columns + shift[:, None]) % np.maximum(degree, 1)[:, None], -1)
+    hb = b.heading[vertex_b[:, None], np.maximum(partner, 0)]
+    anchor = a.heading[vertex_a, branch_a] - b.heading[vertex_b, branch_b]
+    diff = np.where(inside, wrap(a.heading[vertex_a] - hb - anchor[:, None]), 0.0)
+    mean = diff.sum(axis=1) / np.maximum(degree, 1)
+    off = np.where(inside, np.abs(diff - mean[:, None]), 0.0)
+    return equal & (off.max(axis=1, initial=0.0) <= settings.branch_tolerance_rad), partner
+
+
+def _most_branches(
+    a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
+) -> tuple[NDArray[np.bool_], IntArray]:
+    """Inexact degrees: a few branches of either vertex may have no partner."""
+    # Strategy: the pair given fixes a rotation, mutually nearest branches within the tolerance
+    # correspond, their mean difference is the rotation, and once more with that.
+    (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
+    ha, hb = a.heading[vertex_a], b.heading[vertex_b]
+    rows, columns = np.arange(len(vertex_a)), np.arange(ha.shape[1])
+    anchor = ha[rows, branch_a] - hb[rows, branch_b]
+    rotation, partner = anchor, np.zeros(ha.shape, np.int64)
+    for _ in range(2):
+        off = np.abs(wrap(ha[:, :, None] - hb[:, None, :] - rotation[:, None, None]))
+        off = np.where(np.isnan(off), np.inf, off)
+        nearest, back = off.argmin(axis=2), off.argmin(axis=1)
+        mutual = np.take_along_axis(back, nearest, axis=1) == columns
+        gap = np.take_along_axis(off, nearest[:, :, None], axis=2)[:, :, 0]
+        matched = mutual & (gap <= settings.branch_tolerance_rad)
+        partner = np.where(matched, nearest, -1)
+        diff = wrap(ha - np.take_along_axis(hb, nearest, axis=1) - anchor[:, None])
+        count = matched.sum(axis=1)
+        rotation = anchor + np.where(matched, diff, 0.0).sum(axis=1) / np.maximum(count, 1)
+    spare = settings.unmatched_branches
+    ok = (a.degree[vertex_a] - count <= spare) & (b.degree[vertex_b] - count <= spare)
+    return ok & (partner[rows, branch_a] == branch_b), partner
+
+
+def masks_agree(
+    mask_a: IntArray, mask_b: IntArray, turn: IntArray, settings: GrowthSettings
+) -> NDArray[np.bool_]:
+    """Whether slot sets agree when b's are turned: equal, or nearly so if degrees are inexact."""
+    turned = TURNED[mask_b, turn]
+    if settings.degree == "exact":
+        return np.asarray(turned == mask_a)
+    spare = settings.unmatched_branches
+    extra_a, extra_b = POPCOUNT[mask_a & ~turned], POPCOUNT[turned & ~mask_a]
+    return np.asarray((extra_a <= spare) & (extra_b <= spare) & ((mask_a & turned) != 0))
+
+
+def shared_branches(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> IntArray:
+    """(N,) corresponding branches that were driven in both maps."""
+    if rectilinear:
+        turned = TURNED[b.explored_mask[nodes.vertex_b], nodes.correspondence]
+        return np.asarray(POPCOUNT[a.explored_mask[nodes.vertex_a] & turned])
+    partner = partners(a, b, nodes.correspondence)
+    driven = b.explored[nodes.vertex_b[:, None], np.maximum(partner, 0)] & (partner >= 0)
+    return np.asarray((a.explored[nodes.vertex_a] & driven).sum(axis=1))
+
+
+def node_rotations(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> FloatArray:
+    """(N,) angle [rad] that takes b's directions to a's at each node."""
+    if rectilinear:
+        grid = (a.grid_rad or 0.0) - (b.grid_rad or 0.0)
+        return np.asarray(wrap(grid + QUARTER * nodes.correspondence))
+    partner = partners(a, b, nodes.correspondence)
+    matched = partner >= 0
+    hb = b.heading[nodes.vertex_b[:, None], np.maximum(partner, 0)]
+    diff = np.where(matched, a.heading[nodes.vertex_a] - hb, 0.0)
+    return np.asarray(np.angle((np.exp(1j * diff) * matched).sum(axis=1)))
+
+
+def encode(
+    a: Structure, b: Structure, vertex_a: IntArray, vertex_b: IntArray, partner: IntArray
+) -> IntArray:
+    """One integer per (vertex of a, vertex of b, correspondence)."""
+    base, size = b.heading.shape[1] + 1, _correspondences(a, b)
+    if float(len(a)) * len(b) * size > 2.0**62:
+        raise ValueError("junctions with this many branches cannot be matched")
+    digits = np.array([base**k for k in range(a.heading.shape[1])], np.int64)
+    return (vertex_a * len(b) + vertex_b) * size + (partner + 1) @ digits
+
+
+def _correspondences(a: Structure, b: Structure) -> int:
+    return int((b.heading.shape[1] + 1) ** a.heading.shape[1])
+
+
+def decode(a: Structure, b: Structure, code: IntArray, rectilinear: bool) -> Nodes:
+    """The nodes that codes stand for."""
+    size = 4 if rectilinear else _correspondences(a, b)
+    pair, correspondence = np.divmod(code, size)
+    return Nodes(pair // len(b), pair % len(b), correspondence)
+
+
+def partners(a: Structure, b: Structure, correspondence: IntArray) -> IntArray:
+    """(k, D_a) partner in b of each branch of a, -1 for none, of encoded correspondences."""
+    base = b.heading.shape[1] + 1
+    digits = np.array([base**k for k in range(a.heading.shape[1])], np.int64)
+    return np.asarray(correspondence[:, None] // digits % base - 1)
+
+
+def node_codes(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> IntArray:
+    """The codes that `decode` decodes."""
+    size = 4 if rectilinear else _correspondences(a, b)
+    return (nodes.vertex_a * len(b) + nodes.vertex_b) * size + nodes.correspondence
+
+
+def leaves_alike(
+    a: Structure, b: Structure, nodes: Nodes, darts: tuple[IntArray, IntArray], rectilinear: bool
+) -> NDArray[np.bool_]:
+    """(N,) whether two darts leave the vertices of each node by corresponding branches."""
+    dart_a, dart_b = darts
+    if rectilinear:
+        turn = (a.out_slot[dart_a] - b.out_slot[dart_b]) % 4
+        return np.asarray(turn == nodes.correspondence)
+    partner = partners(a, b, nodes.correspondence)
+    return np.asarray(partner[np.arange(len(nodes)), a.out_branch[dart_a]] == b.out_branch[dart_b])
+
+
+def candidate_nodes(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings = DEFAULT_GROWTH,
+    near: tuple[IntArray, IntArray] | None = None,
+) -> Nodes:
+    """All compatible pairs of vertices under all their correspondences (§2.1), ascending.
+
+    near: the vertices of a and of b to pair, ascending; all by default.
+    """
+    if not is_rectilinear(a, b, settings):
+        return decode(a, b, _angle_candidates(a, b, settings, near), False)
+    classes = SlotClasses.of(a, b, settings, near)
+    return classes.expanded(classes.compatible)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlotClasses:
+    """Vertices of both maps in classes of equal (branch slots, driven slots).
+
+    compatible: (C_a, C_b, 4) whether vertices of two classes pair under a quarter turn; disjoint:
+    likewise, whether they share no driven branch; rows: vertices by class; first: (C + 1,) where
+    each class begins in them.
+    """
+
+    compatible: NDArray[np.bool_]
+    disjoint: NDArray[np.bool_]
+    rows: tuple[IntArray, IntArray]
+    first: tuple[IntArray, IntArray]
+
+    @classmethod
+    def of(
+        cls,
+        a: Structure,
+        b: Structure,
+        settings: GrowthSettings,
+        near: tuple[IntArray, IntArray] | None = None,
+    ) -> SlotClasses:
+        """The classes of two rectilinear maps, or of some vertices of each."""
+        kinds, rows, first = [], [], []
+        for s, chosen in zip((a, b), near or (np.arange(len(a)), np.arange(len(b))), strict=True):
+            kind = s.mask[chosen] * 16 + s.explored_mask[chosen]
+            order = np.argsort(kind, kind="stable")
+            known, start = np.unique(kind[order], return_index=True)
+            kinds.append(known)
+            rows.append(chosen[order])
+            first.append(np.append(start, len(order)))
+        turns = np.arange(4)
+        mask_a, driven_a = (k[:, None, None] for k in np.divmod(kinds[0], 16))
+        mask_b, driven_b = (k[None, :, None] for k in np.divmod(kinds[1], 16))
+        return cls(
+            compatible=masks_agree(mask_a, mask_b, turns, settings) & (mask_a > 0),
+            disjoint=np.asarray((driven_a & TURNED[driven_b, turns]) == 0),
+            rows=(rows[0], rows[1]),
+            first=(first[0], first[1]),
+        )
+
+    @property
+    def sizes(self) -> IntArray:
+        """(C_a, C_b) vertex pairs of each pair of classes."""
+        return np.asarray(np.diff(self.first[0])[:, None] * np.diff(self.first[1]))
+
+    def expanded(self, chosen: NDArray[np.bool_]) -> Nodes:
+        """The nodes of the chosen (class, class, turn), ascending."""
+        # Strategy: a flat ragged product; node k of a triple is (k // width, k % width) of it.
+        i, j, turn = np.nonzero(chosen)
+        count, width = self.sizes[i, j], np.diff(self.first[1])[j]
+        triple = np.repeat(np.arange(len(i)), count)
+        within = np.arange(len(triple)) - np.repeat(np.cumsum(count) - count, count)
+        x, y = np.divmod(within, width[triple])
+        vertex_a = self.rows[0][self.first[0][i][triple] + x]
+        vertex_b = self.rows[1][self.first[1][j][triple] + y]
+        nodes = Nodes(vertex_a, vertex_b, turn[triple])
+        return nodes.take(np.lexsort((nodes.correspondence, vertex_b, vertex_a)))
+
+
+def _angle_candidates(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings,
+    near: tuple[IntArray, IntArray] | None = None,
+) -> IntArray:
+    """Codes of all compatible nodes on general angles, ascending; chunked over vertices of a."""
+    rows, columns = near or (np.arange(len(a)), np.arange(len(b)))
+    chunk = max(1, 200_000 // max(1, len(columns) * b.heading.shape[1] * a.heading.shape[1]))
+    found = [
+        _angle_candidates_of(a, b, (rows[low : low + chunk], columns), settings)
+        for low in range(0, len(rows), chunk)
+    ]
+    return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
+
+
+def _angle_candidates_of(
+    a: Structure, b: Structure, vertices: tuple[IntArray, IntArray], settings: GrowthSettings
+) -> IntArray:
+    # Every branch of b may go with the first of a; with inexact degrees the first may be missing.
+    first = a.heading.shape[1] if settings.degree == "inexact" else min(a.heading.shape[1], 1)
+    u, i, v, j = (
+        x.reshape(-1)
+        for x in np.meshgrid(
+            vertices[0],
+            np.arange(first),
+            vertices[1],
+            np.arange(b.heading.shape[1]),
+            indexing="ij",
+        )
+    )
+    real = (i < a.degree[u]) & (j < b.degree[v])
+    if settings.degree == "exact":
+        real &= a.degree[u] == b.degree[v]
+    u, i, v, j = u[real], i[real], v[real], j[real]
+    ok, partner = correspond(a, b, (u, i), (v, j), settings)
+    return encode(a, b, u[ok], v[ok], partner[ok])

@@ -1,0 +1,172 @@
+"""What structural matching needs of a map: branches, and corridors seen from both of their ends.
+
+A *dart* is a corridor in one direction: dart 2k drives edge k from source to target, dart 2k + 1
+the other way. Preparing a map is linear in its size and done once, however many maps it is
+compared with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..passes import NO_BRANCH
+from ..se2 import wrap
+from ..topomap import TopoMap
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+RECTILINEAR_SHARE = 0.88
+"""A map is rectilinear when this share of its branches lies near the directions of one grid."""
+RECTILINEAR_RAD = np.deg2rad(15.0)
+INFERRED_BRANCH_RAD = np.deg2rad(40.0)
+"""A corridor that left by an unknown branch is given a free one within this angle of its path."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """A prepared map of n vertices with at most D branches each, and 2 m darts.
+
+    heading: (n, D) branch headings [rad], NaN beyond a vertex's degree; degree: (n,);
+    explored: (n, D) True where a corridor was driven by that branch. start, end: (2 m,) vertices;
+    out_branch: branch by which the dart leaves its start; in_branch: branch of its end by which it
+    arrives; length, sigma: (2 m,) [m]; edge: (2 m,) edge of the map. Edges of which a branch is
+    unknown and cannot be told from the path have no darts.
+    grid_rad: direction of the grid in [0, pi/2) if the map is rectilinear, else None;
+    slot: (n, D) the quarter turn 0..3 of each branch on that grid, -1 beyond the degree.
+    mask, explored_mask: (n,) bit s is set if a branch (a driven branch) lies in slot s.
+    out_slot, in_slot: (2 m,) slots by which each dart leaves its start and arrives at its end;
+    slot_kind: (2 m,) what darts share that a quarter turn takes to each other, as one number: the
+    turn between leaving and arriving (times 256) and the slots at both ends.
+    crowded: a branch (or slot) of some vertex is used by more than one dart.
+    """
+
+    heading: FloatArray
+    degree: IntArray
+    explored: NDArray[np.bool_]
+    start: IntArray
+    end: IntArray
+    out_branch: IntArray
+    in_branch: IntArray
+    length: FloatArray
+    sigma: FloatArray
+    edge: IntArray
+    grid_rad: float | None
+    slot: IntArray
+    mask: IntArray
+    explored_mask: IntArray
+    out_slot: IntArray
+    in_slot: IntArray
+    slot_kind: IntArray
+    crowded: bool
+
+    def __len__(self) -> int:
+        """Number of vertices."""
+        return len(self.degree)
+
+
+def prepare(topomap: TopoMap) -> Structure:
+    """The structure of a map. O(n D + m)."""
+    heading = padded_branches(topomap)
+    n, width = heading.shape
+    degree = topomap.degree
+    edge, ends, branches = _known_edges(topomap, heading)
+    start, end = ends.reshape(-1), ends[:, ::-1].reshape(-1)
+    out_branch, in_branch = branches.reshape(-1), branches[:, ::-1].reshape(-1)
+    grid = grid_direction(topomap.branches.values)
+    slot = np.full((n, width), -1, np.int64)
+    if grid is not None:
+        inside = np.arange(width) < degree[:, None]
+        slot[inside] = np.rint(wrap(heading[inside] - grid) / (np.pi / 2)).astype(np.int64) % 4
+    explored = np.zeros((n, width), np.bool_)
+    explored[start, out_branch] = True
+    bit = np.where(slot >= 0, 1 << np.maximum(slot, 0), 0)
+    mask = np.bitwise_or.reduce(bit, axis=1) if width else np.zeros(n, np.int64)
+    out_slot, in_slot = slot[start, out_branch], slot[end, in_branch]
+    place = out_slot if grid is not None else out_branch
+    crowded = len(np.unique(start * (width + 4) + place)) < len(start)
+    return Structure(
+        heading=heading,
+        degree=degree,
+        explored=explored,
+        start=start,
+        end=end,
+        out_branch=out_branch,
+        in_branch=in_branch,
+        length=np.repeat(topomap.length[edge], 2),
+        sigma=np.repeat(topomap.length_sigma[edge], 2),
+        edge=np.repeat(edge, 2),
+        grid_rad=grid,
+        slot=slot,
+        mask=mask,
+        explored_mask=np.bitwise_or.reduce(np.where(explored, bit, 0), axis=1)
+        if width
+        else np.zeros(n, np.int64),
+        out_slot=out_slot,
+        in_slot=in_slot,
+        slot_kind=_slot_kind(out_slot, in_slot, mask[start], mask[end]),
+        crowded=crowded,
+    )
+
+
+def _slot_kind(
+    out_slot: IntArray, in_slot: IntArray, mask_start: IntArray, mask_end: IntArray
+) -> IntArray:
+    """What the darts are when they are turned to leave eastwards, in slot 0."""
+    out = np.maximum(out_slot, 0)
+    at_start, at_end = (((m << 4 | m) >> out) & 15 for m in (mask_start, mask_end))
+    turn = (in_slot - out_slot) % 4
+    return np.asarray((turn * 16 + at_start) * 16 + at_end)
+
+
+def padded_branches(topomap: TopoMap) -> FloatArray:
+    """(n, D) headings of all vertices, NaN beyond their degree."""
+    rows = topomap.branches
+    width = int(rows.counts.max(initial=0))
+    out = np.full((len(topomap), width), np.nan)
+    out[np.arange(width) < rows.counts[:, None]] = rows.values
+    return out
+
+
+def grid_direction(heading_rad: FloatArray) -> float | None:
+    """Direction [rad] in [0, pi/2) of the grid that the headings lie on; None if they lie on none.
+
+    The mean of the headings modulo a quarter turn is the argument of their mean fourth power.
+    """
+    if len(heading_rad) == 0:
+        return None
+    grid = float(np.angle(np.exp(4j * heading_rad).mean())) / 4 % (np.pi / 2)
+    off = np.abs(wrap(4 * (heading_rad - grid))) / 4
+    return grid if np.mean(off <= RECTILINEAR_RAD) >= RECTILINEAR_SHARE else None
+
+
+def _known_edges(topomap: TopoMap, heading: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Edges whose branches are known at both ends: indices (k,), ends (k, 2), branches (k, 2)."""
+    ends = np.stack([topomap.source, topomap.target], axis=1)
+    branches = np.stack([topomap.source_branch, topomap.target_branch], axis=1)
+    if np.any(branches == NO_BRANCH):
+        branches = _with_inferred(topomap, heading, ends, branches)
+    known = np.flatnonzero((branches != NO_BRANCH).all(axis=1))
+    return known, ends[known], branches[known]
+
+
+def _with_inferred(
+    topomap: TopoMap, heading: FloatArray, ends: IntArray, branches: IntArray
+) -> IntArray:
+    """`branches` with unknown ones set to the free branch that the corridor's path points along."""
+    out = branches.copy()
+    known = branches != NO_BRANCH
+    taken = set(zip(ends[known].tolist(), branches[known].tolist(), strict=True))
+    for k, side in np.argwhere(~known).tolist():
+        vertex, path = int(ends[k, side]), topomap.paths[k]
+        step = path[1] - path[0] if side == 0 else path[-2] - path[-1]
+        off = np.abs(wrap(heading[vertex] - np.arctan2(step[1], step[0])))
+        near = [int(i) for i in np.argsort(off) if off[i] <= INFERRED_BRANCH_RAD]
+        free = [i for i in near if (vertex, i) not in taken]
+        if free:
+            out[k, side] = free[0]
+            taken.add((vertex, free[0]))
+    return out

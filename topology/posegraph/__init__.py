@@ -1,0 +1,1 @@
+"""Least-squares pose graphs in the plane, on `scipy.sparse`."""

@@ -1,0 +1,223 @@
+"""The pose graph as a value: poses in the plane, what was measured between them, what is known.
+
+Error of an edge from pose i to pose j with measurement T_i_j, in g2o's metric:
+
+    e = T_i_j^-1 ∘ (T_i^-1 ∘ T_j),  χ² = eᵀ Ω e
+
+Every other measurement is built from the same three parts:
+
+* a *point landmark* is a pose whose heading is held, seen by edges without heading information;
+* a *heading known from outside* (a rectilinear building) is a prior with heading information only;
+* a *systematic error of the odometry* (heading bias per metre, scale, …) is a shared variable:
+  one number that enters the measurements of many edges linearly (`SharedErrors`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..frozen import frozen_array
+from ..se2 import FloatArray, wrap
+
+
+def _symmetric(information: FloatArray, name: str) -> None:
+    """Raise ValueError on matrices that cannot be information (checked by their diagonals)."""
+    if not np.allclose(information, information.transpose(0, 2, 1), rtol=1e-6, atol=1e-9):
+        raise ValueError(f"{name} must be symmetric")
+    if np.any(np.einsum("kii->ki", information) < 0):
+        raise ValueError(f"{name} has a negative diagonal")
+
+
+def _nothing(*shape: int) -> FloatArray:
+    """Stands for a field that was left out; the birth of the value fills it in."""
+    return np.zeros(shape)
+
+
+def _kernel(width: FloatArray, count: int, name: str) -> FloatArray:
+    """Read-only kernel widths (count,), infinite where none were given."""
+    out = np.array(width, np.float64) if len(width) else np.full(count, np.inf)
+    if out.shape != (count,) or not np.all(out > 0):
+        raise ValueError(f"{name} needs {count} positive widths (inf: none)")
+    out.flags.writeable = False
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Priors:
+    """What is known of single poses in the graph's own frame.
+
+    node: (u,) vertex; value: (u, 3) x, y [m], theta [rad]; information: (u, 3, 3), zero where
+    nothing is known; kernel: (u,) Cauchy width in sigmas, inf for a plain square.
+    """
+
+    node: NDArray[np.int64]
+    value: FloatArray
+    information: FloatArray
+    kernel: FloatArray = field(default_factory=lambda: _nothing(0))
+
+    def __post_init__(self) -> None:
+        u = len(self.node)
+        object.__setattr__(self, "node", frozen_array(self.node, np.int64, (u,), "node"))
+        object.__setattr__(self, "value", frozen_array(self.value, np.float64, (u, 3), "value"))
+        information = frozen_array(self.information, np.float64, (u, 3, 3), "information")
+        _symmetric(information, "information of the priors")
+        object.__setattr__(self, "information", information)
+        object.__setattr__(self, "kernel", _kernel(self.kernel, u, "kernel of the priors"))
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+    @classmethod
+    def empty(cls) -> Priors:
+        """Nothing known."""
+        return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+
+    @classmethod
+    def headings(
+        cls,
+        node: NDArray[np.int64],
+        theta_rad: FloatArray,
+        sigma_rad: FloatArray | float,
+        kernel: FloatArray | None = None,
+    ) -> Priors:
+        """Headings known to `sigma_rad`, positions free: (u,) each; sigma may be one number."""
+        u = len(node)
+        value, information = np.zeros((u, 3)), np.zeros((u, 3, 3))
+        value[:, 2] = theta_rad
+        information[:, 2, 2] = 1.0 / np.square(sigma_rad)
+        return cls(node, value, information, _nothing(0) if kernel is None else kernel)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedErrors:
+    """Systematic errors of the odometry: `k` numbers b that many measurements share.
+
+    The measurement of edge e is `measurement[e] + sensitivity[e] @ b` (x, y, theta, frame of the
+    edge's source). sensitivity: (m, 3, k), zero for edges that are no odometry; mean, sigma: (k,)
+    prior of b, mean 0 where left out. Units are the caller's: for a heading bias β [rad/m] over a
+    leg of Δs the heading row is Δs; `straight_sensitivity` fills in the position rows.
+    """
+
+    sensitivity: FloatArray
+    sigma: FloatArray
+    mean: FloatArray = field(default_factory=lambda: _nothing(0))
+
+    def __post_init__(self) -> None:
+        k = len(self.sigma)
+        m = len(self.sensitivity)
+        given = frozen_array(self.sensitivity, np.float64, (m, 3, k), "sensitivity")
+        object.__setattr__(self, "sensitivity", given)
+        object.__setattr__(self, "sigma", frozen_array(self.sigma, np.float64, (k,), "sigma"))
+        mean = self.mean if len(self.mean) else np.zeros(k)
+        object.__setattr__(self, "mean", frozen_array(mean, np.float64, (k,), "mean"))
+        if np.any(self.sigma <= 0):
+            raise ValueError("the sigma of a shared error must be positive")
+
+    def __len__(self) -> int:
+        return len(self.sigma)
+
+    @classmethod
+    def none(cls, edges: int = 0) -> SharedErrors:
+        """No shared errors, for a graph of so many edges."""
+        return cls(_nothing(edges, 3, 0), _nothing(0))
+
+
+def straight_sensitivity(T_i_j: FloatArray, heading_gain: FloatArray) -> FloatArray:
+    """(m, 3) derivative of a leg's T_i_j [(m, 3)] by a heading error that grows along the leg.
+
+    heading_gain: (m,) what the error adds to the heading of the whole leg (Δs for a bias per
+    metre, Δθ for one per radian). Half of it turns the chord, as if the leg were driven evenly;
+    exact sums over the odometry rows are better where they are at hand (`ingest.calibration`).
+    """
+    x, y = T_i_j[:, 0], T_i_j[:, 1]
+    return np.stack([-0.5 * y * heading_gain, 0.5 * x * heading_gain, heading_gain], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseGraph:
+    """`n` poses and `m` relative measurements, the input of `posegraph.solve`.
+
+    pose: (n, 3) first guess; source, target: (m,) vertices of every edge; measurement: (m, 3)
+    T_source_target; information: (m, 3, 3), symmetric, positive semidefinite, zero in what the edge
+    does not tell; kernel: (m,) width of a Cauchy kernel in sigmas, inf for a plain square;
+    held: (n, 3) components of poses that stay at their first guess; priors and shared errors: see
+    there. The frame is free (gauge) where priors and held poses leave it so.
+    Raises ValueError on shapes that do not fit, NaN, indices out of range, an edge from a pose to
+    itself.
+    """
+
+    pose: FloatArray
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    measurement: FloatArray
+    information: FloatArray
+    kernel: FloatArray = field(default_factory=lambda: _nothing(0))
+    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 3), bool))
+    priors: Priors = field(default_factory=Priors.empty)
+    shared: SharedErrors = field(default_factory=SharedErrors.none)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.pose), len(self.source)
+        held = self.held if len(self.held) else np.zeros((n, 3), bool)
+        shared = self.shared if len(self.shared) else SharedErrors.none(m)
+        checked = {
+            "pose": frozen_array(self.pose, np.float64, (n, 3), "pose"),
+            "source": frozen_array(self.source, np.int64, (m,), "source"),
+            "target": frozen_array(self.target, np.int64, (m,), "target"),
+            "measurement": frozen_array(self.measurement, np.float64, (m, 3), "measurement"),
+            "information": frozen_array(self.information, np.float64, (m, 3, 3), "information"),
+            "kernel": _kernel(self.kernel, m, "kernel of the edges"),
+            "held": frozen_array(held, np.bool_, (n, 3), "held"),
+            "shared": shared,
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        _symmetric(self.information, "information of the edges")
+        ends = np.concatenate([self.source, self.target, self.priors.node])
+        if np.any(ends < 0) or np.any(ends >= n):
+            raise ValueError("an edge or a prior names a pose that does not exist")
+        if np.any(self.source == self.target):
+            raise ValueError("an edge joins a pose to itself")
+        if len(shared.sensitivity) != m:
+            raise ValueError("shared errors need one sensitivity per edge")
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.pose)
+
+
+def edge_errors(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:
+    """(m, 3) e = T_ij^-1 ∘ (T_i^-1 ∘ T_j) of every edge at the given poses and shared errors."""
+    T_i_j = corrected_measurement(graph, shared)
+    step = pose[graph.target] - pose[graph.source]
+    theta = pose[graph.source, 2]
+    c, s = np.cos(theta), np.sin(theta)
+    x = c * step[:, 0] + s * step[:, 1] - T_i_j[:, 0]
+    y = c * step[:, 1] - s * step[:, 0] - T_i_j[:, 1]
+    c, s = np.cos(T_i_j[:, 2]), np.sin(T_i_j[:, 2])
+    return np.stack([c * x + s * y, c * y - s * x, wrap(step[:, 2] - T_i_j[:, 2])], axis=-1)
+
+
+def corrected_measurement(graph: PoseGraph, shared: FloatArray) -> FloatArray:
+    """(m, 3) measurements with the shared errors put in."""
+    if len(graph.shared) == 0:
+        return graph.measurement
+    out: FloatArray = graph.measurement + graph.shared.sensitivity @ shared
+    return out
+
+
+def prior_errors(graph: PoseGraph, pose: FloatArray) -> FloatArray:
+    """(u, 3) pose minus prior, in the frame of the graph."""
+    error = pose[graph.priors.node] - graph.priors.value
+    error[:, 2] = wrap(error[:, 2])
+    return error
+
+
+def squared(error: FloatArray, information: FloatArray) -> FloatArray:
+    """(k,) eᵀ Ω e of every row."""
+    weighted = np.matmul(information, error[:, :, None])[:, :, 0]
+    out: FloatArray = np.einsum("ki,ki->k", error, weighted)
+    return out

@@ -1,0 +1,115 @@
+"""How sure a solved pose graph is: covariances of chosen poses and pairs of poses.
+
+The covariance is the inverse of the normal matrix at the solution. Only the wanted columns of it
+are computed, in chunks, so memory stays with the chunk and not with the square of the graph.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..se2 import FloatArray
+from .graph import PoseGraph
+from .initialisation import skeleton
+from .normal_equations import Factor, Point, build_pattern, linearise
+
+_CHUNK = 128
+"""Poses whose columns are solved for at once: 3 · 128 right sides of the size of the graph."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marginals:
+    """Covariances (1 sigma squared, m and rad) at a solution, from one factorisation."""
+
+    pose: FloatArray
+    factor: Factor
+
+    @classmethod
+    def of(cls, graph: PoseGraph, solution: Point) -> Marginals:
+        """Factorise at a solution; edges count by their weights there (0: not at all)."""
+        pattern = build_pattern(graph, skeleton(graph))
+        return cls(solution.pose, linearise(graph, pattern, solution).factorise())
+
+    def shared(self) -> FloatArray:
+        """(k, k) covariance of the shared errors."""
+        return np.asarray(np.linalg.inv(self.factor.schur), np.float64)
+
+    def joint(
+        self, a: NDArray[np.int64], b: NDArray[np.int64]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Covariances of poses in the graph's frame: (k, 3, 3) of a, of b, and between a and b.
+
+        Vectorised over pairs in chunks of distinct second poses: the columns of the inverse that
+        belong to b are solved for and read at a and b. Cost: one pair of triangular solves per
+        column. Fixed components have no variance.
+        """
+        a, b = np.asarray(a, np.int64), np.asarray(b, np.int64)
+        nodes = np.unique(np.concatenate([a, b]))
+        own = np.zeros((len(nodes), 3, 3))
+        cross = np.zeros((len(a), 3, 3))
+        where_b = np.searchsorted(nodes, b)
+        order = np.argsort(where_b, kind="stable")
+        starts = np.arange(0, len(nodes), _CHUNK)
+        cuts = np.searchsorted(where_b[order], np.append(starts, len(nodes)))
+        for chunk, first in enumerate(starts):
+            chosen = nodes[first : first + _CHUNK]
+            columns = self._columns(chosen)
+            local = np.arange(len(chosen))
+            own[first : first + _CHUNK] = self._read(columns, chosen, local)
+            pairs = order[cuts[chunk] : cuts[chunk + 1]]
+            cross[pairs] = self._read(columns, a[pairs], where_b[pairs] - first)
+        return own[np.searchsorted(nodes, a)], own[where_b], cross
+
+    def relative(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
+        """(k, 3, 3) covariance of T_a_b (x, y, theta of pose b in the frame of pose a).
+
+        Does not depend on the gauge. Infinite between poses in different components is not
+        detected: they are independent there.
+        """
+        var_a, var_b, cross = self.joint(a, b)
+        J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
+        mixed = J_a @ cross @ J_b.transpose(0, 2, 1)
+        out = J_a @ var_a @ J_a.transpose(0, 2, 1) + J_b @ var_b @ J_b.transpose(0, 2, 1)
+        out = out + mixed + mixed.transpose(0, 2, 1)
+        return 0.5 * (out + out.transpose(0, 2, 1))
+
+    def _columns(self, nodes: NDArray[np.int64]) -> FloatArray:
+        """(size, 3 · nodes) columns of the inverse; zero for fixed components."""
+        variable = self.factor.pattern.variable[nodes].ravel()
+        free = np.flatnonzero(variable >= 0)
+        right = np.zeros((self.factor.pattern.size, len(variable)))
+        right[variable[free], free] = 1.0
+        return self.through(right)
+
+    def through(self, right: FloatArray) -> FloatArray:
+        """(size, k) covariance of all free components times columns (size, k)."""
+        out = self.factor.solve(right)
+        if self.factor.border.shape[1]:
+            solved = self.factor.solved_border
+            out = out + solved @ np.linalg.solve(self.factor.schur, self.factor.border.T @ out)
+        return out
+
+    def _read(
+        self, columns: FloatArray, rows: NDArray[np.int64], local: NDArray[np.int64]
+    ) -> FloatArray:
+        """(k, 3, 3) blocks at poses `rows`, columns of the `local`-th pose of the chunk."""
+        variable = self.factor.pattern.variable[rows]
+        at = columns[variable[:, :, None], (3 * local)[:, None, None] + np.arange(3)]
+        return np.where(variable[:, :, None] >= 0, at, 0.0)
+
+
+def relative_jacobians(pose_a: FloatArray, pose_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(k, 3, 3) derivatives of between(a, b) by a and by b."""
+    k = len(pose_a)
+    c, s = np.cos(pose_a[:, 2]), np.sin(pose_a[:, 2])
+    step = pose_b - pose_a
+    J_a, J_b = np.zeros((k, 3, 3)), np.zeros((k, 3, 3))
+    J_b[:, 0, 0], J_b[:, 0, 1], J_b[:, 1, 0], J_b[:, 1, 1] = c, s, -s, c
+    J_a[:, :2, :2] = -J_b[:, :2, :2]
+    J_a[:, 0, 2] = c * step[:, 1] - s * step[:, 0]
+    J_a[:, 1, 2] = -c * step[:, 0] - s * step[:, 1]
+    J_b[:, 2, 2], J_a[:, 2, 2] = 1.0, -1.0
+    return J_a, J_b

@@ -1,0 +1,316 @@
+"""The normal equations of a pose graph: assembled without loops, factorised by `splu`.
+
+Unknowns are the free components of the poses, in elimination order, and at the border the shared
+errors b. With A the sparse part and B the columns of the border, one factorisation of A serves all
+(the border is a handful of dense columns that would otherwise fill the factors):
+
+    [A  B] [x]   [g]        S = C − Bᵀ A⁻¹ B,  b = S⁻¹ (h − Bᵀ A⁻¹ g),  x = A⁻¹ (g − B b)
+    [Bᵀ C] [b] = [h]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from ..se2 import FloatArray
+from .graph import PoseGraph, corrected_measurement, edge_errors, prior_errors
+from .initialisation import Skeleton, summed
+
+_FIXED = -1
+
+_LOADING = 1e-14
+"""Added to the diagonal, relative to it: beyond what rounding may take from a pivot, so that one
+that is zero does no harm to those after it; far below any information."""
+
+_FREE = 1e-12
+"""A pivot of less than this share of its diagonal tells nothing: its variable follows from those
+before it but for rounding. Chains of thousands of poses keep 1e-8 (CSAIL: 3e-8)."""
+
+
+class Point(Protocol):
+    """Where to linearise: poses, shared errors, and the weights of edges and priors there."""
+
+    @property
+    def pose(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def shared(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def edge_weight(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def prior_weight(self) -> FloatArray: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """Where every product of the linearisation lands in the matrix: computed once per graph.
+
+    variable: (n, 3) column of each pose component, -1 where it is fixed; indices, indptr: pattern
+    of A (CSC); slot: (4 m + u, 9) where the entries of each block land, one behind the last for
+    fixed components; diagonal: (size,) slots of the diagonal; rigid: as in `Skeleton`.
+    """
+
+    variable: NDArray[np.int64]
+    size: int
+    indices: NDArray[np.int32]
+    indptr: NDArray[np.int32]
+    slot: NDArray[np.int64]
+    diagonal: NDArray[np.int64]
+    rigid: bool
+
+
+def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
+    """Pattern of the normal matrix. O(m log m).
+
+    The 3 × 3 blocks are sorted, not their entries: `np.unique` of the (column, row) keys of blocks,
+    renumbered in elimination order, gives the block pattern and the block that each contribution
+    falls in; entries of a block column of height h lie h apart, so their places follow. Fixed
+    components are cut out of the finished pattern.
+    """
+    n, m = len(graph), len(graph.source)
+    rank = np.empty(n, np.int64)
+    rank[frame.order] = np.arange(n)
+    i, j, u = rank[graph.source], rank[graph.target], rank[graph.priors.node]
+    nodes = np.arange(n)
+    # The whole diagonal belongs to the pattern, so that damping always has a place to go.
+    rows = np.concatenate([i, i, j, j, u, nodes])
+    columns = np.concatenate([i, j, i, j, u, nodes])
+    blocks, which = np.unique(columns * n + rows, return_inverse=True)
+    block_row, block_column = blocks % max(n, 1), blocks // max(n, 1)
+    height = np.bincount(block_column, minlength=n)
+    first = np.concatenate([[0], np.cumsum(height)[:-1]]).astype(np.int64)
+    # Entry (r, c) of a block: column c of its block column, then the blocks above it, then r.
+    base = 9 * first[block_column] + 3 * (np.arange(len(blocks)) - first[block_column])
+    stride = 3 * height[block_column]
+    r, c = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
+    place = base[:, None] + c * stride[:, None] + r
+    free = (~frame.fixed[frame.order]).ravel()
+    number = np.where(free, np.cumsum(free) - 1, _FIXED)
+    row_of, column_of = np.empty((2, 9 * len(blocks)), np.int64)
+    row_of[place] = 3 * block_row[:, None] + r
+    column_of[place] = 3 * block_column[:, None] + c
+    kept = free[row_of] & free[column_of]
+    new_place = np.cumsum(kept) - 1
+    size = int(free.sum())
+    per_column = np.bincount(number[column_of[kept]], minlength=size)
+    # Contributions to fixed components go to one slot behind the last, which is dropped.
+    slot = np.where(kept, new_place, int(kept.sum()))[place]
+    variable = np.empty((n, 3), np.int64)
+    variable[frame.order] = number.reshape(n, 3)
+    diagonal = slot[which[4 * m + len(u) :]][:, [0, 4, 8]].ravel()
+    return Pattern(
+        variable,
+        size,
+        number[row_of[kept]].astype(np.int32),
+        np.concatenate([[0], np.cumsum(per_column)]).astype(np.int32),
+        slot[which[: 4 * m + len(u)]],
+        diagonal[free],
+        frame.rigid,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """Linearisation at one point: `A` data in the pattern's slots, gradient, and the border.
+
+    belief: (k,) 1 / σ² of the shared errors, which the corner contains; definite: whether A surely
+    tells something in every direction.
+    """
+
+    pattern: Pattern
+    data: FloatArray
+    gradient: FloatArray
+    border: FloatArray
+    border_gradient: FloatArray
+    corner: FloatArray
+    belief: FloatArray
+    definite: bool
+
+    def factorise(self, damping: float = 0.0) -> Factor:
+        """Factors of the damped system; they are positive definite whatever the graph.
+
+        A matrix without information in some direction has a pivot that is zero but for rounding,
+        of either sign: steps along it would be noise, or uphill. The variable of such a pivot is
+        held back, which leaves the others what they are: the system is consistent.
+        """
+        p = self.pattern
+        diagonal = self.data[p.diagonal]
+        scale = np.where(diagonal > 0, diagonal, 1.0)
+        loading = np.where(diagonal > 0, damping + _LOADING, 1.0) * scale
+        lu = self._factored(loading) if p.size else None
+        if lu is not None and damping < _FREE and not self.definite:
+            free = lu.U.diagonal() <= _FREE * scale
+            if free.any():
+                lu = self._factored(loading + np.where(free, scale, 0.0))
+        solved = lu.solve(self.border) if lu is not None and self.border.size else self.border
+        corner = self.corner + damping * np.diag(np.diag(self.corner))
+        return Factor(p, lu, self.border, solved, self._schur(corner - self.border.T @ solved))
+
+    def _factored(self, loading: FloatArray) -> SuperLU:
+        """Factors of A with (size,) `loading` on its diagonal, pivots taken from there."""
+        data, p = self.data.copy(), self.pattern
+        data[p.diagonal] += loading
+        matrix = sparse.csc_array((data, p.indices, p.indptr), shape=(p.size, p.size))
+        return splu(
+            matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+
+    def _schur(self, schur: FloatArray) -> FloatArray:
+        """S, which is no less than what is believed of b beforehand: rounding may say less."""
+        sigma = 1.0 / np.sqrt(self.belief)
+        share = sigma[:, None] * (0.5 * (schur + schur.T)) * sigma
+        if not len(schur) or np.linalg.eigvalsh(share)[0] >= 1:
+            return schur
+        values, vectors = np.linalg.eigh(share)
+        root = vectors / sigma[:, None]
+        out: FloatArray = (root * np.maximum(values, 1.0)) @ root.T
+        return out
+
+    def step(self, factor: Factor) -> tuple[FloatArray, FloatArray]:
+        """Gauss–Newton step: (n, 3) of the poses, zero where fixed, and (k,) of the border."""
+        x: FloatArray = factor.solve(self.gradient)
+        b: FloatArray = np.zeros(len(self.border_gradient))
+        if len(b):
+            right = self.border_gradient - factor.border.T @ x
+            b = np.asarray(np.linalg.solve(factor.schur, right), np.float64)
+            x = x - factor.solved_border @ b
+        out = np.zeros(self.pattern.variable.shape)
+        free = self.pattern.variable >= 0
+        out[free] = x[self.pattern.variable[free]]
+        return out, b
+
+    def promise(self, move: FloatArray, shift: FloatArray) -> float:
+        """First-order gain of a step: gᵀ x, the fall of a quadratic cost under a full step."""
+        free = self.pattern.variable >= 0
+        x = np.zeros(self.pattern.size)
+        x[self.pattern.variable[free]] = move[free]
+        # Plain sums: a threaded dot product would wake threads for microseconds of work.
+        return float((self.gradient * x).sum() + (self.border_gradient * shift).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Factor:
+    """A factorised normal matrix: A by `lu` (None without unknowns), the border by its Schur."""
+
+    pattern: Pattern
+    lu: SuperLU | None
+    border: FloatArray
+    solved_border: FloatArray
+    schur: FloatArray
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """A⁻¹ right; (size,) or (size, k)."""
+        if self.lu is None:
+            return right
+        return np.asarray(self.lu.solve(np.ascontiguousarray(right)), np.float64)
+
+
+def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
+    """Normal equations at a point, with information scaled by its weights. O(m).
+
+    Vectorised over edges, one array per matrix entry. With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij, and
+    E = [I, J(t_j − t_i); 0, 1] the Jacobians are J_j = B and J_i = −B E, so that all blocks follow
+    from G = Bᵀ Ω B, the information turned into the frame of the graph: H_jj = G, H_ij = −Eᵀ G,
+    H_ii = Eᵀ G E. One `bincount` scatters them into the slots of the pattern.
+    """
+    pose, shared, m = at.pose, at.shared, len(graph.source)
+    T_i_j = corrected_measurement(graph, shared)
+    error = edge_errors(graph, pose, shared)
+    phi = pose[graph.source, 2] + T_i_j[:, 2]
+    c, s = np.cos(phi), np.sin(phi)
+    x, y = (pose[graph.target, :2] - pose[graph.source, :2]).T
+    G = _turned(graph.information, c, s) * at.edge_weight
+    blocks = np.empty((4 * m + len(graph.priors), 3, 3))
+    H_ii, H_ij, H_ji, H_jj = (blocks[k * m : (k + 1) * m].transpose(1, 2, 0) for k in range(4))
+    H_jj[:] = G
+    H_ij[:2] = -G[:2]
+    H_ij[2] = y * G[0] - x * G[1] - G[2]
+    H_ji[:] = H_ij.transpose(1, 0, 2)
+    H_ii[:, :2] = -H_ij[:, :2]
+    H_ii[:, 2] = y * H_ij[:, 0] - x * H_ij[:, 1] - H_ij[:, 2]
+    blocks[4 * m :] = graph.priors.information * at.prior_weight[:, None, None]
+    data = summed(pattern.slot.ravel(), blocks.ravel(), len(pattern.indices) + 1)[:-1]
+
+    ends = (graph.source, graph.target, graph.priors.node)
+    pull_j = _pulled(G, _turned_back(error, c, s))
+    pull_i = _through(pull_j, x, y)
+    known = _times(blocks[4 * m :], prior_errors(graph, pose))
+    gradient = _scatter(pattern, ends, (pull_i, pull_j, known))
+    k = len(graph.shared)
+    border, corner, slope = np.zeros((pattern.size, k)), np.zeros((k, k)), np.zeros(k)
+    belief = 1.0 / np.square(graph.shared.sigma)
+    if k:
+        J_b = np.matmul(measurement_jacobian(graph, pose, shared), graph.shared.sensitivity)
+        for column in range(k):
+            G_b = _pulled(G, _turned_back(J_b[:, :, column], c, s))
+            border[:, column] = -_scatter(pattern, ends[:2], (_through(G_b, x, y), G_b))
+        weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
+        corner = np.einsum("eik,eil->kl", J_b, weighted) + np.diag(belief)
+        slope = -np.einsum("eik,ei->k", weighted, error) - belief * (shared - graph.shared.mean)
+    definite = pattern.rigid and bool(np.all(at.edge_weight > _FREE))
+    return NormalEquations(pattern, data, gradient, border, slope, corner, belief, definite)
+
+
+def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+    """(3, 3, m) Bᵀ Ω B for B = diag([[c, s], [-s, c]], 1)."""
+    xx, xy, xt = information[:, 0, 0], information[:, 0, 1], information[:, 0, 2]
+    yy, yt, tt = information[:, 1, 1], information[:, 1, 2], information[:, 2, 2]
+    cc, cs, ss = c * c, c * s, s * s
+    G = np.empty((3, 3, len(c)))
+    G[0, 0] = cc * xx - 2 * cs * xy + ss * yy
+    G[1, 1] = ss * xx + 2 * cs * xy + cc * yy
+    G[0, 1] = G[1, 0] = cs * (xx - yy) + (cc - ss) * xy
+    G[0, 2] = G[2, 0] = c * xt - s * yt
+    G[1, 2] = G[2, 1] = s * xt + c * yt
+    G[2, 2] = tt
+    return G
+
+
+def _turned_back(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+    """(3, m) Bᵀ v of (m, 3): from the frame of the measurement to that of the graph."""
+    x, y, theta = vector.T
+    return np.stack([c * x - s * y, s * x + c * y, theta])
+
+
+def _pulled(G: FloatArray, vector: FloatArray) -> FloatArray:
+    """(m, 3) G v of (3, m): what an error pulls at the target pose."""
+    return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in G], 1)
+
+
+def _through(pull: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """(m, 3) −Eᵀ of a pull at the target pose: the pull at the source pose."""
+    return np.stack([-pull[:, 0], -pull[:, 1], y * pull[:, 0] - x * pull[:, 1] - pull[:, 2]], 1)
+
+
+def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """(k, 3, 3) times (k, 3)."""
+    out: FloatArray = np.matmul(matrix, vector[:, :, None])[:, :, 0]
+    return out
+
+
+def _scatter(
+    pattern: Pattern, nodes: tuple[NDArray[np.int64], ...], values: tuple[FloatArray, ...]
+) -> FloatArray:
+    """(size,) minus the sum of `values` (·, 3) at the variables of their `nodes`."""
+    where = np.concatenate([pattern.variable[node].ravel() for node in nodes])
+    flat = np.concatenate([value.ravel() for value in values])
+    free = where >= 0
+    return -summed(where[free], flat[free], pattern.size)
+
+
+def measurement_jacobian(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:
+    """(m, 3, 3) derivative of the edge errors by the measurement: −diag(R_ijᵀ, 1), −J e_xy."""
+    T_i_j = corrected_measurement(graph, shared)
+    error = edge_errors(graph, pose, shared)
+    c, s = np.cos(T_i_j[:, 2]), np.sin(T_i_j[:, 2])
+    out = np.zeros((len(c), 3, 3))
+    out[:, 0, 0], out[:, 0, 1] = -c, -s
+    out[:, 1, 0], out[:, 1, 1] = s, -c
+    out[:, 0, 2], out[:, 1, 2] = error[:, 1], -error[:, 0]
+    out[:, 2, 2] = -1.0
+    return out

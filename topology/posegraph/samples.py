@@ -1,0 +1,112 @@
+"""Covariances of many pairs of poses at once, from samples.
+
+Exact covariances (`posegraph_marginals`) cost three solves per pose. A fixed number of samples of
+the whole solution costs as many solves whatever the number of pairs, and tells every covariance to
+√(2 / count): good enough to gate candidates by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ..se2 import FloatArray, turned_axes
+from .graph import PoseGraph, corrected_measurement, edge_errors
+from .initialisation import skeleton
+from .marginals import relative_jacobians
+from .normal_equations import Pattern, Point, build_pattern, linearise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledMarginals:
+    """pose: (n, 3) of the solution; error: (n, 3, count) samples of how far off it may be; shared:
+    (k, count) likewise of the shared errors; edge: (m, 3, count) likewise of the edges' errors."""
+
+    pose: FloatArray
+    error: FloatArray
+    shared: FloatArray
+    edge: FloatArray
+
+    @classmethod
+    def of(cls, graph: PoseGraph, solution: Point, count: int = 64) -> SampledMarginals:
+        """Sample the linearised posterior: solve for measurements that are off as they may be.
+
+        With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The same samples at every
+        call. One factorisation and `count` solves.
+        """
+        rng = np.random.default_rng(20040)
+        pattern = build_pattern(graph, skeleton(graph))
+        system = linearise(graph, pattern, solution)
+        factor = system.factorise()
+        J_i, J_j, J_m = _jacobians(graph, solution.pose, solution.shared)
+        root = _square_root(graph.information * solution.edge_weight[:, None, None])
+        known = _square_root(graph.priors.information * solution.prior_weight[:, None, None])
+        z = rng.standard_normal((3 * len(root), count))
+        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
+        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
+        right = push @ z
+        right = right + _scattered(pattern, graph.priors.node, known) @ rng.standard_normal(
+            (3 * len(known), count)
+        )
+        x = factor.solve(np.asarray(right))
+        b = np.zeros((len(graph.shared), count))
+        if len(graph.shared):
+            J_b = J_m @ graph.shared.sensitivity
+            slope = (root.transpose(0, 2, 1) @ J_b).reshape(-1, len(graph.shared)).T @ z
+            slope = slope + rng.standard_normal(slope.shape) / graph.shared.sigma[:, None]
+            b[:] = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
+            x = x - factor.solved_border @ b
+        error = np.zeros((*pattern.variable.shape, count))
+        free = pattern.variable >= 0
+        error[free] = x[pattern.variable[free]]
+        edge = J_i @ error[graph.source] + J_j @ error[graph.target]
+        if len(graph.shared):
+            edge = edge + (J_m @ graph.shared.sensitivity) @ b
+        return cls(np.asarray(solution.pose), error, b, edge)
+
+    def relative(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
+        """(k, 3, 3) covariance of T_a_b, as `Marginals.relative`, to √(2 / count)."""
+        J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
+        off = J_a @ self.error[a] + J_b @ self.error[b]
+        out: FloatArray = off @ off.transpose(0, 2, 1) / self.error.shape[2]
+        return out
+
+
+def _jacobians(
+    graph: PoseGraph, pose: FloatArray, shared: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(m, 3, 3) each: derivatives of the edge errors by source pose, target pose, measurement.
+
+    With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij and E = [I, J(t_j - t_i); 0, 1]: J_j = B, J_i = -B E;
+    by the measurement -diag(R_ijᵀ, 1) with -J e_xy in the last column.
+    """
+    T_i_j, error = corrected_measurement(graph, shared), edge_errors(graph, pose, shared)
+    x, y, _ = (pose[graph.target] - pose[graph.source]).T
+    J_j = turned_axes(-(pose[graph.source, 2] + T_i_j[:, 2]))
+    J_i = -J_j
+    J_i[:, :2, 2] = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
+    J_m = -turned_axes(-T_i_j[:, 2])
+    J_m[:, 0, 2], J_m[:, 1, 2] = error[:, 1], -error[:, 0]
+    return J_i, J_j, J_m
+
+
+def _square_root(information: FloatArray) -> FloatArray:
+    """(k, 3, 3) R with R Rᵀ = information, also where that is singular."""
+    values, vectors = np.linalg.eigh(information)
+    out: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return out
+
+
+def _scattered(
+    pattern: Pattern, node: NDArray[np.int64], blocks: FloatArray
+) -> sparse.csr_array[np.float64]:
+    """(size, 3 k) matrix that puts (k, 3, 3) blocks at the variables of their nodes."""
+    variable = pattern.variable[node]
+    rows = np.repeat(variable, 3, axis=1).ravel()
+    columns = np.repeat(np.arange(3 * len(node)).reshape(-1, 3), 3, axis=0).ravel()
+    keep = rows >= 0
+    shape = (pattern.size, 3 * len(node))
+    return sparse.csr_array((blocks.ravel()[keep], (rows[keep], columns[keep])), shape=shape)
