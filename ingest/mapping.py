@@ -21,13 +21,13 @@ from ..topology.errors import DataError
 from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
+from ..topology.run import Run
 from ..topology.topomap import Closure, TopoMap
 from ..topology.vertex_errors import VertexErrors
 from .odometry.bridging import bridged, jumps_told, split_told
 from .odometry.calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
 from .odometry.noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
 from .passes import PassSettings, fuse_passes
-from .run import Run
 
 IntArray = NDArray[np.int64]
 

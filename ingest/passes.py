@@ -11,9 +11,9 @@ from ..topology.circular import cluster_angles
 from ..topology.odometry import Odometry
 from ..topology.passes import NO_BRANCH, Passes
 from ..topology.ragged import Ragged
+from ..topology.run import Detections
 from ..topology.se2 import apply, wrap
 from ..topology.track import stretch_of, track_directions, way_at
-from .run import Detections
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

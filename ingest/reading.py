@@ -9,6 +9,7 @@ from typing import Any
 
 from ..topology.errors import LogError, UsageError
 from ..topology.odometry import Odometry
+from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, junction_choice, kept_whole
 from .frames import NO_TRANSFORMS, FixedCollector, FixedTransforms
 from .logs.intake import Intake, no_columns
@@ -35,7 +36,6 @@ from .odometry.kidnapping import split_where_carried
 from .odometry.plausible import check_plausible
 from .odometry.track import Track, sane_track
 from .read_settings import DEFAULT_READ, ReadSettings
-from .run import Run
 from .sightings import Sightings, robot_frame_sightings, side_of
 from .sources import (
     Clock,

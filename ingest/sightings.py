@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ..topology.odometry import Odometry
 from ..topology.ragged import Ragged
+from ..topology.run import Detections
 from ..topology.se2 import apply, inverse, wrap
 from .frames import NO_TRANSFORMS, FixedTransforms, seen_from
 from .logs.intake import PoseColumns, in_plane
-from .run import Detections
 
 Ints = NDArray[np.int64]
 Side = Literal["robot", "odometry", "foreign"]

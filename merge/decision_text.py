@@ -23,7 +23,7 @@ from .decision import (
     rounded_terms,
 )
 from .result import PairVerdict, Verdict, shown_bits
-from .robust.wording import counted, decimals
+from .wording import counted, decimals
 
 WIDTH, HEIGHT = 79, 22
 """Letters and lines of the smallest usual terminal, two lines left for the file and the prompt."""

@@ -1,7 +1,7 @@
 """Scenarios: several runs in one world (and some elsewhere), all from one seed.
 
 scenario = simulate_scenario(ScenarioSettings("maze", runs=3, overlap=0.4, seed=7))
-scenario.runs["run1"]     # an ingest.run.Run, as if read from a log
+scenario.runs["run1"]     # a topology.run.Run, as if read from a log
 scenario.truth            # what really happened
 """
 
@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..ingest.run import Detections, Run
 from ..topology.errors import UsageError
 from ..topology.odometry import Odometry
+from ..topology.run import Detections, Run
 from ..topology.se2 import compose, inverse, wrap
 from .chance import Chance
 from .detector import sightings

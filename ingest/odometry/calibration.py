@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
+from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ..passes import PassSettings, fuse_passes
-from ..run import Detections
 from .heading_evidence import TERMS, EvidenceSettings, HeadingEvidence, heading_evidence
 from .heading_likelihood import HeadingLikelihood
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from ...topology.odometry import Odometry
 from ...topology.passes import NO_BRANCH, Passes
+from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ...topology.track import stretch_of
-from ..run import Detections
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.odometry import Odometry
-from ..run import Detections
+from ...topology.run import Detections
 
 
 @dataclass(frozen=True, slots=True)

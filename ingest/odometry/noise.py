@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
+from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import stretch_of
-from ..run import Detections
 from .heading_evidence import assign_readings
 from .revisits import Repeats
 

@@ -18,7 +18,7 @@ from ...topology.digits import rounded
 from ...topology.matching.correspondence import candidate_nodes, node_rotations
 from ...topology.topomap import TopoMap
 from ..document import pose_to_document
-from ..robust.wording import counted
+from ..wording import counted
 from .clustering import Clusters
 from .hypotheses import Hypotheses
 from .method import DEFAULT_PAPER, PaperSettings, PreparedMap, match, prepare_map

@@ -27,7 +27,7 @@ from ...topology.topomap import TopoMap
 from ..locking import aligned_at, honour
 from ..locks import Lock
 from ..result import Alignment, PairVerdict, Verdict, shown_bits
-from ..robust.wording import counted, told_bits
+from ..wording import counted, told_bits
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
 from .meeting import Meeting, near_vertices

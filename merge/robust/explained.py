@@ -17,6 +17,7 @@ from ...topology.topomap import TopoMap
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
 from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, shown_bits
+from ..wording import counted, told_bits
 from .alignment import CHANCE_BITS, Candidate, best_seed, same_placement
 from .conflicts import CONFLICT_BITS
 from .decide import Assessment, assess, bars
@@ -26,7 +27,6 @@ from .prepare import FloatArray, IntArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import JUNCTION_BITS, Answers, Bar, counted_bits
-from .wording import counted, told_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""

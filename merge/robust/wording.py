@@ -4,25 +4,9 @@ from __future__ import annotations
 
 from ...topology.topomap import TopoMap
 from ..result import shown_bits
+from ..wording import counted, told_bits
 from .alignment import Candidate
 from .prepare import Prepared
-
-
-def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """ "1 junction", "2 junctions"."""
-    return f"{number} {noun if number == 1 else plural or noun + 's'}"
-
-
-def decimals(bits: float, need_bits: float) -> int:
-    """How many decimals show which of two numbers is the greater one."""
-    two = (bits, need_bits)
-    return next((d for d in (1, 2, 3) if len({shown_bits(b, d) for b in two}) > 1), 4)
-
-
-def told_bits(bits: float, need_bits: float) -> str:
-    """ "4.1 bits, 12.6 needed": with so many decimals that what falls short is seen to do so."""
-    digits = decimals(bits, need_bits)
-    return f"{shown_bits(bits, digits)} bits, {shown_bits(need_bits, digits)} needed"
 
 
 def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:

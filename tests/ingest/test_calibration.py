@@ -15,10 +15,10 @@ from topobatch.ingest.odometry.calibration import (
     calibrate,
 )
 from topobatch.ingest.odometry.heading_evidence import EvidenceSettings
-from topobatch.ingest.run import Detections
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections
 from topobatch.topology.se2 import apply, fit_rigid, inverse, wrap
 
 RATE_HZ, SPEED = 20.0, 0.8

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import MappingSettings, _without_phantoms, build_map
-from topobatch.ingest.run import Detections, Run
 from topobatch.simulation import (
     MIXED,
     ScenarioSettings,
@@ -21,6 +20,7 @@ from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, compose, fit_rigid
 
 

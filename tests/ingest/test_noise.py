@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
 from topobatch.ingest.odometry.noise import NoiseSettings, estimate_noise, refine_noise
 from topobatch.ingest.passes import fuse_passes, no_passes
-from topobatch.ingest.run import Detections
 from topobatch.simulation import (
     DRIFTS,
     FAULTS,
@@ -24,6 +23,7 @@ from topobatch.simulation import (
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import Passes
 from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections
 from topobatch.topology.se2 import wrap
 from topobatch.topology.topomap import RunNoise
 

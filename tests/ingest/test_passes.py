@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.passes import PassSettings, fuse_passes
-from topobatch.ingest.run import Detections
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections
 from topobatch.topology.se2 import apply, compose, inverse, wrap
 
 T0 = 1_700_000_000 * 10**9

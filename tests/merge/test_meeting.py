@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from topobatch.merge.paper import hypotheses
 from topobatch.merge.paper.meeting import Meeting, near_vertices, parse_meeting
-from topobatch.merge.paper.method import PaperSettings, hypotheses, match, prepare_map
+from topobatch.merge.paper.method import PaperSettings, match, prepare_map
 from topobatch.topology.errors import DataError, UsageError
 from topobatch.topology.matching.correspondence import GrowthSettings
 

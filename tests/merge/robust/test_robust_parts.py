@@ -40,7 +40,7 @@ from topobatch.merge.robust.verdict import (
     regularity,
     repetition_level,
 )
-from topobatch.merge.robust.wording import told_bits
+from topobatch.merge.wording import told_bits
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import compose, inverse, wrap
 

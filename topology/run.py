@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.frozen import frozen_array
-from ..topology.odometry import Odometry
-from ..topology.ragged import Ragged
+from .frozen import frozen_array
+from .odometry import Odometry
+from .ragged import Ragged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
