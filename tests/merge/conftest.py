@@ -1,7 +1,9 @@
-"""Maps to merge: random mazes, and a small building drawn by hand."""
+"""Maps to merge: random mazes, parts of simulated worlds seen with noise, a small building drawn by
+hand."""
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from topobatch.simulation import make_world
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, wrap
 from topobatch.topology.topomap import TopoMap
@@ -16,14 +19,23 @@ from topobatch.topology.topomap import TopoMap
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
-@pytest.fixture(scope="session")
-def mazes():
-    """The module that the benchmarks draw random mazes with."""
-    spec = importlib.util.spec_from_file_location("topobatch_mazes", BENCHMARKS / "mazes.py")
+def _benchmark(name):
+    """A module of the benchmarks, which stand in no package."""
+    spec = importlib.util.spec_from_file_location(f"topobatch_{name}", BENCHMARKS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+OBSERVED = _benchmark("observed")
+EXACT = OBSERVED.Seeing(centre_m=0.02, branch_rad=0.02, bend_m=0.0, missed=0.0, branch_fault=-1.0)
+
+
+@pytest.fixture(scope="session")
+def mazes():
+    """The module that the benchmarks draw random mazes with."""
+    return _benchmark("mazes")
 
 
 def drawn(run, corners, corridors, stubs=(), *, T=(0.0, 0.0, 0.0), sigma=0.05, lengths=None):
@@ -92,3 +104,112 @@ def maze_pair(mazes):
         return a, b, truth
 
     return pair
+
+
+@pytest.fixture(scope="session")
+def see():
+    """see(world, vertices, seed, name, **seeing) -> TopoMap; info["truth"]: its world vertices."""
+
+    def see(world, vertices, seed, name, **seeing):
+        noise = OBSERVED.Seeing(**seeing)
+        return OBSERVED.observed_map(world, vertices, np.random.default_rng(seed), name, noise)
+
+    return see
+
+
+@pytest.fixture(scope="session")
+def maze():
+    return make_world("maze", 110, 3)
+
+
+@pytest.fixture(scope="session")
+def other_maze():
+    return make_world("maze", 110, 4)
+
+
+@pytest.fixture(scope="session")
+def halves(maze, see):
+    """Two maps of one maze that share the columns in its middle."""
+    across = maze.xy[:, 0]
+    left = np.flatnonzero(across < np.quantile(across, 0.6))
+    right = np.flatnonzero(across > np.quantile(across, 0.3))
+    return see(maze, left.tolist(), 1, "left"), see(maze, right.tolist(), 2, "right")
+
+
+@pytest.fixture(scope="session")
+def right_matches():
+    """right_matches(matched, a, b) -> share of the pairs (vertex of a, of b) that are true."""
+
+    def share(matched, a, b):
+        return np.mean([a.info["truth"][i] == b.info["truth"][j] for i, j in np.asarray(matched)])
+
+    return share
+
+
+@pytest.fixture(scope="session")
+def moved():
+    """moved(map, T) -> the same map drawn in another frame."""
+
+    def moved(topomap, T):
+        rows = [wrap(row + T[2]) for row in topomap.branches.take(range(len(topomap)))]
+        order = [np.argsort(row) for row in rows]
+
+        def branch(vertex, index):
+            rank = [np.argsort(o) for o in order]
+            return np.array(
+                [-1 if k < 0 else rank[v][k] for v, k in zip(vertex, index, strict=True)], np.int64
+            )
+
+        return dataclasses.replace(
+            topomap,
+            xy=apply(T, topomap.xy),
+            branches=Ragged.from_rows(r[o] for r, o in zip(rows, order, strict=True)),
+            source_branch=branch(topomap.source, topomap.source_branch),
+            target_branch=branch(topomap.target, topomap.target_branch),
+            paths=tuple(apply(T, p) for p in topomap.paths),
+        )
+
+    return moved
+
+
+@pytest.fixture(scope="session", name="drawn")
+def drawn_map():
+    """drawn(name, points, edges, passes=3) -> a map with straight corridors, as on paper."""
+
+    def drawn(name, points, edges, passes=3, stubs=()):
+        xy = np.array(points, float)
+        out = [[] for _ in points]
+        for u, v in edges:
+            for p, q in ((u, v), (v, u)):
+                d = xy[q] - xy[p]
+                out[p].append(float(wrap(np.arctan2(d[1], d[0]))))
+        for vertex, heading in stubs:
+            out[vertex].append(float(wrap(heading)))
+        rows = [np.sort(np.array(h)) for h in out]
+
+        def branch(p, q):
+            d = xy[q] - xy[p]
+            return int(np.abs(wrap(rows[p] - np.arctan2(d[1], d[0]))).argmin())
+
+        source = np.array([u for u, _ in edges], np.int64)
+        target = np.array([v for _, v in edges], np.int64)
+        length = np.hypot(*(xy[target] - xy[source]).T)
+        return TopoMap(
+            run=name,
+            frame="odom",
+            xy=xy,
+            branches=Ragged.from_rows(rows),
+            kind=tuple("dead_end" if len(r) == 1 else "junction" for r in rows),
+            source=source,
+            target=target,
+            source_branch=np.array([branch(u, v) for u, v in edges], np.int64),
+            target_branch=np.array([branch(v, u) for u, v in edges], np.int64),
+            length=length,
+            length_sigma=np.full(len(edges), 0.1),
+            traversals=np.full(len(edges), passes, np.int64),
+            paths=tuple(xy[[u, v]] for u, v in edges),
+            observation_vertex=np.repeat(np.arange(len(xy)), passes),
+            observation_time_ns=np.arange(len(xy) * passes) * 10**9,
+        )
+
+    return drawn

@@ -28,7 +28,7 @@ from topobatch.topology.posegraph.solve import (
 )
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, wrap
 
-SHARED = Path(os.environ.get("TOPOBATCH_SHARED", Path(__file__).parents[2].parent / "shared"))
+SHARED = Path(os.environ.get("TOPOBATCH_SHARED", Path(__file__).parents[3].parent / "shared"))
 
 
 def loop_graph(
