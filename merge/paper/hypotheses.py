@@ -96,7 +96,7 @@ def hypothesise(
         alike = self_similarity(a, settings), self_similarity(b, settings)
     grown, singles = _grown(a, b, settings, near)
     share = 1.0 if near is None else len(near[0]) * len(near[1]) / (len(a) * len(b))
-    matches = _surviving(grown, match_bits(grown, a, alike, share))
+    matches = _surviving(grown, match_bits(grown, a, b, alike, share))
     candidates = singles.candidates
     if single_vertex:
         matches = _with_singles(matches, singles.nodes, single_bits(candidates))

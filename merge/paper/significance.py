@@ -12,7 +12,9 @@ with another part of itself is none that chance does not offer, so that E is no 
 p^(v - m), m the vertices of the largest such match. And where walls run through a rectilinear
 building, a map slid along them still agrees in all lengths across: of the independent lengths along
 either axis only the fewer, n, tell. The other agreements are then of branches alone, which agree
-with some probability q, and E is no less than L p^n q^(v - 2 - n).
+with some probability q, and E is no less than L p^n q^(v - 2 - n). Where degrees may be inexact,
+pairs of vertices that agree have equal branches with some probability r, and this bound is lower by
+the probability that as many of v - 2 are equal.
 """
 
 from __future__ import annotations
@@ -21,9 +23,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtrc
 
 from ...topology.matching.association import Growth, components, grow
-from ...topology.matching.correspondence import GrowthSettings, masks_agree, node_rotations
+from ...topology.matching.correspondence import (
+    TURNED,
+    GrowthSettings,
+    masks_agree,
+    node_rotations,
+)
 from ...topology.matching.structure import Structure
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +45,8 @@ class SelfSimilarity:
     links: pairs of corridors that agree; tested: corridors compared at vertices that a match had
     reached; agreed: how many of these agree; largest: vertices of the largest match, rejected or
     not; ends: how often corridors from vertices that pair end, whatever their lengths, at vertices
-    that pair (q; 1 where the world is not rectilinear).
+    that pair (q); equal: how often these have equal branches (r). 1 where the world is not
+    rectilinear.
     """
 
     links: int
@@ -45,6 +54,7 @@ class SelfSimilarity:
     agreed: int
     largest: int
     ends: float = 1.0
+    equal: float = 1.0
 
 
 def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
@@ -56,34 +66,40 @@ def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
     # A vertex may well be laid on itself turned: only unturned it is the map as it is.
     other[growth.component[itself[np.abs(turn) < 1e-6]]] = False
     vertices = np.bincount(growth.component, minlength=len(other))[other]
+    ends, equal = _ends_alike(s, settings) if growth.rectilinear else (1.0, 1.0)
     return SelfSimilarity(
         links=int(np.count_nonzero(other[growth.link_component])),
         tested=int(growth.tested[other].sum() - vertices.sum()),
         agreed=int(growth.agreed[other].sum() - vertices.sum()),
         largest=int(vertices.max(initial=0)),
-        ends=_ends_alike(s, settings) if growth.rectilinear else 1.0,
+        ends=ends,
+        equal=equal,
     )
 
 
-def _ends_alike(s: Structure, settings: GrowthSettings) -> float:
-    """Share of the pairs of darts from compatible vertices whose turns and end vertices agree."""
+def _ends_alike(s: Structure, settings: GrowthSettings) -> tuple[float, float]:
+    """Share of the pairs of darts from compatible vertices whose turns and end vertices agree, and
+    share of these whose end vertices have equal branches."""
     kind, count = np.unique(s.slot_kind, return_counts=True)
     turn, start, end = kind // 256, kind // 16 % 16, kind % 16
     zero = np.zeros((1, 1), np.int64)
     begins, ends = (masks_agree(m[:, None], m[None], zero, settings) for m in (start, end))
     pairs = count[:, None] * count * begins
-    return float((pairs * ends * (turn[:, None] == turn)).sum() / max(pairs.sum(), 1))
+    alike = pairs * ends * (turn[:, None] == turn)
+    equal = alike * (end[:, None] == end)
+    return float(alike.sum() / max(pairs.sum(), 1)), float(equal.sum() / max(alike.sum(), 1))
 
 
 def match_bits(
     growth: Growth,
     a: Structure,
+    b: Structure,
     alike: tuple[SelfSimilarity, SelfSimilarity],
     share: float = 1.0,
 ) -> FloatArray:
     """(C,) bits of every grown match of two maps.
 
-    a: the first of the maps; alike: how each of them resembles itself; share: of all pairs of
+    a, b: the maps; alike: how each of them resembles itself; share: of all pairs of
     vertices, those that matches were grown from.
 
     A match is no witness of its own chance; rejected ones are. Corridors that close circles add
@@ -108,7 +124,13 @@ def match_bits(
     across = independent_lengths(growth, a).min(axis=0)
     branches_only = np.maximum(vertices - 2 - across, 0)
     of_branches = -np.log2(max(*(x.ends for x in alike), 2.0**-16))
-    beyond_slides = across * surprise + branches_only * of_branches - np.log2(starts)
+    nodes = growth.nodes
+    same = a.mask[nodes.vertex_a] == TURNED[b.mask[nodes.vertex_b], nodes.correspondence]
+    equal = np.bincount(growth.component, same, count)
+    # bdtrc(k, n, r) is the probability of more than k.
+    chance = bdtrc(equal - 3, vertices - 2, max(x.equal for x in alike))
+    of_equal = np.where(equal > 2, -np.log2(np.maximum(chance, 2.0**-64)), 0.0)
+    beyond_slides = across * surprise + branches_only * of_branches + of_equal - np.log2(starts)
     return np.asarray(np.minimum(bits, beyond_slides))
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from topobatch.merge.paper.method import PaperSettings, judge, prepare_map
 from topobatch.merge.paper.significance import (
@@ -15,7 +18,7 @@ from topobatch.merge.paper.significance import (
     single_bits,
 )
 from topobatch.topology.matching.association import grow
-from topobatch.topology.matching.correspondence import GrowthSettings
+from topobatch.topology.matching.correspondence import TURNED, GrowthSettings
 from topobatch.topology.matching.structure import prepare
 
 NONE = SelfSimilarity(links=0, tested=0, agreed=0, largest=0, ends=0.25)
@@ -30,9 +33,9 @@ def ladder(draw, rungs, name="a", width=5.0):
 
 def test_bits_of_matches_by_hand(maze_pair):
     a, b, _ = maze_pair(2)
-    sa = prepare(a)
-    growth = grow(sa, prepare(b))
-    bits = match_bits(growth, sa, (NONE, NONE))
+    sa, sb = prepare(a), prepare(b)
+    growth = grow(sa, sb)
+    bits = match_bits(growth, sa, sb, (NONE, NONE))
     along = independent_lengths(growth, sa)
     for c in range(len(growth.rejected)):
         mine, links = growth.component == c, growth.link_component == c
@@ -55,8 +58,9 @@ def test_a_match_no_larger_than_what_a_map_shares_with_itself_is_no_evidence(dra
     alike = self_similarity(a, GrowthSettings())
     assert alike.largest == 16  # turned by half a turn
     assert alike.agreed > 0.5 * alike.tested
-    growth = grow(a, prepare(ladder(draw, 8, "b")))
-    assert match_bits(growth, a, (alike, alike)).max() < 2
+    b = prepare(ladder(draw, 8, "b"))
+    growth = grow(a, b)
+    assert match_bits(growth, a, b, (alike, alike)).max() < 2
     maze, _, _ = maze_pair(0)
     assert self_similarity(prepare(maze), GrowthSettings()).largest <= 4
 
@@ -78,6 +82,26 @@ def test_lengths_along_an_axis_are_those_between_its_lines(draw):
         growth = grow(s, s)
         largest = np.bincount(growth.link_component).argmax()
         assert sorted(independent_lengths(growth, s)[:, largest].tolist()) == lengths
+
+
+def test_equal_branches_tell_where_degrees_may_differ(maze_pair):
+    a, b, _ = maze_pair(2)
+    settings = GrowthSettings(degree="inexact")
+    sa, sb = prepare(a), prepare(b)
+    growth = grow(sa, sb, settings)
+    seen = self_similarity(sa, settings)
+    assert 0.1 < seen.equal < 0.5
+    assert self_similarity(sa, GrowthSettings()).equal == 1
+    half = replace(seen, ends=0.5, equal=0.5)
+    bits, untold = (match_bits(growth, sa, sb, (x, x)) for x in (half, replace(half, equal=1.0)))
+    largest = np.bincount(growth.component).argmax()
+    rows = np.flatnonzero(growth.component == largest)
+    n = growth.nodes.take(rows)
+    equal = np.count_nonzero(sa.mask[n.vertex_a] == TURNED[sb.mask[n.vertex_b], n.correspondence])
+    expected = -binom.logsf(equal - 3, len(rows) - 2, 0.5) / np.log(2)
+    assert bits[largest] - untold[largest] == pytest.approx(expected)
+    assert expected > 3
+    assert np.all(bits >= untold)
 
 
 @pytest.mark.parametrize("degree", ["exact", "inexact"])
@@ -113,7 +137,7 @@ def test_maps_of_different_mazes_seldom_offer_bits(maze_pair, degree):
         a, b = (prepare(maze_pair(s)[k]) for s, k in ((seed, 0), (seed + 100, 1)))
         growth = grow(a, b, settings)
         alike = self_similarity(a, settings), self_similarity(b, settings)
-        alive = match_bits(growth, a, alike)[~growth.rejected]
+        alive = match_bits(growth, a, b, alike)[~growth.rejected]
         over.append(alive.max(initial=-np.inf))
     assert np.mean(np.array(over) > 0) <= 0.2
     assert max(over) < 6
