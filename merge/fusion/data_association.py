@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -145,19 +146,15 @@ class _Chains:
             self._place[(int(label[u]), int(label[v]))] = k
             self._place[(int(label[v]), int(label[u]))] = k
         self._number = {pair: k for k, pair in enumerate(candidates)}
-        self._head = list(range(len(candidates)))
+        self._joined = DisjointSet(range(len(candidates)))
         for pair, k in self._number.items():
             for far in self._agreeing(*pair):
-                other = self._place.get(far)
-                if other is not None:
-                    low, high = sorted((self._find(k), self._find(other)))
-                    self._head[high] = low
-        roots = [self._find(k) for k in range(len(candidates))]
-        self._size = np.bincount(roots, minlength=len(candidates)) if candidates else np.zeros(0)
+                if far in self._place:
+                    self._joined.merge(k, self._place[far])
 
     def size(self, u: int, v: int) -> int:
         """Candidate pairs in the chain of this one."""
-        return int(self._size[self._find(self._number[u, v])])
+        return self._joined.subset_size(self._number[u, v])
 
     def anchored(self, u: int, v: int) -> bool:
         """Whether an agreeing corridor leads both to one place that is already shared."""
@@ -167,11 +164,6 @@ class _Chains:
         """Whether more corridors disagree than agree."""
         good = len(self._agreeing(u, v))
         return len(self._both_driven(u, v)) - good > good
-
-    def _find(self, k: int) -> int:
-        while self._head[k] != k:
-            k = self._head[k]
-        return k
 
     def _both_driven(self, u: int, v: int) -> list[tuple[_Leg, _Leg]]:
         around = self._around

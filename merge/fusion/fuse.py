@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
@@ -104,21 +105,10 @@ def _spread(fused: _Fused) -> Spread | None:
 
 def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -> list[list[str]]:
     """Runs connected by accepted verdicts, each list sorted, lists by their first runs."""
-    head = {run: run for run in runs}
-
-    def find(run: str) -> str:
-        while head[run] != run:
-            head[run] = head[head[run]]
-            run = head[run]
-        return run
-
+    joined = DisjointSet(runs)
     for v in accepted:
-        low, high = sorted((find(v.a), find(v.b)))
-        head[high] = low
-    out: dict[str, list[str]] = {}
-    for run in sorted(runs):
-        out.setdefault(find(run), []).append(run)
-    return list(out.values())
+        joined.merge(v.a, v.b)
+    return sorted(sorted(component) for component in joined.subsets())
 
 
 def _fuse_component(
