@@ -40,7 +40,6 @@ SECTOR_RAD = np.pi / 2
 SOFT_RAD = 0.21
 """Branches this close to the border of two sectors are looked up in both."""
 
-MAX_VARIANTS = 8
 LENGTH_SCALE = 1024.0
 """Separates the pattern from the length in a sort key; above any corridor's length [m]."""
 

@@ -100,12 +100,6 @@ class Candidates:
         return out
 
 
-def no_candidates() -> Candidates:
-    """Nothing to ask about."""
-    none, zero = np.zeros(0, np.int64), np.zeros(0)
-    return Candidates(none, none, zero, zero, zero, zero, zero, zero)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Apart:
     """Pairs of places a < b: shift (k, 2) [m] from b to a, cov (k, 3, 3) of what is known of it."""

@@ -11,7 +11,6 @@ but what is compatible.
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -75,23 +74,6 @@ def grow(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) 
     O((m_a + m_b) log m_b + L log L) with L the compatible pairs of corridors. Deterministic.
     """
     return assemble(a, b, find_links(a, b, settings), settings)
-
-
-def grow_split(
-    a: Structure,
-    b: Structure,
-    settings: GrowthSettings,
-    executor: Executor,
-    parts: int,
-) -> Growth:
-    """`grow` with the search for links split over workers (§4.2: "can easily be split").
-
-    Every worker gets a share of a's corridors; the components are put together here.
-    """
-    forward = np.arange(0, len(a.start), 2)
-    shares = [forward[k::parts] for k in range(parts)]
-    jobs = [executor.submit(find_links, a, b, settings, share) for share in shares]
-    return assemble(a, b, join_links([job.result() for job in jobs]), settings)
 
 
 # --- links: compatible pairs of corridors ---------------------------------------------------------

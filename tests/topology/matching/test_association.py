@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
 
@@ -11,7 +10,14 @@ import numpy as np
 import pytest
 
 from topobatch.topology.errors import UsageError
-from topobatch.topology.matching.association import Growth, grow, grow_split, single_matches
+from topobatch.topology.matching.association import (
+    Growth,
+    assemble,
+    find_links,
+    grow,
+    join_links,
+    single_matches,
+)
 from topobatch.topology.matching.correspondence import (
     GrowthSettings,
     candidate_nodes,
@@ -446,8 +452,9 @@ def test_links_found_in_parts_give_the_same_growth():
         settings = GrowthSettings(world="auto" if rectilinear else "general")
         a, b = (prepare(m) for m in random_pair(seed, rectilinear))
         whole = grow(a, b, settings)
-        with ThreadPoolExecutor(2) as pool:
-            split = grow_split(a, b, settings, pool, 3)
+        forward = np.arange(0, len(a.start), 2)
+        parts = [find_links(a, b, settings, forward[k::3]) for k in range(3)]
+        split = assemble(a, b, join_links(parts), settings)
         for name in ("vertex_a", "vertex_b", "correspondence"):
             assert np.array_equal(getattr(split.nodes, name), getattr(whole.nodes, name))
         assert survivors(split) == survivors(whole)
