@@ -24,8 +24,8 @@ class ScanBatch:
     where nothing was returned; free_m: (n,) or one number [m], way known to be free along a beam
     without return, 0 where nothing is known; angles_rad: (m,) beam directions in the laser's frame,
     counter-clockwise seen from above; T_body_laser: (3,) x, y [m], yaw [rad] of the laser in the
-    odometry's child frame; sweep_s: duration from the first to the last beam [s], negative if the
-    beams of `angles_rad` were taken in descending order, 0 if unknown.
+    odometry's child frame; sweep_s: time from the first column's beam to the last one's [s],
+    negative if the last was taken first, 0 if unknown.
     Raises ValueError on shapes that do not fit or times that descend.
     """
 

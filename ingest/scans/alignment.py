@@ -1,0 +1,247 @@
+"""Poses of many scans at once, so that the surfaces they share fall on each other.
+
+Every scan is held against several before it (point to line), every step against the odometry; all
+poses of a window are solved for together, so that what comes later corrects what was before. The
+normal matrix is banded: nothing ties scans that are farther apart than the widest pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+from ...topology.se2 import between, compose, wrap
+from .association import Gate, PairTerms, Swept, pair_terms
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentSettings:
+    """How scans are held against each other."""
+
+    sigma_m: float = 0.03
+    """1 sigma of a point's distance from the surface that it is on."""
+    pair_worth: float = 0.1
+    """Independent looks that a point of one pair is worth: neighbours err together …"""
+    joint_worth: float = 0.025
+    """… and so do the several pairs that it is in."""
+    offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 20, 26)
+    """How many keyframes back a scan is held against: up to 5 m of way."""
+    pair_gates: tuple[Gate, ...] = (
+        *(Gate(0.5, 0.2, 3),) * 5,
+        *(Gate(0.3, 0.1),) * 4,
+        *(Gate(0.2, 0.05),) * 3,
+    )
+    joint_gates: tuple[tuple[int, Gate], ...] = (
+        *((3, Gate(0.3, 0.08)),) * 2,
+        *((4, Gate(0.3, 0.08)),) * 2,
+        *((7, Gate(0.2, 0.05)),) * 5,
+    )
+    """Rounds: how many of the offsets, and what counts."""
+    lost_fit: float = 0.6
+    """A step whose points fit less than this is searched for."""
+    search_rad: float = 0.52
+    search_step_rad: float = 0.052
+    """Headings tried: 30 degrees either way, so near that matching reaches the best from one."""
+    better_fit: float = 0.1
+    """What a search must gain to be believed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """What the odometry says of the step to each of `n` poses from the one before: (n - 1, 3)
+    motion and (n - 1, 3, 3) information (inverse covariance), in the frame of the pose before."""
+
+    motion: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMotion:
+    """Motion (p, 3) from scan to scan; fit: (p,) share of points on a surface; searched: (p,)
+    where the odometry led nowhere and another heading was found."""
+
+    motion: FloatArray
+    fit: FloatArray
+    searched: BoolArray
+
+
+def match_steps(scans: Swept, steps: Steps, settings: AlignmentSettings) -> PairMotion:
+    """The motion from each scan to the next alone, by both odometry and scans."""
+    n = len(steps.motion)
+    first, second = np.arange(1, n + 1), np.arange(n)
+    # The odometry holds what the scans leave open, no more, until all have their say.
+    weak = settings.pair_worth * steps.information
+    motion, fit = _matched(scans, (first, second), (steps.motion, steps.motion, weak), settings)
+    searched = np.zeros(n, bool)
+    lost = np.flatnonzero(fit < settings.lost_fit)
+    if len(lost):
+        tried = np.arange(
+            -settings.search_rad, settings.search_rad + 1e-9, settings.search_step_rad
+        )
+        rows = np.repeat(lost, len(tried))
+        start = steps.motion[rows]
+        start[:, 2] = wrap(start[:, 2] + np.tile(tried, len(lost)))
+        prior = steps.motion[rows], start, 0.01 * weak[rows]
+        found, found_fit = _matched(scans, (first[rows], second[rows]), prior, settings)
+        by_row = found_fit.reshape(len(lost), -1)
+        best = by_row.argmax(axis=1)
+        better = by_row[np.arange(len(lost)), best] > fit[lost] + settings.better_fit
+        at = lost[better]
+        motion[at] = found.reshape(len(lost), -1, 3)[better, best[better]]
+        fit[at] = by_row[better, best[better]]
+        searched[at] = True
+    return PairMotion(motion, fit, searched)
+
+
+def _matched(
+    scans: Swept,
+    pairs: tuple[IntArray, IntArray],
+    odometry: tuple[FloatArray, FloatArray, FloatArray],
+    settings: AlignmentSettings,
+) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Newton on each pair alone. odometry: motion, start, information."""
+    expected, motion, information = odometry
+    scale = settings.pair_worth / settings.sigma_m**2
+    origin = np.zeros_like(motion)
+    for gate in settings.pair_gates:
+        moments = scale * pair_terms(scans, *pairs, (motion, origin), gate).moments
+        off = motion - expected
+        off[:, 2] = wrap(off[:, 2])
+        gradient = moments[:, :3, 4] + np.einsum("pkl,pl->pk", information, off)
+        step = np.linalg.solve(moments[:, :3, :3] + information, gradient[..., None])[..., 0]
+        motion = motion - np.clip(step, -0.5, 0.5)
+        motion[:, 2] = wrap(motion[:, 2])
+    fit = pair_terms(scans, *pairs, (motion, origin), settings.pair_gates[-1]).fit
+    return motion, fit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """Poses (n, 3), their banded information (lower form, `3 n` columns), and per step the share
+    (n - 1,) of points that fit."""
+
+    pose: FloatArray
+    information: FloatArray
+    fit: FloatArray
+
+
+def align(
+    scans: Swept,
+    pose: FloatArray,
+    steps: Steps,
+    *,
+    fixed: int,
+    joined: BoolArray,
+    settings: AlignmentSettings,
+) -> Aligned:
+    """All poses together, starting from `pose` (n, 3), the first `fixed` of which stay.
+
+    joined: (n - 1,) steps over which scans are held against each other. Gauss-Newton with a
+    Cauchy weight on odometry; O(n · offsets · beams) a round.
+    """
+    chain = np.concatenate([[0], np.cumsum(~joined)])
+    fit = np.zeros(max(len(pose) - 1, 0))
+    band = _Band.empty(len(pose), 1)
+    for count, gate in settings.joint_gates:
+        offsets = [d for d in settings.offsets[:count] if d < len(pose)]
+        band = _Band.empty(len(pose), max(offsets, default=1))
+        band.add_steps(pose, steps)
+        for d in offsets:
+            rows = np.arange(d, len(pose))
+            rows = rows[(chain[rows] == chain[rows - d]) & (rows >= fixed)]
+            terms = pair_terms(scans, rows, rows - d, (pose[rows], pose[rows - d]), gate)
+            band.add_pairs(rows, rows - d, terms, settings.joint_worth / settings.sigma_m**2)
+            if d == 1:
+                fit[rows - 1] = terms.fit
+        band.hold(fixed)
+        pose = pose + band.solve()
+        pose[:, 2] = wrap(pose[:, 2])
+    return Aligned(pose, band.lower(), fit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Band:
+    """Normal equations of n poses: blocks (n, d + 1, 3, 3) of row a and column a - d; gradient."""
+
+    blocks: FloatArray
+    gradient: FloatArray
+
+    @classmethod
+    def empty(cls, n: int, widest: int) -> _Band:
+        return cls(np.zeros((n, widest + 1, 3, 3)), np.zeros((n, 3)))
+
+    def add_pairs(self, first: IntArray, second: IntArray, terms: PairTerms, scale: float) -> None:
+        """Terms of distinct rows `first` against `second`, d before them each."""
+        if len(first) == 0:
+            return
+        moments = scale * terms.moments
+        by_first, by_second = _SELECT_FIRST, _SELECT_SECOND
+        self.blocks[first, 0] += by_first.T @ moments @ by_first
+        self.blocks[second, 0] += by_second.T @ moments @ by_second
+        self.blocks[first, first[0] - second[0]] += by_first.T @ moments @ by_second
+        self.gradient[first] += moments[:, :, 4] @ by_first
+        self.gradient[second] += moments[:, :, 4] @ by_second
+
+    def add_steps(self, pose: FloatArray, steps: Steps) -> None:
+        motion = between(pose[:-1], pose[1:])
+        off = motion - steps.motion
+        off[:, 2] = wrap(off[:, 2])
+        distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)
+        information = steps.information / (1 + distance / 9)[:, None, None]
+        c, s = np.cos(pose[:-1, 2]), np.sin(pose[:-1, 2])
+        by_next = np.zeros((len(motion), 3, 3))
+        by_next[:, 0, 0] = by_next[:, 1, 1] = c
+        by_next[:, 0, 1], by_next[:, 1, 0] = s, -s
+        by_next[:, 2, 2] = 1.0
+        by_before = -by_next
+        by_before[:, 0, 2], by_before[:, 1, 2] = motion[:, 1], -motion[:, 0]
+        to_next = by_next.transpose(0, 2, 1) @ information
+        to_before = by_before.transpose(0, 2, 1) @ information
+        self.blocks[1:, 0] += to_next @ by_next
+        self.blocks[:-1, 0] += to_before @ by_before
+        self.blocks[1:, 1] += to_next @ by_before
+        self.gradient[1:] += (to_next @ off[..., None])[..., 0]
+        self.gradient[:-1] += (to_before @ off[..., None])[..., 0]
+
+    def hold(self, fixed: int) -> None:
+        """Keep the first poses where they are, and those that nothing ties down."""
+        self.blocks[: max(fixed, 1), 0] += 1e10 * np.eye(3)
+        self.blocks[:, 0] += 1e-6 * np.eye(3)
+
+    def lower(self) -> FloatArray:
+        """(3 d + 3, 3 n) the lower band as scipy takes it."""
+        n, width = self.blocks.shape[:2]
+        band = np.zeros((3 * width + 2, n, 3))
+        for d in range(width):
+            for p in range(3):
+                for q in range(3):
+                    if 3 * d + p >= q:
+                        band[3 * d + p - q, : n - d, q] = self.blocks[d:, d, p, q]
+        return band.reshape(3 * width + 2, 3 * n)
+
+    def solve(self) -> FloatArray:
+        step = solveh_banded(self.lower(), -self.gradient.ravel(), lower=True)
+        return np.asarray(step).reshape(-1, 3)
+
+
+_SELECT_FIRST = np.zeros((5, 3))
+_SELECT_FIRST[[0, 1, 2], [0, 1, 2]] = 1.0
+_SELECT_SECOND = np.zeros((5, 3))
+_SELECT_SECOND[[0, 1, 3], [0, 1, 2]] = -1.0, -1.0, 1.0
+
+
+def chained(start: FloatArray, motion: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """(n, 3) poses from `start` (3,) on, one after each motion, without the start."""
+    out = np.empty((len(motion), 3))
+    pose = np.asarray(start)
+    for k, step in enumerate(motion):
+        pose = out[k] = compose(pose, step)
+    return out
