@@ -30,10 +30,10 @@ class AlignmentSettings:
     """1 sigma of a point's distance from the surface that it is on."""
     pair_worth: float = 0.1
     """Independent looks that a point of one pair is worth: neighbours err together …"""
-    joint_worth: float = 0.025
+    joint_worth: float = 0.02
     """… and so do the several pairs that it is in."""
-    offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 20, 26)
-    """How many keyframes back a scan is held against: up to 5 m of way."""
+    offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 20, 26, 34, 42, 50)
+    """How many keyframes back a scan is held against: up to 10 m of way."""
     pair_gates: tuple[Gate, ...] = (
         *(Gate(0.5, 0.2, 3),) * 5,
         *(Gate(0.3, 0.1),) * 4,
@@ -42,7 +42,8 @@ class AlignmentSettings:
     joint_gates: tuple[tuple[int, Gate], ...] = (
         *((3, Gate(0.3, 0.08)),) * 2,
         *((4, Gate(0.3, 0.08)),) * 2,
-        *((7, Gate(0.2, 0.05)),) * 5,
+        *((7, Gate(0.2, 0.05)),) * 3,
+        *((10, Gate(0.2, 0.05)),) * 3,
     )
     """Rounds: how many of the offsets, and what counts."""
     lost_fit: float = 0.6
