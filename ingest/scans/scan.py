@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...topology.frozen import frozen_array
 from ...topology.odometry import Odometry
-from ...topology.ragged import Ragged
+from ...topology.run import ScanPasses
 from ...topology.topomap import RunNoise
 
 FloatArray = NDArray[np.float64]
@@ -63,47 +63,6 @@ class ScanBatch:
 
     def __len__(self) -> int:
         return len(self.times_ns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanPasses:
-    """Junctions driven by, one row per pass, in the robot's frame at `time_ns`.
-
-    time_ns: (p,) when the robot was nearest to the centre, not descending; start_ns, end_ns: (p,)
-    while it was within reach; centre: (p, 2) [m]; branches: p rows of headings [rad] of which at
-    least one is there; support: the same rows, share of the variants of the settings that show the
-    branch (0..1]; confidence: (p,) share of the variants that show the junction with just these
-    branches (0..1]; windows: (p,) overlapping windows that show it; clearance_m: (p,) distance of
-    the centre from the nearest wall [m].
-    """
-
-    time_ns: IntArray
-    start_ns: IntArray
-    end_ns: IntArray
-    centre: FloatArray
-    branches: Ragged
-    support: Ragged
-    confidence: FloatArray
-    windows: IntArray
-    clearance_m: FloatArray
-
-    def __post_init__(self) -> None:
-        p = len(self.time_ns)
-        for name in ("time_ns", "start_ns", "end_ns", "windows"):
-            value = frozen_array(getattr(self, name), np.int64, (p,), name)
-            object.__setattr__(self, name, value)
-        for name, shape in (("centre", (p, 2)), ("confidence", (p,)), ("clearance_m", (p,))):
-            value = frozen_array(getattr(self, name), np.float64, shape, name)
-            object.__setattr__(self, name, value)
-        if len(self.branches) != p or not np.array_equal(
-            self.branches.offsets, self.support.offsets
-        ):
-            raise ValueError("branches and support must have one row per pass, of equal lengths")
-        if np.any(np.diff(self.time_ns) < 0):
-            raise ValueError("passes must be in the order of time")
-
-    def __len__(self) -> int:
-        return len(self.time_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,3 +130,13 @@ class ScanResult:
     statistics: ScanStatistics
     picture: ScanPicture
     warnings: tuple[str, ...] = ()
+
+
+__all__ = [
+    "Anchored",
+    "ScanBatch",
+    "ScanPasses",
+    "ScanPicture",
+    "ScanResult",
+    "ScanStatistics",
+]

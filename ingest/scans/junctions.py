@@ -1,0 +1,171 @@
+"""Passes of junctions: what windows along the way agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ...topology.circular import cluster_angles
+from ...topology.ragged import Ragged
+from ...topology.se2 import apply, inverse, wrap
+from .scan import ScanPasses
+from .windows import Seen, WindowSettings
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class JunctionSettings:
+    """When what windows show is one junction."""
+
+    together_m: float = 0.7
+    """Places of different windows and variants nearer than this are one …"""
+    together_way_m: float = 2.5
+    """… if the robot had not driven more than this in between: else it was there twice."""
+    least_share: float = 0.5
+    """Of the windows that could show a junction or a branch, so many must."""
+    gap_rad: float = 0.35
+    """Headings farther apart than this are of different branches."""
+    least_branches: int = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """The way driven: (k,) times, (k, 3) poses of the robot in the corrected frame, (k,) way [m]."""
+
+    time_ns: IntArray
+    pose: FloatArray
+    way: FloatArray
+
+
+def junction_passes(
+    seen: Sequence[Seen],
+    driven: Driven,
+    windows: WindowSettings = WindowSettings(),
+    settings: JunctionSettings = JunctionSettings(),
+) -> ScanPasses:
+    """Fuse the forks of all windows and variants to passes. O(q log q) for q forks."""
+    records = [
+        (window.number, variant, way, node)
+        for window in seen
+        for variant, way, node in window.forks
+    ]
+    if not records:
+        return no_passes()
+    number = np.array([r[0] for r in records])
+    variant = np.array([r[1] for r in records])
+    way = np.array([r[2] for r in records])
+    xy = np.array([r[3].xy for r in records])
+    clearance = np.array([r[3].clearance_m for r in records])
+    headings = Ragged.from_rows([r[3].headings for r in records])
+    group = _together(xy, way, settings)
+    middles = np.array([window.way for window in seen])
+    rows = []
+    for g in range(int(group.max()) + 1):
+        members = np.flatnonzero(group == g)
+        at = float(np.median(way[members]))
+        near = np.flatnonzero(np.abs(middles - at) <= 1.5 * windows.every_m)
+        looks = len(windows.variants) * max(len(near), 1)
+        # One window shows a place once under one variant, or as two halves of it.
+        shown = len(np.unique(number[members] * len(windows.variants) + variant[members]))
+        if shown < settings.least_share * looks:
+            continue
+        branches, support = _branches(headings, members, shown, settings)
+        if len(branches) < settings.least_branches:
+            continue
+        agreeing = 0
+        for v in range(len(windows.variants)):
+            own = members[variant[members] == v]
+            if len(own):
+                nearest = own[np.argmin(np.abs(middles[number[own]] - at))]
+                agreeing += int(headings.counts[nearest] == len(branches))
+        if agreeing == 0:
+            continue
+        rows.append(
+            (
+                at,
+                np.median(xy[members], axis=0),
+                branches,
+                support,
+                agreeing / len(windows.variants),
+                len(np.unique(number[members])),
+                float(np.median(clearance[members])),
+            )
+        )
+    rows.sort(key=lambda row: (row[0], *row[1]))
+    return _passes(rows, driven, windows)
+
+
+def no_passes() -> ScanPasses:
+    """Of a run that passed no junction."""
+    none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
+    return ScanPasses(
+        none, none, none, np.zeros((0, 2)), empty, empty, np.zeros(0), none, np.zeros(0)
+    )
+
+
+def _together(xy: FloatArray, way: FloatArray, settings: JunctionSettings) -> IntArray:
+    """(q,) number of the junction of each record: linked if near in place and way."""
+    scaled = np.column_stack([xy, way * (settings.together_m / settings.together_way_m)])
+    pairs = cKDTree(scaled).query_pairs(settings.together_m, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xy),) * 2)
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+def _branches(
+    headings: Ragged, members: IntArray, shown: int, settings: JunctionSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Headings that enough of the looks show, ascending, and the share that does."""
+    own = headings.take(members)
+    clusters = cluster_angles(own.values, np.zeros(len(own.values), np.int64), settings.gap_rad)
+    pairs = np.unique(np.stack([clusters.of, own.owner]), axis=1)[0]
+    share = np.minimum(np.bincount(pairs, minlength=len(clusters)) / shown, 1.0)
+    keep = share >= settings.least_share
+    return clusters.mean[keep], share[keep]
+
+
+def _passes(
+    rows: list[tuple[float, FloatArray, FloatArray, FloatArray, float, int, float]],
+    driven: Driven,
+    windows: WindowSettings,
+) -> ScanPasses:
+    """Rows in the corrected frame, turned into the robot's at the time it was nearest."""
+    if not rows:
+        return no_passes()
+    at = np.array([row[0] for row in rows])
+    xy = np.array([row[1] for row in rows])
+    nearest = np.empty(len(rows), np.int64)
+    start, end = np.empty(len(rows), np.int64), np.empty(len(rows), np.int64)
+    for k in range(len(rows)):
+        a, b = np.searchsorted(driven.way, [at[k] - 2 * windows.near_m, at[k] + 2 * windows.near_m])
+        b = max(int(b), int(a) + 1)
+        a = min(int(a), len(driven.way) - 1)
+        distance = np.hypot(*(driven.pose[a:b, :2] - xy[k]).T)
+        best = a + int(np.argmin(distance))
+        within = np.flatnonzero(distance <= max(windows.near_m, float(distance.min())))
+        nearest[k] = best
+        start[k], end[k] = a + within[0], a + within[-1]
+    order = np.lexsort((at, driven.time_ns[nearest]))
+    rows = [rows[k] for k in order]
+    nearest, start, end, xy = nearest[order], start[order], end[order], xy[order]
+    pose = driven.pose[nearest]
+    branches = Ragged.from_rows([row[2] for row in rows])
+    owner = branches.owner
+    return ScanPasses(
+        time_ns=driven.time_ns[nearest],
+        start_ns=driven.time_ns[start],
+        end_ns=driven.time_ns[end],
+        centre=apply(inverse(pose), xy),
+        branches=Ragged(branches.offsets, wrap(branches.values - pose[owner, 2])),
+        support=Ragged.from_rows([row[3] for row in rows]),
+        confidence=np.array([row[4] for row in rows]),
+        windows=np.array([row[5] for row in rows], np.int64),
+        clearance_m=np.array([row[6] for row in rows]),
+    )
