@@ -38,7 +38,7 @@ class JunctionSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """The way driven: (k,) times, (k, 3) poses of the robot in the corrected frame, (k,) way [m]."""
+    """The way driven: (k,) times, (k, 3) poses in the corrected frame, (k,) way so far [m]."""
 
     time_ns: IntArray
     pose: FloatArray
@@ -48,8 +48,8 @@ class Driven:
 def junction_passes(
     seen: Sequence[Seen],
     driven: Driven,
-    windows: WindowSettings = WindowSettings(),
-    settings: JunctionSettings = JunctionSettings(),
+    windows: WindowSettings,
+    settings: JunctionSettings,
 ) -> ScanPasses:
     """Fuse the forks of all windows and variants to passes. O(q log q) for q forks."""
     records = [

@@ -17,8 +17,8 @@ from .step_errors import SpanErrors
 FloatArray = NDArray[np.float64]
 
 PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07)
-"""Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by 2 to
-4 degrees (`benchmarks/laser.py`)."""
+"""Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by
+2 to 4 degrees (`benchmarks/laser.py`)."""
 LEAST_HEADING = 0.002
 """No heading is kept better than this [rad per root metre]: walls are not straighter."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,16 @@ class SkeletonSettings:
     chord_beyond_m: float = 0.3
     """Where a branch's heading is taken: this far from the place, out of its widening."""
 
+    def with_spurs(self, factor: float) -> SkeletonSettings:
+        """The same with spurs of `factor` times the length pruned."""
+        return replace(self, spur_m=factor * self.spur_m, spur_beyond_m=factor * self.spur_beyond_m)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A place of a skeleton. xy: (2,) [m] from the middle of the first cell; clearance_m: distance
-    from the nearest wall; headings: (b,) [rad] of its branches, ascending; open: (b,) whether a
-    branch runs into the border of the grid."""
+    """A place of a skeleton. xy: (2,) x, y [m] from the middle of the first cell; clearance_m: from
+    the nearest wall; headings: (b,) [rad] of its branches, ascending; ends: (b,) the edge of each
+    branch, a ring's twice."""
 
     xy: FloatArray
     clearance_m: float

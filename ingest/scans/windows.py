@@ -52,31 +52,11 @@ class WindowSettings:
             Variant(g, s, way),
             Variant(g, replace(s, clearance_m=0.8 * s.clearance_m), way),
             Variant(g, replace(s, clearance_m=1.3 * s.clearance_m), way),
-            Variant(g, _shorter(s, 0.8), way),
-            Variant(g, _shorter(s, 1.25), way),
+            Variant(g, s.with_spurs(0.8), way),
+            Variant(g, s.with_spurs(1.25), way),
             Variant(replace(g, wall_share=1.6 * g.wall_share), s, way),
             Variant(g, s, 0.75 * way),
         )
-
-
-def _shorter(s: SkeletonSettings, by: float) -> SkeletonSettings:
-    return replace(s, spur_m=by * s.spur_m, spur_beyond_m=by * s.spur_beyond_m)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Forks:
-    """Places with three or more branches found near the way; one row per window and variant.
-
-    window: (q,) number of the window; variant: (q,); way: (q,) way driven when nearest [m]; xy:
-    (q, 2) in the corrected odometry frame; clearance: (q,) [m]; headings: q arrays [rad].
-    """
-
-    window: IntArray
-    variant: IntArray
-    way: FloatArray
-    xy: FloatArray
-    clearance: FloatArray
-    headings: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +99,9 @@ def windows(
                 driven, held = float(held.way[-1]), None
                 following = driven
             piece = own
-            fresh = _rolling(run.keyframes, run.pose, body, held, driven, settings)
+            fresh = _rolling(
+                run.keyframes, run.pose, body, held=held, driven=driven, settings=settings
+            )
             held = fresh
             ready = float(held.way[-1]) - settings.way_m
             for seen in _due(held, following, ready, number, settings):
@@ -144,6 +126,7 @@ def _rolling(
     frames: Keyframes,
     pose: FloatArray,
     body: FloatArray,
+    *,
     held: _Rolling | None,
     driven: float,
     settings: WindowSettings,
