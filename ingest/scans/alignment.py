@@ -126,12 +126,13 @@ def _matched(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Poses (n, 3), their banded information (lower form, `3 n` columns), and per step the share
-    (n - 1,) of points that fit."""
+    """Poses (n, 3), their banded information (lower form, `3 n` columns), per step the share
+    (n - 1,) of points that fit, and the root mean square of what all points are off by [m]."""
 
     pose: FloatArray
     information: FloatArray
     fit: FloatArray
+    residual_m: float
 
 
 def align(
@@ -150,22 +151,26 @@ def align(
     """
     chain = np.concatenate([[0], np.cumsum(~joined)])
     fit = np.zeros(max(len(pose) - 1, 0))
-    band = _Band.empty(len(pose), 1)
+    band, squares, weight = _Band.empty(len(pose), 1), 0.0, 0.0
     for count, gate in settings.joint_gates:
         offsets = [d for d in settings.offsets[:count] if d < len(pose)]
         band = _Band.empty(len(pose), max(offsets, default=1))
         band.add_steps(pose, steps)
+        squares, weight = 0.0, 0.0
         for d in offsets:
             rows = np.arange(d, len(pose))
             rows = rows[(chain[rows] == chain[rows - d]) & (rows >= fixed)]
             terms = pair_terms(scans, rows, rows - d, (pose[rows], pose[rows - d]), gate)
             band.add_pairs(rows, rows - d, terms, settings.joint_worth / settings.sigma_m**2)
+            squares += float(terms.moments[:, 4, 4].sum())
+            weight += float(terms.weight.sum())
             if d == 1:
                 fit[rows - 1] = terms.fit
         band.hold(fixed)
         pose = pose + band.solve()
         pose[:, 2] = wrap(pose[:, 2])
-    return Aligned(pose, band.lower(), fit)
+    residual_m = float(np.sqrt(squares / weight)) if weight > 0 else settings.sigma_m
+    return Aligned(pose, band.lower(), fit, residual_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -58,11 +58,11 @@ class PairTerms:
     """Per pair: `moments` (p, 5, 5) Σ w a aᵀ, a the derivative of a residual by the shift of the
     first scan (2), its turn, the turn of the second scan, and the residual itself; the axes of the
     shift are those of the second's parent frame. fit: (p,) share of the points that lie on a
-    surface; points: (p,) that count."""
+    surface; weight: (p,) Σ w."""
 
     moments: FloatArray
     fit: FloatArray
-    points: IntArray
+    weight: FloatArray
 
 
 def pair_terms(
@@ -109,7 +109,8 @@ def pair_terms(
     moments = np.matmul(rows * weight[:, None].astype(np.float32), rows.transpose(0, 2, 1))
     fitting = np.count_nonzero(near & (off < FIT_M), axis=1)
     usable = np.maximum(np.count_nonzero(inside, axis=1), 1)
-    return PairTerms(moments.astype(np.float64), fitting / usable, np.count_nonzero(good, axis=1))
+    total = weight.sum(axis=1, dtype=np.float64)
+    return PairTerms(moments.astype(np.float64), fitting / usable, total)
 
 
 def _turned(

@@ -153,5 +153,5 @@ def _finished(
     held: Keyframes, pose: FloatArray, done: _Done, rows: slice, errors: StepErrors
 ) -> Matched:
     fit = np.concatenate([[1.0], done.aligned.fit])
-    spans = span_errors(pose, done.aligned.information, rows)
+    spans = span_errors(pose, done.aligned.information, rows, done.aligned.residual_m)
     return Matched(held.take(rows), pose[rows], fit[rows], done.searched[rows], spans, errors)

@@ -76,6 +76,12 @@ def _inputs(frames: Keyframes) -> tuple[FloatArray, FloatArray, FloatArray]:
     return way, turn, np.diff(frames.rate)
 
 
+USUAL_RESIDUAL_M = 0.0113
+"""At which the information of `alignment` is right as it stands (`benchmarks/laser.py`)."""
+LEAST_RESIDUAL_M = 0.006
+"""What is nearer is by chance: walls are not flatter."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SpanErrors:
     """Stretches of corrected odometry and how well they are known by the scans' own account.
@@ -88,8 +94,13 @@ class SpanErrors:
     variance: FloatArray
 
 
-def span_errors(pose: FloatArray, information: FloatArray, rows: slice) -> SpanErrors:
-    """Marginals of the motion over spans of keyframes, from the banded information of a window."""
+def span_errors(
+    pose: FloatArray, information: FloatArray, rows: slice, residual_m: float
+) -> SpanErrors:
+    """Marginals of the motion over spans of keyframes, from the banded information of a window.
+
+    residual_m: root mean square of what points are off their surfaces by, which scales them.
+    """
     n, begin = len(pose), rows.start
     length = 16
     first = np.arange(begin, max(rows.stop - length, begin), length)
@@ -114,4 +125,5 @@ def span_errors(pose: FloatArray, information: FloatArray, rows: slice) -> SpanE
         variance[k] = np.diag(J @ joint[np.ix_(pick, pick)] @ J.T)
     step = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
+    variance *= (max(residual_m, LEAST_RESIDUAL_M) / USUAL_RESIDUAL_M) ** 2
     return SpanErrors(step[last] - step[first], turn[last] - turn[first], variance)
