@@ -32,8 +32,8 @@ class AlignmentSettings:
     """Independent looks that a point of one pair is worth: neighbours err together …"""
     joint_worth: float = 0.02
     """… and so do the several pairs that it is in."""
-    offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 20, 26, 34, 42, 50)
-    """How many keyframes back a scan is held against: up to 10 m of way."""
+    offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 20, 28, 36, 46, 56)
+    """How many keyframes back a scan is held against: up to 14 m of way."""
     pair_gates: tuple[Gate, ...] = (
         *(Gate(0.5, 0.2, 3),) * 5,
         *(Gate(0.3, 0.1),) * 4,

@@ -20,7 +20,7 @@ IntArray = NDArray[np.int64]
 class KeyframeSettings:
     """Which scans are matched, and how finely."""
 
-    step_m: float = 0.2
+    step_m: float = 0.25
     turn_rad: float = 0.15
     """Way or turn after which the next scan is a keyframe: neighbours still see nearly the same."""
     raster_rad: float = 0.017

@@ -31,7 +31,7 @@ class MatchingSettings:
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     window: int = 400
     """Keyframes solved for at once: much more than the widest pair, little memory."""
-    lag: int = 50
+    lag: int = 60
     """The last ones of a window are solved for again with those that follow: the widest pair."""
     outside_s: float = 0.5
     """How far beyond the odometry's ends a scan may lie."""

@@ -17,7 +17,7 @@ IntArray = NDArray[np.int64]
 class SurfaceSettings:
     """Which neighbouring beams lie on one surface."""
 
-    reach_m: float = 0.25
+    reach_m: float = 0.35
     """Half the length of wall that makes a line: long beside the noise of a range (1 to 3 cm),
     short beside a door's frame."""
     least_beams: int = 2
