@@ -11,7 +11,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ...topology.circular import cluster_angles
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, inverse, wrap
 from .scan import ScanPasses
@@ -30,10 +29,9 @@ class JunctionSettings:
     together_way_m: float = 2.5
     """… if the robot had not driven more than this in between: else it was there twice."""
     least_share: float = 0.5
-    """Of the windows that could show a junction or a branch, so many must."""
+    """Of the windows that could show a junction, so many must."""
     gap_rad: float = 0.35
     """Headings farther apart than this are of different branches."""
-    least_branches: int = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,24 +75,16 @@ def junction_passes(
         shown = len(np.unique(number[members] * len(windows.variants) + variant[members]))
         if shown < settings.least_share * looks:
             continue
-        branches, support = _branches(headings, members, shown, settings)
-        if len(branches) < settings.least_branches:
-            continue
-        agreeing = 0
-        for v in range(len(windows.variants)):
-            own = members[variant[members] == v]
-            if len(own):
-                nearest = own[np.argmin(np.abs(middles[number[own]] - at))]
-                agreeing += int(headings.counts[nearest] == len(branches))
-        if agreeing == 0:
-            continue
+        votes = _nearest_looks(members, variant, np.abs(middles[number] - at))
+        degree = np.bincount(headings.counts[votes])
+        branches, support = _branches(headings, members, votes, int(np.argmax(degree)), settings)
         rows.append(
             (
                 at,
                 np.median(xy[members], axis=0),
                 branches,
                 support,
-                agreeing / len(windows.variants),
+                int(degree.max()) / len(windows.variants),
                 len(np.unique(number[members])),
                 float(np.median(clearance[members])),
             )
@@ -119,16 +109,39 @@ def _together(xy: FloatArray, way: FloatArray, settings: JunctionSettings) -> In
     return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
+def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> IntArray:
+    """Of the records of one junction, those of each variant's nearest window: it shows the most
+    of what is around."""
+    order = members[np.lexsort((members, away[members], variant[members]))]
+    return order[np.unique(variant[order], return_index=True)[1]]
+
+
 def _branches(
-    headings: Ragged, members: IntArray, shown: int, settings: JunctionSettings
+    headings: Ragged,
+    members: IntArray,
+    votes: IntArray,
+    degree: int,
+    settings: JunctionSettings,
 ) -> tuple[FloatArray, FloatArray]:
-    """Headings that enough of the looks show, ascending, and the share that does."""
+    """Headings of a junction of `degree` branches, and the share of all looks that show each.
+
+    Of the votes for so many branches, the one that the others are nearest to; every branch is the
+    mean of what all looks show near it.
+    """
+    alike = headings.take(votes[headings.counts[votes] == degree])
+    table = alike.values.reshape(-1, degree)
+    off = np.abs(wrap(table[:, None, :, None] - table[None, :, None, :])).min(axis=3)
+    medoid = table[int(np.argmin(off.sum(axis=(1, 2))))]
     own = headings.take(members)
-    clusters = cluster_angles(own.values, np.zeros(len(own.values), np.int64), settings.gap_rad)
-    pairs = np.unique(np.stack([clusters.of, own.owner]), axis=1)[0]
-    share = np.minimum(np.bincount(pairs, minlength=len(clusters)) / shown, 1.0)
-    keep = share >= settings.least_share
-    return clusters.mean[keep], share[keep]
+    away = np.asarray(wrap(own.values[:, None] - medoid))
+    nearest = np.argmin(np.abs(away), axis=1)
+    gap = away[np.arange(len(away)), nearest]
+    near = np.abs(gap) <= settings.gap_rad
+    mean = np.bincount(nearest[near], gap[near], degree)
+    mean /= np.maximum(np.bincount(nearest[near], minlength=degree), 1)
+    looks = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
+    share = np.bincount(looks, minlength=degree) / len(members)
+    return np.asarray(wrap(medoid + mean)), share
 
 
 def _passes(
