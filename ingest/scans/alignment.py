@@ -67,11 +67,13 @@ class Steps:
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMotion:
     """Motion (p, 3) from scan to scan; fit: (p,) share of points on a surface; searched: (p,)
-    where the odometry led nowhere and another heading was found."""
+    where the odometry led nowhere and another heading was found; loose_m: (p,) 1 sigma of the
+    motion in the direction that the scans tell least of, as along a bare corridor."""
 
     motion: FloatArray
     fit: FloatArray
     searched: BoolArray
+    loose_m: FloatArray
 
 
 def match_steps(scans: Swept, steps: Steps, settings: AlignmentSettings) -> PairMotion:
@@ -80,7 +82,8 @@ def match_steps(scans: Swept, steps: Steps, settings: AlignmentSettings) -> Pair
     first, second = np.arange(1, n + 1), np.arange(n)
     # The odometry holds what the scans leave open, no more, until all have their say.
     weak = settings.pair_worth * steps.information
-    motion, fit = _matched(scans, (first, second), (steps.motion, steps.motion, weak), settings)
+    start = steps.motion
+    motion, fit, loose_m = _matched(scans, (first, second), (start, start, weak), settings)
     searched = np.zeros(n, bool)
     lost = np.flatnonzero(fit < settings.lost_fit)
     if len(lost):
@@ -91,15 +94,18 @@ def match_steps(scans: Swept, steps: Steps, settings: AlignmentSettings) -> Pair
         start = steps.motion[rows]
         start[:, 2] = wrap(start[:, 2] + np.tile(tried, len(lost)))
         prior = steps.motion[rows], start, 0.01 * weak[rows]
-        found, found_fit = _matched(scans, (first[rows], second[rows]), prior, settings)
+        found, found_fit, found_loose_m = _matched(
+            scans, (first[rows], second[rows]), prior, settings
+        )
         by_row = found_fit.reshape(len(lost), -1)
         best = by_row.argmax(axis=1)
         better = by_row[np.arange(len(lost)), best] > fit[lost] + settings.better_fit
         at = lost[better]
         motion[at] = found.reshape(len(lost), -1, 3)[better, best[better]]
         fit[at] = by_row[better, best[better]]
+        loose_m[at] = found_loose_m.reshape(len(lost), -1)[better, best[better]]
         searched[at] = True
-    return PairMotion(motion, fit, searched)
+    return PairMotion(motion, fit, searched, loose_m)
 
 
 def _matched(
@@ -107,8 +113,8 @@ def _matched(
     pairs: tuple[IntArray, IntArray],
     odometry: tuple[FloatArray, FloatArray, FloatArray],
     settings: AlignmentSettings,
-) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton on each pair alone. odometry: motion, start, information."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Gauss-Newton on each pair: motion, fit, loose_m. odometry: motion, start, information."""
     expected, motion, information = odometry
     scale = settings.pair_worth / settings.sigma_m**2
     origin = np.zeros_like(motion)
@@ -120,8 +126,9 @@ def _matched(
         step = np.linalg.solve(moments[:, :3, :3] + information, gradient[..., None])[..., 0]
         motion = motion - np.clip(step, -0.5, 0.5)
         motion[:, 2] = wrap(motion[:, 2])
-    fit = pair_terms(scans, *pairs, (motion, origin), settings.pair_gates[-1]).fit
-    return motion, fit
+    last = pair_terms(scans, *pairs, (motion, origin), settings.pair_gates[-1])
+    weakest = np.linalg.eigvalsh(scale * last.moments[:, :2, :2])[:, 0]
+    return motion, last.fit, 1 / np.sqrt(np.maximum(weakest, 1e-4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from .junctions import Driven, JunctionSettings, junction_passes
 from .matching import Matched, MatchingSettings, matched, posed
 from .noise import matched_noise, position_sigma, recorded_drift
 from .scan import Anchored, ScanBatch, ScanPicture, ScanResult, ScanStatistics
+from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
 from .windows import Seen, WindowSettings, windows
 
@@ -45,7 +46,11 @@ def detect(
     """
     counted = _Counted(scans)
     track = _Track()
-    poses = posed(odometry, counted, settings.matching)
+    if odometry is not None and len(odometry) > 0:
+        poses = posed(odometry, counted, settings.matching)
+    else:
+        odometry, m = None, settings.matching
+        poses = scan_odometry(counted, (m.keyframes, m.surfaces, m.alignment))
     seen = list(windows(track.passing(matched(poses, settings.matching)), settings.windows))
     return _result(odometry, counted, track, seen, settings)
 
@@ -125,7 +130,7 @@ def _result(
         raise DataError(_nothing(recorded, counted.scans))
     driven = track.driven()
     passes = junction_passes(seen, driven, settings.windows, settings.junctions)
-    noise = matched_noise(track.spans, passes)
+    noise = matched_noise(track.spans, passes, alone=recorded is None)
     fit, piece = np.concatenate(track.fit), np.concatenate(track.piece)
     statistics = ScanStatistics(
         scans=counted.scans,
@@ -148,7 +153,22 @@ def _result(
         recorded.child_frame if recorded is not None else "base_link",
     )
     picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), settings.windows.half_m)
-    return ScanResult(odometry, passes, noise, statistics, picture)
+    return ScanResult(odometry, passes, noise, statistics, picture, _warnings(statistics))
+
+
+def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
+    out = []
+    if not statistics.odometry:
+        out.append(
+            "no odometry beside the scans: each scan was matched to the one before, so that the way "
+            "along bare corridors is not well known"
+        )
+    if statistics.searched:
+        out.append(
+            f"{statistics.searched} times the odometry led astray between two scans; the way on was "
+            "found by searching"
+        )
+    return tuple(out)
 
 
 DRIFT_M = 20.0

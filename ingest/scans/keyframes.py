@@ -95,7 +95,7 @@ def keyframes(
         laser = (*part.batch.T_body_laser.tolist(), float(len(part.batch.angles_rad)))
         rows, counts, waiting = _chosen(part, last, laser, waiting, settings)
         if rows:
-            yield _prepared(part, np.array(rows), np.array(counts), settings)
+            yield prepared(part, np.array(rows), np.array(counts), settings)
 
 
 def _chosen(
@@ -127,9 +127,10 @@ def _chosen(
     return rows, counts, waiting
 
 
-def _prepared(
+def prepared(
     part: Posed, rows: IntArray, counts: IntArray, settings: KeyframeSettings
 ) -> Keyframes:
+    """Scans `rows` of a batch as keyframes that stand for `counts` scans each."""
     batch, n = part.batch, len(rows)
     columns, start, step = raster(batch.angles_rad, settings.raster_rad)
     angles = np.asarray(batch.angles_rad[columns])

@@ -23,9 +23,18 @@ LEAST_HEADING = 0.002
 """No heading is kept better than this [rad per root metre]: walls are not straighter."""
 
 
-def matched_noise(spans: Sequence[SpanErrors], passes: ScanPasses) -> RunNoise:
+ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
+"""Of scans without odometry, at least: what bare corridors leave open [m, rad per root metre]."""
+
+
+def matched_noise(
+    spans: Sequence[SpanErrors], passes: ScanPasses, *, alone: bool = False
+) -> RunNoise:
     """Random walks that give the variances of the spans, by non-negative least squares; branch
-    faults by the share of variants that disagree with their pass."""
+    faults by the share of variants that disagree with their pass.
+
+    alone: there was no odometry beside the scans.
+    """
     way = np.concatenate([np.zeros(0), *(s.way for s in spans)])
     turned = np.concatenate([np.zeros(0), *(s.turned for s in spans)])
     variance = np.concatenate([np.zeros((0, 3)), *(s.variance for s in spans)])
@@ -37,10 +46,11 @@ def matched_noise(spans: Sequence[SpanErrors], passes: ScanPasses) -> RunNoise:
         )
     weight = 1 / np.maximum(variance[:, 2], 1e-8)
     walk, _ = nnls(np.column_stack([way, turned]) * weight[:, None], variance[:, 2] * weight)
-    along = float(np.median(variance[:, 0] / np.maximum(way, 0.1)))
+    along = float(np.sqrt(np.median(variance[:, 0] / np.maximum(way, 0.1))))
+    heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
     return RunNoise(
-        along_m_per_sqrt_m=significant(float(np.sqrt(along))),
-        heading_rad_per_sqrt_m=significant(max(float(np.sqrt(walk[0])), LEAST_HEADING)),
+        along_m_per_sqrt_m=significant(max(along, ALONE_ALONG) if alone else along),
+        heading_rad_per_sqrt_m=significant(heading),
         heading_rad_per_sqrt_rad=significant(max(float(np.sqrt(walk[1])), LEAST_HEADING)),
         centre_m=PRIOR.centre_m,
         branch_rad=PRIOR.branch_rad,
