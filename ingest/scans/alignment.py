@@ -57,8 +57,8 @@ class AlignmentSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
-    """What the odometry says of the step to each of `n` poses from the one before: (n - 1, 3)
-    motion and (n - 1, 3, 3) information (inverse covariance), in the frame of the pose before."""
+    """What the odometry says of the motion from some poses to others: (p, 3) motion and (p, 3, 3)
+    information (inverse covariance), in the frame of the pose before."""
 
     motion: FloatArray
     information: FloatArray
@@ -76,10 +76,12 @@ class PairMotion:
     loose_m: FloatArray
 
 
-def match_steps(scans: Swept, steps: Steps, settings: AlignmentSettings) -> PairMotion:
-    """The motion from each scan to the next alone, by both odometry and scans."""
-    n = len(steps.motion)
-    first, second = np.arange(1, n + 1), np.arange(n)
+def match_steps(
+    scans: Swept, pairs: tuple[IntArray, IntArray], steps: Steps, settings: AlignmentSettings
+) -> PairMotion:
+    """The motion to scans `first` (p,) from scans `second` alone, by both odometry and scans."""
+    first, second = pairs
+    n = len(first)
     # The odometry holds what the scans leave open, no more, until all have their say.
     weak = settings.pair_worth * steps.information
     start = steps.motion
@@ -133,12 +135,11 @@ def _matched(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Poses (n, 3), their banded information (lower form, `3 n` columns), per step the share
-    (n - 1,) of points that fit, and the root mean square of what all points are off by [m]."""
+    """Poses (n, 3), their banded information (lower form, `3 n` columns), and the root mean square
+    of what all points are off by [m]."""
 
     pose: FloatArray
     information: FloatArray
-    fit: FloatArray
     residual_m: float
 
 
@@ -148,36 +149,32 @@ def align(
     steps: Steps,
     *,
     fixed: int,
-    joined: BoolArray,
+    earlier: Sequence[IntArray],
     settings: AlignmentSettings,
 ) -> Aligned:
     """All poses together, starting from `pose` (n, 3), the first `fixed` of which stay.
 
-    joined: (n - 1,) steps over which scans are held against each other. Gauss-Newton with a
+    earlier: per offset of the settings the scan (n,) that each is held against, -1 for none; steps:
+    from each pose to the next. Gauss-Newton with a
     Cauchy weight on odometry; O(n · offsets · beams) a round.
     """
-    chain = np.concatenate([[0], np.cumsum(~joined)])
-    fit = np.zeros(max(len(pose) - 1, 0))
+    rows = [np.flatnonzero((j >= 0) & (np.arange(len(j)) >= fixed)) for j in earlier]
     band, squares, weight = _Band.empty(len(pose), 1), 0.0, 0.0
     for count, gate in settings.joint_gates:
-        offsets = [d for d in settings.offsets[:count] if d < len(pose)]
-        band = _Band.empty(len(pose), max(offsets, default=1))
+        pairs = [(i, earlier[k][i]) for k, i in enumerate(rows[:count]) if len(i)]
+        band = _Band.empty(len(pose), max((int((i - j).max()) for i, j in pairs), default=1))
         band.add_steps(pose, steps)
         squares, weight = 0.0, 0.0
-        for d in offsets:
-            rows = np.arange(d, len(pose))
-            rows = rows[(chain[rows] == chain[rows - d]) & (rows >= fixed)]
-            terms = pair_terms(scans, rows, rows - d, (pose[rows], pose[rows - d]), gate)
-            band.add_pairs(rows, rows - d, terms, settings.joint_worth / settings.sigma_m**2)
+        for i, j in pairs:
+            terms = pair_terms(scans, i, j, (pose[i], pose[j]), gate)
+            band.add_pairs(i, j, terms, settings.joint_worth / settings.sigma_m**2)
             squares += float(terms.moments[:, 4, 4].sum())
             weight += float(terms.weight.sum())
-            if d == 1:
-                fit[rows - 1] = terms.fit
         band.hold(fixed)
         pose = pose + band.solve()
         pose[:, 2] = wrap(pose[:, 2])
     residual_m = float(np.sqrt(squares / weight)) if weight > 0 else settings.sigma_m
-    return Aligned(pose, band.lower(), fit, residual_m)
+    return Aligned(pose, band.lower(), residual_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,14 +189,12 @@ class _Band:
         return cls(np.zeros((n, widest + 1, 3, 3)), np.zeros((n, 3)))
 
     def add_pairs(self, first: IntArray, second: IntArray, terms: PairTerms, scale: float) -> None:
-        """Terms of distinct rows `first` against `second`, d before them each."""
-        if len(first) == 0:
-            return
+        """Terms of distinct rows `first` against distinct rows `second` before them."""
         moments = scale * terms.moments
         by_first, by_second = _SELECT_FIRST, _SELECT_SECOND
         self.blocks[first, 0] += by_first.T @ moments @ by_first
         self.blocks[second, 0] += by_second.T @ moments @ by_second
-        self.blocks[first, first[0] - second[0]] += by_first.T @ moments @ by_second
+        self.blocks[first, first - second] += by_first.T @ moments @ by_second
         self.gradient[first] += moments[:, :, 4] @ by_first
         self.gradient[second] += moments[:, :, 4] @ by_second
 

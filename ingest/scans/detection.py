@@ -160,13 +160,13 @@ def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
     out = []
     if not statistics.odometry:
         out.append(
-            "no odometry beside the scans: each scan was matched to the one before, so that the way "
-            "along bare corridors is not well known"
+            "no odometry beside the scans: each scan was matched to the one before, so that the "
+            "way along bare corridors is not well known"
         )
     if statistics.searched:
         out.append(
-            f"{statistics.searched} times the odometry led astray between two scans; the way on was "
-            "found by searching"
+            f"{statistics.searched} times the odometry led astray between two scans; the way on "
+            "was found by searching"
         )
     return tuple(out)
 

@@ -26,14 +26,14 @@ class GridSettings:
     reach_m: float = 8.0
     """How far along a beam cells are observed: beyond, beams are more than a cell apart."""
     wall_hits: int = 2
-    wall_share: float = 0.25
+    wall_share: float = 0.15
     """A wall is hit by so many keyframes, and in so large a share of the looks at it: who walks
     by is hit in few."""
-    free_looks: int = 2
+    free_looks: int = 1
     """Keyframes that saw through a free cell."""
     strip_m: float = 0.3
     """Where the robot itself drove is free, this far to either side."""
-    island_m: float = 1.2
+    island_m: float = 2.0
     """What stands free and is smaller (pillars, furniture, people) is no part of the building."""
 
 

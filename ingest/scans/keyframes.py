@@ -25,8 +25,6 @@ class KeyframeSettings:
     """Way or turn after which the next scan is a keyframe: neighbours still see nearly the same."""
     raster_rad: float = 0.017
     """Beams nearer to each other are thinned out: a degree is 9 cm at 5 m."""
-    reach_m: float = 20.0
-    """Farther returns are left out: their footprint is wider than a wall is straight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +49,7 @@ class Keyframes:
     def __len__(self) -> int:
         return len(self.time_ns)
 
-    def take(self, rows: slice) -> Keyframes:
+    def take(self, rows: slice | IntArray) -> Keyframes:
         """Some of them."""
         return Keyframes(*(getattr(self, f.name)[rows] for f in fields(self)))
 
@@ -98,6 +96,38 @@ def keyframes(
             yield prepared(part, np.array(rows), np.array(counts), settings)
 
 
+def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Iterator[Keyframes]:
+    """The same keyframes by time, `size` at once (the last ones fewer).
+
+    Batches of several lasers may overlap: a keyframe is held back until every laser that was heard
+    of in the last `late_s` has gone on beyond it.
+    """
+    waiting: list[Keyframes] = []
+    heard: dict[bytes, int] = {}
+    for part in parts:
+        waiting.append(part)
+        heard[part.mount[-1].tobytes()] = int(part.time_ns[-1])
+        newest = max(heard.values())
+        settled = min(t for t in heard.values() if t >= newest - late_s * 1e9)
+        held = _by_time(waiting)
+        ready = int(np.searchsorted(held.time_ns, settled, side="right"))
+        whole = ready - ready % size
+        for begin in range(0, whole, size):
+            yield held.take(slice(begin, begin + size))
+        waiting = [held.take(slice(whole, None))]
+    held = _by_time(waiting) if waiting else None
+    while held is not None and len(held):
+        yield held.take(slice(0, size))
+        held = held.take(slice(size, None))
+
+
+def _by_time(parts: list[Keyframes]) -> Keyframes:
+    """Keyframes of several lasers by time, those of one time by where their lasers are."""
+    joint = join(parts)
+    x, y, theta = joint.mount.T
+    return joint.take(np.lexsort((theta, y, x, joint.time_ns)))
+
+
 def _chosen(
     part: Posed,
     last: dict[tuple[float, ...], FloatArray],
@@ -135,7 +165,6 @@ def prepared(
     columns, start, step = raster(batch.angles_rad, settings.raster_rad)
     angles = np.asarray(batch.angles_rad[columns])
     ranges = batch.ranges_m[rows][:, columns].astype(np.float64)
-    ranges[ranges > settings.reach_m] = np.nan
     xy = np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)
     if batch.sweep_s != 0:
         share = columns / max(len(batch.angles_rad) - 1, 1) - 0.5
@@ -149,7 +178,7 @@ def prepared(
         xy.astype(np.float32),
         np.full(n, start),
         np.full(n, step),
-        np.minimum(np.asarray(batch.free_m)[rows], settings.reach_m),
+        np.asarray(batch.free_m)[rows],
         part.rate[rows],
         part.piece[rows],
         counts,

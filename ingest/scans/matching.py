@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.odometry import Odometry
-from ...topology.se2 import between, wrap
+from ...topology.se2 import between, compose, wrap
 from ...topology.track import chain_of
-from .alignment import Aligned, AlignmentSettings, Steps, align, chained, match_steps
+from .alignment import Aligned, AlignmentSettings, Steps, align, match_steps
 from .association import Swept
-from .keyframes import Keyframes, KeyframeSettings, Posed, join, keyframes
+from .keyframes import Keyframes, KeyframeSettings, Posed, in_order, join, keyframes
 from .scan import ScanBatch
 from .step_errors import SpanErrors, StepErrors, span_errors
 from .surfaces import SurfaceSettings, surfaces
@@ -83,75 +83,113 @@ def matched(
     solved for again in the next one.
     """
     held: Keyframes | None = None
-    pose = np.zeros((0, 3))
-    final = 0
-    errors = StepErrors()
-    fresh: list[Keyframes] = []
-    for part in keyframes(posed_scans, settings.keyframes):
-        fresh.append(part)
-        if sum(map(len, fresh)) >= settings.window:
-            held = join([*([held] if held is not None else []), *fresh])
-            fresh = []
-            pose, done, errors = _solve(held, pose, final, errors, settings)
+    solved = _Solved(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
+    final, errors = 0, StepErrors()
+    for fresh in in_order(keyframes(posed_scans, settings.keyframes), settings.window):
+        if held is not None:
             upto = len(held) - settings.lag
-            yield _finished(held, pose, done, slice(final, upto), errors)
+            yield _finished(held, solved, slice(final, upto), errors)
             keep = max(upto - settings.lag, 0)
-            held, pose, final = held.take(slice(keep, None)), pose[keep:], upto - keep
-    if fresh or held is not None:
-        held = join([*([held] if held is not None else []), *fresh])
-        pose, done, errors = _solve(held, pose, final, errors, settings)
-        yield _finished(held, pose, done, slice(final, len(held)), errors)
+            held, solved, final = held.take(slice(keep, None)), solved.since(keep), upto - keep
+        held = fresh if held is None else join([held, fresh])
+        solved, errors = _solve(held, solved, final, errors, settings)
+    if held is not None:
+        yield _finished(held, solved, slice(final, len(held)), errors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Done:
-    aligned: Aligned
+class _Solved:
+    """What is known of the keyframes of a window: poses, fit and whether they were searched for
+    (`Matched`), and how the window as a whole was aligned."""
+
+    pose: FloatArray
+    fit: FloatArray
     searched: NDArray[np.bool_]
+    aligned: Aligned | None = None
+
+    def since(self, row: int) -> _Solved:
+        return _Solved(self.pose[row:], self.fit[row:], self.searched[row:])
 
 
 def _solve(
     held: Keyframes,
-    known: FloatArray,
+    known: _Solved,
     final: int,
     errors: StepErrors,
     settings: MatchingSettings,
-) -> tuple[FloatArray, _Done, StepErrors]:
-    """Poses of all keyframes held, of which the first `len(known)` were solved for before."""
+) -> tuple[_Solved, StepErrors]:
+    """All keyframes held, of which the first ones were solved for before, `final` of them for
+    good."""
     scans = Swept(
         held.xy,
         held.start,
         held.increment,
         surfaces(held.xy, held.increment, settings.surfaces),
     )
-    raw = Steps(*errors.steps(held))
-    joined = np.diff(held.piece) == 0
-    motion = raw.motion
-    n, searched = len(held), np.zeros(len(held), bool)
-    begin = max(len(known) - 1, 0)
-    if n - begin > 1:
-        rows = slice(begin, n)
-        tail = held.take(rows)
-        part = Swept(
-            scans.xy[rows], scans.start[rows], scans.increment[rows], scans.surfaces.take(rows)
-        )
-        found = match_steps(
-            part, Steps(raw.motion[begin:], raw.information[begin:]), settings.alignment
-        )
-        errors = errors.learned(tail, found.motion, found.fit > settings.alignment.lost_fit)
-        raw = Steps(*errors.steps(held))
-        motion = np.concatenate([raw.motion[:begin], found.motion])
-        broken = begin + np.flatnonzero(~joined[begin:])
-        motion[broken] = raw.motion[broken]
-        searched[begin + 1 :] = found.searched
-    start = known[-1] if len(known) else held.odometry[0]
-    guess = np.concatenate([known if len(known) else start[None], chained(start, motion[begin:])])
-    aligned = align(scans, guess, raw, fixed=final, joined=joined, settings=settings.alignment)
-    return aligned.pose, _Done(aligned, searched), errors
+    n, least_fit = len(held), settings.alignment.lost_fit
+    before = _before(held)
+    new = n - len(known.pose)
+    fit = np.concatenate([known.fit, np.ones(new)])
+    searched = np.concatenate([known.searched, np.zeros(new, bool)])
+    fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
+    pairs = fresh, before[fresh]
+    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), settings.alignment)
+    errors = errors.learned(held, pairs, found.motion, found.fit > least_fit)
+    fit[fresh], searched[fresh] = found.fit, found.searched
+    consecutive = np.arange(1, n), np.arange(n - 1)
+    raw = Steps(*errors.steps(held, *consecutive))
+    guess = _guess(held, known.pose, (fresh, before, found.motion), raw)
+    earlier = _earlier(before, settings.alignment.offsets)
+    aligned = align(scans, guess, raw, fixed=final, earlier=earlier, settings=settings.alignment)
+    return _Solved(aligned.pose, fit, searched, aligned), errors
 
 
-def _finished(
-    held: Keyframes, pose: FloatArray, done: _Done, rows: slice, errors: StepErrors
-) -> Matched:
-    fit = np.concatenate([[1.0], done.aligned.fit])
-    spans = span_errors(pose, done.aligned.information, rows, done.aligned.residual_m)
-    return Matched(held.take(rows), pose[rows], fit[rows], done.searched[rows], spans, errors)
+def _before(held: Keyframes) -> IntArray:
+    """(n,) the keyframe of the same laser before each, in the same piece of odometry; else -1."""
+    key = np.column_stack([held.mount, held.piece])
+    kind = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(kind, kind="stable")
+    out = np.full(len(held), -1, np.int64)
+    same = np.diff(kind[order]) == 0
+    out[order[1:][same]] = order[:-1][same]
+    return out
+
+
+def _earlier(before: IntArray, offsets: tuple[int, ...]) -> list[IntArray]:
+    """Per offset, the keyframe of the same laser so many before each; -1 where there is none."""
+    out, at, gone = [], np.arange(len(before)), 0
+    for offset in offsets:
+        while gone < offset:
+            at = np.where(at >= 0, before[at], -1)
+            gone += 1
+        out.append(at)
+    return out
+
+
+def _guess(
+    held: Keyframes,
+    known: FloatArray,
+    matched_to: tuple[IntArray, IntArray, FloatArray],
+    raw: Steps,
+) -> FloatArray:
+    """(n, 3) poses to start from: those known, then one after the other, each from the keyframe
+    that it was matched to, or by the odometry."""
+    fresh, before, motion = matched_to
+    row_of = {int(row): k for k, row in enumerate(fresh)}
+    pose = np.concatenate([known, np.zeros((len(held) - len(known), 3))])
+    for row in range(len(known), len(held)):
+        if row in row_of:
+            pose[row] = compose(pose[before[row]], motion[row_of[row]])
+        elif row > 0:
+            pose[row] = compose(pose[row - 1], raw.motion[row - 1])
+        else:
+            pose[row] = held.odometry[0]
+    return pose
+
+
+def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors) -> Matched:
+    assert solved.aligned is not None
+    information, residual_m = solved.aligned.information, solved.aligned.residual_m
+    spans = span_errors(solved.pose, information, rows, residual_m)
+    own = solved.pose[rows], solved.fit[rows], solved.searched[rows]
+    return Matched(held.take(rows), *own, spans, errors)

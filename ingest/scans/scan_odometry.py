@@ -100,8 +100,9 @@ def _posed(
     information = np.zeros((len(seconds), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = (pace.speed_m_per_s * seconds) ** -2
     information[:, 2, 2] = (pace.turn_rad_per_s * seconds) ** -2
+    pairs = np.arange(1, len(frames)), np.arange(len(frames) - 1)
     still = Steps(np.zeros((len(seconds), 3)), information)
-    found = match_steps(scans, still, settings[2])
+    found = match_steps(scans, pairs, still, settings[2])
     motion = found.motion
     if (found.loose_m > LOOSE_M).any() and (found.loose_m <= LOOSE_M).any():
         # Along bare walls robots go on as before: the pace of the steps around that are sure.
@@ -109,7 +110,7 @@ def _posed(
         when = np.cumsum(seconds)
         pace_of = [np.interp(when, when[sure], (motion[:, k] / seconds)[sure]) for k in range(3)]
         going = Steps(np.stack(pace_of, axis=1) * seconds[:, None], 4 * information)
-        again = match_steps(scans, going, settings[2]).motion
+        again = match_steps(scans, pairs, going, settings[2]).motion
         motion = np.where(sure[:, None], motion, again)
     mount = batch.T_body_laser
     own = compose(compose(mount, motion), inverse(mount))

@@ -20,9 +20,9 @@ class SkeletonSettings:
     clearance_m: float = 0.25
     """Free space narrower than twice this is no way: half the width of a small robot."""
     spur_m: float = 1.5
-    spur_beyond_m: float = 0.7
+    spur_beyond_m: float = 0.5
     """Branches that end within this, or within the place's clearance and this, are corners."""
-    join_m: float = 1.3
+    join_m: float = 1.0
     """Places nearer to each other along the skeleton are one: the skeleton of a crossing is two
     forks beside each other."""
     chord_m: float = 1.5

@@ -36,10 +36,12 @@ class StepErrors:
             return np.zeros(3)
         return np.asarray(np.linalg.solve(self.normal, self.right))
 
-    def steps(self, frames: Keyframes) -> tuple[FloatArray, FloatArray]:
-        """Motion (n - 1, 3) between keyframes, heading corrected, and its information."""
-        motion = between(frames.odometry[:-1], frames.odometry[1:])
-        way, turn, _ = inputs = _inputs(frames)
+    def steps(
+        self, frames: Keyframes, first: IntArray, second: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Motion (p, 3) to keyframes `first` from `second`, heading corrected; information."""
+        motion = between(frames.odometry[second], frames.odometry[first])
+        way, turn, _ = inputs = _inputs(frames, first, second)
         motion[:, 2] = wrap(motion[:, 2] + self.terms @ inputs)
         learned = self.normal is not None
         along = 0.01 + 0.05 * way
@@ -49,14 +51,20 @@ class StepErrors:
         information[:, 2, 2] = heading**-2
         return motion, information
 
-    def learned(self, frames: Keyframes, motion: FloatArray, sure: NDArray[np.bool_]) -> StepErrors:
-        """With the steps of more keyframes, as matched (n - 1, 3), where that is sure."""
-        raw = between(frames.odometry[:-1], frames.odometry[1:])
+    def learned(
+        self,
+        frames: Keyframes,
+        pairs: tuple[IntArray, IntArray],
+        motion: FloatArray,
+        sure: NDArray[np.bool_],
+    ) -> StepErrors:
+        """With the motion (p, 3) of more pairs as matched, where that is sure."""
+        first, second = pairs
+        raw = between(frames.odometry[second], frames.odometry[first])
         error = wrap(motion[:, 2] - raw[:, 2])
-        sure = sure & (np.diff(frames.piece) == 0)
         if not sure.any():
             return self
-        A, b = np.stack(_inputs(frames), axis=1)[sure], error[sure]
+        A, b = np.stack(_inputs(frames, first, second), axis=1)[sure], error[sure]
         normal = np.diag(np.array(PRIOR) ** -2.0) if self.normal is None else self.normal
         right = np.zeros(3) if self.right is None else self.right
         x = self.terms
@@ -69,11 +77,13 @@ class StepErrors:
         return replace(self, normal=normal + more, right=right + side)
 
 
-def _inputs(frames: Keyframes) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _inputs(
+    frames: Keyframes, first: IntArray, second: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Way, turn and change of the rate of turn over each step."""
-    way = np.hypot(*np.diff(frames.odometry[:, :2], axis=0).T)
-    turn = np.asarray(wrap(np.diff(frames.odometry[:, 2])))
-    return way, turn, np.diff(frames.rate)
+    way = np.hypot(*(frames.odometry[first, :2] - frames.odometry[second, :2]).T)
+    turn = np.asarray(wrap(frames.odometry[first, 2] - frames.odometry[second, 2]))
+    return way, turn, frames.rate[first] - frames.rate[second]
 
 
 USUAL_RESIDUAL_M = 0.0113

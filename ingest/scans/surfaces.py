@@ -25,6 +25,8 @@ class SurfaceSettings:
     most_beams: int = 10
     thickness_m: float = 0.06
     """1 sigma across the line beyond which it is none: the noise of the coarsest lasers."""
+    farthest_m: float = 20.0
+    """Farther returns make none: their footprint is wider than a wall is straight."""
     grazing: float = 5.0
     """Beams that graze a wall at more than 78 degrees (1 / cos = 5) leave gaps unbridged."""
 
@@ -53,7 +55,8 @@ def surfaces(
     """
     n, m = xy.shape[:2]
     distance = np.hypot(xy[..., 0], xy[..., 1]).astype(np.float64)
-    seen = np.isfinite(distance)
+    with np.errstate(invalid="ignore"):
+        seen = distance <= settings.farthest_m
     near = np.where(seen, distance, 1.0)
     low, high = _windows(xy, near, seen, increment_rad, settings)
     points = np.where(seen[..., None], xy, 0).astype(np.float64)

@@ -35,7 +35,7 @@ class WindowSettings:
 
     grid: GridSettings = field(default_factory=GridSettings)
     skeleton: SkeletonSettings = field(default_factory=SkeletonSettings)
-    way_m: float = 8.0
+    way_m: float = 10.0
     """Way driven before and after that a window is made of: what comes counts as much as what
     was, and drift is still small."""
     every_m: float = 1.5
