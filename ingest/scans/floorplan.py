@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from ...topology.se2 import wrap
 from .grid import GridSettings, without_islands
 from .skeleton import Edge, SkeletonGraph, SkeletonSettings, thin, trace
 
@@ -113,7 +114,7 @@ def _places(
             target_branch = _take(graph, used, target, number)
         else:
             back = path[-min(len(path), 1 + round(1.0 / cell_m))] - path[-1]
-            heading = np.array([np.arctan2(back[1], back[0])])
+            heading = wrap(np.array([np.arctan2(back[1], back[0])]))
             target = len(places)
             places.append(Place(path[-1] + shift, heading, "dead_end", 0.5))
         corridors.append(Corridor(source, target, source_branch, target_branch, path + shift))

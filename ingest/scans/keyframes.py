@@ -23,7 +23,7 @@ class KeyframeSettings:
     step_m: float = 0.25
     turn_rad: float = 0.15
     """Way or turn after which the next scan is a keyframe: neighbours still see nearly the same."""
-    raster_rad: float = 0.017
+    raster_rad: float = 0.0175
     """Beams nearer to each other are thinned out: a degree is 9 cm at 5 m."""
 
 

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ...topology.se2 import wrap
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -355,5 +357,5 @@ def _headings(
         # Mean over the cells on the circle that belong to the same crossing.
         same = near & (np.hypot(*(away - away[best]).T) < 4 * cell_m)
         mean = away[same].mean(axis=0)
-        out[k] = used[way] = np.arctan2(mean[1], mean[0])
+        out[k] = used[way] = wrap(np.arctan2(mean[1], mean[0]))
     return out
