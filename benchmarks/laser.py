@@ -279,10 +279,11 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> None:
     way = way_at(result.odometry, result.odometry.time_ns[-1:])[0]
     print(f"  covered  {topomap.length @ topomap.traversals / way:.2f} of {way:.0f} m")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    spent, total = detected - began, done - began
     print(
-        f"  speed    {log.seconds / (done - began):.0f} x real time (scans {detected - began:.1f} s, "
-        f"map {done - detected:.1f} s), {result.statistics.scans / (detected - began):.0f} scans/s;"
-        f" peak {peak:.0f} MB with all scans held",
+        f"  speed    {log.seconds / total:.0f} x real time ({spent:.1f} s scans, "
+        f"{done - detected:.1f} s map), {result.statistics.scans / spent:.0f} scans/s; "
+        f"peak {peak:.0f} MB with all scans held",
         flush=True,
     )
     if pictures is not None:
