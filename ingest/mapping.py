@@ -122,7 +122,7 @@ def build_map_with_errors(
             layout.pose[:, 2],
             prior,
             drive_bys=int(np.sum(~settled.visits.seen)),
-            settings=settings.noise,
+            settings=_noise_settings(run, settings),
         )
         for prior in (walk.noise, replace(fair.noise, branch_rad=quiet.noise.branch_rad))
     )
@@ -162,6 +162,13 @@ def _noise(run: Run, odometry: Odometry, passes: Passes, settings: MappingSettin
     if run.scanned is None:
         return estimate_noise(odometry, run.detections, passes, settings.noise)
     return run.scanned.noise
+
+
+def _noise_settings(run: Run, settings: MappingSettings) -> NoiseSettings:
+    """What is expected of the detector: scans have rates of their own."""
+    if run.scanned is None:
+        return settings.noise
+    return replace(settings.noise, prior=run.scanned.noise)
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:

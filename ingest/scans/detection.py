@@ -80,6 +80,7 @@ class _Track:
     fit: list[FloatArray] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
     walls: list[Anchored] = field(default_factory=list)
+    every: int = 1
     searched: int = 0
     bias_rad_per_m: float = 0.0
 
@@ -93,7 +94,10 @@ class _Track:
             self.piece.append(part.keyframes.piece)
             self.fit.append(part.fit)
             self.spans.append(part.spans)
-            self.walls.append(_walls(part))
+            self.walls.append(_thinned(_walls(part), self.every))
+            while sum(map(len, self.walls)) > MOST_POINTS:
+                self.every *= 2
+                self.walls = [_thinned(walls, 2) for walls in self.walls]
             self.searched += int(part.searched.sum())
             self.bias_rad_per_m = float(part.errors.terms[0])
             yield part
@@ -107,6 +111,14 @@ class _Track:
         return Driven(np.concatenate(self.time_ns), pose, way)
 
 
+MOST_POINTS = 400_000
+"""Wall points kept for the picture, 10 MB; of longer runs every second, every fourth, ..."""
+
+
+def _thinned(points: Anchored, every: int) -> Anchored:
+    return Anchored(points.anchor_ns, points.anchor[::every], points.xy[::every])
+
+
 def _walls(part: Matched, cell_m: float = 0.1, reach_m: float = 8.0) -> Anchored:
     """Points of a stretch of keyframes, one per cell, in the robot's frame."""
     distance = np.hypot(part.keyframes.xy[..., 0], part.keyframes.xy[..., 1])
@@ -116,7 +128,8 @@ def _walls(part: Matched, cell_m: float = 0.1, reach_m: float = 8.0) -> Anchored
     cell = np.floor(world / cell_m).astype(np.int64)
     keep = np.sort(np.unique(cell, axis=0, return_index=True)[1])
     body = apply(part.keyframes.mount[row[keep]], own[keep])
-    return Anchored(part.keyframes.time_ns, row[keep], body.astype(np.float32))
+    own_rows = row[keep].astype(np.int32)
+    return Anchored(part.keyframes.time_ns, own_rows, body.astype(np.float32))
 
 
 def _result(

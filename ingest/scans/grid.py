@@ -77,7 +77,8 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
     corner = own - half
     ranges = np.hypot(frames.xy[..., 0], frames.xy[..., 1])
     echo = np.isfinite(ranges)
-    through = np.where(echo, ranges - settings.cell_m, frames.free[:, None].astype(np.float32))
+    reached = np.minimum(_beside(ranges, echo), frames.free[:, None])
+    through = np.where(echo, ranges - settings.cell_m, reached)
     # One beam more than there are, seen through nowhere: for cells out of the field of view.
     through = np.pad(through, ((0, 0), (0, 1))).astype(np.float32)
     through = np.minimum(through, settings.reach_m)
@@ -95,6 +96,19 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
         x, y = (np.floor(ends / settings.cell_m).astype(np.int64) - corner[row]).T
         hit[row, y, x] = True
     return Looks(free & ~hit, hit, corner)
+
+
+def _beside(ranges: NDArray[np.float32], echo: BoolArray) -> NDArray[np.float32]:
+    """(k, m) the nearer of the next echoes on either side of every beam, 0 where there is none.
+
+    A beam without an echo amid a wall met glass or something dark, not the way out.
+    """
+    beam = np.arange(ranges.shape[1])
+    before = np.maximum.accumulate(np.where(echo, beam, -1), axis=1)
+    after = np.minimum.accumulate(np.where(echo, beam, len(beam))[:, ::-1], axis=1)[:, ::-1]
+    padded = np.pad(np.where(echo, ranges, 0), ((0, 0), (1, 1)))
+    rows = np.arange(len(ranges))[:, None]
+    return np.minimum(padded[rows, before + 1], padded[rows, after + 1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

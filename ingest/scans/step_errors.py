@@ -86,7 +86,7 @@ def _inputs(
     return way, turn, frames.rate[first] - frames.rate[second]
 
 
-USUAL_RESIDUAL_M = 0.0113
+USUAL_RESIDUAL_M = 0.0105
 """At which the information of `alignment` is right as it stands (`benchmarks/laser.py`)."""
 LEAST_RESIDUAL_M = 0.006
 """What is nearer is by chance: walls are not flatter."""

@@ -59,9 +59,13 @@ class WindowSettings:
         )
 
 
+SHOWN_M = 4.0
+"""How far from the middle of a window its skeleton is kept for the picture."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What one window shows: its middle [m of way], forks, skeleton points (k, 2) near the way."""
+    """What one window shows: its middle [m of way], forks, skeleton points (k, 2) near it."""
 
     number: int
     way: float
@@ -200,7 +204,8 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
                 forks.append((k, found, replace(node, xy=xy)))
         if k == 0:
             skeleton = (graph.pixels[:, ::-1] + corner + 0.5) * cell
-    return Seen(number, middle, tuple(forks), skeleton)
+            skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
+    return Seen(number, middle, tuple(forks), skeleton.astype(np.float32))
 
 
 def _framed(mask: BoolArray) -> BoolArray:
