@@ -147,4 +147,4 @@ def _nearest_beam(
         gap = (px - tx[index]) ** 2 + (py - ty[index]) ** 2
         nearer = gap < best
         best, at = np.where(nearer, gap, best), np.where(nearer, index, at)
-    return at, best, inside
+    return at.astype(np.int64), np.asarray(best, np.float32), inside
