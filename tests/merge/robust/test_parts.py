@@ -33,6 +33,7 @@ from topobatch.merge.robust.support import REPEAT_BITS, _forest, _without_repeat
 from topobatch.merge.robust.verdict import (
     JUNCTION_BITS,
     REPEATED_JUNCTIONS,
+    PairCount,
     _missing,
     bar,
     counted_bits,
@@ -312,7 +313,7 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     assert counted_bits(replace(told, bits=7.0)) == 7.0
     doubted = replace(told, conflicts=replace(told.conflicts, crossing=np.zeros((2, 2), np.int64)))
     assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
-    alone, among_many = (bar(pairs, 0.0, COPIES, SETTINGS) for pairs in (1, 10**6))
+    alone, among_many = (bar(PairCount(n, n), 0.0, COPIES, SETTINGS) for n in (1, 10**6))
     assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
     view = opinion(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
@@ -365,7 +366,7 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
     found = match(a, b, SETTINGS)
     assert len(found) >= 2
     assert not same_placement(found[0], found[1], b)
-    view = opinion(a, b, found, bar(1, 0.0, COPIES, SETTINGS))
+    view = opinion(a, b, found, bar(PairCount(1, 1), 0.0, COPIES, SETTINGS))
     assert view.verdict == "ambiguous"
     assert view.runner_up is not None
     assert view.margin < SETTINGS.lead_bits
