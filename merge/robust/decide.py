@@ -177,25 +177,28 @@ def bars(
     prepared: Sequence[Prepared], settings: RobustSettings
 ) -> Callable[[Pair, PairCount], Bar]:
     """What each pair must reach in a batch of so many pairs."""
-    copies, repetition = _repetition(prepared, settings)
+    copies, repetition, copied = _repetition(prepared, settings)
 
     def level(pair: Pair, count: PairCount) -> Bar:
-        return bar(count, max(repetition[k] for k in pair), copies, settings)
+        repeats, largest = (max(values[k] for k in pair) for values in (repetition, copied))
+        return bar(count, repeats, copies, settings, copied=int(largest))
 
     return level
 
 
 def _repetition(
     prepared: Sequence[Prepared], settings: RobustSettings
-) -> tuple[CopyModel, list[float]]:
-    """How copies differ in these buildings, and 0 … 1 for every map: does it repeat itself?"""
+) -> tuple[CopyModel, list[float], list[int]]:
+    """How copies differ in these buildings; 0 … 1 for every map: does it repeat itself? And the
+    junctions of its largest copy of a part of itself."""
     found = [self_matches(m, settings) for m in prepared]
     levels = [repetition_level(own) for own in found]
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]
     fleet = float(np.quantile(levels, FLEET_SHARE)) if levels else 0.0
-    return copy_model(samples, settings), [max(level, fleet) for level in levels]
+    copied = [max((len(c) for c in own if c.bits > ODD_BITS), default=0) for own in found]
+    return copy_model(samples, settings), [max(level, fleet) for level in levels], copied
 
 
 def _forced(

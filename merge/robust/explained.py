@@ -153,7 +153,7 @@ def _of_components(
     x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
     level = bars([prepare(m) for m in batch.maps], batch.settings)
     across = [level((min(i, j), max(i, j)), batch.count) for i in x for j in y]
-    highest = max(across, key=lambda bar: (bar.need_bits, bar.repetition))
+    highest = max(across, key=lambda bar: (bar.need_bits, bar.repetition, bar.copied))
     inside = {
         (batch.row[a], batch.row[b]): v.best
         for (a, b), v in batch.said.items()
@@ -281,6 +281,10 @@ def _against(naming: _Naming, c: Candidate) -> list[Term]:
     for row_a, row_b in found.crossing.tolist():
         told, ends = "corridors that only cross", (_ends(a, row_a), _ends(b, row_b))
         out.append(naming.term("crossing", -CONFLICT_BITS, told, one=ends[0], two=ends[1]))
+    for row_a, row_b in found.elsewhere.tolist():
+        told, ends = "corridors that lead elsewhere", (_ends(a, row_a), _ends(b, row_b))
+        bits = -found.elsewhere_bits
+        out.append(naming.term("elsewhere", bits, told, one=ends[0], two=ends[1]))
     return out
 
 

@@ -231,7 +231,7 @@ class Rematcher:
             return None
         one, two = (_fused(runs, self.maps, accepted, self._cache) for runs in (x, y))
         across = [self.levels[min(i, j), max(i, j)] for i in x for j in y]
-        level = max(across, key=lambda bar: (bar.need_bits, bar.repetition))
+        level = max(across, key=lambda bar: (bar.need_bits, bar.repetition, bar.copied))
         candidates = match(one.prepared, two.prepared, self.settings)
         view = opinion(one.prepared, two.prepared, candidates, level)
         if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):

@@ -40,7 +40,7 @@ PRIOR_PLACES = 40.0
 
 MOST_FAULTS = 0.3
 
-MOST_CHANGED = 0.3
+MOST_CHANGED = 0.5
 """No copies are taken to differ in more of their junctions, whatever the maps' matches with
 themselves show: many of these are chance, not copies (`benchmarks/calibration.py`)."""
 

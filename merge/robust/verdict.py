@@ -65,19 +65,25 @@ class PairCount:
 @dataclass(frozen=True, slots=True)
 class Bar:
     """What a pair must reach. need_bits: against chance; need_copy_bits: against copies, in a
-    building that repeats itself throughout; repetition: 0 (it does not repeat itself) to 1; copies:
-    how copies differ there."""
+    building that repeats itself throughout; repetition: 0 (it does not repeat itself) to 1; copied:
+    junctions of the largest part of either map that lies on another part of it; copies: how copies
+    differ there."""
 
     need_bits: float
     need_copy_bits: float
     repetition: float
+    copied: int
     copies: CopyModel
     settings: RobustSettings
 
-    def need_same_bits(self, monotony: float) -> float:
+    def need_same_bits(self, best: Candidate, monotony: float) -> float:
         """What the second question must yield, where it is asked; monotony: 0 to 1, of the pair."""
-        weight = max(self.repetition, monotony)
-        return weight * self.need_copy_bits
+        return max(self.repetition, monotony, self.may_be_copy(best)) * self.need_copy_bits
+
+    def may_be_copy(self, best: Candidate) -> float:
+        """0 to 1: whether an alignment is as small as copies are. One no larger than what a map
+        shares with another part of itself is none that copies do not offer."""
+        return _share(2.0 - len(best) / self.copied) if self.copied else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,11 +167,19 @@ class Opinion:
         return self.ranked[0][1] - self.ranked[1][1] if len(self.ranked) > 1 else None
 
 
-def bar(count: PairCount, repetition: float, copies: CopyModel, settings: RobustSettings) -> Bar:
+def bar(
+    count: PairCount,
+    repetition: float,
+    copies: CopyModel,
+    settings: RobustSettings,
+    *,
+    copied: int = 0,
+) -> Bar:
     """The bar for a batch of so many pairs: each may err at its share of the false-merge rate, at
     either question."""
     against_copies = max(needed_bits(count.beyond, settings) - COPY_MARGIN_BITS, 0.0)
-    return Bar(needed_bits(count.all, settings), against_copies, repetition, copies, settings)
+    need = needed_bits(count.all, settings)
+    return Bar(need, against_copies, repetition, copied, copies, settings)
 
 
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
@@ -247,10 +261,11 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     regular = regularity(a, b)
     thinness = _thinness(odd[0])
     rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])
-    asked = max(level.repetition, regular, thinness) > 0 or rivals
+    small = max(level.may_be_copy(c) for c in odd)
+    asked = max(level.repetition, regular, thinness, small) > 0 or rivals
     answers = []
     for c in odd:
-        need_same = level.need_same_bits(max(regular, thinness, _thinness(c)))
+        need_same = level.need_same_bits(c, max(regular, thinness, _thinness(c)))
         same = sameness(a, b, c, level.copies).bits if asked else None
         answers.append(Answers(level.need_bits, c.bits, counted_bits(c), same, need_same))
     ranking = sorted(range(len(odd)), key=lambda i: -answers[i].bits)
