@@ -16,10 +16,10 @@ from .output import Screen, count
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write; must be new or empty.")],
     world: Annotated[
-        Literal["maze", "office", "organic", "city", "rows"],
+        Literal["maze", "office", "organic", "city", "rows", "tiles"],
         typer.Option(
-            help="Rectilinear maze, repetitive office floor, organic ways, city blocks, or equal "
-            "rows of crops or racks."
+            help="Rectilinear maze, repetitive office floor, organic ways, city blocks, equal rows "
+            "of crops or racks, or tunnels of standard tiles that all such worlds share."
         ),
     ] = "maze",
     runs: Annotated[int, typer.Option(help="Runs in the one world.")] = 3,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..topology.errors import UsageError
 from ..topology.se2 import wrap
 from .chance import Chance
+from .tiles import tiles_world
 from .world import (
     FloatArray,
     Link,
@@ -358,6 +359,7 @@ WORLDS: Mapping[str, Callable[[int, int, float], World]] = {
     "organic": organic_world,
     "city": city_world,
     "rows": rows_world,
+    "tiles": tiles_world,
 }
 """Generators by kind: (junctions, seed, aspect) to a world."""
 

@@ -49,6 +49,15 @@ def lonely_branches(
     return np.asarray(a.count[va] + b.count[vb] - 2 * agree)
 
 
+def common_branches(
+    a: Prepared, b: Prepared, va: IntArray, vb: IntArray, turn: ComplexArray
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Branches that matched junctions have in common: rows of the match, branches of a and of b."""
+    nearest_b, _, pair = _pairing(a, b, va, vb, turn)
+    row, branch = pair.nonzero()
+    return row, branch, nearest_b[row, branch]
+
+
 def _pairing(
     a: Prepared, b: Prepared, va: IntArray, vb: IntArray, turn: ComplexArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:

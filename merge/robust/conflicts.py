@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .branches import common_branches
 from .growth import Match
 from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
 
@@ -22,6 +23,13 @@ ON_ROAD_M = 0.45
 CROSSING = 0.64
 """Cosine of the angle between two corridors (50°) from which on they cross, not run together."""
 
+ELSEWHERE_SHARE = 0.25
+"""Of the corridors that two runs drove by one branch of a falsely matched junction so many lead
+elsewhere (mazes .45, tiles .28, offices .12, on maps made by `benchmarks/observed.py`)."""
+
+ELSEWHERE_FAULT = 0.02
+"""Of a rightly matched one, beside those that a missed or an invented junction explains."""
+
 CONFLICT_BITS = 6.0
 """No single contradiction weighs more: each may be a fault that no rate foresaw."""
 
@@ -29,9 +37,10 @@ CONFLICT_BITS = 6.0
 @dataclass(frozen=True, slots=True, eq=False)
 class Conflicts:
     """Contradictions. extra_b: vertices of b inside corridors of a (extra_b_in: directed rows),
-    unseen there; extra_a, extra_a_in: the reverse; crossing: (k, 2) directed corridors of a and b
-    that cross where neither has a junction, CONFLICT_BITS each; extra_b_bits, extra_a_bits: the
-    weight of each of the others, positive."""
+    unseen there; extra_a, extra_a_in: the reverse; extra_b_bits, extra_a_bits: the weight of each,
+    positive; crossing: (k, 2) directed corridors of a and b that cross where neither has a
+    junction, CONFLICT_BITS each; elsewhere: (k, 2) directed corridors of a and b that leave matched
+    junctions by the same branch and lead to others; elsewhere_bits: the weight of one."""
 
     extra_b: IntArray
     extra_b_in: IntArray
@@ -40,19 +49,24 @@ class Conflicts:
     extra_a_in: IntArray
     extra_a_bits: FloatArray
     crossing: IntArray
+    elsewhere: IntArray
+    elsewhere_bits: float
 
     @property
     def bits(self) -> float:
         """Their weight in all, positive."""
         unseen = float(self.extra_b_bits.sum()) + float(self.extra_a_bits.sum())
-        return unseen + CONFLICT_BITS * len(self.crossing)
+        astray = self.elsewhere_bits * len(self.elsewhere)
+        return unseen + CONFLICT_BITS * len(self.crossing) + astray
 
     def __len__(self) -> int:
-        return len(self.extra_b) + len(self.extra_a) + len(self.crossing)
+        unseen = len(self.extra_b) + len(self.extra_a)
+        return unseen + len(self.crossing) + len(self.elsewhere)
 
 
 _NONE, _FREE = np.zeros(0, np.int64), np.zeros(0)
-NO_CONFLICTS = Conflicts(_NONE, _NONE, _FREE, _NONE, _NONE, _FREE, np.zeros((0, 2), np.int64))
+_NO_PAIRS = np.zeros((0, 2), np.int64)
+NO_CONFLICTS = Conflicts(_NONE, _NONE, _FREE, _NONE, _NONE, _FREE, _NO_PAIRS, _NO_PAIRS, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +83,8 @@ class _Points:
 
 
 def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
-    """The contradictions of a match. O(points · log points).
+    """The contradictions of a match. O(points · log points). A corridor tells one thing once: where
+    it passes a junction unseen, or crosses another, it does not lead elsewhere as well.
 
     Strategy: the points of b's corridors and b's unmatched vertices are placed in a; one look into
     the tree of a's junctions and one into the tree of a's corridor points answer all questions.
@@ -80,7 +95,7 @@ def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
     lone = alone.nonzero()[0]
     rows = (near[b.road_tail] & near[b.road_head]).nonzero()[0]
     if len(a.road) == 0 or len(lone) + len(rows) == 0:
-        return NO_CONFLICTS
+        return _with_elsewhere(a, b, match, NO_CONFLICTS)
     place, vague = _placed_road(b, match, rows)
     inner = (b.road_end[rows] > OFF_END_M + vague).nonzero()[0]
     rows, place, vague = rows[inner], place[inner], vague[inner]
@@ -96,7 +111,30 @@ def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
     turned = match.turn[b.road_tail[rows]] * b.road_dir[rows]
     extra_a, in_b, bits_a = _extra_a(a, b, taken, rows=rows, turned=turned, road=road)
     crossing = _crossings(a, b, rows, turned, road)
-    return Conflicts(extra_b, in_a, bits_b, extra_a, in_b, bits_a, crossing)
+    found = Conflicts(extra_b, in_a, bits_b, extra_a, in_b, bits_a, crossing, _NO_PAIRS, 0.0)
+    return _with_elsewhere(a, b, match, found)
+
+
+def _with_elsewhere(a: Prepared, b: Prepared, match: Match, found: Conflicts) -> Conflicts:
+    """The contradictions, with the corridors that lead elsewhere and that none of them explains."""
+    row, branch_a, branch_b = common_branches(a, b, match.a, match.b, match.turn[match.b])
+    leave_a = a.by_branch[match.a[row], branch_a]
+    leave_b = b.by_branch[match.b[row], branch_b]
+    driven = (leave_a >= 0) & (leave_b >= 0)
+    leave_a, leave_b = leave_a[driven], leave_b[driven]
+    partner = np.full(len(b), -1)
+    partner[match.b] = match.a
+    far_a, far_b = a.head[leave_a], b.head[leave_b]
+    told_a = np.concatenate([found.extra_b_in, found.crossing[:, 0]])
+    told_b = np.concatenate([found.extra_a_in, found.crossing[:, 1]])
+    half_a, half_b = max(len(a.tail) // 2, 1), max(len(b.tail) // 2, 1)
+    explained = np.isin(leave_a % half_a, told_a % half_a) | np.isin(far_a, found.extra_a)
+    explained |= np.isin(leave_b % half_b, told_b % half_b) | np.isin(far_b, found.extra_b)
+    astray = (partner[far_b] != far_a) & ~explained
+    fault = ELSEWHERE_FAULT + sum(m.noise.miss_rate + m.noise.phantom_rate for m in (a, b))
+    weight = min(max(float(np.log2(ELSEWHERE_SHARE / fault)), 0.0), CONFLICT_BITS)
+    rows = np.column_stack([leave_a[astray], leave_b[astray]])
+    return replace(found, elsewhere=rows, elsewhere_bits=weight)
 
 
 def _placed_road(b: Prepared, match: Match, rows: IntArray) -> tuple[ComplexArray, FloatArray]:

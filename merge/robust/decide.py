@@ -23,7 +23,18 @@ from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import ODD_BITS, Bar, Opinion, bar, counted_bits, opinion, repetition_level
+from .verdict import (
+    ODD_BITS,
+    Bar,
+    Opinion,
+    PairCount,
+    bar,
+    beyond_chance_bits,
+    counted_bits,
+    needed_bits,
+    opinion,
+    repetition_level,
+)
 from .wording import contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
@@ -57,7 +68,8 @@ def decide(
     locked = _locked_pairs(runs, prepared, locks)
     level = bars(prepared, settings)
     candidates = match_all(prepared, settings, on_pair, executor)
-    levels = {pair: level(pair, len(candidates)) for pair in candidates}
+    count = _count(candidates, settings)
+    levels = {pair: level(pair, count) for pair in candidates}
     opinions = {
         (i, j): opinion(prepared[i], prepared[j], found, levels[i, j])
         for (i, j), found in candidates.items()
@@ -69,7 +81,7 @@ def decide(
     best, order = _strongest_first(opinions, forced, locked)
     refused = join_all(components, order, best, prepared, runs)
     kept = {pair: c for pair, c in best.items() if pair not in refused}
-    reunions = Rematcher(maps, components, opinions, levels, settings).run(kept)
+    reunions = Rematcher(maps, prepared, components, opinions, levels, settings).run(kept)
     return tuple(
         _verdict(
             prepared[i],
@@ -108,13 +120,13 @@ class Assessment:
 
 
 def assess(
-    maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, pairs: int
+    maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, count: PairCount
 ) -> Assessment:
     """Steps 1 to 3 of `decide` for one pair of a batch of so many pairs; `maps` are those of the
     batch, sorted by run, `pair` two of their indices, i < j."""
     prepared = [prepare(m) for m in maps]
     i, j = pair
-    level = bars(prepared, settings)(pair, pairs)
+    level = bars(prepared, settings)(pair, count)
     found = match(prepared[i], prepared[j], settings)
     view = opinion(prepared[i], prepared[j], found, level)
     view = doubt_mirrored({pair: view}, maps, prepared, settings)[pair]
@@ -154,27 +166,39 @@ def _locked_pairs(
     return out
 
 
-def bars(prepared: Sequence[Prepared], settings: RobustSettings) -> Callable[[Pair, int], Bar]:
-    """What each pair must reach in a batch of so many pairs."""
-    copies, repetition = _repetition(prepared, settings)
+def _count(candidates: Candidates, settings: RobustSettings) -> PairCount:
+    """How many pairs may be merged wrongly, by chance or for copies."""
+    need = needed_bits(len(candidates), settings)
+    beyond = (beyond_chance_bits(found, settings) >= need for found in candidates.values())
+    return PairCount(len(candidates), sum(beyond))
 
-    def level(pair: Pair, pairs: int) -> Bar:
-        return bar(pairs, max(repetition[k] for k in pair), copies, settings)
+
+def bars(
+    prepared: Sequence[Prepared], settings: RobustSettings
+) -> Callable[[Pair, PairCount], Bar]:
+    """What each pair must reach in a batch of so many pairs."""
+    copies, repetition, copied = _repetition(prepared, settings)
+
+    def level(pair: Pair, count: PairCount) -> Bar:
+        repeats, largest = (max(values[k] for k in pair) for values in (repetition, copied))
+        return bar(count, repeats, copies, settings, copied=int(largest))
 
     return level
 
 
 def _repetition(
     prepared: Sequence[Prepared], settings: RobustSettings
-) -> tuple[CopyModel, list[float]]:
-    """How copies differ in these buildings, and 0 … 1 for every map: does it repeat itself?"""
+) -> tuple[CopyModel, list[float], list[int]]:
+    """How copies differ in these buildings; 0 … 1 for every map: does it repeat itself? And the
+    junctions of its largest copy of a part of itself."""
     found = [self_matches(m, settings) for m in prepared]
     levels = [repetition_level(own) for own in found]
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]
     fleet = float(np.quantile(levels, FLEET_SHARE)) if levels else 0.0
-    return copy_model(samples, settings), [max(level, fleet) for level in levels]
+    copied = [max((len(c) for c in own if c.bits > ODD_BITS), default=0) for own in found]
+    return copy_model(samples, settings), [max(level, fleet) for level in levels], copied
 
 
 def _forced(
@@ -355,8 +379,13 @@ def _decision(case: _Case) -> str | None:
 
 
 def _extra(case: _Case) -> dict[str, float]:
-    said = case.view.same_bits
-    return {} if said is None else {"same_place_bits": rounded(said, BITS)}
+    view = case.view
+    out = {}
+    if view.against_chance > 0:
+        out["against_chance_bits"] = view.against_chance
+    if view.same_bits is not None:
+        out["same_place_bits"] = rounded(view.same_bits, BITS)
+    return out
 
 
 def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:

@@ -26,7 +26,7 @@ from .growth import FEWEST, LEAST_SHARE, given_up
 from .prepare import FloatArray, IntArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import JUNCTION_BITS, Answers, Bar, counted_bits
+from .verdict import JUNCTION_BITS, Answers, Bar, PairCount, counted_bits, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -52,15 +52,21 @@ class Batch:
         object.__setattr__(self, "row", {m.run: i for i, m in enumerate(self.maps)})
 
     @property
-    def pairs(self) -> int:
-        """The number of pairs that shared the false-merge rate."""
-        return len(self.said) or len(self.maps) * (len(self.maps) - 1) // 2
+    def count(self) -> PairCount:
+        """The pairs that shared the false-merge rate; what earlier versions did not tell is taken
+        to be beyond chance."""
+        pairs = len(self.said) or len(self.maps) * (len(self.maps) - 1) // 2
+        told = [v.extra.get("against_chance_bits", 0.0) for v in self.said.values()]
+        if not any(told):
+            return PairCount(pairs, pairs)
+        need = needed_bits(pairs, self.settings)
+        return PairCount(pairs, sum(bits >= need for bits in told))
 
 
 def explain(batch: Batch, a: str, b: str) -> Decision:
     """Why two runs a < b were merged or not. Raises KeyError if the map of one is missing."""
     pair = (a, b)
-    own = assess(batch.maps, (batch.row[a], batch.row[b]), batch.settings, pairs=batch.pairs)
+    own = assess(batch.maps, (batch.row[a], batch.row[b]), batch.settings, count=batch.count)
     alone = own.alone()
     told = batch.said.get(pair, alone)
     shown, start = _shown(batch, own, told)
@@ -146,8 +152,8 @@ def _of_components(
     """The placement of a pair that its components joined, by the evidence of these."""
     x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
     level = bars([prepare(m) for m in batch.maps], batch.settings)
-    across = [level((min(i, j), max(i, j)), batch.pairs) for i in x for j in y]
-    highest = max(across, key=lambda bar: (bar.need_bits, bar.repetition))
+    across = [level((min(i, j), max(i, j)), batch.count) for i in x for j in y]
+    highest = max(across, key=lambda bar: (bar.need_bits, bar.repetition, bar.copied))
     inside = {
         (batch.row[a], batch.row[b]): v.best
         for (a, b), v in batch.said.items()
@@ -275,6 +281,10 @@ def _against(naming: _Naming, c: Candidate) -> list[Term]:
     for row_a, row_b in found.crossing.tolist():
         told, ends = "corridors that only cross", (_ends(a, row_a), _ends(b, row_b))
         out.append(naming.term("crossing", -CONFLICT_BITS, told, one=ends[0], two=ends[1]))
+    for row_a, row_b in found.elsewhere.tolist():
+        told, ends = "corridors that lead elsewhere", (_ends(a, row_a), _ends(b, row_b))
+        bits = -found.elsewhere_bits
+        out.append(naming.term("elsewhere", bits, told, one=ends[0], two=ends[1]))
     return out
 
 
@@ -291,7 +301,7 @@ def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requireme
     asked = answers is not None and answers.same_place is not None
     return Requirement(
         threshold_bits=level.need_bits,
-        pairs=batch.pairs,
+        pairs=batch.count.all,
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
         lead_bits=settings.lead_bits,

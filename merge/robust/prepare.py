@@ -63,7 +63,8 @@ class Prepared:
     near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
     near_weight: (n, q) what their matches weigh in predicting this one.
     tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction [rad]; leave, arrive:
-    (k,) row-local branches used at tail and head, NO_BRANCH where unknown; sag: (k,) [m] signed
+    (k,) row-local branches used at tail and head, NO_BRANCH where unknown; by_branch: (n, d) row
+    of a corridor that leaves by this branch, -1 where none is known; sag: (k,) [m] signed
     offset of the mid of the path from the chord; twin: (k,) row of the reverse; variance: (k,)
     [m²] of the length; traversals: (k,); rarity: (k,) -log2 density [1/m] of corridors this long.
     pair_key, pair_row: directed corridors sorted by tail * n + head.
@@ -100,6 +101,7 @@ class Prepared:
     angle: FloatArray
     leave: IntArray
     arrive: IntArray
+    by_branch: IntArray
     sag: FloatArray
     twin: IntArray
     variance: FloatArray
@@ -187,6 +189,7 @@ def prepare(topomap: TopoMap) -> Prepared:
         angle=angle,
         leave=leave,
         arrive=arrive,
+        by_branch=_by_branch(heading.shape, tail, leave),
         sag=sag,
         twin=twin,
         variance=variance,
@@ -212,6 +215,14 @@ def prepare(topomap: TopoMap) -> Prepared:
         sites=sites,
         road_sites=Sites.of(road),
     )
+
+
+def _by_branch(shape: tuple[int, ...], tail: IntArray, leave: IntArray) -> IntArray:
+    """(n, d) the first corridor that leaves a junction by each of its branches, -1 for none."""
+    out = np.full(shape, -1, np.int64)
+    rows = np.flatnonzero(leave != NO_BRANCH)[::-1]
+    out[tail[rows], leave[rows]] = rows
+    return out
 
 
 def _fault_rate(noise: RunNoise, looks: IntArray) -> FloatArray:

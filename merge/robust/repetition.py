@@ -40,6 +40,10 @@ PRIOR_PLACES = 40.0
 
 MOST_FAULTS = 0.3
 
+MOST_CHANGED = 0.5
+"""No copies are taken to differ in more of their junctions, whatever the maps' matches with
+themselves show: many of these are chance, not copies (`benchmarks/calibration.py`)."""
+
 TILTS = np.concatenate([np.linspace(0.0, 1.0, 6), [1.25, 1.6, 2.0, 2.5, 3.2, 4.0]])
 """Exponents tried in bounding how often a copy looks the same."""
 
@@ -181,5 +185,4 @@ def copy_model(
         changed += max(same.changed - fault * same.compared, 0.0)
         places += same.compared
     odds = np.exp(odds - np.logaddexp.reduce(odds))
-    change_rate = min(prior.change_rate, changed / places)
-    return CopyModel(prior.variation, tuple(odds.tolist()), change_rate)
+    return CopyModel(prior.variation, tuple(odds.tolist()), min(changed / places, MOST_CHANGED))

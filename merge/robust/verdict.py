@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...topology.digits import BITS, rounded
 from ..result import Verdict
 from .alignment import Candidate
 from .prepare import Prepared
@@ -46,24 +47,43 @@ JUNCTION_BITS = 2.5
 """Most that one matched junction counts: few junctions overstate what they tell. Of 297,000 pairs
 of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1 should."""
 
+MAYBE_COPY = "the building repeats itself and this may be another copy of the place"
+
 RIVAL_SHARE = 0.75
 """A second placement with this share of the bits needed shows that the building repeats itself."""
 
 
 @dataclass(frozen=True, slots=True)
+class PairCount:
+    """Pairs of runs of a batch: all of them, and those beyond chance. A copy can only be merged
+    wrongly where chance does not explain it already."""
+
+    all: int
+    beyond: int
+
+
+@dataclass(frozen=True, slots=True)
 class Bar:
-    """What a pair must reach. need_bits: against chance; repetition: 0 (the building does not
-    repeat itself) to 1; copies: how copies differ there."""
+    """What a pair must reach. need_bits: against chance; need_copy_bits: against copies, in a
+    building that repeats itself throughout; repetition: 0 (it does not repeat itself) to 1; copied:
+    junctions of the largest part of either map that lies on another part of it; copies: how copies
+    differ there."""
 
     need_bits: float
+    need_copy_bits: float
     repetition: float
+    copied: int
     copies: CopyModel
     settings: RobustSettings
 
-    def need_same_bits(self, monotony: float) -> float:
+    def need_same_bits(self, best: Candidate, monotony: float) -> float:
         """What the second question must yield, where it is asked; monotony: 0 to 1, of the pair."""
-        weight = max(self.repetition, monotony)
-        return weight * max(self.need_bits - COPY_MARGIN_BITS, 0.0)
+        return max(self.repetition, monotony, self.may_be_copy(best)) * self.need_copy_bits
+
+    def may_be_copy(self, best: Candidate) -> float:
+        """0 to 1: whether an alignment is as small as copies are. One no larger than what a map
+        shares with another part of itself is none that copies do not offer."""
+        return _share(2.0 - len(best) / self.copied) if self.copied else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +123,7 @@ class Opinion:
     need_bits: the evidence that merging needs. ranked: placements beyond chance, best first, each
     with its evidence; best, runner_up, bits and margin are read off it; answers: how the evidence
     of each follows. why: what was missing, "" where merged; faint: the best alignment where none is
-    beyond chance.
+    beyond chance; against_chance: `beyond_chance_bits`.
     """
 
     verdict: Verdict
@@ -112,6 +132,7 @@ class Opinion:
     answers: tuple[Answers, ...] = ()
     why: str = ""
     faint: Candidate | None = None
+    against_chance: float = 0.0
 
     @property
     def best(self) -> Candidate | None:
@@ -131,6 +152,11 @@ class Opinion:
         return self.answers[0].same_place if self.answers else None
 
     @property
+    def maybe_copy(self) -> bool:
+        """Whether all that the best placement lacks is that it be told from a copy."""
+        return self.why == MAYBE_COPY and self.answers[0].carried >= self.need_bits
+
+    @property
     def runner_up(self) -> Candidate | None:
         """The next best placement, if there is one beyond chance."""
         return self.ranked[1][0] if len(self.ranked) > 1 else None
@@ -141,10 +167,30 @@ class Opinion:
         return self.ranked[0][1] - self.ranked[1][1] if len(self.ranked) > 1 else None
 
 
-def bar(pairs: int, repetition: float, copies: CopyModel, settings: RobustSettings) -> Bar:
-    """The bar for a batch of so many pairs: each may err at its share of the false-merge rate."""
-    need = float(np.log2(max(pairs, 1) / settings.false_merge_rate))
-    return Bar(need, repetition, copies, settings)
+def bar(
+    count: PairCount,
+    repetition: float,
+    copies: CopyModel,
+    settings: RobustSettings,
+    *,
+    copied: int = 0,
+) -> Bar:
+    """The bar for a batch of so many pairs: each may err at its share of the false-merge rate, at
+    either question."""
+    against_copies = max(needed_bits(count.beyond, settings) - COPY_MARGIN_BITS, 0.0)
+    need = needed_bits(count.all, settings)
+    return Bar(need, against_copies, repetition, copied, copies, settings)
+
+
+def needed_bits(pairs: int, settings: RobustSettings) -> float:
+    """The evidence with which chance merges any of so many pairs at the false-merge rate."""
+    return float(np.log2(max(pairs, 1) / settings.false_merge_rate))
+
+
+def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings) -> float:
+    """The most evidence against chance of any alignment that may be merged; 0 if there is none."""
+    bits = (counted_bits(c) for c in candidates if len(c) >= settings.min_matches)
+    return max((rounded(b, BITS) for b in bits), default=0.0)
 
 
 def repetition_level(own: Sequence[Candidate]) -> float:
@@ -215,10 +261,11 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     regular = regularity(a, b)
     thinness = _thinness(odd[0])
     rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])
-    asked = max(level.repetition, regular, thinness) > 0 or rivals
+    small = max(level.may_be_copy(c) for c in odd)
+    asked = max(level.repetition, regular, thinness, small) > 0 or rivals
     answers = []
     for c in odd:
-        need_same = level.need_same_bits(max(regular, thinness, _thinness(c)))
+        need_same = level.need_same_bits(c, max(regular, thinness, _thinness(c)))
         same = sameness(a, b, c, level.copies).bits if asked else None
         answers.append(Answers(level.need_bits, c.bits, counted_bits(c), same, need_same))
     ranking = sorted(range(len(odd)), key=lambda i: -answers[i].bits)
@@ -231,6 +278,7 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
         ranked=ranked,
         answers=tuple(answers[i] for i in ranking),
         why=why,
+        against_chance=beyond_chance_bits(candidates, level.settings),
     )
 
 
@@ -247,7 +295,7 @@ def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidat
 def _missing(best: Candidate, answers: Answers, margin: float | None, level: Bar) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
     if answers.from_copies < min(answers.carried, level.need_bits):
-        return "the building repeats itself and this may be another copy of the place"
+        return MAYBE_COPY
     if answers.carried < level.need_bits:
         return "chance offers as much too often"
     if len(best) < level.settings.min_matches:

@@ -45,6 +45,11 @@ def contradictions(best: Candidate, a: Prepared, b: Prepared) -> tuple[str, ...]
             f"corridor {_name(a, row_a)} of {a.run} crosses corridor {_name(b, row_b)} of {b.run} "
             "where neither run saw a junction"
         )
+    for row_a, row_b in c.elsewhere.tolist():
+        said.append(
+            f"corridor {_name(a, row_a)} of {a.run} and corridor {_name(b, row_b)} of {b.run} "
+            "leave the same junction by the same branch and lead to different ones"
+        )
     return tuple(said)
 
 

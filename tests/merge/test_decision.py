@@ -32,7 +32,7 @@ from topobatch.merge.result import (
     shown_bits,
 )
 from topobatch.merge.robust.settings import RobustSettings
-from topobatch.merge.robust.verdict import bar
+from topobatch.merge.robust.verdict import needed_bits
 
 NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5, 0.0)
 
@@ -233,5 +233,5 @@ def test_the_page_on_verdicts_has_the_thresholds_of_today():
     page = (Path(__file__).parents[2] / "docs" / "verdicts.md").read_text()
     for runs in (2, 4, 50, 200):
         pairs = runs * (runs - 1) // 2
-        bars = [bar(pairs, 0.0, None, RobustSettings(rate)).need_bits for rate in (0.001, 0.05)]
+        bars = [needed_bits(pairs, RobustSettings(rate)) for rate in (0.001, 0.05)]
         assert f"| {runs} | {pairs:,} | {bars[0]:.1f} | {bars[1]:.1f} |" in page

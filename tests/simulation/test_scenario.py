@@ -44,7 +44,7 @@ from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import TopoMap
 
-KINDS = ("maze", "office", "organic", "city", "rows")
+KINDS = ("maze", "office", "organic", "city", "rows", "tiles")
 PERFECT = RunSettings(drift=DRIFTS["none"], faults=Faults(0.0, 0.0, 0.0))
 
 
@@ -125,6 +125,16 @@ def test_wings_of_an_office_repeat_one_plan() -> None:
     degree = world.branches.counts
     assert np.count_nonzero(degree == 1) > 40
     assert np.std(world.length[np.abs(world.length - 4.2) < 0.5]) < 0.15
+
+
+def test_worlds_of_tiles_repeat_each_other() -> None:
+    worlds = [make_world("tiles", 100, seed) for seed in (1, 2)]
+    assert worlds[0].xy.shape != worlds[1].xy.shape
+    lengths = [set(np.round(world.length, 6)) for world in worlds]
+    assert len(lengths[0] & lengths[1]) > 0.7 * min(map(len, lengths))
+    for world in worlds:
+        np.testing.assert_array_equal(world.xy % 5.0, 0.0)
+        assert np.mean(world.branches.counts >= 3) > 0.5
 
 
 def test_rows_are_equal() -> None:

@@ -33,6 +33,7 @@ from topobatch.merge.robust.support import REPEAT_BITS, _forest, _without_repeat
 from topobatch.merge.robust.verdict import (
     JUNCTION_BITS,
     REPEATED_JUNCTIONS,
+    PairCount,
     _missing,
     bar,
     counted_bits,
@@ -176,6 +177,40 @@ def test_corridors_that_cross_contradict(drawn):
     assert {1, 2} in crossed
 
 
+def test_corridors_that_lead_elsewhere_contradict_once(drawn):
+    a = prepare(drawn("a", POINTS, EDGES))
+    # 7 stands farther on, where a run that drove to 7 in a would not have met it.
+    moved = [*POINTS[:7], (9, 9)]
+    b = prepare(drawn("b", moved, EDGES))
+    matched = laid(a, b)
+    kept = replace(matched, a=matched.a[matched.a != 7], b=matched.b[matched.a != 7])
+    found = conflicts(a, b, replace(kept, branch=kept.branch[: len(kept.a)]))
+    assert len(found.elsewhere) <= 1
+    straight = [*POINTS[:7], (11.5, 4)]
+    c = prepare(drawn("c", straight, EDGES))
+    grown = laid(a, c)
+    assert 7 not in grown.a
+    told = conflicts(a, c, grown)
+    ends = [{int(a.tail[r]), int(a.head[r])} for r in told.elsewhere[:, 0]]
+    passed = [{int(c.tail[r]), int(c.head[r])} for r in told.extra_a_in]
+    assert ends + passed == [{6, 7}]
+    assert told.bits > 1
+    assert len(conflicts(a, a, laid(a, a)).elsewhere) == 0
+
+
+def test_what_is_no_larger_than_copies_may_be_one(drawn):
+    a = prepare(drawn("a", POINTS, EDGES))
+    (told, *_) = match(a, prepare(drawn("b", POINTS, EDGES)), SETTINGS)
+    count = PairCount(1, 1)
+    weights = [
+        bar(count, 0.0, COPIES, SETTINGS, copied=n).may_be_copy(told) for n in (0, 4, 6, 8, 9)
+    ]
+    assert weights == pytest.approx([0.0, 0.0, 2 / 3, 1.0, 1.0])
+    level = bar(count, 0.0, COPIES, SETTINGS, copied=6)
+    assert level.need_same_bits(told, 0.5) == pytest.approx(2 / 3 * level.need_copy_bits)
+    assert level.need_same_bits(told, 0.9) == pytest.approx(0.9 * level.need_copy_bits)
+
+
 def test_a_forest_has_no_cycle_and_the_best_links():
     rng = np.random.default_rng(0)
     k = 30
@@ -302,7 +337,7 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
     learned = copy_model([(prepare(drawn("wings", twice, edges)), repeated[0])], SETTINGS)
     assert np.dot(learned.exact_odds, EXACT_SHARES) > np.dot(COPIES.exact_odds, EXACT_SHARES)
     assert sum(learned.exact_odds) == pytest.approx(1.0)
-    assert learned.change_rate <= SETTINGS.copy_change_rate
+    assert SETTINGS.copy_change_rate < learned.change_rate < 0.15  # the bent copy's branches differ
 
 
 def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
@@ -312,7 +347,7 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     assert counted_bits(replace(told, bits=7.0)) == 7.0
     doubted = replace(told, conflicts=replace(told.conflicts, crossing=np.zeros((2, 2), np.int64)))
     assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
-    alone, among_many = (bar(pairs, 0.0, COPIES, SETTINGS) for pairs in (1, 10**6))
+    alone, among_many = (bar(PairCount(n, n), 0.0, COPIES, SETTINGS) for n in (1, 10**6))
     assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
     view = opinion(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
@@ -365,7 +400,7 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
     found = match(a, b, SETTINGS)
     assert len(found) >= 2
     assert not same_placement(found[0], found[1], b)
-    view = opinion(a, b, found, bar(1, 0.0, COPIES, SETTINGS))
+    view = opinion(a, b, found, bar(PairCount(1, 1), 0.0, COPIES, SETTINGS))
     assert view.verdict == "ambiguous"
     assert view.runner_up is not None
     assert view.margin < SETTINGS.lead_bits
