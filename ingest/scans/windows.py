@@ -205,7 +205,7 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
             if found is not None and len(node.headings) >= 3:
                 forks.append((k, found, replace(node, xy=xy)))
         if k == 0:
-            skeleton = (graph.pixels[:, ::-1] + corner + 0.5) * cell
+            skeleton = np.asarray((graph.pixels[:, ::-1] + corner + 0.5) * cell, np.float64)
             skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
     return Seen(number, middle, tuple(forks), skeleton.astype(np.float32))
 
