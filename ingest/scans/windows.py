@@ -59,6 +59,8 @@ class WindowSettings:
         )
 
 
+MOST_HELD = 800
+"""Keyframes held for the windows to come, 50 kB each."""
 SHOWN_M = 4.0
 """How far from the middle of a window its skeleton is kept for the picture."""
 
@@ -152,7 +154,9 @@ def _rolling(
 
 def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
     first = min(int(np.searchsorted(held.way, oldest)), len(held.way) - 1)
-    rows = slice(first, None)
+    # A robot that turns and turns on the spot adds no way: every second keyframe tells as much.
+    every = 1 + (len(held.way) - first) // MOST_HELD
+    rows = np.arange(len(held.way) - 1, first - 1, -every)[::-1]
     return _Rolling(held.seen.take(rows), held.body[rows], held.way[rows])
 
 
