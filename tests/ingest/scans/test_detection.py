@@ -208,11 +208,12 @@ def test_picture_hangs_on_the_track() -> None:
     assert free.mean() > 0.95
 
 
-def test_turning_on_the_spot_for_long_holds_no_more() -> None:
+def test_turning_on_the_spot_for_long_holds_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("topobatch.ingest.scans.windows.MOST_HELD", 40)
     spins = [(0.0, 0.0), (4.0, 0.0)]
     there = drive(*spins)
-    turn = np.arange(1000) * 0.2
-    still = np.column_stack([np.full(1000, 4.0), np.zeros(1000), wrap(turn)])
+    turn = np.arange(200) * 0.2
+    still = np.column_stack([np.full(200, 4.0), np.zeros(200), wrap(turn)])
     pose = np.concatenate([there.pose, still])
     truth = Odometry((10**9 + np.arange(len(pose)) * 2e8).astype(np.int64), pose, there.breaks)
     result = detect(truth, parts(scans(RING, truth), 100))
