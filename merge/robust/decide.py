@@ -38,7 +38,8 @@ from .verdict import (
 from .wording import contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
-"""The repetition of a batch is that of the map at this quantile: most maps repeat, or few do."""
+"""A batch repeats itself as its map at this quantile does: most maps repeat, or few do. Pairs are
+many more than maps, and meet larger copies than the two maps show by themselves."""
 
 
 def decide(
@@ -181,24 +182,29 @@ def bars(
 
     def level(pair: Pair, count: PairCount) -> Bar:
         repeats, largest = (max(values[k] for k in pair) for values in (repetition, copied))
-        return bar(count, repeats, copies, settings, copied=int(largest))
+        return bar(count, repeats, copies, settings, copied=largest)
 
     return level
 
 
 def _repetition(
     prepared: Sequence[Prepared], settings: RobustSettings
-) -> tuple[CopyModel, list[float], list[int]]:
+) -> tuple[CopyModel, list[float], list[float]]:
     """How copies differ in these buildings; 0 … 1 for every map: does it repeat itself? And the
     junctions of its largest copy of a part of itself."""
     found = [self_matches(m, settings) for m in prepared]
-    levels = [repetition_level(own) for own in found]
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]
-    fleet = float(np.quantile(levels, FLEET_SHARE)) if levels else 0.0
+    levels = [repetition_level(own) for own in found]
     copied = [max((len(c) for c in own if c.bits > ODD_BITS), default=0) for own in found]
-    return copy_model(samples, settings), [max(level, fleet) for level in levels], copied
+    return copy_model(samples, settings), _at_least_most(levels), _at_least_most(copied)
+
+
+def _at_least_most(values: Sequence[float]) -> list[float]:
+    """Values of maps, none less than that of the batch."""
+    batch = float(np.quantile(values, FLEET_SHARE)) if values else 0.0
+    return [max(value, batch) for value in values]
 
 
 def _forced(

@@ -66,13 +66,13 @@ class PairCount:
 class Bar:
     """What a pair must reach. need_bits: against chance; need_copy_bits: against copies, in a
     building that repeats itself throughout; repetition: 0 (it does not repeat itself) to 1; copied:
-    junctions of the largest part of either map that lies on another part of it; copies: how copies
+    junctions of the largest part of a map that lies on another part of it; copies: how copies
     differ there."""
 
     need_bits: float
     need_copy_bits: float
     repetition: float
-    copied: int
+    copied: float
     copies: CopyModel
     settings: RobustSettings
 
@@ -173,7 +173,7 @@ def bar(
     copies: CopyModel,
     settings: RobustSettings,
     *,
-    copied: int = 0,
+    copied: float = 0.0,
 ) -> Bar:
     """The bar for a batch of so many pairs: each may err at its share of the false-merge rate, at
     either question."""
