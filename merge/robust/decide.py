@@ -17,7 +17,7 @@ from .advice import advice
 from .alignment import Candidate, match, same_placement, self_matches
 from .components import ELSEWHERE, Components, Refusal, agrees, join_all, lying_over
 from .forced import forced_alignment
-from .index import pairs_to_match
+from .index import beyond_chance, pairs_to_match
 from .mirror import doubt_mirrored, mirrored
 from .pairing import Means, Pair, Pairwise, in_tiles
 from .prepare import IntArray, Prepared, prepare
@@ -261,10 +261,10 @@ def _locked_pairs(
 
 
 def _count(found: Mapping[Pair, Found], pairs: int, settings: RobustSettings) -> PairCount:
-    """How many pairs may be merged wrongly, by chance or for copies: of those that were not
-    matched, as they have no chance, none for copies."""
+    """How many pairs may be merged wrongly, by chance or for copies."""
     need = needed_bits(pairs, settings)
-    return PairCount(pairs, sum(f.against_chance(settings) >= need for f in found.values()))
+    seen = sum(f.against_chance(settings) >= need for f in found.values())
+    return PairCount(pairs, beyond_chance(seen, pairs))
 
 
 def bars(

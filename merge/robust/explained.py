@@ -25,6 +25,7 @@ from .conflicts import CONFLICT_BITS
 from .decide import Assessment, assess, bars
 from .forced import forced_alignment
 from .growth import FEWEST, LEAST_SHARE, given_up
+from .index import beyond_chance
 from .prepare import FloatArray, IntArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
@@ -62,7 +63,7 @@ class Batch:
         if not any(told):
             return PairCount(pairs, pairs)
         need = needed_bits(pairs, self.settings)
-        return PairCount(pairs, sum(bits >= need for bits in told))
+        return PairCount(pairs, beyond_chance(sum(bits >= need for bits in told), pairs))
 
     def unlisted(self, a: str, b: str) -> bool:
         """Is a pair one of those that a large merge only counted?"""

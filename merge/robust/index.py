@@ -8,6 +8,7 @@ would not have been merged.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,9 +29,15 @@ MOST_PAIRS = 5000
 BLOCK = 500
 """Maps that are looked through at once: what a map has in common with them fits the memory."""
 
-SHARE = 0.5
-"""Links that hang together must have this share of the bits that merging needs. Measured by
-`benchmarks/fleet.py`: what is merged has three quarters at least, most of it several times as much.
+SHARE = 0.6
+"""Links that hang together must have this share of the bits that merging needs. With 0.75 still
+nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py
+--recall 400 --first 5000`).
+"""
+
+UNSEEN = 1.1
+"""For one pair beyond chance that was matched so many are counted: of 692 such pairs, nearly all
+copies in offices, the index gives 29 no chance (`benchmarks/fleet.py --beyond 160 --first 5000`).
 """
 
 
@@ -166,6 +173,11 @@ def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArr
     if pairs <= MOST_PAIRS:
         return np.stack(np.triu_indices(len(maps), 1), axis=1)
     return likely_pairs(maps, needed_bits(pairs, settings))
+
+
+def beyond_chance(seen: int, pairs: int) -> int:
+    """How many of all pairs are beyond chance, where so many of the matched ones are."""
+    return seen if pairs <= MOST_PAIRS else math.ceil(UNSEEN * seen)
 
 
 def likely_pairs(maps: Sequence[Prepared], need_bits: float) -> IntArray:
