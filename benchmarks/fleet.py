@@ -1,4 +1,4 @@
-"""Fleets: python benchmarks/fleet.py [--sizes 200,400,1000] [--recall 200] [--beyond 100] [--index 0]
+"""Fleets: python benchmarks/fleet.py [--sizes 200,400,1000] [--recall N] [--beyond N] [--index N]
 
 Maps of some 50 junctions are made without logs (`observed.py`): ten runs in each of many sites,
 which are mazes, offices, organic ways and city blocks in turn. For every number of maps, CPU

@@ -30,6 +30,9 @@ from .workspace import Workspace, checked_run_name
 
 POLL_S = 0.1
 
+TOGETHER = 2
+"""Times that logs are read side by side, as long as processes die; then one by one."""
+
 MOST_NAMES = 16
 """Names of one run, one after the other, that are followed."""
 
@@ -272,18 +275,40 @@ def outcomes_of(
 
         yield from (ingest_one(job, on_bytes) for job in jobs)
         return
+    left = list(jobs)
+    for _ in range(TOGETHER):
+        unfinished = []
+        for job, outcome in _side_by_side(left, workers, advance):
+            if outcome is None:
+                unfinished.append(job)
+            else:
+                yield outcome
+        left = unfinished
+    for job in left:  # one by one: a log that ends its process costs no other
+        for _, outcome in _side_by_side([job], 1, advance):
+            text = f"{job.log}: the process that read it was killed (out of memory?)"
+            yield outcome or IngestOutcome(job.log, job.run, "failed", text)
+
+
+def _side_by_side(
+    jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
+) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
+    """Jobs with their outcomes; None where the processes ended before it was there."""
+    if not jobs:
+        return
     context = _context()
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
         try:
             with _interrupts_deferred():  # a worker stopped half-started would complain
-                futures = {pool.submit(_counted, job): job for job in jobs}
+                futures = dict(_submitted(pool, jobs))
+            yield from ((job, None) for job in jobs[len(futures) :])
             waiting = set(futures)
             while waiting:
                 finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
                 advance(counter.value)
                 for future in finished:
-                    yield _result(future, futures[future])
+                    yield futures[future], _result(future)
         except BaseException:  # Ctrl-C: nobody waits for half-read logs
             for process in multiprocessing.active_children():
                 process.terminate()
@@ -310,14 +335,26 @@ def _interrupts_deferred() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _result(future: Future[IngestOutcome], job: IngestJob) -> IngestOutcome:
+def _submitted(
+    pool: ProcessPoolExecutor, jobs: Sequence[IngestJob]
+) -> Iterator[tuple[Future[IngestOutcome], IngestJob]]:
+    """The jobs as they are asked for, as long as all processes live."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    for job in jobs:
+        try:
+            yield pool.submit(_counted, job), job
+        except BrokenProcessPool:
+            return
+
+
+def _result(future: Future[IngestOutcome]) -> IngestOutcome | None:
     from concurrent.futures.process import BrokenProcessPool
 
     try:
         return future.result()
     except BrokenProcessPool:
-        text = f"{job.log}: the process that read it was killed (out of memory?); try --jobs 1"
-        return IngestOutcome(job.log, job.run, "failed", text)
+        return None
 
 
 def _context() -> Any:
