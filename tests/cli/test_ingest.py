@@ -75,6 +75,7 @@ def test_a_folder_of_logs_then_merge(topobatch, logs, tmp_path):
     assert [(m["a"], m["b"]) for m in document["merges"]] == [("first", "second")]
     assert sorted(p.name for p in workspace.iterdir() if not p.name.startswith(".")) == [
         "cache",
+        "history.jsonl",
         "maps",
         "merged.json",
         "merged.rrd",
