@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...topology.digits import BITS, rounded
 from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
+from ..discards import REASON, Names
 from ..locks import Lock, lock_table
-from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
+from ..result import AcceptedBy, Alignment, PairVerdict, Verdict, pairs_of
 from .advice import advice
 from .alignment import Candidate, match, same_placement, self_matches
-from .components import Components, Refusal, agrees, join_all
+from .components import ELSEWHERE, Components, Refusal, agrees, join_all, lying_over
 from .forced import forced_alignment
-from .mirror import doubt_mirrored
-from .pairing import Candidates, Pair, match_all
-from .prepare import Prepared, prepare
+from .index import beyond_chance, pairs_to_match
+from .mirror import doubt_mirrored, mirrored
+from .pairing import Means, Pair, Pairwise, in_tiles
+from .prepare import IntArray, Prepared, prepare
+from .records import Found
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
 from .settings import DEFAULT_ROBUST, RobustSettings
@@ -29,7 +31,6 @@ from .verdict import (
     Opinion,
     PairCount,
     bar,
-    beyond_chance_bits,
     counted_bits,
     needed_bits,
     opinion,
@@ -47,42 +48,52 @@ def decide(
     settings: RobustSettings = DEFAULT_ROBUST,
     *,
     locks: Sequence[Lock] = (),
-    on_pair: Callable[[int, int], None] | None = None,
-    executor: Executor | None = None,
+    discarded: Collection[Names] = (),
+    means: Means | None = None,
 ) -> tuple[PairVerdict, ...]:
-    """A verdict for every pair of runs, sorted by (a, b); `maps` are sorted by run.
+    """Verdicts on pairs of runs, sorted by (a, b); `maps` are sorted by run.
+
+    Of a small batch on every pair. Of a large one on those that were matched: the others have no
+    chance (`index`) and are unrelated, as far as no other runs join them.
 
     1. Every map is prepared, and matched with itself: how much does the building repeat itself?
-    2. Every pair is matched: candidate alignments with evidence against chance and for sameness.
+    2. Every pair with a chance is matched: candidate alignments with evidence against chance and
+       for sameness.
     3. Each pair by itself is merged, ambiguous or unrelated; "merged" must fit better than its
        mirror image.
     4. Merged pairs are joined, strongest first, locks honoured, cycles checked.
     5. The merged maps of components are matched again: evidence adds up over their runs. They, too,
        must fit better than their mirror images.
-    6. What the joined runs say of the pairs that stayed open is taken over.
+    6. What the joined runs say of the pairs that stayed open is taken over; pairs that now lie over
+       each other are matched after all.
 
-    Locks of runs that are not among the maps are left alone. Raises UsageError on locks that
+    Locks of runs that are not among the maps are left alone. Discarded matches, by the names of
+    their runs in order, are as if they had not been found. Raises UsageError on locks that
     contradict each other or name a vertex that does not exist.
     """
-    prepared = [prepare(m) for m in maps]
     runs = [m.run for m in maps]
+    matcher = Pairwise(maps, settings, means)
+    prepared = matcher.prepared
     locked = _locked_pairs(runs, prepared, locks)
-    level = bars(prepared, settings)
-    candidates = match_all(prepared, settings, on_pair, executor)
-    count = _count(candidates, settings)
-    levels = {pair: level(pair, count) for pair in candidates}
-    opinions = {
-        (i, j): opinion(prepared[i], prepared[j], found, levels[i, j])
-        for (i, j), found in candidates.items()
-    }
-    opinions = doubt_mirrored(opinions, maps, prepared, settings)
-    forced = _forced(prepared, candidates, locked, settings)
+    batch = _Batch(matcher, bars(prepared, settings, matcher.with_themselves()))
+    row = {run: k for k, run in enumerate(runs)}
+    gone = [(row[a], row[b]) for a, b in sorted(discarded) if a in row and b in row]
+    wanted = _wanted(matcher, [*locked, *gone])
+    matcher.means.say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
+    batch.look_at(wanted, gone)
+    opinions = batch.opinions
+    forced = _forced(prepared, locked, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     best, order = _strongest_first(opinions, forced, locked)
     refused = join_all(components, order, best, prepared, runs)
     kept = {pair: c for pair, c in best.items() if pair not in refused}
-    reunions = Rematcher(maps, prepared, components, opinions, levels, settings).run(kept)
+    rematcher = Rematcher(
+        maps, prepared, components, opinions, batch.level, settings, frozenset(gone)
+    )
+    reunions = rematcher.run(kept)
+    matcher.means.say(f"{len(kept)} pairs join, {len(reunions)} by what components say together")
+    refused |= batch.look_again(components, reunions)
     return tuple(
         _verdict(
             prepared[i],
@@ -93,12 +104,83 @@ def decide(
                 lock=locked.get((i, j)),
                 refused=refused.get((i, j)),
                 reunion=reunions.get((i, j)),
-                seconded=_seconded((i, j), candidates[i, j], components, prepared),
+                seconded=_seconded((i, j), batch.found[i, j].candidates, components, prepared),
                 together=components.together(i, j),
             ),
         )
-        for i, j in sorted(candidates)
+        for i, j in sorted(opinions)
     )
+
+
+@dataclass(slots=True, eq=False)
+class _Batch:
+    """What was found between the maps of a batch, and what the two maps of each pair say alone."""
+
+    matcher: Pairwise
+    bar_of: Callable[[Pair, PairCount], Bar]
+    found: dict[Pair, Found] = field(default_factory=dict)
+    opinions: dict[Pair, Opinion] = field(default_factory=dict)
+    count: PairCount | None = None
+
+    def level(self, pair: Pair) -> Bar:
+        """What a pair must reach: all pairs share the rate of false merges, also those that were
+        found to have no chance."""
+        pairs = pairs_of(len(self.matcher.maps))
+        if self.count is None:
+            self.count = _count(self.found, pairs, self.matcher.settings)
+        return self.bar_of(pair, self.count)
+
+    def look_at(self, wanted: IntArray, gone: Iterable[Pair] = ()) -> None:
+        """Match (k, 2) pairs; what is found between some is taken back."""
+        prepared = self.matcher.prepared
+        found = self.matcher.pairs(wanted) | {pair: Found() for pair in gone}
+        self.found.update(found)
+        fresh = {
+            (i, j): _opinion(prepared[i], prepared[j], both, self.level((i, j)))
+            for (i, j), both in found.items()
+        }
+        fresh |= {pair: replace(fresh[pair], discarded=True) for pair in gone}
+        self.opinions.update(doubt_mirrored(fresh, self._image_bits, self.matcher.settings))
+
+    def _image_bits(self, pairs: list[Pair]) -> dict[Pair, float]:
+        return self.matcher.image_bits(np.array(pairs, np.int64).reshape(-1, 2))
+
+    def look_again(self, components: Components, joined: Iterable[Pair]) -> dict[Pair, Refusal]:
+        """Match the pairs that the index gave no chance and that now lie over each other, or were
+        joined by their components; those that by themselves want to lie elsewhere are refused."""
+        prepared = self.matcher.prepared
+        if len(self.opinions) == pairs_of(len(prepared)):
+            return {}
+        over = {*lying_over(components, [m.z for m in prepared]), *joined}
+        fresh = sorted(p for p in over if p not in self.opinions)
+        self.look_at(np.array(fresh, np.int64).reshape(-1, 2))
+        out = {}
+        for i, j in fresh:
+            view = self.opinions[i, j]
+            if view.verdict is not Verdict.MERGED or view.best is None:
+                continue
+            if not agrees(view.best, components.relative(i, j), prepared[j]):
+                out[i, j] = ELSEWHERE
+        return out
+
+
+def _wanted(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
+    """(k, 2) pairs to be matched: all of a small batch; of a large one those that have a chance,
+    and those that a person spoke of."""
+    likely = pairs_to_match(matcher.prepared, matcher.settings)
+    asked = np.array(sorted(locked), np.int64).reshape(-1, 2)
+    return np.unique(np.concatenate([likely, asked]), axis=0)
+
+
+def match_shard(
+    maps: Sequence[TopoMap], settings: RobustSettings, share: tuple[int, int], means: Means
+) -> int:
+    """Match the i-th of n shares of the pairs, i from 1 on, for the store alone; how many."""
+    matcher = Pairwise(sorted(maps, key=lambda m: m.run), settings, means)
+    wanted = in_tiles(_wanted(matcher))
+    mine = np.array_split(wanted, share[1])[share[0] - 1]
+    matcher.pairs(mine)
+    return len(mine)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +212,12 @@ def assess(
     level = bars(prepared, settings)(pair, count)
     found = match(prepared[i], prepared[j], settings)
     view = opinion(prepared[i], prepared[j], found, level)
-    view = doubt_mirrored({pair: view}, maps, prepared, settings)[pair]
+
+    def image_bits(pairs: list[Pair]) -> dict[Pair, float]:
+        best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}
+        return {p: c[0].bits if c else -np.inf for p, c in best.items()}
+
+    view = doubt_mirrored({pair: view}, image_bits, settings)[pair]
     return Assessment(prepared[i], prepared[j], found, level, view)
 
 
@@ -145,6 +232,13 @@ class _Case:
     reunion: Reunion | None = None
     seconded: Candidate | None = None
     together: bool = False
+
+
+def _opinion(a: Prepared, b: Prepared, found: Found, level: Bar) -> Opinion:
+    """The verdict on a pair from what matching it found."""
+    if not found.candidates:
+        return Opinion(Verdict.UNRELATED, level.need_bits, faint=found.faint)
+    return opinion(a, b, found.candidates, level)
 
 
 def _locked_pairs(
@@ -167,18 +261,22 @@ def _locked_pairs(
     return out
 
 
-def _count(candidates: Candidates, settings: RobustSettings) -> PairCount:
+def _count(found: Mapping[Pair, Found], pairs: int, settings: RobustSettings) -> PairCount:
     """How many pairs may be merged wrongly, by chance or for copies."""
-    need = needed_bits(len(candidates), settings)
-    beyond = (beyond_chance_bits(found, settings) >= need for found in candidates.values())
-    return PairCount(len(candidates), sum(beyond))
+    need = needed_bits(pairs, settings)
+    seen = sum(f.against_chance(settings) >= need for f in found.values())
+    return PairCount(pairs, beyond_chance(seen, pairs))
 
 
 def bars(
-    prepared: Sequence[Prepared], settings: RobustSettings
+    prepared: Sequence[Prepared],
+    settings: RobustSettings,
+    with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
 ) -> Callable[[Pair, PairCount], Bar]:
-    """What each pair must reach in a batch of so many pairs."""
-    copies, repetition, copied = _repetition(prepared, settings)
+    """What each pair must reach in a batch of so many pairs. with_themselves: matches of each map
+    with other parts of itself, if they are known."""
+    own = with_themselves or [self_matches(m, settings) for m in prepared]
+    copies, repetition, copied = _repetition(prepared, own, settings)
 
     def level(pair: Pair, count: PairCount) -> Bar:
         repeats, largest = (max(values[k] for k in pair) for values in (repetition, copied))
@@ -188,11 +286,12 @@ def bars(
 
 
 def _repetition(
-    prepared: Sequence[Prepared], settings: RobustSettings
+    prepared: Sequence[Prepared],
+    found: Sequence[tuple[Candidate, ...]],
+    settings: RobustSettings,
 ) -> tuple[CopyModel, list[float], list[float]]:
     """How copies differ in these buildings; 0 … 1 for every map: does it repeat itself? And the
-    junctions of its largest copy of a part of itself."""
-    found = [self_matches(m, settings) for m in prepared]
+    junctions of its largest copy of a part of itself. found: matches of each with itself."""
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]
@@ -209,7 +308,6 @@ def _at_least_most(values: Sequence[float]) -> list[float]:
 
 def _forced(
     prepared: Sequence[Prepared],
-    candidates: Candidates,
     locked: dict[Pair, Lock],
     settings: RobustSettings,
 ) -> dict[Pair, Candidate]:
@@ -217,7 +315,8 @@ def _forced(
     out = {}
     for (i, j), lock in sorted(locked.items()):
         if lock.decision == "same":
-            found = forced_alignment(prepared[i], prepared[j], candidates[i, j], lock, settings)
+            candidates = match(prepared[i], prepared[j], settings)
+            found = forced_alignment(prepared[i], prepared[j], candidates, lock, settings)
             if found is not None:
                 out[i, j] = found
     return out
@@ -275,8 +374,10 @@ def _verdict(a: Prepared, b: Prepared, case: _Case) -> PairVerdict:
 
 def _says(view: Opinion) -> str:
     """What the two maps say by themselves, as a clause."""
+    if view.discarded:
+        return REASON
     if view.best is None:
-        return nothing(view.faint, view.bits, view.need_bits)
+        return nothing(view.faint, view.need_bits)
     return summary(view.best, view.bits, view.need_bits, view.margin)
 
 
