@@ -17,6 +17,7 @@ from typer.exceptions import TyperException
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
 from .explain import explain
+from .export import export
 from .info import info
 from .ingest import ingest
 from .lock import lock
@@ -41,7 +42,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, info, explain, lock, simulate, schema):
+for command in (ingest, merge, view, info, explain, export, lock, simulate, schema):
     app.command()(command)
 
 

@@ -49,6 +49,11 @@ def say_lines(text: str, *, err: bool = False) -> None:
         typer.echo(plain(line, len(line)), err=err)
 
 
+def say_text(text: str) -> None:
+    """A file for the next program, as it is: its own newlines, nothing escaped."""
+    typer.echo(text.encode(), nl=False)
+
+
 def complain(message: str) -> None:
     """An error, on the standard error."""
     typer.echo(typer.style("error: ", fg="red", bold=True) + plain(message), err=True)

@@ -44,7 +44,7 @@ class Workspace:
 
     def __post_init__(self) -> None:
         cache = self.root / "cache"
-        for folder in (self.maps, cache, cache / "ingest", self.root / "explain"):
+        for folder in (self.maps, cache, cache / "ingest", self.root / "explain", self.exports):
             self._require(folder, stat.S_IFDIR, "folder")
         self._require(self.root / ".lock", stat.S_IFREG, "file")
 
@@ -99,6 +99,11 @@ class Workspace:
             short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
             name = "+".join((*short, digest))
         return self.root / "explain" / f"{name}{kind}.rrd"
+
+    @property
+    def exports(self) -> Path:
+        """Folder of maps in the formats of others."""
+        return self.root / "exports"
 
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""

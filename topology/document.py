@@ -104,6 +104,7 @@ class MapEdge(Model):
     target_branch: Index | None
     path: list[tuple[Metres, Metres]] = Field(min_length=2)
     traversals: Index
+    traversal_ns: list[tuple[Nanoseconds, Nanoseconds]] | None = None
 
 
 class ClosureRecord(Model):
@@ -243,6 +244,7 @@ def edges_to_document(graph: Any) -> list[dict[str, Any]]:
 
     keys = edge_keys(graph.source, graph.target)
     length = rounded(np.maximum(graph.length, SHORTEST_M), METRES)
+    times = getattr(graph, "traversal_ns", None)
     return [
         {
             "source": int(graph.source[i]),
@@ -254,6 +256,7 @@ def edges_to_document(graph: Any) -> list[dict[str, Any]]:
             "target_branch": branch(int(graph.target_branch[i])),
             "path": rounded(graph.paths[i], METRES),
             "traversals": int(graph.traversals[i]),
+            **({} if times is None else {"traversal_ns": times[i].tolist()}),
         }
         for i in range(len(keys))
     ]
@@ -305,6 +308,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             fitted_noise=None if fitted is None else _noise(fitted),
             position_sigma=_all_known([node.sigma_m for node in d.nodes]),
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
+            traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
             closures=tuple(
                 Closure(
                     *c.time_ns,
@@ -335,6 +339,13 @@ def _all_known(values: Sequence[float | None]) -> NDArray[np.float64] | None:
 def _rows_known(rows: Sequence[list[float] | None]) -> Ragged | None:
     known = [row for row in rows if row is not None]
     return Ragged.from_rows(known) if known and len(known) == len(rows) else None
+
+
+def _times_known(
+    rows: Sequence[list[tuple[int, int]] | None],
+) -> tuple[NDArray[np.int64], ...] | None:
+    known = [np.array(row, np.int64).reshape(-1, 2) for row in rows if row is not None]
+    return tuple(known) if known and len(known) == len(rows) else None
 
 
 M = TypeVar("M", bound=BaseModel)

@@ -46,9 +46,12 @@ class RobotTrack:
         return [part for part in parts if len(part) > 1]
 
 
-def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
+def robot_track(
+    topomap: TopoMap, odometry: Odometry, *, every_row: bool = False
+) -> RobotTrack | None:
     """The track of a run on its map; None without odometry or observations to place it by.
 
+    every_row: with all rows of the odometry, not thinned for drawing.
     Every unbroken stretch is placed by itself; one without observations is left out.
     O(n log k) for n poses and k observations.
     """
@@ -71,7 +74,7 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
                 jump_sigma=odometry.jump_sigma[:0],
                 jump_other=odometry.jump_other[:0],
             )
-            parts.append(_placed(topomap, seen, stretch, spacing))
+            parts.append(_placed(topomap, seen, stretch, 0.0 if every_row else spacing))
             drift_m[seen] = parts[-1].drift_m
     if not parts:
         return None
@@ -94,7 +97,8 @@ def _placed(
     passed = stretch.at(time_ns)
     T_map_odom = fit_rigid(seen_at, passed[:, :2])
     drift = apply(T_map_odom, stretch.at(times)[:, :2]) - topomap.xy[vertices]
-    rows = thinned(stretch.pose[:, :2], spacing)
+    some = spacing > 0
+    rows = thinned(stretch.pose[:, :2], spacing) if some else np.arange(len(stretch))
     raw = compose(T_map_odom, stretch.pose[rows])
     bent = _bent(stretch.time_ns[rows], raw, time_ns, compose(T_map_odom, passed), seen_at)
     drift_m = np.hypot(drift[:, 0], drift[:, 1])
