@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -115,9 +115,7 @@ class _Source:
     component: int = 0
 
 
-def _sources(
-    place: Workspace, what: str, component: int | None, screen: Screen
-) -> list[_Source]:
+def _sources(place: Workspace, what: str, component: int | None, screen: Screen) -> list[_Source]:
     """The maps that are meant: one of a run, one for each component of a merge."""
     merged = _merge_named(place, what)
     if merged is None:
@@ -131,7 +129,9 @@ def _sources(
     document = read_merged(merged.merged_json)
     ids = [c.id for c in document.graph.components]
     if component is not None and component not in ids:
-        raise UsageError(f"{merged.merged_json}: there is no component {component}; there are {ids}")
+        raise UsageError(
+            f"{merged.merged_json}: there is no component {component}; there are {ids}"
+        )
     chosen = ids if component is None else [component]
     several = len(ids) > 1
     if several and component is None:
@@ -197,7 +197,7 @@ def _texts(
     if form is Format.G2O:
         return {".g2o": _pose_graph(source)}
     writers = MAP_FORMATS[form]
-    return {ending: write(source.topomap, tolerance) for ending, write in writers.items()}
+    return {ending: text_of(source.topomap, tolerance) for ending, text_of in writers.items()}
 
 
 def _pose_graph(source: _Source) -> str:
@@ -243,23 +243,21 @@ def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[s
 
 def _odometry(place: Workspace, run: str, log: Path | None) -> Odometry:
     """The odometry of a run from its log: as it was read for the map, if that is recorded."""
-    from ..ingest.reading import read_run
-    from ..topology.document import read_json
+    from ..ingest.reading import ReadSettings, read_run
+    from .ingest_worker import READ_OPTIONS, ingest_record
 
+    record = ingest_record(place, run)
     if log is None:
-        try:
-            record = read_json(place.ingest_record(run))
-        except DocumentError:
-            record = {}
-        found = record.get("log") if isinstance(record, dict) else None
+        found = record.get("log")
         if not isinstance(found, str):
-            raise DataError(
-                f"run {run}: it is not recorded where its log is; name it by --log"
-            )
+            raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
         log = Path(found)
         if not log.exists():
             raise DataError(f"{log}: the log of run {run} is not there any more; use --log")
-    return read_run(log).odometry
+    told = record.get("read")
+    how: dict[str, Any] = told if isinstance(told, dict) else {}
+    known = {name: how[name] for name in READ_OPTIONS if isinstance(how.get(name), str)}
+    return read_run(log, ReadSettings(**known)).odometry
 
 
 def _to_stdout(texts: dict[str, str], sources: list[_Source]) -> None:
@@ -278,7 +276,7 @@ def _paths(
     if output is None:
         return {place.exports / name: text for name, text in texts.items()}
     if len(texts) == 1:
-        return {output: text for text in texts.values()}
+        return dict(zip([output], texts.values(), strict=True))
     # The names differ in what follows the beginning that they share.
     shared = sources[0].name if len(sources) == 1 else sources[0].name.rpartition("-")[0]
     out = {}

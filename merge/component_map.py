@@ -110,7 +110,10 @@ def stale_runs(
 
 def _fused_of(nodes: list[MergedNode]) -> dict[tuple[str, int], int]:
     return {
-        (run, v): k for k, node in enumerate(nodes) for run, ids in node.members.items() for v in ids
+        (run, v): k
+        for k, node in enumerate(nodes)
+        for run, ids in node.members.items()
+        for v in ids
     }
 
 

@@ -72,8 +72,8 @@ class TopoMap:
     closed run itself shows, None where that is not known.
     position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, and branch_sigma: n rows, of
     each branch heading [rad], with the map as a whole laid over the truth; None where not known.
-    traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's source and at its target
-    each time that it drove the edge (driven from target to source, the second is the earlier one);
+    traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's source and at its
+    target each time that it drove the edge (from target to source, the second is the earlier one);
     None where that is not known.
     Raises ValueError where shapes, indices or values do not fit.
     """

@@ -30,9 +30,7 @@ def lif_json(topomap: TopoMap, max_error_m: float) -> str:
     xy = rounded(topomap.xy, METRES)
     stamp = datetime.fromtimestamp(last_pass_ns(topomap) // 10**9, UTC)
     edges = []
-    for e, (u, v) in enumerate(
-        zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)
-    ):
+    for e, (u, v) in enumerate(zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)):
         way = simplify(topomap.paths[e], max_error_m)
         for name, start, end, path in ((f"{e}", u, v, way), (f"{e}r", v, u, way[::-1])):
             edges.append(

@@ -27,9 +27,7 @@ def nav2_geojson(topomap: TopoMap, max_error_m: float) -> str:
     """
     graph = route_graph(topomap, max_error_m)
     if len(graph.source) == 0:
-        raise DataError(
-            f"{topomap.run}: has no corridor; a Nav2 route graph needs one at least"
-        )
+        raise DataError(f"{topomap.run}: has no corridor; a Nav2 route graph needs one at least")
     document = {
         "type": "FeatureCollection",
         "name": topomap.run,

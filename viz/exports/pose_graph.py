@@ -11,19 +11,19 @@ from ...topology.digits import TURN
 from ...topology.posegraph.g2o import g2o_text
 from ...topology.posegraph.graph import PoseGraph
 
+_SEVEN_DIGITS = np.vectorize(lambda value: float(f"{value:.6e}") + 0.0, otypes=[np.float64])
+
 
 def pose_graph_g2o(graph: PoseGraph, where: Sequence[tuple[str, int]]) -> str:
     """The graph, its poses numbered from 0 on; comments say which junction of which run each is.
 
     Numbers are rounded as in documents, so that they are the same on every processor.
     """
-    information = graph.information
-    size = 10.0 ** np.floor(np.log10(np.maximum(np.abs(information), 1e-12)))
     rounded = replace(
         graph,
         pose=np.round(graph.pose, TURN) + 0.0,
         measurement=np.round(graph.measurement, TURN) + 0.0,
-        information=np.round(information / size, TURN) * size + 0.0,
+        information=_SEVEN_DIGITS(graph.information),
     )
     names = (run if run.isprintable() else ascii(run) for run, _ in where)
     comments = [

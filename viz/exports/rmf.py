@@ -21,8 +21,8 @@ LEVEL = "L1"
 def rmf_yaml(topomap: TopoMap, max_error_m: float) -> str:
     """The navigation graph of a map, every corridor both ways.
 
-    A lane's `speed_limit` [m/s], where it is known, is the speed that robots drove there: plans then
-    take the time that the drives took.
+    A lane's `speed_limit` [m/s], where it is known, is the speed that robots drove there: plans
+    then take the time that the drives took.
     """
     graph = route_graph(topomap, max_error_m)
     vertices: list[Any] = []

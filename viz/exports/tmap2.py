@@ -70,7 +70,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
         },
         "nodes": nodes,
     }
-    return yaml_text(document, 6)
+    return yaml_text(document, 5)
 
 
 _SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Trajectories as lines `time x y z qx qy qz qw`, the format of the TUM benchmark that evo reads."""
+"""Trajectories as lines `time x y z qx qy qz qw`: the TUM benchmark's format, which evo reads."""
 
 from __future__ import annotations
 

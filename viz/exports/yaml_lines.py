@@ -1,7 +1,7 @@
 """YAML for loaders of others, by hand: mappings and lists in blocks, what is within in one line.
 
-Values are written as JSON, which is YAML: every name is quoted, so that no reader takes a run
-called `no` or `1e3` for something else.
+Values are written as JSON, which is YAML: texts are quoted, so that no reader takes a run called
+`no` or `1e3` for something else.
 """
 
 from __future__ import annotations
@@ -20,10 +20,16 @@ def _block(value: Any, depth: int, indent: str) -> Iterator[str]:
     """The lines of a mapping or a list."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
-            yield from _entry(f"{indent}{key}:", inner, depth, indent)
+            yield from _entry(f"{indent}{_key(key)}:", inner, depth, indent)
     else:
         for inner in value:
             yield from _entry(f"{indent}-", inner, depth, indent)
+
+
+def _key(name: str) -> str:
+    """A key, quoted where YAML 1.1 could take it for something else: `y` and `no` are booleans."""
+    plain = len(name) > 3 and name.isidentifier() and name.casefold() not in ("true", "false")
+    return name if plain else json.dumps(name, ensure_ascii=False)
 
 
 def _entry(head: str, value: Any, depth: int, indent: str) -> Iterator[str]:
