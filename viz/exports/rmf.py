@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from ...topology.digits import METRES, rounded, significant
 from ...topology.topomap import TopoMap
 from .route_graph import VIA, route_graph
@@ -31,8 +29,9 @@ def rmf_yaml(topomap: TopoMap, max_error_m: float) -> str:
         vertices.append([x, y, options])
     lanes: list[Any] = []
     for k in range(len(graph.source)):
-        speed = float(graph.length[k] / graph.seconds[k])
-        options = {"speed_limit": significant(speed)} if np.isfinite(speed) else {}
+        options = {}
+        if graph.seconds[k] > 0 and graph.length[k] > 0:
+            options["speed_limit"] = significant(float(graph.length[k] / graph.seconds[k]))
         ends = int(graph.source[k]), int(graph.target[k])
         lanes += [[*ends, options], [*ends[::-1], options]]
     document = {
