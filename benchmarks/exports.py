@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import networkx as nx
@@ -118,7 +119,7 @@ def judged(topomap: TopoMap, true: np.ndarray, truth: Truth, runs: list[str]) ->
         if not nx.has_path(simple, start, end):
             continue
         way = nx.shortest_path(simple, start, end, weight="length")
-        steps = [simple.edges[step] for step in zip(way, way[1:], strict=False)]
+        steps = [simple.edges[step] for step in pairwise(way)]
         corridors = list(dict.fromkeys(step["corridor"] for step in steps))
         if any(c not in known for c in corridors):
             out.unjudged += 1

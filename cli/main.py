@@ -25,6 +25,7 @@ from .merge import merge
 from .output import complain, say, say_lines
 from .schema import schema
 from .simulate import simulate
+from .transfer import transfer
 from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
@@ -42,7 +43,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, info, explain, export, lock, simulate, schema):
+for command in (ingest, merge, view, info, explain, export, transfer, lock, simulate, schema):
     app.command()(command)
 
 
