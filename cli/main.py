@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
+from .changes import changes
 from .explain import explain
 from .export import export
 from .info import info
@@ -43,7 +44,19 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, info, explain, export, transfer, lock, simulate, schema):
+for command in (
+    ingest,
+    merge,
+    view,
+    info,
+    explain,
+    export,
+    transfer,
+    changes,
+    lock,
+    simulate,
+    schema,
+):
     app.command()(command)
 
 
