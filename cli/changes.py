@@ -40,14 +40,9 @@ def changes(
     from ..merge.changes import change_to_document
     from ..merge.changes import changes as changes_of
     from ..merge.component_map import stale_runs
-    from ..merge.document import read_merged
 
     place = Workspace(workspace) if merge is None else Workspace(workspace, merge)
-    if not place.merged_json.is_file():
-        raise DataError(
-            f"{place.merged_json}: is not there yet; make it with `topobatch merge --all`"
-        )
-    document = read_merged(place.merged_json)
+    document = place.read_merged()
     entries = {c.id: c for c in document.graph.components}
     if component is not None and component not in entries:
         raise UsageError(f"{place.merged_json}: there is no component {component}")

@@ -124,9 +124,7 @@ def _sources(place: Workspace, what: str, component: int | None, screen: Screen)
         (run,) = place.chosen_runs([what], False)
         topomap = place.read_map(run)
         return [_Source(run, topomap, {run: topomap})]
-    from ..merge.document import read_merged
-
-    document = read_merged(merged.merged_json)
+    document = merged.read_merged()
     ids = [c.id for c in document.graph.components]
     if component is not None and component not in ids:
         raise UsageError(
@@ -148,10 +146,6 @@ def _sources(place: Workspace, what: str, component: int | None, screen: Screen)
 def _merge_named(place: Workspace, what: str) -> Workspace | None:
     """The workspace with the merge that is called so; None where a run is."""
     if what == MERGED:
-        if not place.merged_json.is_file():
-            raise DataError(
-                f"{place.merged_json}: is not there yet; make it with `topobatch merge --all`"
-            )
         return place
     named = Workspace(place.root, what)
     return named if what not in place.runs() and named.merged_json.is_file() else None

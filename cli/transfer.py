@@ -141,16 +141,11 @@ def _carried(
 
 def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctions | None, str]:
     """The junctions that source and target have in common, or why there are none."""
-    from ..merge.document import read_merged
     from ..merge.transfer import junctions_of_merged, junctions_of_runs
 
     if source == target:
         raise UsageError(f"the places are in {source} already")
-    if not place.merged_json.is_file():
-        raise DataError(
-            f"{place.merged_json}: is not there yet; make it with `topobatch merge --all`"
-        )
-    document = read_merged(place.merged_json)
+    document = place.read_merged()
     home = {run: c.id for c in document.graph.components for run in c.runs}
     named = [source] if target in (MERGED, place.merge) else [source, target]
     for run in named:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ..topology.errors import DataError, DocumentError, UsageError
 
 if TYPE_CHECKING:
+    from ..merge.document import MergedDocument
     from ..merge.locks import Lock
     from ..topology.topomap import TopoMap
 
@@ -146,6 +147,15 @@ class Workspace:
         if topomap.run != run:
             raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
         return topomap
+
+    def read_merged(self) -> MergedDocument:
+        """The merged document; DataError if there is none, DocumentError if it is none."""
+        from ..merge.document import read_merged
+
+        if not self.merged_json.is_file():
+            told = "is not there yet; make it with `topobatch merge --all`"
+            raise DataError(f"{self.merged_json}: {told}")
+        return read_merged(self.merged_json)
 
     def locks(self) -> tuple[Lock, ...]:
         """What a person decided about pairs of runs; DocumentError if it cannot be read."""

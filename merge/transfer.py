@@ -126,12 +126,12 @@ def _matched(
     share = np.stack([1 / _passes(a)[u], 1 / _passes(b)[v]])
     noise = a.measured, b.measured
     both = np.array([n.centre_m**2 for n in noise]) @ share
-    heading = [padded_branches(m)[rows] for m, rows in ((b, v), (a, u))]
+    heading_b, heading_a = padded_branches(b)[v], padded_branches(a)[u]
     start = fit_rigid(b.xy[v], a.xy[u])[2] if len(pairs) > 1 else 0.0
     if len(pairs) == 1:
-        start = _likeliest_turn(heading[0][0], heading[1][0])
+        start = _likeliest_turn(heading_b[0], heading_a[0])
     expected = np.full(len(pairs), start)
-    turn, count = measured_turn(*heading, expected, DEFAULT_JOINT.branch_gate_rad)
+    turn, count = measured_turn(heading_b, heading_a, expected, DEFAULT_JOINT.branch_gate_rad)
     spread = np.array([n.branch_rad**2 for n in noise]) @ share / np.maximum(count, 1)
     turning = sum(n.heading_rad_per_sqrt_m**2 for n in noise)
     length = float(np.median(np.concatenate([a.length, b.length, [1.0]])))

@@ -125,7 +125,7 @@ def _zones(xy: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
 
     if len(xy) < 2:
         return [ZONE_M] * len(xy)
-    nearest = cKDTree(xy).query(xy, k=2)[0][:, 1]
+    nearest = np.asarray(cKDTree(xy).query(xy, k=2)[0])[:, 1]
     # A square reaches farther along its diagonals.
     half = np.clip(nearest / 2 / np.sqrt(2), 10.0**-METRES, ZONE_M)
     return [float(h) for h in rounded(half, METRES)]
