@@ -3,7 +3,7 @@
 python benchmarks/exports.py [--seeds 2] [--first 501] [--logs FOLDER ...]
 
 Ten worlds (two of every kind) of two runs each, and folders of logs of real runs (without truth).
-Every export of every run and of every component goes through its reader (tests/viz).
+Every export of every run and of every component goes through its reader (tests/viz/exports).
 
   routes   shortest routes between junctions in the Nav2 graph, against the way in the true world
   times    `abs_time_taken` along those routes, against what the robots truly took to drive them
@@ -24,8 +24,8 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "viz"))
-import export_readers as readers
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "viz" / "exports"))
+import readers
 
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.reading import find_logs, read_run

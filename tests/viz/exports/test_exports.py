@@ -1,18 +1,13 @@
-"""Exports, each read back by its reader (`export_readers.py`)."""
+"""Exports, each read back by its reader (`readers.py`)."""
 
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import networkx as nx
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-import export_readers as readers
 
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario
@@ -29,6 +24,8 @@ from topobatch.viz.exports import (
     recorded_tum,
     route_graph,
 )
+
+from . import readers
 
 BOUND_M = 0.05
 
