@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -129,3 +131,13 @@ def test_maps_that_changed_since_the_merge_cost_the_times_only(topobatch, filled
         assert f"{run}" in topobatch(*call, "-w", filled.root).err
     finally:
         path.write_text(kept)
+
+
+def test_the_page_lists_every_format() -> None:
+    from topobatch.cli.export import Format
+
+    page = (Path(__file__).parents[2] / "docs" / "exports.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \| `", page, re.MULTILINE)
+    assert rows == [form.value for form in Format]
+    for form in Format:
+        assert f"**{form.value}.**" in page
