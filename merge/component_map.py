@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.document import FARTHEST_M
 from ..topology.embedding import map_pose_graph
 from ..topology.passes import NO_BRANCH
 from ..topology.posegraph.graph import PoseGraph
@@ -39,6 +40,12 @@ def component_map(
     if not chosen and component not in {c.id for c in document.graph.components}:
         raise ValueError(f"there is no component {component}")
     edges = [e for e in document.edges if e.source in number]
+    runs = {run for c in document.graph.components if c.id == component for run in c.runs}
+    strange = {run for part in (*chosen, *edges) for run in part.members} - runs
+    if strange:
+        raise ValueError(f"run {min(strange)!r} is a member of what is not its component")
+    if any(max(abs(node.x), abs(node.y)) > FARTHEST_M for node in chosen):
+        raise ValueError(f"a vertex lies farther away than {FARTHEST_M:.0e} m")
     if any(e.target not in number for e in edges):
         raise ValueError("a corridor joins two components")
     seen = sorted((o.time_ns, number[node.id]) for node in chosen for o in node.observations)

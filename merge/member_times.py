@@ -58,7 +58,8 @@ def _part(
     first, second = times_ns.T
     turned = ends[0] == fused[1] or ends[1] == fused[0]
     at_end = ends[1] in fused and ends[0] not in fused
-    span = np.round((second - first) * share).astype(np.int64)
+    most = 2.0**62  # a document can claim any two times
+    span = np.round(np.clip((second - first) * share, -most, most)).astype(np.int64)
     near, far = (second, second - span) if at_end else (first, first + span)
     # `near` is at the end of the corridor that the two share; which end of the fused edge is it?
     near_is_source = (not turned) != at_end

@@ -97,10 +97,15 @@ class Transferred:
 def junctions_of_runs(
     document: MergedDocument, maps: Mapping[str, TopoMap], source: str, target: str
 ) -> MatchedJunctions:
-    """The junctions that a merge found to be one in two runs, directly or through others."""
+    """The junctions that a merge found to be one in two runs, directly or through others.
+
+    maps: those of the two runs at least, as they were merged (`stale_runs`).
+    """
+    home = {run: c.id for c in document.graph.components for run in c.runs}
     pairs = [
         (node.members[source][0], node.members[target][0])
         for node in document.nodes
+        if node.component == home[source] == home[target]
         if node.members.get(source) and node.members.get(target)
     ]
     rows = np.array(pairs, np.int64).reshape(-1, 2)

@@ -141,3 +141,30 @@ def test_the_page_lists_every_format() -> None:
     assert rows == [form.value for form in Format]
     for form in Format:
         assert f"**{form.value}.**" in page
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (lambda d: d["nodes"][0].update(x=1e300), "farther away"),
+        (lambda d: d["edges"][0]["members"].update(ghost=[0]), "'ghost' is a member"),
+        (lambda d: d["edges"][0].update(source_branch=60), "does not have"),
+        (lambda d: d["edges"][0].update(target=9999), "joins two components"),
+    ],
+)
+@pytest.mark.parametrize("call", [["export", "merged", "-f", "nav2", "-o", "-"], ["changes"]])
+def test_merged_documents_that_contradict_themselves(  # noqa: PLR0917 - fixtures
+    topobatch, filled, tmp_path, fault, told, call
+) -> None:
+    document = read_json(filled.merged_json)
+    home = next(c for c in document["graph"]["components"] if len(c["runs"]) > 1)
+    assert document["nodes"][0]["component"] == home["id"]
+    fault(document)
+    kept = filled.merged_json.read_text()
+    try:
+        write_json(filled.merged_json, document)
+        shown = topobatch(*call, "--component", home["id"], "-w", filled.root)
+        assert shown.code == 1
+        assert told in shown.err
+    finally:
+        filled.merged_json.write_text(kept)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ...topology.digits import METRES, rounded, significant
-from ...topology.polyline import simplify, way_of
+from ...topology.polyline import way_of
 from ...topology.topomap import TopoMap
-from .route_graph import driving_speed, last_pass_ns
+from .route_graph import corridor_line, driving_speed, last_pass_ns
 
 LIF_VERSION = "1.0.0"
 VEHICLE_TYPE = "any"
@@ -31,7 +31,7 @@ def lif_json(topomap: TopoMap, max_error_m: float) -> str:
     stamp = datetime.fromtimestamp(last_pass_ns(topomap) // 10**9, UTC)
     edges = []
     for e, (u, v) in enumerate(zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)):
-        way = simplify(topomap.paths[e], max_error_m)
+        way = corridor_line(topomap, e, max_error_m)
         for name, start, end, path in ((f"{e}", u, v, way), (f"{e}r", v, u, way[::-1])):
             edges.append(
                 {

@@ -52,8 +52,7 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
     source, target, edge, length = [], [], [], []
     count = len(topomap)
     for e in range(len(topomap.source)):
-        ends = topomap.xy[[topomap.source[e], topomap.target[e]]]
-        way = simplify(np.concatenate([ends[:1], topomap.paths[e][1:-1], ends[1:]]), max_error_m)
+        way = corridor_line(topomap, e, max_error_m)
         inner = np.arange(count, count + len(way) - 2)
         row = np.concatenate([topomap.source[e : e + 1], inner, topomap.target[e : e + 1]])
         points.append(way[1:-1])
@@ -80,6 +79,12 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
     )
 
 
+def corridor_line(topomap: TopoMap, edge: int, max_error_m: float) -> FloatArray:
+    """(k, 2) the path of a corridor from its source to its target, in straight pieces."""
+    ends = topomap.xy[[topomap.source[edge], topomap.target[edge]]]
+    return simplify(np.concatenate([ends[:1], topomap.paths[edge][1:-1], ends[1:]]), max_error_m)
+
+
 def driving_seconds(topomap: TopoMap) -> FloatArray:
     """(m,) median time [s] of all drives through each corridor, both ways; NaN where unknown."""
     out = np.full(len(topomap.source), np.nan)
@@ -100,8 +105,3 @@ def last_pass_ns(topomap: TopoMap) -> int:
     """When the newest of the map's observations was made; 0 without any. Exports that need a date
     take it, so that the same map gives the same file at any time."""
     return int(topomap.observation_time_ns.max(initial=0))
-
-
-def is_curved(topomap: TopoMap, edge: int, max_error_m: float) -> bool:
-    """Does a corridor stray from the straight line between its ends by more than this?"""
-    return len(simplify(topomap.paths[edge], max_error_m)) > 2
