@@ -84,7 +84,7 @@ def read_back(topomap: TopoMap, folder: Path) -> Tally:
         for ending, text_of in writers.items():
             READERS[ending](text_of(topomap, MAX_ERROR_M))
             count += 1
-    graph = pose_graph_g2o(map_pose_graph(topomap), [("run", k) for k in range(len(topomap))])
+    graph = pose_graph_g2o(map_pose_graph(topomap))
     readers.read_g2o_text(graph, folder)
     return Tally(files=count + 1)
 
@@ -191,7 +191,7 @@ def components(
     for component in document.graph.components:
         topomap = component_map(document, component.id, f"merged-{component.id}", maps)
         tally.add(read_back(topomap, folder))
-        graph = pose_graph_g2o(*component_pose_graph(document, component.id, maps))
+        graph = pose_graph_g2o(component_pose_graph(document, component.id, maps))
         readers.read_g2o_text(graph, folder)
         tally.files += 1
         yield topomap, sorted(component.runs)

@@ -200,9 +200,7 @@ def _pose_graph(source: _Source) -> str:
     from ..viz.exports import pose_graph_g2o
 
     if source.document is None:
-        graph = map_pose_graph(source.topomap)
-        where = [(source.name, vertex) for vertex in range(len(source.topomap))]
-        return pose_graph_g2o(graph, where)
+        return pose_graph_g2o(map_pose_graph(source.topomap))
     runs = next(c.runs for c in source.document.graph.components if c.id == source.component)
     gone = sorted(set(runs) - set(source.maps))
     if gone:
@@ -210,7 +208,7 @@ def _pose_graph(source: _Source) -> str:
             f"{source.name}: the joint pose graph needs the maps that were merged; "
             f"{shortened(gone, 3)} {'is' if len(gone) == 1 else 'are'} not among them: merge again"
         )
-    return pose_graph_g2o(*component_pose_graph(source.document, source.component, source.maps))
+    return pose_graph_g2o(component_pose_graph(source.document, source.component, source.maps))
 
 
 def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[str, str]:

@@ -136,20 +136,21 @@ def _branches(edges: list[MergedEdge], name: str) -> IntArray:
 
 def component_pose_graph(
     document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
-) -> tuple[PoseGraph, list[tuple[str, int]]]:
-    """The joint pose graph of a component, solved, and the (run, vertex) of each of its poses.
+) -> PoseGraph:
+    """The joint pose graph of a component, solved.
 
-    maps: of all its runs, as they were merged. Identities are plain edges: kernels, headings of a
+    Poses are the vertices of all its maps, run by run in the order of their names. maps: of all its
+    runs, as they were merged. Identities are plain edges: kernels, headings of a
     grid and scales of odometries, which the solution also kept to, are left out of the graph.
     """
     runs = next(c.runs for c in document.graph.components if c.id == component)
     pool = Pool.of([maps[run] for run in runs])
-    where = [(pool.maps[r].run, v) for r, v in zip(pool.run, pool.vertex.tolist(), strict=True)]
+    where = zip(pool.run, pool.vertex.tolist(), strict=True)
     fused = _fused_of([node for node in document.nodes if node.component == component])
-    label = np.array([fused[place] for place in where], np.int64)
+    label = np.array([fused[pool.maps[r].run, v] for r, v in where], np.int64)
     joint = settle(pool, label, poses_from_document(document))
     if joint.graph is None:
-        return map_pose_graph(pool.maps[0]), where
+        return map_pose_graph(pool.maps[0])
     graph = joint.graph
     return PoseGraph(
         pose=joint.pose,
@@ -157,4 +158,4 @@ def component_pose_graph(
         target=graph.target,
         measurement=graph.measurement,
         information=graph.information,
-    ), where
+    )

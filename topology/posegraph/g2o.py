@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -80,21 +79,18 @@ def write_g2o(path: Path | str, graph: PoseGraph, ids: NDArray[np.int64] | None 
     Path(path).write_text(g2o_text(graph, ids), encoding="utf-8")
 
 
-def g2o_text(
-    graph: PoseGraph, ids: NDArray[np.int64] | None = None, comments: Sequence[str] = ()
-) -> str:
+def g2o_text(graph: PoseGraph, ids: NDArray[np.int64] | None = None) -> str:
     """A pose graph as the text of a file: poses, edges and wholly held poses (FIX).
 
-    ids: (n,) names of the poses, 0, 1, … where left out; comments: lines to begin with. Raises
-    ValueError on a graph that the format cannot hold: kernels, priors, shared errors, poses held in
-    part.
+    ids: (n,) names of the poses, 0, 1, … where left out. There are no comments: GTSAM (4.3) reads
+    no edges from a file with any. Raises ValueError on a graph that the format cannot hold:
+    kernels, priors, shared errors, poses held in part.
     """
     names = np.arange(len(graph)) if ids is None else np.asarray(ids, np.int64)
     partly = graph.held.any(axis=1) & ~graph.held.all(axis=1)
     if len(graph.priors) or len(graph.shared) or partly.any() or np.isfinite(graph.kernel).any():
         raise ValueError("g2o holds poses, edges and fixed poses only")
-    lines = [f"# {comment}" for comment in comments]
-    lines += [
+    lines = [
         f"VERTEX_SE2 {name} {_joined(pose)}"
         for name, pose in zip(names.tolist(), graph.pose.tolist(), strict=True)
     ]
