@@ -50,8 +50,11 @@ def say_lines(text: str, *, err: bool = False) -> None:
 
 
 def say_text(text: str) -> None:
-    """A file for the next program, as it is: its own newlines, nothing escaped."""
-    typer.echo(text.encode(), nl=False)
+    """A file for the next program, as it is; on a terminal like everything that is shown."""
+    if sys.stdout.isatty():
+        say_lines(text.removesuffix("\n"))
+    else:
+        typer.echo(text.encode(), nl=False)
 
 
 def complain(message: str) -> None:
