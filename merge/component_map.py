@@ -41,7 +41,8 @@ def component_map(
         raise ValueError(f"there is no component {component}")
     edges = [e for e in document.edges if e.source in number]
     runs = {run for c in document.graph.components if c.id == component for run in c.runs}
-    strange = {run for part in (*chosen, *edges) for run in part.members} - runs
+    named = {run for n in chosen for run in n.members} | {run for e in edges for run in e.members}
+    strange = named - runs
     if strange:
         raise ValueError(f"run {min(strange)!r} is a member of what is not its component")
     if any(max(abs(node.x), abs(node.y)) > FARTHEST_M for node in chosen):

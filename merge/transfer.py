@@ -35,17 +35,13 @@ WITHIN_SIGMAS = 2.448
 class TransferSettings:
     """How points are carried."""
 
-    neighbours: int = 16
-    """Matched junctions that a point is carried through, the nearest ones: what lies behind them
-    tells nothing more."""
-    exponent: float = 1.0
-    """Of the distance in the variogram: a random walk."""
+    neighbours: int = 4
+    """Matched junctions that a point is carried through, the nearest ones. More tell no more, and
+    bring in what is bent farther away: of 3, 4, 6, 8, 16 and 32 the errors keep best to their
+    sigmas with 4 (`benchmarks/transfer.py`)."""
     prior_log_sigma: float = 1.1
     """The bending that the noise of both maps suggests is believed to within this (a factor of 3),
-    1 sigma of its natural logarithm."""
-    least_position_m: float = 0.01
-    least_turn_rad: float = 0.01
-    """No junction of two maps is one to better than this (as in the joint pose graph)."""
+    1 sigma of its natural logarithm; believing it wholly, or hardly, is worse by the same."""
 
 
 DEFAULT_TRANSFER = TransferSettings()
@@ -123,10 +119,9 @@ def junctions_of_merged(
     return _matched(source, merged, np.array(pairs, np.int64).reshape(-1, 2))
 
 
-def _matched(
-    a: TopoMap, b: TopoMap, pairs: IntArray, settings: TransferSettings = DEFAULT_TRANSFER
-) -> MatchedJunctions:
-    """pairs: (k, 2) vertices of a and of b."""
+def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
+    """pairs: (k, 2) vertices of a and of b. No two maps agree better on a junction than the joint
+    pose graph takes them to."""
     u, v = pairs.T
     share = np.stack([1 / _passes(a)[u], 1 / _passes(b)[v]])
     noise = a.measured, b.measured
@@ -145,9 +140,9 @@ def _matched(
     return MatchedJunctions(
         source=a.xy[u],
         target=b.xy[v],
-        sigma=np.sqrt(both + settings.least_position_m**2),
+        sigma=np.sqrt(both + DEFAULT_JOINT.min_position_m**2),
         turn=turn,
-        turn_sigma=np.where(count > 0, np.sqrt(spread + settings.least_turn_rad**2), np.inf),
+        turn_sigma=np.where(count > 0, np.sqrt(spread + DEFAULT_JOINT.min_heading_rad**2), np.inf),
         bending=bending,
         turning=turning,
     )
@@ -183,7 +178,7 @@ def transfer(
     distance, rows = tree.query(points, k=count)
     rows = np.asarray(rows, np.int64).reshape(len(points), count)
     nearest = np.asarray(distance).reshape(len(points), count)[:, 0]
-    xy, variance, turn, turn_variance = _carried(points, matched, rows, bending, settings)
+    xy, variance, turn, turn_variance = _carried(points, matched, rows, bending)
     return Transferred(xy, turn, np.sqrt(variance), np.sqrt(turn_variance), nearest)
 
 
@@ -192,7 +187,6 @@ def _carried(
     matched: MatchedJunctions,
     rows: IntArray,
     bending: float,
-    settings: TransferSettings,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Points (p, 2) through their junctions, rows: (p, n): where they are, with the mean variance
     of the two coordinates, and the turn with its variance.
@@ -210,9 +204,9 @@ def _carried(
     turned = np.stack([c * arm[..., 0] - s * arm[..., 1], s * arm[..., 0] + c * arm[..., 1]], -1)
     said = matched.target[rows] - turned
     between = matched.source[rows][:, :, None] - matched.source[rows][:, None]
-    p = settings.exponent
-    apart = np.hypot(between[..., 0], between[..., 1]) ** p
-    walk = 0.5 * bending * ((away**p)[:, :, None] + (away**p)[:, None] - apart)
+    apart = np.hypot(between[..., 0], between[..., 1])
+    # A random walk seen from the point: what two junctions share of the way counts for both.
+    walk = 0.5 * bending * (away[:, :, None] + away[:, None] - apart)
     own = matched.sigma[rows] ** 2
     n = rows.shape[1]
     walk = walk + own[:, :, None] * np.eye(n)
@@ -246,10 +240,10 @@ def _bending(matched: MatchedJunctions, settings: TransferSettings) -> float:
     best, best_score = matched.bending, -np.inf
     for step in np.linspace(-4.0, 4.0, 33):
         bending = float(matched.bending * np.exp(step))
-        xy, variance, *_ = _carried(matched.source, matched, others, bending, settings)
+        xy, variance, *_ = _carried(matched.source, matched, others, bending)
         spread = variance + matched.sigma**2
         off = ((xy - matched.target) ** 2).sum(axis=1)
-        # Junctions near to one another are carried alike: they count as half as many.
+        # Junctions carry one another, so what they say is not independent: half the likelihood.
         score = -0.5 * float((off / (2 * spread) + np.log(spread)).sum())
         score -= 0.5 * (step / settings.prior_log_sigma) ** 2
         if score > best_score:
