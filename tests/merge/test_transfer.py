@@ -79,7 +79,7 @@ def test_noisy_junctions_make_the_sigma_that_they_deserve() -> None:
     base = np.hypot(*(all_points - 200).T)
     covariance = 0.5 * 4e-3 * (base[:, None] + base - gap)
     root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
-    for _ in range(60):
+    for _ in range(200):
         bend = root @ chance.normal(size=(len(root), 2))
         target = apply(T, all_points) + bend
         noisy = target[: len(GRID)] + 0.03 * chance.normal(size=GRID.shape)
