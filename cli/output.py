@@ -49,14 +49,6 @@ def say_lines(text: str, *, err: bool = False) -> None:
         typer.echo(plain(line, len(line)), err=err)
 
 
-def say_text(text: str) -> None:
-    """A file for the next program, as it is; on a terminal like everything that is shown."""
-    if sys.stdout.isatty():
-        say_lines(text.removesuffix("\n"))
-    else:
-        typer.echo(text.encode(), nl=False)
-
-
 def complain(message: str) -> None:
     """An error, on the standard error."""
     typer.echo(typer.style("error: ", fg="red", bold=True) + plain(message), err=True)
@@ -65,6 +57,14 @@ def complain(message: str) -> None:
 def warn(message: str) -> None:
     """A warning, on the standard error."""
     typer.echo(typer.style("warning: ", fg="yellow") + plain(message), err=True)
+
+
+def say_text(text: str) -> None:
+    """A file for the next program, as it is; on a terminal like everything that is shown."""
+    if sys.stdout.isatty():
+        say_lines(text.removesuffix("\n"))
+    else:
+        typer.echo(text.encode(), nl=False)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:

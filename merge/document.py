@@ -79,19 +79,18 @@ class MergedEdge(MapEdge):
     )
 
 
+_TRANSFORM = "Pose of run b's map in the frame of run a's."
+_MATCHED = "Vertices that are one place: of a's map, of b's map."
+_CORRIDORS = "Corridors between matched vertices that agree."
+_RMSE = "Root mean square distance of the matched vertices under the transform, metres."
+_CONTRADICTIONS = "What disagrees, a sentence each."
+
 _EVIDENCE = (
     "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "
     "speaks for the alignment, less what chance offers among so many hypotheses, at most 2.5 bits "
     "for each matched junction, less what speaks against it; where the building may repeat itself, "
     "no more than the odds against a copy of the place allow."
 )
-
-
-_TRANSFORM = "Pose of run b's map in the frame of run a's."
-_MATCHED = "Vertices that are one place: of a's map, of b's map."
-_CORRIDORS = "Corridors between matched vertices that agree."
-_RMSE = "Root mean square distance of the matched vertices under the transform, metres."
-_CONTRADICTIONS = "What disagrees, a sentence each."
 
 
 class RunnerUp(Model):

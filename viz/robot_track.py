@@ -59,7 +59,8 @@ def robot_track(
         return None
     edges = pairwise([0, *odometry.cuts.tolist(), len(odometry)])
     chain = stretch_of(odometry, topomap.observation_time_ns)
-    spacing = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
+    finest = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
+    spacing = 0.0 if every_row else finest
     drift_m = np.zeros(len(chain))
     parts = []
     for number, (a, b) in enumerate(edges):
@@ -74,7 +75,7 @@ def robot_track(
                 jump_sigma=odometry.jump_sigma[:0],
                 jump_other=odometry.jump_other[:0],
             )
-            parts.append(_placed(topomap, seen, stretch, 0.0 if every_row else spacing))
+            parts.append(_placed(topomap, seen, stretch, spacing))
             drift_m[seen] = parts[-1].drift_m
     if not parts:
         return None
@@ -97,8 +98,7 @@ def _placed(
     passed = stretch.at(time_ns)
     T_map_odom = fit_rigid(seen_at, passed[:, :2])
     drift = apply(T_map_odom, stretch.at(times)[:, :2]) - topomap.xy[vertices]
-    some = spacing > 0
-    rows = thinned(stretch.pose[:, :2], spacing) if some else np.arange(len(stretch))
+    rows = thinned(stretch.pose[:, :2], spacing)
     raw = compose(T_map_odom, stretch.pose[rows])
     bent = _bent(stretch.time_ns[rows], raw, time_ns, compose(T_map_odom, passed), seen_at)
     drift_m = np.hypot(drift[:, 0], drift[:, 1])
