@@ -4,7 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := topobatch-workspace
 # posegraph.py is not among them: it wants the names of public graph files.
-BENCHMARKS := startup paper merging calibration odometry uncertainty closure chain ingest soak audit
+BENCHMARKS := startup paper merging calibration odometry uncertainty closure chain exports transfer \
+	changes ingest soak audit
 LOCK := requirements-dev.lock
 UV := uv==0.13.9
 

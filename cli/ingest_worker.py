@@ -99,7 +99,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     started = time.monotonic()
     job = replace(job, run=_called(job.place, job.run))
     key = _content_key(job)
-    before = _record(job.place, job.run)
+    before = ingest_record(job.place, job.run)
     had = _runs_of(before, job.run)
     if not job.force and before.get("key") == key and _all_there(job.place, had):
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
@@ -118,7 +118,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     write_together(writes)
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
-    doc = {"key": key, "log": _origin(job.log), "runs": runs}
+    doc = {"key": key, "log": _origin(job.log), "runs": runs, "read": _read_how(job.read)}
     doc |= {"version": __version__, "bytes": job_size(job)}
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
@@ -152,6 +152,15 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
     return joined_pieces(topomap)
 
 
+READ_OPTIONS = ("odometry_topic", "junction_topic", "base_frame", "junction_fields", "time")
+"""What a call can say about reading a log, and what reading it again takes."""
+
+
+def _read_how(settings: ReadSettings) -> dict[str, str]:
+    values = ((name, getattr(settings, name)) for name in READ_OPTIONS)
+    return {name: value for name, value in values if value is not None}
+
+
 def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
     files = [path(run) for run in runs for path in (place.map_json, place.map_rrd)]
     return bool(files) and all(file.is_file() and not file.is_symlink() for file in files)
@@ -160,7 +169,7 @@ def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
 def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[str]) -> None:
     """Remove the maps of pieces that the log gave before and does not give any more."""
     for gone in set(_runs_of(before, run)) - kept:
-        if _record(place, gone).get("log") == before.get("log"):
+        if ingest_record(place, gone).get("log") == before.get("log"):
             for file in (place.map_json(gone), place.map_rrd(gone), place.ingest_record(gone)):
                 file.unlink(missing_ok=True)
 
@@ -186,7 +195,7 @@ def _content_key(job: IngestJob) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _record(place: Workspace, run: str) -> dict[str, Any]:
+def ingest_record(place: Workspace, run: str) -> dict[str, Any]:
     """What the map of a run was made from; empty where that is not known."""
     try:
         found = read_json(place.ingest_record(run))
@@ -226,7 +235,7 @@ def _origin(log: Path) -> str:
 
 def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """A map made from another log of the same name is not overwritten unasked."""
-    other, path = _record(job.place, run).get("log"), job.place.map_json(run)
+    other, path = ingest_record(job.place, run).get("log"), job.place.map_json(run)
     if job.force or not isinstance(other, str) or other == _origin(job.log):
         return
     try:

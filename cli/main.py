@@ -17,8 +17,10 @@ from typer.exceptions import TyperException
 
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
+from .changes import changes
 from .discard import discard
 from .explain import explain
+from .export import export
 from .info import info
 from .ingest import ingest
 from .journal import history
@@ -29,6 +31,7 @@ from .output import complain, say, say_lines
 from .rename import rename
 from .schema import schema
 from .simulate import simulate
+from .transfer import transfer
 from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
@@ -53,6 +56,9 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("list", list_runs),
     ("info", info),
     ("explain", explain),
+    ("export", export),
+    ("transfer", transfer),
+    ("changes", changes),
     ("lock", lock),
     ("discard", discard),
     ("rename", rename),

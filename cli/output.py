@@ -60,6 +60,14 @@ def warn(message: str) -> None:
     typer.echo(typer.style("warning: ", fg="yellow") + plain(message), err=True)
 
 
+def say_text(text: str) -> None:
+    """A file for the next program, as it is; on a terminal like everything that is shown."""
+    if sys.stdout.isatty():
+        say_lines(text.removesuffix("\n"))
+    else:
+        typer.echo(text.encode(), nl=False)
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
     """Lines of a table with left-aligned columns as wide as their longest cell."""
     shown = [[plain(cell, LONGEST_CELL) for cell in row] for row in [header, *rows]]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ..topology.errors import DataError, DocumentError, UsageError
 
 if TYPE_CHECKING:
+    from ..merge.document import MergedDocument
     from ..merge.locks import Lock
     from ..topology.topomap import TopoMap
 
@@ -45,7 +46,14 @@ class Workspace:
 
     def __post_init__(self) -> None:
         cache = self.root / "cache"
-        for folder in (self.maps, cache, cache / "ingest", self.pairs, self.root / "explain"):
+        for folder in (
+            self.maps,
+            cache,
+            cache / "ingest",
+            self.pairs,
+            self.root / "explain",
+            self.exports,
+        ):
             self._require(folder, stat.S_IFDIR, "folder")
         self._require(self.root / ".lock", stat.S_IFREG, "file")
 
@@ -102,6 +110,11 @@ class Workspace:
             name = "+".join((*short, digest))
         return self.root / "explain" / f"{name}{kind}.rrd"
 
+    @property
+    def exports(self) -> Path:
+        """Folder of maps in the formats of others."""
+        return self.root / "exports"
+
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
@@ -148,6 +161,15 @@ class Workspace:
         if topomap.run != run:
             raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
         return topomap
+
+    def read_merged(self) -> MergedDocument:
+        """The merged document; DataError if there is none, DocumentError if it is none."""
+        from ..merge.document import read_merged
+
+        if not self.merged_json.is_file():
+            told = "is not there yet; make it with `topobatch merge --all`"
+            raise DataError(f"{self.merged_json}: {told}")
+        return read_merged(self.merged_json)
 
     def locks(self) -> tuple[Lock, ...]:
         """What a person decided about pairs of runs; DocumentError if it cannot be read."""

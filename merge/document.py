@@ -32,16 +32,16 @@ MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
 class Pose(Model):
     """A rigid transform of the plane: metres and radians."""
 
-    x: Finite
-    y: Finite
-    theta: Finite
+    x: Finite = Field(description="Metres.")
+    y: Finite = Field(description="Metres.")
+    theta: Finite = Field(description="Radians, anticlockwise.")
 
 
 class ComponentEntry(Model):
     """Runs in one frame; a run's pose takes its map's coordinates to the component's."""
 
-    id: Index
-    runs: dict[str, Pose]
+    id: Index = Field(description="Number of the component.")
+    runs: dict[str, Pose] = Field(description="Pose of every run's map in the component's frame.")
 
 
 class UnlistedPairs(Model):
@@ -60,13 +60,15 @@ class UnlistedPairs(Model):
 class MergedGraph(Model):
     """Attributes of the whole merge."""
 
-    components: list[ComponentEntry]
+    components: list[ComponentEntry] = Field(
+        description="Runs that were merged; the frame of each is that of its first run by name."
+    )
     unlisted: UnlistedPairs | None = Field(
         None,
         description="Present in large merges: how many pairs are not in `merges`. Such a pair is "
         "unrelated, unless its runs are in one component.",
     )
-    method: str | None = None
+    method: str | None = Field(None, description="robust or paper.")
     settings: dict[str, Any] | None = Field(
         None, description="What the method was tuned to; false_merge_rate and others."
     )
@@ -75,20 +77,32 @@ class MergedGraph(Model):
 class MergedNode(Model):
     """A fused vertex."""
 
-    id: Index
-    component: Index
-    x: Finite
-    y: Finite
-    branches: list[Finite]
-    members: dict[str, list[Index]]
-    observations: list[Observation]
+    id: Index = Field(description="Number of the vertex.")
+    component: Index = Field(description="Component in whose frame it is.")
+    x: Finite = Field(description="Position in the component's frame, metres.")
+    y: Finite = Field(description="Position in the component's frame, metres.")
+    branches: list[Finite] = Field(
+        description="Direction in which each branch leaves: radians in the component's frame."
+    )
+    members: dict[str, list[Index]] = Field(
+        description="By run, the vertices of its map that are this place."
+    )
+    observations: list[Observation] = Field(description="The passes of all runs.")
 
 
 class MergedEdge(MapEdge):
     """A fused corridor."""
 
-    members: dict[str, list[Index]]
+    members: dict[str, list[Index]] = Field(
+        description="By run, the edges of its map that are this corridor, or run through it."
+    )
 
+
+_TRANSFORM = "Pose of run b's map in the frame of run a's."
+_MATCHED = "Vertices that are one place: of a's map, of b's map."
+_CORRIDORS = "Corridors between matched vertices that agree."
+_RMSE = "Root mean square distance of the matched vertices under the transform, metres."
+_CONTRADICTIONS = "What disagrees, a sentence each."
 
 _EVIDENCE = (
     "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "
@@ -101,29 +115,31 @@ _EVIDENCE = (
 class RunnerUp(Model):
     """The next best alignment and its evidence."""
 
-    transform: Pose
+    transform: Pose = Field(description=_TRANSFORM)
     evidence_bits: Finite = Field(description=_EVIDENCE)
-    matched: list[tuple[Index, Index]]
-    corridors: Index = 0
-    rmse_m: Finite = 0.0
-    contradictions: list[str] = Field(default_factory=list)
+    matched: list[tuple[Index, Index]] = Field(description=_MATCHED)
+    corridors: Index = Field(0, description=_CORRIDORS)
+    rmse_m: Finite = Field(0.0, description=_RMSE)
+    contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
 
 
 class Placed(Model):
     """1 sigma of how two runs of one component lie to each other: of where the middle of one's map
     is, seen from the other's, and of the turn between them."""
 
-    sigma_m: Finite
-    sigma_rad: Finite
+    sigma_m: Finite = Field(description="Metres.")
+    sigma_rad: Finite = Field(description="Radians.")
 
 
 class MergeEntry(Model):
     """What is said about one pair of runs."""
 
-    a: str
-    b: str
-    verdict: Verdict
-    accepted: bool
+    a: str = Field(description="A run.")
+    b: str = Field(description="Another run, later by name.")
+    verdict: Verdict = Field(description="merged, ambiguous or unrelated.")
+    accepted: bool = Field(
+        description="The pair joins a component: verdict merged, and kept by every later check."
+    )
     evidence_bits: Finite = Field(
         description=f"{_EVIDENCE} Of the alignment in this entry, else of the best one that was "
         "found; 0 where none was. Of pairs accepted by components: that of the two components."
@@ -147,7 +163,7 @@ class MergeEntry(Model):
         description="What says that it is the place itself and not a copy of it, on a scale of its "
         "own; absent where that was not asked.",
     )
-    reason: str
+    reason: str = Field(description="The verdict in words.")
     accepted_by: AcceptedBy | None = Field(
         None,
         description="pair: its own evidence; components: that of the two components it joins; "
@@ -161,16 +177,22 @@ class MergeEntry(Model):
         description="Of two runs that only others join: the runs between them in the shortest "
         "chain of accepted pairs.",
     )
-    transform: Pose | None = None
-    matched: list[tuple[Index, Index]] | None = None
-    corridors: Index = 0
-    rmse_m: Finite = 0.0
-    contradictions: list[str] = Field(default_factory=list)
-    runner_up: RunnerUp | None = None
-    placed: Placed | None = None
-    transform_sigma: Placed | None = None
-    advice: str | None = None
-    locked: str | None = None
+    transform: Pose | None = Field(None, description=f"{_TRANSFORM} Absent of unrelated pairs.")
+    matched: list[tuple[Index, Index]] | None = Field(None, description=_MATCHED)
+    corridors: Index = Field(0, description=_CORRIDORS)
+    rmse_m: Finite = Field(0.0, description=_RMSE)
+    contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
+    runner_up: RunnerUp | None = Field(
+        None, description="The next best alignment that places b elsewhere."
+    )
+    placed: Placed | None = Field(
+        None, description="How surely other runs place the two, where only others join them."
+    )
+    transform_sigma: Placed | None = Field(
+        None, description="How surely all maps of the component together place an accepted pair."
+    )
+    advice: str | None = Field(None, description="What would settle an ambiguous pair.")
+    locked: str | None = Field(None, description="same or never, where a person decided.")
 
     @model_validator(mode="after")
     def _of_a_pair(self) -> MergeEntry:
@@ -189,12 +211,14 @@ class MergedDocument(Model):
 
     model_config = ConfigDict(extra="allow", frozen=True, serialize_by_alias=True)
 
-    schema_name: Literal["topobatch.merged/1"] = Field(alias="schema")
-    directed: Undirected
-    multigraph: Multigraph
-    graph: MergedGraph
-    nodes: list[MergedNode]
-    edges: list[MergedEdge]
+    schema_name: Literal["topobatch.merged/1"] = Field(
+        alias="schema", description="Name and version of this schema."
+    )
+    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
+    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
+    graph: MergedGraph = Field(description="What is said of the merge as a whole.")
+    nodes: list[MergedNode] = Field(description="The fused vertices of all components.")
+    edges: list[MergedEdge] = Field(description="The fused corridors of all components.")
     merges: list[MergeEntry] = Field(
         description="One entry for each pair of runs, but for those in graph.unlisted."
     )

@@ -196,6 +196,7 @@ def pairs_of(runs: int) -> int:
 def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
     number = np.cumsum(chosen) - 1
+    times = graph.traversal_ns if isinstance(graph, TopoMap) else None
     rows, edges = np.flatnonzero(chosen), np.flatnonzero(chosen[graph.source])
     return {
         "xy": graph.xy[rows],
@@ -209,6 +210,7 @@ def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str
         "length_sigma": graph.length_sigma[edges],
         "traversals": graph.traversals[edges],
         "paths": tuple(graph.paths[e] for e in edges.tolist()),
+        "traversal_ns": None if times is None else tuple(times[e] for e in edges.tolist()),
     }
 
 

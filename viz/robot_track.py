@@ -46,9 +46,12 @@ class RobotTrack:
         return [part for part in parts if len(part) > 1]
 
 
-def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
+def robot_track(
+    topomap: TopoMap, odometry: Odometry, *, every_row: bool = False
+) -> RobotTrack | None:
     """The track of a run on its map; None without odometry or observations to place it by.
 
+    every_row: with all rows of the odometry, not thinned for drawing.
     Every unbroken stretch is placed by itself; one without observations is left out.
     O(n log k) for n poses and k observations.
     """
@@ -56,7 +59,8 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
         return None
     edges = pairwise([0, *odometry.cuts.tolist(), len(odometry)])
     chain = stretch_of(odometry, topomap.observation_time_ns)
-    spacing = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
+    finest = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
+    spacing = 0.0 if every_row else finest
     drift_m = np.zeros(len(chain))
     parts = []
     for number, (a, b) in enumerate(edges):

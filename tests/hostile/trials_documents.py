@@ -18,6 +18,7 @@ BUDGET = Budget(cpu_s=20, memory_mb=300)
 EVIL = "\x1b]0;evil\x07\x1b[2J\nerror: \u202e\x9b"
 TEXTS = ("", "..", "../../victim/x", "/etc/passwd", "a\0b", "\ud800", EVIL, "x" * 100_000, "#2")
 NUMBERS = (0, -1, 1e-300, 1e308, -1e9, 2**31, 2**63, 2**64, 10**30, 0.5, 999e3)
+FORMATS = ("nav2", "lif", "rmf", "tmap2", "graphml", "g2o", "tum", "csv")
 OTHERS = (None, True, False, [], {}, [[]], {"": None})
 
 
@@ -141,6 +142,9 @@ def _calls(workspace: Path, ground: Ground, rng: random.Random) -> tuple[str, Ca
             ("discard", command(["discard", "a", "-w", workspace])),
             ("rename", command(["rename", "a", "z", "-w", workspace])),
             ("ingest", ingest(workspace, ground.logs)),
+            ("export", command(["export", "merged", "-f", rng.choice(FORMATS), "-w", workspace])),
+            ("export", command(["export", "a", "-f", rng.choice(FORMATS), "-w", workspace])),
+            ("changes", command(["changes", "--all", "-w", workspace])),
         ]
     )
 
@@ -233,6 +237,7 @@ def not_a_file(ground: Ground, rng: random.Random, folder: Path) -> Tried:
         *("maps/a.json", "maps/a.rrd", "maps/bad.json", "maps", "merged.json", "merged.rrd"),
         *("locks.json", "cache", "cache/ingest", "cache/ingest/a.json", ".lock", "explain"),
         *("cache/pairs", f"cache/pairs/{'0' * 32}.pack", "discards.json", "history.jsonl"),
+        *("exports", "exports/a.geojson", "exports/merged.geojson"),
         *("maps/.topobatch-abcdefgh.tmp", ".x.tmp", "explain/a+b.rrd"),
     )
     notes = []
