@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
+from .draw import draw
 from .explain import explain
 from .info import info
 from .ingest import ingest
@@ -41,7 +42,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, info, explain, lock, simulate, schema):
+for command in (ingest, merge, view, draw, info, explain, lock, simulate, schema):
     app.command()(command)
 
 

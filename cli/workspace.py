@@ -112,7 +112,7 @@ class Workspace:
         """The runs that a command is about; UsageError or DataError where there are none."""
         known = self.runs()
         if not known:
-            raise self._no_maps()
+            raise self.no_maps()
         if everything and names:
             raise UsageError("give run names or --all, not both")
         if everything:
@@ -126,7 +126,8 @@ class Workspace:
             )
         return sorted(set(names))
 
-    def _no_maps(self) -> DataError:
+    def no_maps(self) -> DataError:
+        """What to say of a workspace without maps."""
         return DataError(f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
 
     def read_map(self, run: str) -> TopoMap:
@@ -168,7 +169,7 @@ class Workspace:
         from filelock import FileLock, Timeout
 
         if not make and not self.root.is_dir():
-            raise self._no_maps()
+            raise self.no_maps()
         self.root.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.root / ".lock")
         try:

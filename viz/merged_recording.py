@@ -12,7 +12,7 @@ from ..merge.result import MergeResult
 from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import bounds
-from .fused_layers import AGREEMENT, FUSED, RUNS, lay_out, write_fused_layers
+from .fused_layers import AGREEMENT, FUSED, RUNS, write_fused_layers
 from .pair_layers import (
     MATRIX,
     STEPS,
@@ -24,6 +24,7 @@ from .pair_layers import (
     write_steps,
     write_undecided,
 )
+from .parts import lay_out
 from .recording import JOIN, Recording, map_view, markdown, write_recording
 from .sheet import Cell
 from .steps import joining_steps

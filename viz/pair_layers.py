@@ -14,7 +14,8 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import pen_m
-from .fused_layers import Part, pose_on_sheet, write_cards, write_own_map
+from .fused_layers import write_cards, write_own_map
+from .parts import Part, pose_on_sheet
 from .recording import JOIN, UP, PathParts, Recording, placed
 from .sheet import ASPECT, Cell, arrange, sheet_margin_m, upright_rad
 from .steps import Step

@@ -1,0 +1,87 @@
+"""The components of a merge, each with its place on one sheet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..merge.result import Component, MergeResult
+from ..topology.se2 import compose
+from .sheet import ASPECT, Cell, arrange, sheet_margin_m, upright_rad
+
+MOST_LEGENDS = 6
+"""Up to this many components of several runs get a legend beside them."""
+
+MOST_NAMES = 16
+"""Longest legend."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """One component and its place on the sheet; vertices, edges: its rows of the fused map."""
+
+    component: Component
+    cell: Cell
+    vertices: NDArray[np.int64]
+    edges: NDArray[np.int64]
+    legend_m: float
+
+    @property
+    def name(self) -> str:
+        """Its entity's name."""
+        return f"component_{self.component.id}"
+
+    @property
+    def title(self) -> str:
+        """What stands above it."""
+        merged = len(self.component.poses) > 1
+        more = f" merged, {len(self.vertices)} junctions" if merged else ""
+        return self.short_title + more
+
+    @property
+    def short_title(self) -> str:
+        """The run's name, or how many runs there are."""
+        runs = list(self.component.poses)
+        return runs[0] if len(runs) == 1 else f"{len(runs)} runs"
+
+
+def lay_out(result: MergeResult, *, legends: bool = True) -> list[Part]:
+    """All components on one sheet, those of many runs first; legends: leave room for them."""
+    fused = result.fused
+    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
+    vertices = [np.flatnonzero(fused.component == c.id) for c in order]
+    edges = [np.flatnonzero(of_edge == c.id) for c in order]
+    paths = [[fused.paths[i] for i in rows.tolist()] for rows in edges]
+    points = [
+        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines])
+        for rows, lines in zip(vertices, paths, strict=True)
+    ]
+    room = _legends(order, points) if legends else [0.0] * len(order)
+    cells = arrange(points, [upright_rad(p) for p in paths], sheet_margin_m(points), room)
+    return [Part(*row) for row in zip(order, cells, vertices, edges, room, strict=True)]
+
+
+def _legends(order: list[Component], points: list[NDArray[np.float64]]) -> list[float]:
+    """Room for each component's legend [m]; none where there are too many."""
+    several = [2 <= len(c.poses) <= MOST_NAMES for c in order]
+    if sum(several) > MOST_LEGENDS:
+        return [0.0] * len(order)
+    area = sum(float(np.prod(np.ptp(p, axis=0))) for p in points if len(p))
+    sheet_m = 1.3 * np.sqrt(ASPECT * area)
+    return [
+        sheet_m * _legend_share(c) if shown else 0.0
+        for c, shown in zip(order, several, strict=True)
+    ]
+
+
+def _legend_share(component: Component) -> float:
+    """A legend's width over the sheet's: about as much as the longest name takes in a view."""
+    return 0.04 + 0.008 * min(max(map(len, component.poses)), 40)
+
+
+def pose_on_sheet(part: Part, run: str) -> NDArray[np.float64]:
+    """(3,) T_sheet_run: where a run's own map lies on the sheet."""
+    return compose(part.cell.T_sheet_map, part.component.poses[run])
