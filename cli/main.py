@@ -23,6 +23,7 @@ from .ingest import ingest
 from .lock import lock
 from .merge import merge
 from .output import complain, say, say_lines
+from .report import report
 from .schema import schema
 from .simulate import simulate
 from .view import view
@@ -42,7 +43,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, draw, info, explain, lock, simulate, schema):
+for command in (ingest, merge, view, draw, report, info, explain, lock, simulate, schema):
     app.command()(command)
 
 

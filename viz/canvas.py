@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from .theme import Theme, as_variables
 
 FloatArray = NDArray[np.float64]
-Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub", "cross"]
+Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
 Format = Literal["svg", "png"]
 
 POINTS_PER_INCH = 72.0
@@ -127,7 +127,6 @@ class Canvas:
         *,
         order: float = 2.0,
         told: str = "",
-        dashed: bool = False,
     ) -> None:
         """Polylines [m] in one colour; told: what hovering over them says, in an SVG."""
         if not paths:
@@ -138,7 +137,6 @@ class Canvas:
             facecolor="none",
             edgecolor=colour,
             linewidth=width_pt,
-            linestyle=(0, (3.0, 2.0)) if dashed else "solid",
             capstyle="round",
             joinstyle="round",
             zorder=order,
@@ -284,18 +282,16 @@ class Canvas:
             width = {"line": 2.0, "wide line": 4.0, "stub": 1.5}[key.form]
             mark = Line2D((middle - half, middle + half), (y, y), color=key.colour, linewidth=width)
         else:
-            size = {"dot": 5.0, "big dot": 7.5, "ring": 7.0, "cross": 6.0}[key.form]
+            ring = key.form == "ring"
             mark = Line2D(
                 (middle,),
                 (y,),
                 linestyle="none",
-                marker="x" if key.form == "cross" else "o",
-                markersize=size,
-                markerfacecolor="none" if key.form == "ring" else key.colour,
-                markeredgecolor=key.colour
-                if key.form in ("ring", "cross")
-                else self.theme["paper"],
-                markeredgewidth=1.2 if key.form in ("ring", "cross") else 0.5,
+                marker="o",
+                markersize={"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form],
+                markerfacecolor="none" if ring else key.colour,
+                markeredgecolor=key.colour if ring else self.theme["paper"],
+                markeredgewidth=1.2 if ring else 0.5,
             )
         page.add_artist(mark)
 

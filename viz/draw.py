@@ -24,12 +24,13 @@ FloatArray = NDArray[np.float64]
 MOST_NUMBERS = 150
 """Above this many junctions their numbers hide more than they tell."""
 
-WIDTH_PT, WIDEST_PT = 720.0, 1440.0
+NARROW_PT, WIDTH_PT, WIDEST_PT = 420.0, 720.0, 1440.0
 COMPONENT_PT = 110.0
 """Maps of a merge are given about this much width each, between the two widths above."""
 
-LINE_PT = 2.2
-"""A corridor's line."""
+LINE_PT, THINNEST_PT = 2.2, 0.7
+LINE_SHARE = 0.12
+"""A corridor's line in a merge takes this share of the usual corridor, between these widths."""
 
 _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
 
@@ -126,17 +127,20 @@ def ranks(result: MergeResult) -> dict[str, int]:
     return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
 
 
-def draw_merged(result: MergeResult, theme: Theme, *, name: str = "merged") -> Canvas:
+def draw_merged(
+    result: MergeResult, theme: Theme, *, name: str = "merged", headed: bool = True
+) -> Canvas:
     """The fused map of every component: each corridor a ribbon with a strand for each run that
-    drove it, junctions seen by several runs large."""
-    parts = lay_out(result, legends=False)
+    drove it, junctions seen by several runs large; headed: with what it holds above it."""
+    parts = lay_out(result, for_paper=True)
     low, high = _extent([part.cell for part in parts])
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = Canvas(low, high, theme, width, name)
     rank = ranks(result)
     _frames(canvas, [part.cell for part in parts], [_title(part) for part in parts])
+    pen = _pen_pt(canvas, result.fused)
     for part in parts:
-        _fused(canvas, result.fused, part, rank)
+        _fused(canvas, result.fused, part, rank, pen)
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
     told = (
@@ -144,8 +148,8 @@ def draw_merged(result: MergeResult, theme: Theme, *, name: str = "merged") -> C
         f"{float(result.fused.length.sum()):.0f} m of corridors; {_counted(pairs, 'pair')} of "
         f"{len(result.verdicts)} merged"
     )
-    heading = f"{_counted(runs, 'run')} in {_counted(len(result.components), 'component')}"
-    canvas.finish([heading, told], _merged_keys(result, parts, rank, theme))
+    title = f"{_counted(runs, 'run')} in {_counted(len(result.components), 'component')}"
+    canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
     return canvas
 
 
@@ -196,11 +200,18 @@ def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> Non
         canvas.words(at, title, size_pt=size, room_m=0.96 * float(x1 - x0))
 
 
-def _fused(canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int]) -> None:
+def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
+    usual = float(np.median(fused.length)) if len(fused.length) else 0.0
+    return float(np.clip(LINE_SHARE * usual * canvas.points_per_m, THINNEST_PT, LINE_PT))
+
+
+def _fused(
+    canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int], pen_pt: float
+) -> None:
     T = part.cell.T_sheet_map
     alone = len(part.component.poses) == 1
     strands: dict[tuple[str, float], list[FloatArray]] = {}
-    step_m = LINE_PT / canvas.points_per_m
+    step_m = pen_pt / canvas.points_per_m
     for edge in part.edges.tolist():
         runs = sorted({run for run, _ in fused.edge_members[edge]})
         share = min(1.0, 4.0 / max(len(runs), 1))
@@ -209,11 +220,11 @@ def _fused(canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int])
             strands.setdefault((run, share), []).append(apply(T, beside))
     for (run, share), paths in sorted(strands.items()):
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
-        canvas.lines(paths, colour, LINE_PT * share, told=run)
+        canvas.lines(paths, colour, pen_pt * share, told=run)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
     xy = apply(T, fused.xy[part.vertices]) if len(part.vertices) else np.zeros((0, 2))
-    canvas.dots(xy[~shared], canvas.theme["single"], 3.0)
-    canvas.dots(xy[shared], canvas.theme["shared"], 4.5, order=4.0)
+    canvas.dots(xy[~shared], canvas.theme["single"], 1.4 * pen_pt)
+    canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=4.0)
 
 
 def draw_decision(
@@ -251,7 +262,7 @@ def _pair_keys(
     if links:
         keys.append(Key("wide line", theme["agrees"], "link that speaks for it"))
     if against:
-        keys.append(Key("cross", theme["against"], "what speaks against it"))
+        keys.append(Key("ring", theme["against"], "what speaks against it"))
     return keys
 
 
@@ -261,11 +272,13 @@ def _over(
     laid: Sequence[tuple[str, FloatArray]],
     theme: Theme,
     name: str,
+    *,
+    width_pt: float = WIDTH_PT,
 ) -> tuple[Canvas, list[Cell]]:
     """Map b over map a, once for each title and T_a_b."""
     points = [np.concatenate([a.xy, apply(T, b.xy)]) for _, T in laid]
     cells = arrange(points, [upright_rad(a.paths)] * len(laid), sheet_margin_m(points))
-    canvas = Canvas(*_extent(cells), theme, WIDTH_PT, name)
+    canvas = Canvas(*_extent(cells), theme, width_pt, name)
     _frames(canvas, cells, [title for title, _ in laid])
     for (_, T), cell in zip(laid, cells, strict=True):
         _own_map(canvas, a, cell.T_sheet_map, theme.run(0))
@@ -353,7 +366,8 @@ def draw_placements(
     if not laid:
         return _side_by_side(a, b, [f"{short(a.run)} and {short(b.run)}"], theme, name)
     titled = [(f"{t}: {shown_bits(x.evidence_bits)} bits", x.transform) for t, x in laid]
-    canvas, cells = _over(a, b, titled, theme, name)
+    width = WIDTH_PT if len(laid) > 1 else NARROW_PT
+    canvas, cells = _over(a, b, titled, theme, name, width_pt=width)
     matched = False
     for (_, alignment), cell in zip(laid, cells, strict=True):
         T_b = compose(cell.T_sheet_map, alignment.transform)

@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult
 from ..topology.se2 import compose
-from .sheet import ASPECT, Cell, arrange, sheet_margin_m, upright_rad
+from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, sheet_margin_m, upright_rad
 
 MOST_LEGENDS = 6
 """Up to this many components of several runs get a legend beside them."""
 
 MOST_NAMES = 16
 """Longest legend."""
+
+PAPER_MARGIN = 0.18
+"""Margin of a cell on paper, in extents of the usual map: a title has room in it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +50,11 @@ class Part:
         return runs[0] if len(runs) == 1 else f"{len(runs)} runs"
 
 
-def lay_out(result: MergeResult, *, legends: bool = True) -> list[Part]:
-    """All components on one sheet, those of many runs first; legends: leave room for them."""
+def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
+    """All components on one sheet, those of many runs first.
+
+    for_paper: without room for legends, and with margins that go by the usual map, not the largest.
+    """
     fused = result.fused
     order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
@@ -59,9 +65,15 @@ def lay_out(result: MergeResult, *, legends: bool = True) -> list[Part]:
         np.concatenate([fused.xy[rows].reshape(-1, 2), *lines])
         for rows, lines in zip(vertices, paths, strict=True)
     ]
-    room = _legends(order, points) if legends else [0.0] * len(order)
-    cells = arrange(points, [upright_rad(p) for p in paths], sheet_margin_m(points), room)
+    room = [0.0] * len(order) if for_paper else _legends(order, points)
+    margin = PAPER_MARGIN * _usual_extent(points) if for_paper else sheet_margin_m(points)
+    cells = arrange(points, [upright_rad(p) for p in paths], margin, room)
     return [Part(*row) for row in zip(order, cells, vertices, edges, room, strict=True)]
+
+
+def _usual_extent(points: list[NDArray[np.float64]]) -> float:
+    extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
+    return max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
 
 
 def _legends(order: list[Component], points: list[NDArray[np.float64]]) -> list[float]:
