@@ -180,6 +180,7 @@ class Canvas:
         **how: Any,
     ) -> None:
         """A text at a point [m]; one that has less room than it takes is shortened."""
+        text = legible(text)
         if room_m is not None:
             text = fitting(text, room_m * self.points_per_m, size_pt)
         # A name with two dollar signs is no formula.

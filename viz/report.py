@@ -155,7 +155,8 @@ def _figure(canvas: Canvas, about: str) -> str:
     """A drawing in the page; about: what a reader who cannot see it is told."""
     svg = canvas.as_bytes("svg").decode()
     large = ' class="large"' if canvas.width_pt > LARGE_PT else ""
-    return f'<figure{large} role="img" aria-label="{text(about)}">{svg[svg.index("<svg") :].strip()}</figure>'
+    drawn = svg[svg.index("<svg") :].strip()
+    return f'<figure{large} role="img" aria-label="{text(about)}">{drawn}</figure>'
 
 
 def _pictures(report: Report) -> str:
