@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 import sys
-from io import StringIO, TextIOWrapper
-from typing import Annotated, Any, cast
+from io import TextIOWrapper
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
@@ -67,6 +67,18 @@ def topobatch(
     """
 
 
+def _say_what_is_wrong(error: TyperException) -> None:
+    """A wrong call in one line, like every error; without arguments, the help."""
+    text = error.format_message()
+    if text.startswith("Usage:"):
+        say_lines(text.rstrip("\n"), err=True)
+        return
+    context = getattr(error, "ctx", None)
+    command = getattr(context, "command_path", "topobatch")
+    line = " ".join(text.split()).removesuffix(".")
+    complain(f"{line[:1].lower()}{line[1:]}; see `{command} --help`")
+
+
 def main() -> None:
     """Run the command line; the one place that turns errors into messages and exit codes."""
     for name in _THREADS:
@@ -77,9 +89,7 @@ def main() -> None:
     try:
         sys.exit(app(prog_name="topobatch", standalone_mode=False))
     except TyperException as error:
-        shown = StringIO()
-        cast(Any, error).show(file=shown)
-        say_lines(shown.getvalue().rstrip("\n"), err=True)
+        _say_what_is_wrong(error)
         sys.exit(error.exit_code)
     except TopobatchError as error:
         complain(str(error))

@@ -6,7 +6,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,7 +44,7 @@ class Workspace:
 
     def __post_init__(self) -> None:
         cache = self.root / "cache"
-        for folder in (self.maps, cache, cache / "ingest", self.root / "explain"):
+        for folder in (self.maps, cache, cache / "ingest", cache / "log", self.root / "explain"):
             self._require(folder, stat.S_IFDIR, "folder")
         self._require(self.root / ".lock", stat.S_IFREG, "file")
 
@@ -103,6 +103,10 @@ class Workspace:
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
+
+    def raw_log_rrd(self, run: str) -> Path:
+        """The log of a run as a recording; may be deleted at any time."""
+        return self.root / "cache" / "log" / f"{plain_name(run)}.log.rrd"
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""
@@ -170,6 +174,7 @@ class Workspace:
 
         if not make and not self.root.is_dir():
             raise self.no_maps()
+        new = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.root / ".lock")
         try:
@@ -182,7 +187,22 @@ class Workspace:
             yield
         finally:
             self._clear_left_overs()  # of worker processes that were stopped
+            if new:
+                self._remove_if_empty(new)
             lock.release()
+
+    def _remove_if_empty(self, new: Sequence[Path]) -> None:
+        """Take back a workspace that was made for nothing; new: the folders made for it, innermost
+        first. Called while the lock is held: whoever waits for it finds its file gone, and makes
+        another."""
+        record = self.ingest_record("x").parent
+        for folder in (self.maps, record, record.parent):
+            _remove_folder(folder)
+        with suppress(OSError):  # a file in use stays on some systems, and with it the workspace
+            if [path.name for path in self.root.iterdir()] == [".lock"]:
+                (self.root / ".lock").unlink()
+        for folder in new:
+            _remove_folder(folder)
 
     def _clear_left_overs(self) -> None:
         from ..topology.document import LEFT_OVER
@@ -191,6 +211,11 @@ class Workspace:
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+def _remove_folder(folder: Path) -> None:
+    with suppress(OSError):  # it is not there, or holds something
+        folder.rmdir()
 
 
 def shortened(names: Sequence[str], most: int = 12) -> str:

@@ -61,3 +61,14 @@ def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, explanation: Exp
     from .explain_recording import write
 
     write(path, a, b, explanation)
+
+
+def write_raw_log(path: Path, log: Path, run: str) -> None:
+    """Write a raw log, an MCAP file or a folder of them, as a recording that the viewer lays under
+    the map of its run: its topics lie below /log, and share the map's time.
+
+    Raises LogError if the viewer cannot read it, OSError if the file cannot be written.
+    """
+    from .raw_log import write
+
+    write(path, log, run)

@@ -353,3 +353,24 @@ def test_folders_deeper_than_the_stack(topobatch, logs, tmp_path, monkeypatch):
     # What removes folders is not as patient.
     os.rename(tmp_path / "d", tmp_path / "left")
     subprocess.run(["rm", "-rf", str(tmp_path / "left")], check=True)
+
+
+def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"junk")
+    new = tmp_path / "a" / "b"
+    assert topobatch("ingest", junk, "-w", new).code == 1
+    assert not (tmp_path / "a").exists()
+    new.mkdir(parents=True)  # one that was there stays
+    assert topobatch("ingest", junk, "-w", new).code == 1
+    assert new.is_dir()
+
+
+def test_an_ingest_that_fails_takes_nothing_away(topobatch, logs, tmp_path):
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"junk")
+    place = tmp_path / "ws"
+    assert topobatch("ingest", junk, logs["mcap"], "-w", place).code == 1
+    assert len(list((place / "maps").glob("*.json"))) == 1
+    assert topobatch("ingest", junk, "-w", place).code == 1
+    assert len(list((place / "maps").glob("*.json"))) == 1
