@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..topology.document import FARTHEST_M
 from ..topology.passes import NO_BRANCH
@@ -50,7 +51,7 @@ def _fused(document: MergedDocument) -> FusedMap:
     if np.any(np.abs(xy) > FARTHEST_M):
         raise ValueError(f"a node lies farther than {FARTHEST_M / 1000:.0f} km from its origin")
     branches = Ragged.from_rows(node.branches for node in nodes)
-    ends = {}
+    ends: dict[str, NDArray[np.int64]] = {}
     for name in ("source", "target"):
         vertex = np.array([getattr(e, name) for e in edges], np.int64)
         if np.any(vertex >= len(nodes)):

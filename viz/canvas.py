@@ -16,7 +16,7 @@ from math import ceil, floor, log10
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rcdefaults, rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -50,12 +50,11 @@ TALLEST = 1.6
 
 PNG_DPI = 150
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     # The same drawing is the same bytes: ids of clips and markers come from this, not from chance.
     "svg.hashsalt": "topobatch",
     # Words stay words: they can be found, copied and read aloud, and need no outlines.
     "svg.fonttype": "none",
-    "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
     "path.simplify": False,
 }
@@ -184,7 +183,13 @@ class Canvas:
         if room_m is not None:
             text = fitting(text, room_m * self.points_per_m, size_pt)
         # A name with two dollar signs is no formula.
-        shown = {"ha": "center", "va": "center", "zorder": 6.0, "parse_math": False} | how
+        shown = {
+            "ha": "center",
+            "va": "center",
+            "zorder": 6.0,
+            "parse_math": False,
+            "fontfamily": "sans-serif",
+        } | how
         self._axes.text(
             *at, text, fontsize=size_pt, color=colour or self.theme["ink"], clip_on=False, **shown
         )
@@ -274,6 +279,7 @@ class Canvas:
             color=self.theme["ink"],
             va="center_baseline",
             parse_math=False,
+            fontfamily="sans-serif",
         )
 
     def _mark(self, page: Any, key: Key, x: float, y: float) -> None:
@@ -299,16 +305,18 @@ class Canvas:
     def as_bytes(self, form: Format) -> bytes:
         """The finished drawing as a file: the same for the same drawing."""
         out = io.BytesIO()
-        with rc_context(_STYLE), warnings.catch_warnings():
+        with rc_context(), warnings.catch_warnings():
+            rcdefaults()  # whatever else the process or its user has set
+            rcParams.update(_STYLE)
             # Letters that the font of a .png lacks are shown as boxes; browsers have others.
             warnings.filterwarnings("ignore", message="Glyph .* missing from")
             if form == "png":
                 self.figure.set_dpi(PNG_DPI)
-                FigureCanvasAgg(self.figure).print_png(out, metadata={"Software": "topobatch"})
+                agg: Any = FigureCanvasAgg(self.figure)
+                agg.print_png(out, metadata={"Software": "topobatch"})
                 return out.getvalue()
-            FigureCanvasSVG(self.figure).print_svg(
-                out, metadata={"Date": None, "Creator": "topobatch"}
-            )
+            vector: Any = FigureCanvasSVG(self.figure)
+            vector.print_svg(out, metadata={"Date": None, "Creator": "topobatch"})
         return self._tidied(out.getvalue())
 
     def _tidied(self, svg: bytes) -> bytes:
@@ -329,7 +337,8 @@ class Canvas:
                 title = ET.Element(f"{{{_SVG}}}title")
                 title.text = legible(told)
                 node.insert(0, title)
-        return ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+        text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+        return text + b"\n"
 
 
 _NUMBER = re.compile(r"-?\d+\.\d+")
