@@ -103,7 +103,9 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         _refuse_other_log(job, name, doc)
     writes: dict[Path, Callable[[Path], object]] = {}
     for m in maps:
-        drawn = partial(write_map_recording, topomap=m, odometry=run.odometry)
+        drawn = partial(
+            write_map_recording, topomap=m, odometry=run.odometry, detections=run.detections
+        )
         writes[job.place.map_rrd(m.run)] = drawn
         writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
     write_together(writes)
