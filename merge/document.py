@@ -79,7 +79,30 @@ _EVIDENCE = (
 )
 
 
-class RunnerUp(Model):
+class Contradiction(Model):
+    """Where a sentence of `contradictions` lies: the junctions of the two runs that it speaks of, a
+    corridor as its two ends."""
+
+    a: list[Index]
+    b: list[Index]
+
+
+class Contradicted(Model):
+    """What speaks against an alignment."""
+
+    contradictions: list[str] = Field(default_factory=list)
+    contradicting: list[Contradiction] = Field(
+        default_factory=list, description="One for each of the contradictions, where known."
+    )
+
+    @model_validator(mode="after")
+    def _one_for_each(self) -> Contradicted:
+        if self.contradicting and len(self.contradicting) != len(self.contradictions):
+            raise ValueError("contradicting must be as many as contradictions")
+        return self
+
+
+class RunnerUp(Contradicted):
     """The next best alignment and its evidence."""
 
     transform: Pose
@@ -87,7 +110,6 @@ class RunnerUp(Model):
     matched: list[tuple[Index, Index]]
     corridors: Index = 0
     rmse_m: Finite = 0.0
-    contradictions: list[str] = Field(default_factory=list)
 
 
 class Placed(Model):
@@ -98,7 +120,7 @@ class Placed(Model):
     sigma_rad: Finite
 
 
-class MergeEntry(Model):
+class MergeEntry(Contradicted):
     """What is said about one pair of runs."""
 
     a: str
@@ -146,7 +168,6 @@ class MergeEntry(Model):
     matched: list[tuple[Index, Index]] | None = None
     corridors: Index = 0
     rmse_m: Finite = 0.0
-    contradictions: list[str] = Field(default_factory=list)
     runner_up: RunnerUp | None = None
     placed: Placed | None = None
     transform_sigma: Placed | None = None
@@ -193,7 +214,13 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
         "corridors": alignment.corridors,
         "rmse_m": rounded(alignment.rmse_m, METRES),
         "contradictions": list(alignment.contradictions),
+        **_contradicting(alignment),
     }
+
+
+def _contradicting(alignment: Alignment) -> dict[str, Any]:
+    found = [{"a": list(a), "b": list(b)} for a, b in alignment.contradicting]
+    return {"contradicting": found} if found else {}
 
 
 def _sigmas(placed: tuple[float, float]) -> dict[str, float]:
@@ -343,6 +370,7 @@ def _alignment_from(
         rmse_m=entry.rmse_m,
         corridors=entry.corridors,
         contradictions=tuple(entry.contradictions),
+        contradicting=tuple((tuple(c.a), tuple(c.b)) for c in entry.contradicting),
     )
 
 

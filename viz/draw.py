@@ -14,7 +14,7 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key
 from .drawing import bounds, branch_arrows, driven_branches, ribbon
-from .parts import Part, lay_out
+from .parts import Part, lay_out, ranks
 from .placements import placements
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .theme import Theme
@@ -120,11 +120,6 @@ def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatAr
             middle = heading[k] + gaps[k] / 2
         out[i] += away_m * np.array([np.cos(middle), np.sin(middle)])
     return out
-
-
-def ranks(result: MergeResult) -> dict[str, int]:
-    """The rank of each run among those of its component; colours go by it."""
-    return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
 
 
 def draw_merged(

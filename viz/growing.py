@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from . import palette
 from .palette import Colours
-from .recording import PathParts, Recording
+from .recording import JOIN, PathParts, Recording
 
 MOST_CELLS = 400_000
 """Colours logged for one entity at most, of 4 bytes each: where a thing for every time would take
@@ -32,11 +32,45 @@ def light_up(
     One entity and one row for each change: what is pointed at is always the same thing.
     """
     times = _rows(when_ns, begin_ns)
-    lit = when_ns[None, :] <= times[:, None]
-    rows = np.where(lit[:, :, None], colours[None], np.array(dim, np.uint8)[None, None])
-    flat = rows.reshape(-1, 3).astype(np.uint8)
-    columns = archetype.columns(colors=flat).partition([len(when_ns)] * len(times))
-    recording.over_time(path, times, columns)
+    recording.over_time(path, times, colour_columns(archetype, _lit(times, when_ns, colours, dim)))
+
+
+def light_up_by_step(
+    recording: Recording,
+    path: PathParts,
+    archetype: Any,
+    when: NDArray[np.int64],
+    colours: Colours,
+    *,
+    steps: NDArray[np.int64] | None = None,
+    now: tuple[int, int, int] | None = None,
+    dim: tuple[int, int, int] = palette.UNLIT,
+) -> None:
+    """The same on the timeline JOIN, from step 0 on: things that are never dim have when = 0.
+    steps: further numbers at which a row stands; now: colour of what lights up at the cursor."""
+    more = [when + 1] if now is not None else []
+    numbers = np.unique(np.concatenate([[0], when, *more, *([] if steps is None else [steps])]))
+    rows = _lit(numbers, when, colours, dim)
+    if now is not None:
+        rows[numbers[:, None] == when[None, :]] = now
+    recording.over_steps(path, JOIN, numbers, colour_columns(archetype, rows))
+
+
+def _lit(
+    times: NDArray[np.int64],
+    when: NDArray[np.int64],
+    colours: Colours,
+    dim: tuple[int, int, int],
+) -> NDArray[np.uint8]:
+    """(times, things, 3) colours."""
+    lit = (when[None, :] <= times[:, None])[:, :, None]
+    return np.where(lit, colours[None], np.array(dim, np.uint8)[None, None]).astype(np.uint8)
+
+
+def colour_columns(archetype: Any, rows: NDArray[np.uint8]) -> Any:
+    """(times, things, 3) colours as columns to log."""
+    times, things = rows.shape[:2]
+    return archetype.columns(colors=rows.reshape(-1, 3)).partition([things] * times)
 
 
 def _rows(when_ns: NDArray[np.int64], begin_ns: int | None) -> NDArray[np.int64]:

@@ -46,7 +46,7 @@ GRAPH_CORRIDOR = 90.0
 TRAIL_S, DETECTION_S = 60.0, 0.3
 """So long behind the cursor the robot's trail and its detections are shown."""
 
-FIRST_RING, RING_STEP, MOST_RINGS = 3.6, 0.7, 8
+FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
 """Radii, in pens, of the rings round a junction, one for each accepted closure."""
 
 _CIRCLE = np.stack(
@@ -231,7 +231,7 @@ def _closures(
         elif u != v:
             name = "accepted" if question.closure.accepted else "refused"
             groups[name].append((question, topomap.xy[[u, v]]))
-    for name, colour in (("accepted", palette.MERGED), ("refused", palette.REFUSED)):
+    for name, colour in (("accepted", palette.CLOSED), ("refused", palette.REFUSED)):
         drawn = groups[name]
         if drawn:
             path = (*MAP, "closures", name)
@@ -252,7 +252,7 @@ def _closure_lines(
     recording.static(
         path,
         rr.LineStrips2D.from_fields(
-            strips=[line for _, line in drawn], radii=rr.Radius.ui_points(1.0), draw_order=6.0
+            strips=[line for _, line in drawn], radii=rr.Radius.ui_points(0.75), draw_order=1.0
         ),
         rr.AnyValues(
             closure=[q.told for q, _ in drawn],

@@ -121,9 +121,7 @@ def _legend(topomap: TopoMap, shown: Shown) -> str:
             "**Violet** dots: raw detections; those at the cursor are stars, a ray for each branch."
         )
     if shown.accepted:
-        lines.append(
-            "**Green** rings: closures; one for each visit in which the junction was recognised."
-        )
+        lines.append("**Green** rings: closures; one for each time that it was recognised.")
     if shown.refused:
         lines.append("**Red** lines (hidden at first): two junctions that were not taken for one.")
     reading = [

@@ -9,13 +9,23 @@ from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult
 from ..topology.se2 import compose
+from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, sheet_margin_m, upright_rad
 
 MOST_LEGENDS = 6
 """Up to this many components of several runs get a legend beside them."""
 
-MOST_NAMES = 16
+MOST_NAMES = 24
 """Longest legend."""
+
+LEGEND_LINES = 26
+"""A sheet as high as its view has room for this many lines of text."""
+
+FEW, FLEET_MARGIN = 12, 0.22
+"""Up to so many maps have margins by the largest of them, more by the usual one."""
+
+TITLE_SHARE = 0.02
+"""Height of a title over the width of a view."""
 
 PAPER_MARGIN = 0.18
 """Margin of a cell on paper, in extents of the usual map: a title has room in it."""
@@ -65,10 +75,43 @@ def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
         np.concatenate([fused.xy[rows].reshape(-1, 2), *lines])
         for rows, lines in zip(vertices, paths, strict=True)
     ]
-    room = [0.0] * len(order) if for_paper else _legends(order, points)
-    margin = PAPER_MARGIN * _usual_extent(points) if for_paper else sheet_margin_m(points)
-    cells = arrange(points, [upright_rad(p) for p in paths], margin, room)
+    turns = [upright_rad(p) for p in paths]
+    usual_m = _usual_extent(points)
+    margin = _fleet_margin_m(points) if len(order) > FEW else sheet_margin_m(points)
+    room = [0.0] * len(order)
+    if for_paper:
+        cells = arrange(points, turns, PAPER_MARGIN * usual_m)
+    else:
+        room = _legends(order, points)
+        cells = arrange(points, turns, margin, room)
+        if not _legends_fit(order, cells, room):
+            room = [0.0] * len(order)
+            cells = arrange(points, turns, margin)
     return [Part(*row) for row in zip(order, cells, vertices, edges, room, strict=True)]
+
+
+def _fleet_margin_m(points: list[NDArray[np.float64]]) -> float:
+    """By the usual map, and so that a title has room above a map where the sheet fills a view."""
+    usual_m = FLEET_MARGIN * _usual_extent(points)
+    area = sum(float(np.prod(np.ptp(p, axis=0) + 2 * usual_m)) for p in points if len(p))
+    return max(usual_m, TITLE_SHARE * float(np.sqrt(ASPECT * area)))
+
+
+def _legends_fit(order: list[Component], cells: list[Cell], room: list[float]) -> bool:
+    """Is every legend as high as its cell at most?"""
+    step_m = legend_step_m(cells)
+    return all(
+        step_m * len(c.poses) <= cell.high[1] - cell.low[1]
+        for c, cell, legend in zip(order, cells, room, strict=True)
+        if legend > 0
+    )
+
+
+def legend_step_m(cells: list[Cell]) -> float:
+    """The distance of two lines of a legend, on a sheet that fills its view [m]."""
+    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
+    width, height = np.ptp(corners, axis=0)
+    return float(max(width / ASPECT, height)) / LEGEND_LINES
 
 
 def _usual_extent(points: list[NDArray[np.float64]]) -> float:
@@ -97,3 +140,18 @@ def _legend_share(component: Component) -> float:
 def pose_on_sheet(part: Part, run: str) -> NDArray[np.float64]:
     """(3,) T_sheet_run: where a run's own map lies on the sheet."""
     return compose(part.cell.T_sheet_map, part.component.poses[run])
+
+
+def ranks(result: MergeResult) -> dict[str, int]:
+    """The rank of each run among those of its component; colours go by it."""
+    return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
+
+
+def colours_of(result: MergeResult) -> dict[str, tuple[int, int, int]]:
+    """The viewer's colour of each run; runs that were merged with none are grey."""
+    rank = ranks(result)
+    return {
+        run: palette.of_rank(rank[run]) if len(c.poses) > 1 else palette.SINGLE
+        for c in result.components
+        for run in c.poses
+    }

@@ -190,12 +190,14 @@ def _pictures(report: Report) -> str:
 
 
 def _undecided(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
-    return (
-        pair.standing in (Standing.AMBIGUOUS, Standing.KEPT_OUT)
-        and pair.best is not None
-        and pair.a in maps
-        and pair.b in maps
-    )
+    """Is the pair open, and can it be drawn: on maps as they were when it was decided?"""
+    if pair.standing not in (Standing.AMBIGUOUS, Standing.KEPT_OUT) or pair.best is None:
+        return False
+    if pair.a not in maps or pair.b not in maps:
+        return False
+    sizes = np.array([len(maps[pair.a]), len(maps[pair.b])])
+    placed = [x for x in (pair.best, pair.runner_up) if x is not None]
+    return all(np.all((x.matched >= 0) & (x.matched < sizes)) for x in placed)
 
 
 def _told(pair: PairVerdict) -> str:

@@ -35,7 +35,7 @@ from .verdict import (
     opinion,
     repetition_level,
 )
-from .wording import contradictions, nothing, summary
+from .wording import contradicting, contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
 """The repetition of a batch is that of the map at this quantile: most maps repeat, or few do."""
@@ -397,4 +397,5 @@ def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
         contradictions=contradictions(c, a, b),
+        contradicting=contradicting(c, a, b),
     )
