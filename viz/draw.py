@@ -132,7 +132,7 @@ def draw_merged(
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = Canvas(low, high, theme, width, name)
     rank = ranks(result)
-    _frames(canvas, [part.cell for part in parts], [_title(part) for part in parts])
+    _frames(canvas, [part.cell for part in parts], [part.title for part in parts])
     pen = _pen_pt(canvas, result.fused)
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
@@ -146,12 +146,6 @@ def draw_merged(
     title = f"{_counted(runs, 'run')} in {_counted(len(result.components), 'component')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
     return canvas
-
-
-def _title(part: Part) -> str:
-    if len(part.component.poses) == 1:
-        return part.short_title
-    return f"component {part.component.id}: {part.title}"
 
 
 def _merged_keys(

@@ -55,9 +55,9 @@ class Part:
 
     @property
     def short_title(self) -> str:
-        """The run's name, or how many runs there are."""
+        """The run's name, or the component's and how many runs there are."""
         runs = list(self.component.poses)
-        return runs[0] if len(runs) == 1 else f"{len(runs)} runs"
+        return runs[0] if len(runs) == 1 else f"component {self.component.id}: {len(runs)} runs"
 
 
 def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
