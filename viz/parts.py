@@ -99,6 +99,8 @@ def _fleet_margin_m(points: list[NDArray[np.float64]]) -> float:
 
 def _legends_fit(order: list[Component], cells: list[Cell], room: list[float]) -> bool:
     """Is every legend as high as its cell at most?"""
+    if not any(room):
+        return True
     step_m = legend_step_m(cells)
     return all(
         step_m * len(c.poses) <= cell.high[1] - cell.low[1]
