@@ -178,15 +178,12 @@ def _junctions(
                 ", ".join(f"{h:.0f}" for h in np.degrees(topomap.branches[i])) for i in range(n)
             ],
             passes=passes,
-            **_sigma(topomap),
         ),
     )
+    if topomap.position_sigma is not None:
+        recording.static(path, rr.AnyValues(position_sigma_m=topomap.position_sigma))
     colours = palette.by_degree(topomap.degree)
     light_up(recording, path, rr.Points2D, known.vertex_ns, colours, begin_ns=begin_ns)
-
-
-def _sigma(topomap: TopoMap) -> dict[str, NDArray[np.float64]]:
-    return {} if topomap.position_sigma is None else {"position_sigma_m": topomap.position_sigma}
 
 
 def _on_graph(topomap: TopoMap) -> NDArray[np.float64]:

@@ -32,7 +32,7 @@ def joining_steps(result: MergeResult) -> list[Step]:
     inside = [p for p in result.verdicts if p.accepted and home.get(p.a) == home.get(p.b)]
     inside = [p for p in inside if p.a in home]
     alone = [p for p in inside if p.accepted_by != "components"]
-    steps = []
+    steps: list[Step] = []
     for pair in sorted(alone, key=_strength):
         steps += groups.joined(pair)
     waiting = sorted((p for p in inside if p.accepted_by == "components"), key=_strength)

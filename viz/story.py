@@ -50,7 +50,8 @@ def write_story(
     def middle(run: str) -> NDArray[np.float64]:
         own = maps[run].xy
         at = own.mean(axis=0) if len(own) else np.zeros(2)
-        return apply(pose_on_sheet(parted[run], run), at[None])[0]
+        placed: NDArray[np.float64] = apply(pose_on_sheet(parted[run], run), at[None])[0]
+        return placed
 
     path = (root, "joins")
     recording.static(
