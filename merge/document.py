@@ -83,8 +83,8 @@ class Contradiction(Model):
     """Where a sentence of `contradictions` lies: the junctions of the two runs that it speaks of, a
     corridor as its two ends."""
 
-    a: list[Index]
-    b: list[Index]
+    a: list[Index] = Field(min_length=1, max_length=2)
+    b: list[Index] = Field(min_length=1, max_length=2)
 
 
 class Contradicted(Model):

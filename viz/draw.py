@@ -12,10 +12,10 @@ from ..merge.decision_text import because, headline, missing, short
 from ..merge.result import Alignment, FusedMap, MergeResult, PairVerdict, shown_bits
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
-from .canvas import SMALL_PT, TEXT_PT, Canvas, Key
+from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
 from .drawing import bounds, branch_arrows, driven_branches, ribbon
 from .parts import Part, lay_out, ranks
-from .placements import placements
+from .placements import contradiction_spots, placements
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .theme import Theme
 
@@ -132,7 +132,7 @@ def draw_merged(
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = Canvas(low, high, theme, width, name)
     rank = ranks(result)
-    _frames(canvas, [part.cell for part in parts], [part.title for part in parts])
+    _frames(canvas, [part.cell for part in parts], [_title(canvas, part) for part in parts])
     pen = _pen_pt(canvas, result.fused)
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
@@ -146,6 +146,12 @@ def draw_merged(
     title = f"{_counted(runs, 'run')} in {_counted(len(result.components), 'component')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
     return canvas
+
+
+def _title(canvas: Canvas, part: Part) -> str:
+    """The long title where there is room for it."""
+    room = (part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
+    return part.title if width_of(part.title, TEXT_PT) < room else part.short_title
 
 
 def _merged_keys(
@@ -357,12 +363,16 @@ def draw_placements(
     titled = [(f"{t}: {shown_bits(x.evidence_bits)} bits", x.transform) for t, x in laid]
     width = WIDTH_PT if len(laid) > 1 else NARROW_PT
     canvas, cells = _over(a, b, titled, theme, name, width_pt=width)
-    matched = False
+    matched = against = False
     for (_, alignment), cell in zip(laid, cells, strict=True):
         T_b = compose(cell.T_sheet_map, alignment.transform)
         xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
         matched |= _ties(canvas, alignment, xy)
+        for spot in contradiction_spots(alignment, *xy):
+            ink = canvas.theme["against"]
+            canvas.dots(spot.xy[None], ink, 9.0, order=5.0, ring=True, told=spot.told)
+            against = True
     canvas.finish(
-        [], [_pair_keys(theme, a.run, b.run, matched=matched, links=False, against=False)]
+        [], [_pair_keys(theme, a.run, b.run, matched=matched, links=False, against=against)]
     )
     return canvas

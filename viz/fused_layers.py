@@ -13,10 +13,11 @@ from ..merge.result import FusedMap, MergeResult
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .contradictions import Spot, contradiction_spots, write_contradictions
+from .contradictions import write_contradictions
 from .drawing import branch_arrows, driven_branches, pen_m, ribbon
 from .growing import colour_columns, light_up_by_step
 from .parts import Part, legend_step_m
+from .placements import Spot, contradiction_spots
 from .recording import JOIN, UP, PathParts, Recording, placed
 from .sheet import ASPECT, Cell
 from .steps import Step, first_steps

@@ -12,9 +12,10 @@ from ..merge.result import MergeResult, PairVerdict, shown_bits
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .contradictions import contradiction_spots, write_contradictions
+from .contradictions import write_contradictions
 from .drawing import pen_m
 from .fused_layers import write_cards, write_own_map
+from .placements import contradiction_spots
 from .recording import UP, PathParts, Recording, placed
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .verdicts import (

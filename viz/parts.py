@@ -27,8 +27,9 @@ FEW, FLEET_MARGIN = 12, 0.22
 TITLE_SHARE = 0.02
 """Height of a title over the width of a view."""
 
-PAPER_MARGIN = 0.18
-"""Margin of a cell on paper, in extents of the usual map: a title has room in it."""
+PAPER_MARGIN, ALONE_MARGIN = 0.18, 0.04
+"""Margin of a cell on paper, in extents of the usual map: a title has room in it; of a map that is
+the only one, which has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,8 @@ def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
     margin = _fleet_margin_m(points) if len(order) > FEW else sheet_margin_m(points)
     room = [0.0] * len(order)
     if for_paper:
-        cells = arrange(points, turns, PAPER_MARGIN * usual_m)
+        share = PAPER_MARGIN if len(order) > 1 else ALONE_MARGIN
+        cells = arrange(points, turns, share * usual_m)
     else:
         room = _legends(order, points)
         cells = arrange(points, turns, margin, room)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..merge.decision import Decision, Placement
 from ..merge.decision_text import listed
-from ..merge.result import shown_bits
+from ..merge.result import Alignment, shown_bits
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from .sheet import upright_rad
@@ -64,3 +64,23 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
     drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * extent
     away = np.array([ASIDE * extent, drop, 0.0])
     return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spot:
+    """A contradiction: where it lies (2,) and what it says."""
+
+    xy: FloatArray
+    told: str
+
+
+def contradiction_spots(alignment: Alignment, of_a: FloatArray, of_b: FloatArray) -> list[Spot]:
+    """Every contradiction of an alignment whose junctions are known, in the frame of the given
+    positions of both maps' junctions, (n, 2) each: at the junction that the other run did not see,
+    or amid corridors that cross."""
+    spots = []
+    for told, (a, b) in zip(alignment.contradictions, alignment.contradicting, strict=False):
+        alone = [of[list(ends)] for of, ends in ((of_a, a), (of_b, b)) if len(ends) == 1]
+        both = [of_a[list(a)], of_b[list(b)]]
+        spots.append(Spot(np.concatenate(alone or both).mean(axis=0), told))
+    return spots

@@ -197,7 +197,8 @@ def _undecided(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
         return False
     sizes = np.array([len(maps[pair.a]), len(maps[pair.b])])
     placed = [x for x in (pair.best, pair.runner_up) if x is not None]
-    return all(np.all((x.matched >= 0) & (x.matched < sizes)) for x in placed)
+    named = [np.array([(max(a), max(b))]) for x in placed for a, b in x.contradicting if a and b]
+    return all(np.all((n >= 0) & (n < sizes)) for n in (*(x.matched for x in placed), *named))
 
 
 def _told(pair: PairVerdict) -> str:
@@ -227,7 +228,8 @@ def _matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
                 cells[pair.standing].append(f"M{x} {y}h1v1h-1z")
         if n <= MOST_NUMBERS:
             bits = shown_bits(pair.evidence_bits)
-            numbers.append(_label(j + 0.5, i + 0.62, bits, "middle", size=0.26))
+            kind = STANDINGS.index(str(pair.standing))
+            numbers.append(_label(j + 0.5, i + 0.6, bits, "middle", size=0.26, look=f"s{kind}"))
     drawn = [f'<rect width="{n}" height="{n}" fill="var(--v{STANDINGS.index("unrelated")})"/>']
     drawn += [
         f'<path d="{"".join(paths)}" fill="var(--v{STANDINGS.index(str(standing))})"/>'
@@ -248,12 +250,12 @@ def _matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
     legend = "".join(
         f'<span><i class="swatch" style="background:var(--v{k})"></i>{text(name)}</span>'
         for k, name in enumerate(STANDINGS)
-        if name == "unrelated" or cells[Standing(name)]
+        if any(pair.standing == name for pair in result.verdicts)
     )
+    framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
     numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
     return (
-        "<h2>Verdicts</h2><p>Every pair of runs, the runs of a component together and framed."
-        f"{numbered}</p>"
+        f"<h2>Verdicts</h2><p>Every pair of runs{framed}.{numbered}</p>"
         f'<div class="legend">{legend}</div><div id="matrix">'
         f'<svg viewBox="{-left:.2f} -0.2 {n + left + 0.2:.2f} {n + 0.4:.2f}" role="img" '
         f'aria-label="verdict of every pair">{"".join(drawn)}'
@@ -276,12 +278,10 @@ def _frame(k: int, size: int) -> str:
     return f'<rect class="frame" x="{k}" y="{k}" width="{size}" height="{size}"/>'
 
 
-def _label(x: float, y: float, words: str, anchor: str, *, size: float) -> str:
+def _label(x: float, y: float, words: str, anchor: str, *, size: float, look: str = "") -> str:
     short = words if len(words) <= 24 else f"{words[:12]}…{words[-11:]}"
-    return (
-        f'<text x="{x:.2f}" y="{y:.2f}" font-size="{size:.2f}" text-anchor="{anchor}">'
-        f"{text(short)}</text>"
-    )
+    place = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:.2f}" text-anchor="{anchor}"'
+    return f'<text class="{look}" {place}>{text(short)}</text>'
 
 
 def _pairs(report: Report) -> str:

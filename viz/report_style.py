@@ -13,6 +13,9 @@ VERDICT_COLOURS = {
 }
 """Light and dark colour of every standing of a pair."""
 
+DARK_UNDER_LIGHT_WORDS = ("joined through others", "unrelated")
+"""Standings on whose colour, in the dark, words are light; on all others they are dark."""
+
 _CSS = """
 *{box-sizing:border-box}
 body{margin:0;font:15px/1.5 system-ui,"DejaVu Sans",sans-serif;background:var(--c0);color:var(--c1)}
@@ -50,6 +53,11 @@ pre{overflow-x:auto;font-size:.8rem}
 #matrix{position:relative;max-width:48rem}
 #matrix svg{width:100%;height:auto;display:block;touch-action:manipulation}
 #matrix text{fill:var(--c1)}
+#matrix text.s0{fill:var(--t0)}
+#matrix text.s1{fill:var(--t1)}
+#matrix text.s2{fill:var(--t2)}
+#matrix text.s3{fill:var(--t3)}
+#matrix text.s4{fill:var(--t4)}
 #told{min-height:4.2em;margin:.5rem 0;overflow-wrap:anywhere}
 .frame{fill:none;stroke:var(--c2);stroke-width:1.5;vector-effect:non-scaling-stroke}
 #spot{fill:none;stroke:var(--c1);stroke-width:2;vector-effect:non-scaling-stroke;
@@ -108,7 +116,12 @@ def style_sheet(runs: int) -> str:
     def themed(k: int) -> str:
         inks = css_variables((LIGHT, DARK)[k], runs)
         pairs = ";".join(f"--v{i}:{both[k]}" for i, both in enumerate(VERDICT_COLOURS.values()))
-        return f"{inks};{pairs};color-scheme:{('light', 'dark')[k]}"
+        words = (
+            (DARK if k and name in DARK_UNDER_LIGHT_WORDS else LIGHT)["ink"]
+            for name in VERDICT_COLOURS
+        )
+        shown = ";".join(f"--t{i}:{word}" for i, word in enumerate(words))
+        return f"{inks};{pairs};{shown};color-scheme:{('light', 'dark')[k]}"
 
     return (
         f":root{{{themed(0)}}}"

@@ -1,4 +1,5 @@
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import pytest
 
@@ -105,3 +106,13 @@ def test_a_pair_with_nothing_alike_is_drawn_side_by_side(make_map) -> None:
     texts, _ = seen(draw_decision(make_map("a/1"), make_map("b"), told, LIGHT))
     assert {"a/1", "b"} <= set(texts)
     assert "matched junctions, tied" not in texts
+
+
+def test_contradictions_of_a_placement_are_ringed(make_map, merge_of) -> None:
+    result, (one, two) = merge_of([["a"], ["b"]], [("a", "b")])
+    (pair,) = result.verdicts
+    told = "junction 3 of b falls inside corridor 0 to 1 of a, unseen there"
+    best = replace(pair.best, contradictions=(told,), contradicting=(((0, 1), (3,)),))
+    texts, titles = seen(draw_placements(one, two, replace(pair, best=best), LIGHT))
+    assert told in titles
+    assert "what speaks against it" in texts

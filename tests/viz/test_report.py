@@ -6,6 +6,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from topobatch.merge.result import Standing
@@ -112,6 +113,19 @@ def test_a_run_that_the_merge_left_out_is_told(merge_of, make_map) -> None:
     result, maps = merge_of([["a", "b"]])
     html = page_of(result, [*maps, make_map("late")])
     assert "Not in the last merge: late" in html
+
+
+def test_a_pair_decided_on_maps_that_have_changed_is_told_but_not_drawn(merge_of) -> None:
+    result, maps = merge_of([["a"], ["b"]], [("a", "b")])
+    (pair,) = result.verdicts
+    for part in (
+        {"matched": np.array([[0, 99]])},
+        {"contradictions": ("x",), "contradicting": (((99,), (0, 1)),)},
+    ):
+        other = replace(pair, best=replace(pair.best, **part))
+        html = page_of(replace(result, verdicts=(other,)), maps)
+        assert "<h2>Undecided" not in html
+        assert "two ways" in html
 
 
 def test_the_page_of_a_large_fleet_stays_small(merge_of) -> None:
