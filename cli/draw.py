@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -49,6 +50,7 @@ def draw(
       topobatch draw run1:run2 why.svg
     """
     form = format_of(out)
+    quiet_fonts()
     from ..topology.document import write_atomically
     from ..viz.theme import DARK, LIGHT
 
@@ -56,6 +58,11 @@ def draw(
     data = canvas.as_bytes(form)
     write_atomically(out, lambda temporary: temporary.write_bytes(data))
     say(f"{out}")
+
+
+def quiet_fonts() -> None:
+    """Keep to itself what matplotlib logs of its caches: where a home cannot be written, say."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 def format_of(out: Path) -> Format:

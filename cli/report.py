@@ -9,7 +9,7 @@ import typer
 
 from .. import __version__
 from ..topology.errors import DocumentError, UsageError
-from .draw import read_result
+from .draw import quiet_fonts, read_result
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
 from .output import complain, say
 from .workspace import MERGED, Workspace
@@ -48,6 +48,7 @@ def report(
         raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
     if not place.runs():
         raise place.no_maps()
+    quiet_fonts()
     from ..topology.document import write_atomically
     from ..viz.report import Report, report_page
 
