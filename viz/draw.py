@@ -24,6 +24,9 @@ FloatArray = NDArray[np.float64]
 MOST_NUMBERS = 150
 """Above this many junctions their numbers hide more than they tell."""
 
+MOST_TOLD = 3000
+"""Above this many corridors or junctions they are drawn together, and do not tell their numbers."""
+
 NARROW_PT, WIDTH_PT, WIDEST_PT = 420.0, 720.0, 1440.0
 COMPONENT_PT = 110.0
 """Maps of a merge are given about this much width each, between the two widths above."""
@@ -59,7 +62,11 @@ def _counted(number: int, noun: str, plural: str = "") -> str:
 def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     """Corridors, the wider the more often they were driven; each says what it is."""
     colour = canvas.theme["corridor"]
-    for i, path in enumerate(m.paths):
+    if len(m.source) > MOST_TOLD:
+        for times in (1, 2, 3, 4):
+            rows = np.flatnonzero(np.clip(m.traversals, 1, 4) == times).tolist()
+            canvas.lines([apply(T, m.paths[i]) for i in rows], colour, LINE_PT * _widening(times))
+    for i, path in enumerate(m.paths if len(m.source) <= MOST_TOLD else ()):
         times = int(m.traversals[i])
         told = (
             f"corridor {m.source[i]} to {m.target[i]}: "
@@ -96,7 +103,9 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
         if len(rows) == 0:
             continue
         colour, size = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
-        for i in rows.tolist():
+        if len(m) > MOST_TOLD:
+            canvas.dots(xy[rows], colour, size)
+        for i in rows.tolist() if len(m) <= MOST_TOLD else ():
             sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
             times = _counted(int(passes[i]), "pass", "passes")
             told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}"
