@@ -383,7 +383,7 @@ def _drift_view(track: RobotTrack) -> rrb.TimeSeriesView:
         origin="/drift",
         name="Drift [m]",
         axis_x=rrb.TimeAxis(view_range=_ALL_TIMES),
-        axis_y=rrb.ScalarAxis(range=(0.0, 1.2 * max(float(track.drift_m.max()), 0.1))),
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.8 * max(float(track.drift_m.max()), 0.1))),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
     )
 
