@@ -14,6 +14,9 @@ from ..topology.ragged import Ragged
 from .document import MergedDocument, MergeEntry, verdict_from_entry
 from .result import Component, FusedMap, MergeResult, PairVerdict
 
+EXTRA = ("against_chance_bits", "same_place_bits")
+"""What the robust method adds to its entries."""
+
 
 def result_from_document(document: MergedDocument) -> MergeResult:
     """The result that a document was written from: its numbers as rounded there, unrelated pairs
@@ -37,10 +40,8 @@ def result_from_document(document: MergedDocument) -> MergeResult:
 
 
 def _verdict(entry: MergeEntry) -> PairVerdict:
-    said = verdict_from_entry(entry)
-    if entry.same_place_bits is None:
-        return said
-    return replace(said, extra={"same_place_bits": entry.same_place_bits})
+    extra = {name: getattr(entry, name) for name in EXTRA if getattr(entry, name) is not None}
+    return replace(verdict_from_entry(entry), extra=extra)
 
 
 def _fused(document: MergedDocument) -> FusedMap:
