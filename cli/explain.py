@@ -88,7 +88,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     from ..viz import write_decision_recording
 
     maps = {run: place.read_map(run) for run in pair}
-    decision = _decision(place, pair, maps)
+    decision = decided(place, pair, maps)
     if as_json:
         say_lines(json.dumps(to_document(decision)))
     else:
@@ -102,7 +102,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     )
 
 
-def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -> Decision:
+def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -> Decision:
     """The decision on a pair, with the settings and the runs of the merge that had both."""
     from dataclasses import replace
 

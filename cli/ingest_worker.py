@@ -112,7 +112,9 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         _refuse_other_log(job, name, doc)
     writes: dict[Path, Callable[[Path], object]] = {}
     for m in maps:
-        drawn = partial(write_map_recording, topomap=m, odometry=run.odometry)
+        drawn = partial(
+            write_map_recording, topomap=m, odometry=run.odometry, detections=run.detections
+        )
         writes[job.place.map_rrd(m.run)] = drawn
         writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
     write_together(writes)
@@ -210,7 +212,7 @@ def _called(place: Workspace, run: str) -> str:
     for _ in range(MOST_NAMES):
         if place.map_json(name).is_file():
             return name
-        name = _record(place, name).get("renamed", run)
+        name = ingest_record(place, name).get("renamed", run)
         try:
             checked_run_name(name)
         except (UsageError, TypeError, AttributeError):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..topology.errors import DataError, UsageError
+from ..topology.errors import UsageError
 from .journal import note
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say, warn
@@ -91,7 +91,7 @@ def _checked(place: Workspace, wanted: Lock) -> Lock:
     for run, vertex in zip((wanted.a, wanted.b), wanted.at or (), strict=False):
         junctions = len(place.read_map(run))
         if vertex >= junctions:
-            raise DataError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
+            raise UsageError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
     return wanted
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from io import StringIO, TextIOWrapper
-from typing import Annotated, Any, cast
+from io import TextIOWrapper
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
@@ -19,6 +19,7 @@ from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
 from .changes import changes
 from .discard import discard
+from .draw import draw
 from .explain import explain
 from .export import export
 from .info import info
@@ -29,6 +30,7 @@ from .lock import lock
 from .merge import merge
 from .output import complain, say, say_lines
 from .rename import rename
+from .report import report
 from .schema import schema
 from .simulate import simulate
 from .transfer import transfer
@@ -53,6 +55,8 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("ingest", ingest),
     ("merge", merge),
     ("view", view),
+    ("draw", draw),
+    ("report", report),
     ("list", list_runs),
     ("info", info),
     ("explain", explain),
@@ -90,6 +94,18 @@ def topobatch(
     """
 
 
+def _say_what_is_wrong(error: TyperException) -> None:
+    """A wrong call in one line, like every error; without arguments, the help."""
+    text = error.format_message()
+    if text.startswith("Usage:"):
+        say_lines(text.rstrip("\n"), err=True)
+        return
+    context = getattr(error, "ctx", None)
+    command = getattr(context, "command_path", "topobatch")
+    line = " ".join(text.split()).removesuffix(".")
+    complain(f"{line[:1].lower()}{line[1:]}; see `{command} --help`")
+
+
 def main() -> None:
     """Run the command line; the one place that turns errors into messages and exit codes."""
     for name in _THREADS:
@@ -100,9 +116,7 @@ def main() -> None:
     try:
         sys.exit(app(prog_name="topobatch", standalone_mode=False))
     except TyperException as error:
-        shown = StringIO()
-        cast(Any, error).show(file=shown)
-        say_lines(shown.getvalue().rstrip("\n"), err=True)
+        _say_what_is_wrong(error)
         sys.exit(error.exit_code)
     except TopobatchError as error:
         complain(str(error))

@@ -16,7 +16,7 @@ from ..topology.errors import DataError, DocumentError, UsageError
 from . import paper_options
 from .journal import note
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, complete_run
-from .output import Screen, count
+from .output import Screen, count, folded
 from .workers import start_worker
 from .workspace import MERGED, Workspace, shortened
 
@@ -352,6 +352,12 @@ def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
     )
 
 
+def _told(screen: Screen, text: str) -> None:
+    """A line, folded; the rest of it is indented further."""
+    for line in folded(text):
+        screen.line(line)
+
+
 def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
     from ..merge.merging import ALONE
     from ..merge.result import Standing
@@ -361,26 +367,29 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
 
     home = {run: component.id for component in result.components for run in component.poses}
     for component in result.components:
-        names = sorted(component.poses)
-        alone = "" if len(names) > 1 else " (alone)"
-        screen.line(f"component {component.id}: {shortened(names)}{alone}")
+        if len(component.poses) > 1:
+            _told(screen, f"component {component.id}: {shortened(sorted(component.poses))}")
+    alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
+    if alone:
+        _told(screen, f"alone: {shortened(alone)}")
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             screen.warn(f"{pair.a} and {pair.b} are not joined: {pair.reason}")
     merged, joined, ambiguous = map(of, (Standing.MERGED, Standing.JOINED, Standing.AMBIGUOUS))
     others = result.count(Standing.JOINED)
     for pair in merged[:MOST_LINES]:
-        screen.line(f"  {pair.a} + {pair.b}: {pair.reason}")
+        _told(screen, f"  {pair.a} + {pair.b}: {pair.reason}")
     if len(merged) > MOST_LINES:
         screen.line(f"  … and {len(merged) - MOST_LINES} more merged pairs, in {place.merged_json}")
     for pair in joined[:MOST_JOINED]:
-        screen.line(f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
+        _told(screen, f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
     if others > min(len(joined), MOST_JOINED):
         more = others - min(len(joined), MOST_JOINED)
         screen.line(f"  … and {more} more pairs joined through others")
     for pair in ambiguous[:MOST_LINES]:
-        advice = f"; {pair.advice}" if pair.advice else ""
-        screen.line(f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}{advice}")
+        _told(screen, f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}")
+        if pair.advice:
+            _told(screen, f"    to settle it: {pair.advice}")
     if len(ambiguous) > MOST_LINES:
         screen.line(f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs")
     screen.line(_counts(result))

@@ -13,9 +13,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from textwrap import wrap
 from typing import Any
 
 import typer
+
+WIDTH = 79
+"""Letters in a line of advice: the smallest usual terminal."""
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200
@@ -48,6 +52,18 @@ def say_lines(text: str, *, err: bool = False) -> None:
     """A text of several lines, as long as they are."""
     for line in text.split("\n"):
         typer.echo(plain(line, len(line)), err=err)
+
+
+def folded(text: str, indent: str = "      ") -> list[str]:
+    """A long line as several of WIDTH letters at most, all but the first indented."""
+    return wrap(
+        plain(text),
+        WIDTH,
+        subsequent_indent=indent,
+        drop_whitespace=True,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def complain(message: str) -> None:

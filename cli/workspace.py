@@ -6,7 +6,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,6 +50,7 @@ class Workspace:
             self.maps,
             cache,
             cache / "ingest",
+            cache / "log",
             self.pairs,
             self.root / "explain",
             self.exports,
@@ -124,6 +125,10 @@ class Workspace:
         """Folder of what matching pairs of maps found; may be deleted at any time."""
         return self.root / "cache" / "pairs"
 
+    def raw_log_rrd(self, run: str) -> Path:
+        """The log of a run as a recording; may be deleted at any time."""
+        return self.root / "cache" / "log" / f"{plain_name(run)}.log.rrd"
+
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""
         return sorted(p.stem for p in self.maps.glob("*.json") if not p.name.startswith("."))
@@ -132,7 +137,7 @@ class Workspace:
         """The runs that a command is about; UsageError or DataError where there are none."""
         known = self.runs()
         if not known:
-            raise self._no_maps()
+            raise self.no_maps()
         if everything and names:
             raise UsageError("give run names or --all, not both")
         if everything:
@@ -146,7 +151,8 @@ class Workspace:
             )
         return sorted(set(names))
 
-    def _no_maps(self) -> DataError:
+    def no_maps(self) -> DataError:
+        """What to say of a workspace without maps."""
         return DataError(f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
 
     def read_map(self, run: str) -> TopoMap:
@@ -227,7 +233,8 @@ class Workspace:
         from filelock import FileLock, Timeout
 
         if not make and not self.root.is_dir():
-            raise self._no_maps()
+            raise self.no_maps()
+        new = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.root / ".lock")
         try:
@@ -240,7 +247,22 @@ class Workspace:
             yield
         finally:
             self._clear_left_overs()  # of worker processes that were stopped
+            if new:
+                self._remove_if_empty(new)
             lock.release()
+
+    def _remove_if_empty(self, new: Sequence[Path]) -> None:
+        """Take back a workspace that was made for nothing; new: the folders made for it, innermost
+        first. Called while the lock is held: whoever waits for it finds its file gone, and makes
+        another."""
+        record = self.ingest_record("x").parent
+        for folder in (self.maps, record, record.parent):
+            _remove_folder(folder)
+        with suppress(OSError):  # a file in use stays on some systems, and with it the workspace
+            if [path.name for path in self.root.iterdir()] == [".lock"]:
+                (self.root / ".lock").unlink()
+        for folder in new:
+            _remove_folder(folder)
 
     def _clear_left_overs(self) -> None:
         from ..topology.document import LEFT_OVER
@@ -249,6 +271,11 @@ class Workspace:
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+def _remove_folder(folder: Path) -> None:
+    with suppress(OSError):  # it is not there, or holds something
+        folder.rmdir()
 
 
 def shortened(names: Sequence[str], most: int = 12) -> str:

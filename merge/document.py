@@ -112,7 +112,30 @@ _EVIDENCE = (
 )
 
 
-class RunnerUp(Model):
+class Contradiction(Model):
+    """Where a sentence of `contradictions` lies: the junctions of the two runs that it speaks of, a
+    corridor as its two ends."""
+
+    a: list[Index] = Field(min_length=1, max_length=2)
+    b: list[Index] = Field(min_length=1, max_length=2)
+
+
+class Contradicted(Model):
+    """What speaks against an alignment."""
+
+    contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
+    contradicting: list[Contradiction] = Field(
+        default_factory=list, description="One for each of the contradictions, where known."
+    )
+
+    @model_validator(mode="after")
+    def _one_for_each(self) -> Contradicted:
+        if self.contradicting and len(self.contradicting) != len(self.contradictions):
+            raise ValueError("contradicting must be as many as contradictions")
+        return self
+
+
+class RunnerUp(Contradicted):
     """The next best alignment and its evidence."""
 
     transform: Pose = Field(description=_TRANSFORM)
@@ -120,7 +143,6 @@ class RunnerUp(Model):
     matched: list[tuple[Index, Index]] = Field(description=_MATCHED)
     corridors: Index = Field(0, description=_CORRIDORS)
     rmse_m: Finite = Field(0.0, description=_RMSE)
-    contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
 
 
 class Placed(Model):
@@ -131,7 +153,7 @@ class Placed(Model):
     sigma_rad: Finite = Field(description="Radians.")
 
 
-class MergeEntry(Model):
+class MergeEntry(Contradicted):
     """What is said about one pair of runs."""
 
     a: str = Field(description="A run.")
@@ -181,7 +203,6 @@ class MergeEntry(Model):
     matched: list[tuple[Index, Index]] | None = Field(None, description=_MATCHED)
     corridors: Index = Field(0, description=_CORRIDORS)
     rmse_m: Finite = Field(0.0, description=_RMSE)
-    contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
     runner_up: RunnerUp | None = Field(
         None, description="The next best alignment that places b elsewhere."
     )
@@ -238,7 +259,13 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
         "corridors": alignment.corridors,
         "rmse_m": rounded(alignment.rmse_m, METRES),
         "contradictions": list(alignment.contradictions),
+        **_contradicting(alignment),
     }
+
+
+def _contradicting(alignment: Alignment) -> dict[str, Any]:
+    found = [{"a": list(a), "b": list(b)} for a, b in alignment.contradicting]
+    return {"contradicting": found} if found else {}
 
 
 def _sigmas(placed: tuple[float, float]) -> dict[str, float]:
@@ -390,6 +417,7 @@ def _alignment_from(
         rmse_m=entry.rmse_m,
         corridors=entry.corridors,
         contradictions=tuple(entry.contradictions),
+        contradicting=tuple((tuple(c.a), tuple(c.b)) for c in entry.contradicting),
     )
 
 

@@ -50,7 +50,9 @@ class Alignment:
     place, not a copy of it? (counted so that both need the same for merging); matched: (k, 2)
     int64 pairs (vertex of a, vertex of b), sorted; rmse_m: root mean square distance of the
     matched vertices under the transform; contradictions: sentences, one per disagreement found
-    ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there").
+    ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there"); contradicting: for each
+    of these the vertices of a and of b that it speaks of, a corridor as its two ends; empty where
+    that is not known.
     """
 
     transform: NDArray[np.float64]
@@ -59,12 +61,15 @@ class Alignment:
     rmse_m: float
     corridors: int = 0
     contradictions: tuple[str, ...] = ()
+    contradicting: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = ()
 
     def __post_init__(self) -> None:
         transform = frozen_array(self.transform, np.float64, (3,), "transform")
         object.__setattr__(self, "transform", transform)
         matched = frozen_array(np.reshape(self.matched, (-1, 2)), np.int64, (None, 2), "matched")
         object.__setattr__(self, "matched", matched)
+        if self.contradicting and len(self.contradicting) != len(self.contradictions):
+            raise ValueError("every contradiction needs its vertices, or none of them")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

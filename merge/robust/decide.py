@@ -36,7 +36,7 @@ from .verdict import (
     opinion,
     repetition_level,
 )
-from .wording import contradictions, nothing, summary
+from .wording import contradicting, contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
 """A batch repeats itself as its map at this quantile does: most maps repeat, or few do. Pairs are
@@ -504,4 +504,5 @@ def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
         contradictions=contradictions(c, a, b),
+        contradicting=contradicting(c, a, b),
     )

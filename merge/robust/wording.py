@@ -54,6 +54,25 @@ def contradictions(best: Candidate, a: Prepared, b: Prepared) -> tuple[str, ...]
     return tuple(said)
 
 
+def contradicting(
+    best: Candidate, a: Prepared, b: Prepared
+) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
+    """For every sentence of `contradictions` the vertices of a and of b that it speaks of."""
+    c = best.conflicts
+    found: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
+    for vertex, row in zip(c.extra_b.tolist(), c.extra_b_in.tolist(), strict=True):
+        found.append((_ends(a, row), (vertex,)))
+    for vertex, row in zip(c.extra_a.tolist(), c.extra_a_in.tolist(), strict=True):
+        found.append(((vertex,), _ends(b, row)))
+    for rows in (c.crossing, c.elsewhere):
+        found += [(_ends(a, row_a), _ends(b, row_b)) for row_a, row_b in rows.tolist()]
+    return tuple(found)
+
+
+def _ends(m: Prepared, row: int) -> tuple[int, int]:
+    return int(m.tail[row]), int(m.head[row])
+
+
 def _unseen(vertex: int, run: str, row: int, other: Prepared) -> str:
     return (
         f"junction {vertex} of {run} falls inside corridor {_name(other, row)} of {other.run}, "

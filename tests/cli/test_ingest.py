@@ -393,3 +393,24 @@ def test_a_process_that_dies_costs_no_other_log(logs, tmp_path, again):
     jobs[1] = replace(jobs[1], log=deadly)
     found = {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)}
     assert found == {"mcap": "done", "bag": "failed" if again else "done", "other": "done"}
+
+
+def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"junk")
+    new = tmp_path / "a" / "b"
+    assert topobatch("ingest", junk, "-w", new).code == 1
+    assert not (tmp_path / "a").exists()
+    new.mkdir(parents=True)  # one that was there stays
+    assert topobatch("ingest", junk, "-w", new).code == 1
+    assert new.is_dir()
+
+
+def test_an_ingest_that_fails_takes_nothing_away(topobatch, logs, tmp_path):
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"junk")
+    place = tmp_path / "ws"
+    assert topobatch("ingest", junk, logs["mcap"], "-w", place).code == 1
+    assert len(list((place / "maps").glob("*.json"))) == 1
+    assert topobatch("ingest", junk, "-w", place).code == 1
+    assert len(list((place / "maps").glob("*.json"))) == 1

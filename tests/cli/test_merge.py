@@ -161,7 +161,7 @@ def test_locks_that_make_no_sense(topobatch, workspace, arguments, word):
 
 def test_a_lock_on_a_junction_that_is_not_there(topobatch, workspace):
     a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
-    error = topobatch("lock", a, b, "--same", "--at", "0,999", "-w", workspace).error(1)
+    error = topobatch("lock", a, b, "--same", "--at", "0,999", "-w", workspace).error(2)
     assert "not 999" in error
 
 
