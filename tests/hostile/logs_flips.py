@@ -19,6 +19,9 @@ from case import Case, Generator, writers
 ODOMETRY = 600
 EVERY = 10
 
+HEAD = 48
+"""So many bytes at the front of a message are not its payload: its number, its times, its length."""
+
 
 class Span(NamedTuple):
     """Bytes [begin, end) of a file in which a flipped bit costs `held` messages."""
@@ -211,11 +214,14 @@ def _places(log: Sound) -> list[Span]:
 
 
 def one_bit(name: str, rng: random.Random, folder: Path) -> Case:
-    """Half of the flips hit what holds the log together: it is little, but it can cost most."""
-    log = sound(name)
-    if rng.random() < 0.5:
+    """Two thirds of the flips hit what holds the log together: it is little, but can cost most."""
+    log, where = sound(name), rng.randrange(6)
+    if where < 3:
         place = rng.choice(_places(log))
         at = rng.randrange(place.begin, place.end)
+    elif where == 3:
+        head = rng.choice(log.spans)
+        at = rng.randrange(head.begin, min(head.begin + HEAD, head.end))
     else:
         at = rng.randrange(len(log.raw))
     bit = 8 * at + rng.randrange(8)
