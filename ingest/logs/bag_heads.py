@@ -30,8 +30,7 @@ from .messages import SCHEMA_BYTES, Bytes, DamageError
 from .spelling import nearest
 
 HEAD_BYTES = 256
-"""So much of a record is looked at first, and tried bit by bit: of a connection, all its lengths but
-those of long names."""
+"""So much of a record is looked at first, and tried bit by bit: of most connections all lengths."""
 
 REPAIRS = 64
 """Heads of one file that are tried bit by bit; a file with more wrong bits is read by its rest."""

@@ -20,7 +20,7 @@ ODOMETRY = 600
 EVERY = 10
 
 HEAD = 48
-"""So many bytes at the front of a message are not its payload: its number, its times, its length."""
+"""So many bytes in front of a message's payload: its length, its number, its times."""
 
 
 class Span(NamedTuple):

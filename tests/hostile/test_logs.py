@@ -23,7 +23,7 @@ from topobatch.topology.errors import LogError
 
 
 def read_of(path: Path) -> tuple[int, int, Findings]:
-    """How many messages of the wanted types decode, how many do not, and what was met on the way."""
+    """How many messages of the wanted types decode, how many do not; and what was met."""
     findings = Findings()
     intake = Intake(lambda channel: channel.type_name in TYPES, decoder_for)
     for file in recording_at(path).files:
