@@ -55,9 +55,9 @@ class Tally:
         again: also of those that had.
         """
         fresh = np.arange(len(number)) if again else (self._met[number] == 0).nonzero()[0]
-        if len(fresh) == 0:
-            return []
-        return fresh[np.unique(number[fresh], return_index=True)[1]].tolist()
+        # The last one written of a number is the first one met.
+        place = dict(zip(number[fresh[::-1]].tolist(), fresh[::-1].tolist(), strict=True))
+        return list(place.values())
 
     def adopt(self, number: NDArray[Any]) -> bool:
         """Take numbers that are described nowhere for those that they can only have been.
