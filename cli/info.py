@@ -13,7 +13,10 @@ from .ingest import JunctionFields, JunctionTopic, OdometryTopic
 from .output import complain, count, say, table
 
 if TYPE_CHECKING:
-    from ..ingest.reading import LogInfo
+    from ..ingest.reading import LogInfo, ReadSettings
+
+WHOLE_BYTES = 64_000_000
+"""A log of this size is read in a fraction of a second."""
 
 
 def info(
@@ -28,8 +31,9 @@ def info(
     """Show what a log holds and what ingest would use.
 
     Its topics, their types and counts, how long it is, which topics would be used and why. Exits
-    with 1 if a log is seen to be damaged, or if ingest could not use its topics. A finished log is
-    not read whole: what is wrong inside its messages is told by ingest.
+    with 1 if a log is seen to be damaged, if ingest could not use its topics, or if what they hold
+    would be refused. That is tried with logs of up to 64 MB; of a larger one with an index, no
+    message is read, and a line says so.
     """
     from ..ingest.reading import ReadSettings, find_logs, inspect_log
 
@@ -46,15 +50,33 @@ def info(
             complain(str(error))
             failed = True
             continue
+        problems = list(found.problems)
+        if not problems and found.bytes <= WHOLE_BYTES:
+            problems = _refused(each, settings)
         for line in described(found):
             say(line)
-        failed |= bool(found.problems)
+        for problem in problems:
+            say(f"problem: {problem}")
+        if found.bytes > WHOLE_BYTES:
+            say("not read whole: what its messages hold may still be refused by ingest")
+        failed |= bool(problems)
     if failed:
         raise typer.Exit(1)
 
 
+def _refused(log: Path, settings: ReadSettings) -> list[str]:
+    """Why ingest would refuse to read a log, nothing if it would not."""
+    from ..ingest.reading import read_run
+
+    try:
+        read_run(log, settings)
+    except LogError as error:
+        return [str(error)]
+    return []
+
+
 def described(found: LogInfo) -> list[str]:
-    """The lines that describe a log."""
+    """The lines that describe a log, without its problems."""
     start = "no messages"
     if any(topic.messages for topic in found.topics):
         seconds = found.start_ns // 1_000_000_000
@@ -67,7 +89,7 @@ def described(found: LogInfo) -> list[str]:
     lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
     if not rows:
         lines = [head, f"  {count(0, 'topic')}"]
-    return lines + [f"problem: {problem}" for problem in found.problems]
+    return lines
 
 
 def _use(use: str, why: str) -> str:
