@@ -2,12 +2,12 @@
 
     python tests/hostile/attack.py [--tries 10000] [--seed 0] [--only TEXT,...] [--jobs 2]
 
-Every try is the real command in a process of its own, forked from one that has everything
-imported, with CPU time, memory and wall time limited and measured from outside. A try fails on: an
-exit code other than 0, 1 and 2, a traceback, an internal error; a budget exceeded; more than 1 % of
-the intact messages unused, lost ones not counted or counted wrongly; another log of the same call
-lost; a file outside of the workspace touched; half a run or half a file left; a control character
-on the terminal. The same seed gives the same tries. Exits with 1 if any failed.
+Every try is the real command in a process of its own, forked from one that has imported most of
+what it needs, with CPU time, memory and wall time limited and measured from outside. A try fails
+on: an exit code other than 0, 1 and 2, a traceback, an internal error; a budget exceeded; more than
+1 % of the intact messages unused, lost ones not counted or counted wrongly; another log of the same
+call lost; a file outside of the workspace touched; half a run or half a file left; a control
+character on the terminal. The same seed gives the same tries. Exits with 1 if any failed.
 """
 
 from __future__ import annotations
