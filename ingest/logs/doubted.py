@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from .foxglove import RowDecoder
 from .messages import Bytes, Ints
 from .poses import Frames, Heads, PoseDecoder, Poses
+from .wire import WireDecoder
 
 UNIT = 1e-3
 """Recorded orientations are unit quaternions up to rounding; other bytes are not by this much."""
@@ -18,7 +20,7 @@ class DoubtedDecoder:
     messages it is tried on have it, with unit quaternions.
     """
 
-    def __init__(self, embedded: PoseDecoder, known: PoseDecoder) -> None:
+    def __init__(self, embedded: RowDecoder, known: WireDecoder) -> None:
         self._embedded = embedded
         self._known = known
         self._chosen: PoseDecoder | None = None
