@@ -336,7 +336,7 @@ def _bag_large_message(rng: random.Random, folder: Path) -> Case:
     with case.log.open("r+b") as file:
         # A hole: it takes no room on the disk.
         file.truncate(case.log.stat().st_size + size)
-    return Case(case.log, SOUND, 0, f"one message of {size >> 20} MiB")
+    return Case(case.log, SOUND, 1, f"one message of {size >> 20} MiB")
 
 
 # sqlite
