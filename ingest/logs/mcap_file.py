@@ -186,6 +186,7 @@ class _Walk:
         self._allowance = Allowance()
         self._small_run = 0
         self._packed = False
+        self._chunked = False
         self._ended = False
         self._patience = PATIENCE
         # What is not described there may be described in a chunk of nothing but images.
@@ -239,9 +240,10 @@ class _Walk:
     def _told_apart(self, position: int, head: bytes) -> bytes:
         """The head of what looks like a message, and may be another record but for one bit.
 
-        Any bytes are a message. But behind a chunk there is an index, and in front the header.
+        Any bytes are a message. But where there are chunks there are indexes, and in front is the
+        header.
         """
-        ops = (MESSAGE_INDEX,) if self._ahead.last is not None else ()
+        ops = (MESSAGE_INDEX,) if self._chunked else ()
         if position == len(MAGIC):
             ops = (HEADER,)
         for op in ops:
@@ -397,6 +399,7 @@ class _Walk:
             head = head._replace(size=head.data_size)
             self._findings.repaired += 1
         self._packed |= head.compression != ""
+        self._chunked = True
         small = max(head.size, head.data_size) <= SMALL_BYTES
         self._small_run = self._small_run + 1 if small else 0
         if self._small_run > RUN:
