@@ -63,7 +63,6 @@ def problem(name: str, log: Sound, written: Counter[str], bit: int, path: Path) 
     written: messages by topic. One with the number of another topic is missing of its own, which
     only an index tells.
     """
-    from topobatch.ingest.logs.spelling import nearest
     from topobatch.topology.errors import LogError
 
     raw, hit = logs_flips.flipped(log, bit)
@@ -73,9 +72,12 @@ def problem(name: str, log: Sound, written: Counter[str], bit: int, path: Path) 
     except LogError as error:
         return f"refused: {error}"
     met: Counter[str] = Counter()
-    for channel, count in findings.counts.items():
-        # Nothing tells that a topic's name is wrong.
-        met[nearest(channel.topic, written)] += count
+    for channel, count in sorted(
+        findings.counts.items(), key=lambda met: met[0].topic not in written
+    ):
+        # Nothing tells that a topic's name is wrong: it is that of which most are missing.
+        named = channel.topic in written
+        met[channel.topic if named else max(written, key=(written - met).__getitem__)] += count
     missing = (written - met).total()
     told = findings.lost.total() + findings.unknown
     undescribed = name in logs_flips.UNDESCRIBED and hit > 1
