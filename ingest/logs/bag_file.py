@@ -159,6 +159,7 @@ class _Walk:
             and self._findings.whole
             and self._chunks == len(self._index.chunk_starts)
             and self._tally.lacks(declared)
+            and not self._tally.moved(declared)
         ):
             # Nothing is damaged and no chunk is missing: it is the index that is wrong.
             self._findings.note("the index counts other numbers of messages than there are")

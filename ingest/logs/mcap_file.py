@@ -552,6 +552,9 @@ class _Walk:
             self._findings.lost_at_least = True
         found = mended(data, self._heads.within(data), self._define_more)
         where = found.where[found.data[found.where] == MESSAGE]
+        first = self._tally.first(words(found.data, "<u2", where + RECORD_HEAD))
+        size = words(found.data, "<i8", where + 1) - MESSAGE_HEAD
+        where = where[self._without_descriptions(found.data, where, size, first)]
         numbers = words(found.data, "<u2", where + RECORD_HEAD).tolist() + found.lost
         counts = Counter(numbers).items()
         return {n: c for n, c in counts if not head.compression or self._known(n)}
@@ -609,6 +612,7 @@ class _Walk:
         first = self._tally.first(number, again=self._ended)
         if first:
             kept = self._without_descriptions(data, positions, size, first)
+            self._findings.repaired += int((~kept).sum())
             number, positions, size = (a[kept] for a in (number, positions, size))
         self._tally.adopt(number)
         if len(number) == 0:
@@ -631,7 +635,6 @@ class _Walk:
             channel = bytes([CHANNEL]) + heads.head(place)[1:]
             if heads.end(place, channel) is not None:
                 kept[k] = False
-                self._findings.repaired += 1
                 record = data[place : place + RECORD_HEAD + MESSAGE_HEAD + int(size[k])].copy()
                 record[0] = CHANNEL
                 self._define(record, np.zeros(1, np.int64))

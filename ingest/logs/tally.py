@@ -116,6 +116,12 @@ class Tally:
         """Count messages known to be lost in a damaged place."""
         self._lost[number] = self._lost.get(number, 0) + count
 
+    def moved(self, declared: Mapping[int, int]) -> bool:
+        """Whether one channel has a message too many and one a bit away has one too few."""
+        off = {n: int(self._met[n]) - c for n, c in declared.items() if n < NUMBERS}
+        off = {n: by for n, by in off.items() if by}
+        return sorted(off.values()) == [-1, 1] and one_bit_apart(*off)
+
     def lacks(self, declared: Mapping[int, int]) -> bool:
         """Whether fewer messages were met than are declared."""
         return any(c > (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items())
