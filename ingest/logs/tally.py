@@ -26,7 +26,7 @@ class Tally:
         self._sink = np.full(NUMBERS, UNKNOWN, np.int64)
         self._met = np.zeros(NUMBERS, np.int64)
         self._lost: dict[int, int] = {}
-        self._adopted: dict[int, int] = {}
+        self._adopted: set[int] = set()
         self._undelivered = 0
         for number, channel in channels.items():
             self.describe(number, channel)
@@ -81,7 +81,7 @@ class Tally:
                 self._undelivered += int(self._met[strange])
                 self._met[strange] = 0
                 self.describe(strange, self._channels[free[0]])
-                self._adopted[free[0]] = strange
+                self._adopted.add(free[0])
                 taken = True
         return taken
 
@@ -116,14 +116,22 @@ class Tally:
         """Count messages known to be lost in a damaged place."""
         self._lost[number] = self._lost.get(number, 0) + count
 
+    def _fold(self, declared: Mapping[int, int]) -> None:
+        """Count what was met of a channel under a wrong number for the number that is declared."""
+        own = {self._channels[n]: n for n in declared if n in self._channels}
+        for number in np.flatnonzero(self._met).tolist() if own else ():
+            channel = self._channels.get(number)
+            if number not in declared and channel in own:
+                self._met[own[channel]] += self._met[number]
+                self._met[number] = 0
+
     def moved(self, declared: Mapping[int, int]) -> bool:
-        """Whether one channel has a message too many and one a bit away has one too few."""
-        off = {n: int(self._met[n]) - c for n, c in declared.items() if n < NUMBERS}
-        off = {n: by for n, by in off.items() if by}
-        return sorted(off.values()) == [-1, 1] and one_bit_apart(*off)
+        """Whether as many messages were met as are declared, if of other channels."""
+        return int(self._met.sum()) == sum(declared.values())
 
     def lacks(self, declared: Mapping[int, int]) -> bool:
         """Whether fewer messages were met than are declared."""
+        self._fold(declared)
         return any(c > (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items())
 
     def finish(self, declared: Mapping[int, int]) -> None:
@@ -134,10 +142,7 @@ class Tally:
         on the way are reported.
         """
         strange = self._undelivered
-        for number, wrong in self._adopted.items():
-            if number in declared and wrong not in declared:
-                self._met[number] += self._met[wrong]
-                self._met[wrong] = 0
+        self._fold(declared)
         for number in np.flatnonzero(self._met).tolist():
             channel, count = self._channels.get(number), int(self._met[number])
             if channel is not None:
