@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +16,10 @@ from .ingest import JunctionFields, JunctionTopic, OdometryTopic
 from .output import complain, count, say, say_lines, table
 
 if TYPE_CHECKING:
-    from ..ingest.reading import LogInfo
+    from ..ingest.reading import LogInfo, ReadSettings
+
+WHOLE_BYTES = 64_000_000
+"""A log of this size is read in a fraction of a second."""
 
 
 def info(
@@ -35,8 +38,9 @@ def info(
     """Show what logs hold and what ingest would use.
 
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
-    with 1 if a log is seen to be damaged, or if ingest could not use its topics. A finished log is
-    not read whole: what is wrong inside its messages is told by ingest.
+    with 1 if a log is seen to be damaged, if ingest could not use its topics, or if what they hold
+    would be refused. That is tried with logs of up to 64 MB; of a larger one with an index, no
+    message is read, and a line says so.
     """
     from ..ingest.reading import ReadSettings, find_logs, inspect_log
 
@@ -55,10 +59,12 @@ def info(
             complain(str(error))
             failed = True
             continue
+        if not found.problems and found.bytes <= WHOLE_BYTES:
+            found = replace(found, problems=_refused(each, settings))
         if as_json:
             told.append(_as_json(found))
-        for line in () if as_json else described(found):
-            say(line)
+        else:
+            _show(found)
         failed |= bool(found.problems)
     if as_json:
         say_lines(json.dumps(told))
@@ -87,8 +93,28 @@ def _as_json(found: LogInfo) -> dict[str, Any]:
     return asdict(found) | {"path": path}
 
 
+def _show(found: LogInfo) -> None:
+    for line in described(found):
+        say(line)
+    for problem in found.problems:
+        say(f"problem: {problem}")
+    if found.bytes > WHOLE_BYTES:
+        say("not read whole: what its messages hold may still be refused by ingest")
+
+
+def _refused(log: Path, settings: ReadSettings) -> tuple[str, ...]:
+    """Why ingest would refuse to read a log, nothing if it would not."""
+    from ..ingest.reading import read_run
+
+    try:
+        read_run(log, settings)
+    except LogError as error:
+        return (str(error),)
+    return ()
+
+
 def described(found: LogInfo) -> list[str]:
-    """The lines that describe a log."""
+    """The lines that describe a log, without its problems."""
     start = "no messages"
     if any(topic.messages for topic in found.topics):
         seconds = found.start_ns // 1_000_000_000
@@ -101,7 +127,7 @@ def described(found: LogInfo) -> list[str]:
     lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
     if not rows:
         lines = [head, f"  {count(0, 'topic')}"]
-    return lines + [f"problem: {problem}" for problem in found.problems]
+    return lines
 
 
 def _use(use: str, why: str) -> str:

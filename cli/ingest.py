@@ -153,6 +153,7 @@ def _plan(
     for log in logs:
         try:
             run = checked_run_name(name if name is not None else run_name(log))
+            place.check_run(run)
         except UsageError as error:
             text = f"{log}: {error}; give it another by --name"
             planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))

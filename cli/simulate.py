@@ -39,8 +39,14 @@ def simulate(
         int,
         typer.Option(min=0, help="How often every run's odometry jumps while the robot drives on."),
     ] = 0,
-    jump_m: Annotated[float, typer.Option(min=0, help="How far it jumps, in metres.")] = 0.5,
-    jump_deg: Annotated[float, typer.Option(min=0, help="How far it turns, in degrees.")] = 30.0,
+    jump_m: Annotated[
+        float | None,
+        typer.Option(min=0, help="How far it jumps, in metres; default 0.5. Goes with --jumps."),
+    ] = None,
+    jump_deg: Annotated[
+        float | None,
+        typer.Option(min=0, help="How far it turns, in degrees; default 30. Goes with --jumps."),
+    ] = None,
     formats: Annotated[
         list[str] | None,
         typer.Option(
@@ -58,6 +64,8 @@ def simulate(
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
+    if not jumps and (jump_m is not None or jump_deg is not None):
+        raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
     from ..simulation import DRIFTS, ScenarioSettings, simulate_scenario
     from ..simulation.writing import write_scenario
 
@@ -68,7 +76,12 @@ def simulate(
         unrelated_runs=unrelated,
         overlap=overlap,
         junctions_per_run=junctions,
-        drift=replace(DRIFTS[drift], jumps=jumps, jump_m=jump_m, jump_deg=jump_deg),
+        drift=replace(
+            DRIFTS[drift],
+            jumps=jumps,
+            jump_m=0.5 if jump_m is None else jump_m,
+            jump_deg=30.0 if jump_deg is None else jump_deg,
+        ),
         faults=faults,
         seed=seed,
     )

@@ -82,11 +82,19 @@ class Workspace:
         return self.root / f"{plain_name(self.merge, MERGE)}.rrd"
 
     def check_merge(self) -> None:
-        """UsageError if the name of the merge is too long, or another file's."""
+        """UsageError if the name of the merge is too long, or that of something else."""
         checked_file_name(self.merge, MERGE)
-        taken = (MERGED, self.locks_json.stem, self.discards_json.stem)
-        if self.merge.casefold() in taken or self.merge in self.runs():
+        folders = (self.maps.name, "cache", "explain", self.exports.name)
+        kept = (MERGED, self.locks_json.stem, self.discards_json.stem, *folders)
+        if self.merge.casefold() in kept or self.merge in self.runs():
             raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
+
+    def check_run(self, run: str) -> None:
+        """UsageError if a merge is called like a run: `view` and people could not tell which."""
+        merge = self.root / f"{plain_name(run)}.json"
+        others = (self.locks_json, self.discards_json)
+        if run.casefold() == MERGED or (merge not in others and os.path.lexists(merge)):
+            raise UsageError(f"{run!r} cannot name a run: a merge is called so")
 
     @property
     def locks_json(self) -> Path:

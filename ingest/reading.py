@@ -31,7 +31,7 @@ from .logs.topics import (
     choose_odometry,
     listing,
 )
-from .odometry.jumps import without_jumps
+from .odometry.jumps import times, without_jumps
 from .odometry.kidnapping import split_where_carried
 from .odometry.plausible import check_plausible
 from .odometry.track import Track, sane_track
@@ -136,7 +136,7 @@ def read_run(
     odometry_split, carried = split_where_carried(driven, sightings.detections)
     if carried:
         warnings.append(
-            f"the wheels stand while the junction in view changes {carried} times: the robot was "
+            f"the wheels stand while the junction in view changes {times(carried)}: the robot was "
             "carried; the chain is split there"
         )
     return Run(

@@ -311,6 +311,44 @@ def test_info_of_a_damaged_or_unusable_log_fails(topobatch, logs, tmp_path):
     assert "problem: " in done.out
 
 
+def test_info_does_not_pass_what_ingest_refuses(topobatch, tmp_path, monkeypatch):
+    """By its index the log is sound, but its messages hold nothing."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, name in (("/odom", "Odometry"), ("/junctions", "PoseArray")):
+            package = "nav_msgs" if name == "Odometry" else "geometry_msgs"
+            schema = writer.register_schema(f"{package}/msg/{name}", "ros2msg", b"")
+            channel = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channel, 10**9, b"nothing", 10**9)
+        writer.finish()
+    done = topobatch("info", path)
+    assert done.code == 1
+    assert "problem: " in done.out
+    assert topobatch("ingest", path, "-w", tmp_path / "ws").code == 1
+    monkeypatch.setattr("topobatch.cli.info.WHOLE_BYTES", 10)
+    done = topobatch("info", path)
+    assert done.code == 0
+    assert "not read whole" in done.out
+
+
+def test_a_run_is_not_called_like_a_merge(topobatch, logs, tmp_path):
+    ws = tmp_path / "ws"
+    for name in ("merged", "Merged"):
+        done = topobatch("ingest", logs["mcap"], "-w", ws, "--name", name)
+        assert "cannot name a run" in done.error(2)
+    assert topobatch("ingest", logs["mcap"], "-w", ws, "--name", "a").code == 0
+    assert topobatch("merge", "a", "--output", "both", "-w", ws).code == 0
+    done = topobatch("ingest", logs["other"], "-w", ws, "--name", "both")
+    assert "a merge is called so" in done.error(2)
+
+
+def test_the_size_of_jumps_goes_with_their_number(topobatch, tmp_path):
+    for option in ("--jump-m", "--jump-deg"):
+        assert "--jumps" in topobatch("simulate", tmp_path / "out", option, "1").error(2)
+
+
 def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
     """It starts at 0, which is a time like any other."""
     path = tmp_path / "run.mcap"

@@ -86,7 +86,10 @@ def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
     assert other.read_text() == '{"my": "notes"}'
 
 
-@pytest.mark.parametrize("name", ["merged", "Locks", "../x", ".hidden", "", "run1", "x" * 300])
+@pytest.mark.parametrize(
+    "name",
+    ["merged", "Locks", "maps", "explain", "cache", "../x", ".hidden", "", "run1", "x" * 300],
+)
 def test_names_that_cannot_be_a_merges(topobatch, workspace, name):
     assert (workspace / "maps" / "run1.json").exists()
     error = topobatch("merge", "--all", "--output", name, "-w", workspace).error(2)
