@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -121,14 +120,16 @@ def merge(
     if shard is not None:
         if not everything or method != "robust":
             raise UsageError("--shard goes with --all and the robust method")
-        _match_shard(place, settings, _share(shard), workers, screen)
+        from .shard import match_share, share_of
+
+        match_share(place, settings, share_of(shard), workers, screen)
         return
     with place.held(screen.warn, make=False):
         chosen = place.chosen_runs(runs or [], everything)
         # A merge of all loses nothing but runs that the workspace has lost.
         if not replace_last and (output is not None or not everything):
             _keep_larger(place, chosen)
-        maps, broken = _read_maps(place, chosen, screen)
+        maps, broken = read_maps(place, chosen, screen)
         result = _merged(place, maps, settings, workers, everything, screen)
         _write(place, result, maps)
         told = f"{place.merge}: {count(len(maps), 'run')}, {_counts(result)}"
@@ -164,7 +165,7 @@ def merge_again(
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
         return
-    maps, _ = _read_maps(place, runs, screen)
+    maps, _ = read_maps(place, runs, screen)
     everything = runs == place.runs()
     result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen)
     _write(place, result, maps)
@@ -202,7 +203,7 @@ def _keep_larger(place: Workspace, chosen: list[str]) -> None:
         )
 
 
-def _read_maps(
+def read_maps(
     place: Workspace, names: list[str], screen: Screen
 ) -> tuple[list[TopoMap], list[str]]:
     """The maps that can be read, and the names of those that cannot."""
@@ -267,49 +268,6 @@ def _merged(
     if everything and settings.method == "robust":
         store.settle(maps, settings.robust)
     return result
-
-
-def _share(text: str) -> tuple[int, int]:
-    """(i, n) of "i/n", i from 1 to n."""
-    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
-        raise UsageError(f'--shard is {text!r}; "2/8" is the second of eight shares')
-    return int(found[1]), int(found[2])
-
-
-def _match_shard(
-    place: Workspace,
-    settings: MergeSettings,
-    share: tuple[int, int],
-    workers: Callable[[int], Workers | None],
-    screen: Screen,
-) -> None:
-    """Match a share of all pairs, for the cache. Others may do other shares meanwhile: the
-    workspace is held only to write."""
-    from ..merge.cache import PairCache
-    from ..merge.robust import Means, match_shard
-
-    maps, broken = _read_maps(place, place.chosen_runs([], True), screen)
-    store = PairCache(place.pairs, screen.warn, partial(place.held, lambda _: None, make=False))
-    pairs = len(maps) * (len(maps) - 1) // 2 // share[1]
-    with screen.progress("matching", pairs, "pairs") as advance:
-        means = Means(
-            workers=workers(pairs),
-            maps=replace(place, root=place.root.resolve()),
-            store=store,
-            on_pair=lambda done, _: advance(done),
-            tell=screen.detail,
-        )
-        try:
-            done = match_shard(maps, settings.robust, share, means)
-        finally:
-            store.flush()
-    screen.line(
-        f"share {share[0]} of {share[1]}: {count(done, 'pair')} in {place.pairs}; "
-        "when all shares are done: topobatch merge --all"
-    )
-    if broken:
-        raise typer.Exit(1)
 
 
 def _workers(jobs: int, cluster: str | None, pairs: int) -> Workers | None:

@@ -56,6 +56,7 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
         raise UsageError(f"there is a run {taken[0]!r} already")
     for name in names.values():
         checked_run_name(name)
+        place.check_run(name)
     return names
 
 

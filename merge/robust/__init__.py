@@ -1,7 +1,8 @@
 """Trusted merging: evidence in bits, three verdicts, no false merges."""
 
 from .alignment import Candidate, match
-from .decide import decide, match_shard
+from .batch import match_shard
+from .decide import decide
 from .pairing import Means
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, RobustSettings

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,13 +15,12 @@ from ..locks import Lock, lock_table
 from ..result import AcceptedBy, Alignment, PairVerdict, Verdict, pairs_of
 from .advice import advice
 from .alignment import Candidate, match, same_placement, self_matches
-from .components import ELSEWHERE, Components, Refusal, agrees, join_all, lying_over
+from .batch import Batch, wanted_pairs
+from .components import Components, Refusal, agrees, join_all
 from .forced import forced_alignment
-from .index import beyond_chance, pairs_to_match
 from .mirror import doubt_mirrored, mirrored
-from .pairing import Means, Pair, Pairwise, in_tiles
-from .prepare import IntArray, Prepared, prepare
-from .records import Found
+from .pairing import Means, Pair, Pairwise
+from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
 from .settings import DEFAULT_ROBUST, RobustSettings
@@ -32,7 +31,6 @@ from .verdict import (
     PairCount,
     bar,
     counted_bits,
-    needed_bits,
     opinion,
     repetition_level,
 )
@@ -75,10 +73,10 @@ def decide(
     matcher = Pairwise(maps, settings, means)
     prepared = matcher.prepared
     locked = _locked_pairs(runs, prepared, locks)
-    batch = _Batch(matcher, bars(prepared, settings, matcher.with_themselves()))
+    batch = Batch(matcher, bars(prepared, settings, matcher.with_themselves()))
     row = {run: k for k, run in enumerate(runs)}
     gone = [(row[a], row[b]) for a, b in sorted(discarded) if a in row and b in row]
-    wanted = _wanted(matcher, [*locked, *gone])
+    wanted = wanted_pairs(matcher, [*locked, *gone])
     matcher.means.say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
     batch.look_at(wanted, gone)
     opinions = batch.opinions
@@ -110,77 +108,6 @@ def decide(
         )
         for i, j in sorted(opinions)
     )
-
-
-@dataclass(slots=True, eq=False)
-class _Batch:
-    """What was found between the maps of a batch, and what the two maps of each pair say alone."""
-
-    matcher: Pairwise
-    bar_of: Callable[[Pair, PairCount], Bar]
-    found: dict[Pair, Found] = field(default_factory=dict)
-    opinions: dict[Pair, Opinion] = field(default_factory=dict)
-    count: PairCount | None = None
-
-    def level(self, pair: Pair) -> Bar:
-        """What a pair must reach: all pairs share the rate of false merges, also those that were
-        found to have no chance."""
-        pairs = pairs_of(len(self.matcher.maps))
-        if self.count is None:
-            self.count = _count(self.found, pairs, self.matcher.settings)
-        return self.bar_of(pair, self.count)
-
-    def look_at(self, wanted: IntArray, gone: Iterable[Pair] = ()) -> None:
-        """Match (k, 2) pairs; what is found between some is taken back."""
-        prepared = self.matcher.prepared
-        found = self.matcher.pairs(wanted) | {pair: Found() for pair in gone}
-        self.found.update(found)
-        fresh = {
-            (i, j): _opinion(prepared[i], prepared[j], both, self.level((i, j)))
-            for (i, j), both in found.items()
-        }
-        fresh |= {pair: replace(fresh[pair], discarded=True) for pair in gone}
-        self.opinions.update(doubt_mirrored(fresh, self._image_bits, self.matcher.settings))
-
-    def _image_bits(self, pairs: list[Pair]) -> dict[Pair, float]:
-        return self.matcher.image_bits(np.array(pairs, np.int64).reshape(-1, 2))
-
-    def look_again(self, components: Components, joined: Iterable[Pair]) -> dict[Pair, Refusal]:
-        """Match the pairs that the index gave no chance and that now lie over each other, or were
-        joined by their components; those that by themselves want to lie elsewhere are refused."""
-        prepared = self.matcher.prepared
-        if len(self.opinions) == pairs_of(len(prepared)):
-            return {}
-        over = {*lying_over(components, [m.z for m in prepared]), *joined}
-        fresh = sorted(p for p in over if p not in self.opinions)
-        self.look_at(np.array(fresh, np.int64).reshape(-1, 2))
-        out = {}
-        for i, j in fresh:
-            view = self.opinions[i, j]
-            if view.verdict is not Verdict.MERGED or view.best is None:
-                continue
-            if not agrees(view.best, components.relative(i, j), prepared[j]):
-                out[i, j] = ELSEWHERE
-        return out
-
-
-def _wanted(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
-    """(k, 2) pairs to be matched: all of a small batch; of a large one those that have a chance,
-    and those that a person spoke of."""
-    likely = pairs_to_match(matcher.prepared, matcher.settings)
-    asked = np.array(sorted(locked), np.int64).reshape(-1, 2)
-    return np.unique(np.concatenate([likely, asked]), axis=0)
-
-
-def match_shard(
-    maps: Sequence[TopoMap], settings: RobustSettings, share: tuple[int, int], means: Means
-) -> int:
-    """Match the i-th of n shares of the pairs, i from 1 on, for the store alone; how many."""
-    matcher = Pairwise(sorted(maps, key=lambda m: m.run), settings, means)
-    wanted = in_tiles(_wanted(matcher))
-    mine = np.array_split(wanted, share[1])[share[0] - 1]
-    matcher.pairs(mine)
-    return len(mine)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,13 +161,6 @@ class _Case:
     together: bool = False
 
 
-def _opinion(a: Prepared, b: Prepared, found: Found, level: Bar) -> Opinion:
-    """The verdict on a pair from what matching it found."""
-    if not found.candidates:
-        return Opinion(Verdict.UNRELATED, level.need_bits, faint=found.faint)
-    return opinion(a, b, found.candidates, level)
-
-
 def _locked_pairs(
     runs: Sequence[str], prepared: Sequence[Prepared], locks: Sequence[Lock]
 ) -> dict[Pair, Lock]:
@@ -259,13 +179,6 @@ def _locked_pairs(
                 )
         out[pair] = lock
     return out
-
-
-def _count(found: Mapping[Pair, Found], pairs: int, settings: RobustSettings) -> PairCount:
-    """How many pairs may be merged wrongly, by chance or for copies."""
-    need = needed_bits(pairs, settings)
-    seen = sum(f.against_chance(settings) >= need for f in found.values())
-    return PairCount(pairs, beyond_chance(seen, pairs))
 
 
 def bars(
@@ -291,7 +204,7 @@ def _repetition(
     settings: RobustSettings,
 ) -> tuple[CopyModel, list[float], list[float]]:
     """How copies differ in these buildings; 0 … 1 for every map: does it repeat itself? And the
-    junctions of its largest copy of a part of itself. found: matches of each with itself."""
+    junctions of its largest copy of a part of itself."""
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]
