@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import LogError, UsageError
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .journal import note
+from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen, count
 from .workspace import Workspace, checked_run_name, shortened
 
@@ -89,6 +90,7 @@ def ingest(
     ] = False,
     strict: Strict = False,
     quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Turn logs into topological maps, one per run.
 
@@ -110,10 +112,13 @@ def ingest(
         time=time,
         strict=strict,
     )
-    place, screen = Workspace(workspace), Screen(quiet)
+    place, screen = Workspace(workspace), Screen(quiet, verbose)
     planned = _plan(logs, name, place, read, MappingSettings(closure=closure), force)
     with place.held(screen.warn):
         outcomes = _run_all(planned, jobs, screen)
+        new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
+        if new:
+            note(place, "ingest", f"{count(len(new), 'log')}: {shortened(new)}", screen.warn)
     _summarise(outcomes, place, screen)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
@@ -202,6 +207,8 @@ def _show(outcome: IngestOutcome, screen: Screen) -> None:
         screen.complain(outcome.text)
         return
     screen.line(f"{outcome.run}: {outcome.text}")
+    for detail in outcome.details:
+        screen.detail(f"{outcome.run}: {detail}")
     for warning in outcome.warnings:
         screen.warn(f"{outcome.run}: {warning}")
 

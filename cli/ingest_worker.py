@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -26,9 +26,15 @@ from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
 from .workers import start_worker
-from .workspace import Workspace
+from .workspace import Workspace, checked_run_name
 
 POLL_S = 0.1
+
+TOGETHER = 2
+"""Times that logs are read side by side, as long as processes die; then one by one."""
+
+MOST_NAMES = 16
+"""Names of one run, one after the other, that are followed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,8 @@ class IngestOutcome:
     """The log is good, but the call must say more: which topic, for instance."""
     maps: int = 1
     """How many maps the log has given."""
+    details: tuple[str, ...] = ()
+    """What was read and how, for those who ask."""
 
 
 def job_size(job: IngestJob) -> int:
@@ -89,6 +97,7 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started = time.monotonic()
+    job = replace(job, run=_called(job.place, job.run))
     key = _content_key(job)
     before = _record(job.place, job.run)
     had = _runs_of(before, job.run)
@@ -109,11 +118,29 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     write_together(writes)
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
-    record = partial(write_json, doc={"key": key, "log": _origin(job.log), "runs": runs})
+    doc = {"key": key, "log": _origin(job.log), "runs": runs}
+    doc |= {"version": __version__, "bytes": job_size(job)}
+    record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
     told = maps[0].info.get("warnings", ())
-    return IngestOutcome(job.log, job.run, "done", text, tuple(told), maps=len(maps))
+    details = _details(job, topomap)
+    return IngestOutcome(
+        job.log, job.run, "done", text, tuple(told), maps=len(maps), details=details
+    )
+
+
+def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
+    """What was read, and what loop closure made of it."""
+    source = topomap.info.get("source", {})
+    read = [
+        f"{what}: {part['messages']:,} messages of {part['type']} on {part['topic']}"
+        for what, part in source.items()
+        if isinstance(part, dict) and {"messages", "type", "topic"} <= set(part)
+    ]
+    closed = sum(closure.accepted for closure in topomap.closures)
+    closures = f"{closed} of {count(len(topomap.closures), 'closure')} accepted"
+    return (f"from {job.log}, {job_size(job):,} bytes", *read, closures)
 
 
 def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
@@ -139,8 +166,6 @@ def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[st
 
 
 def _renamed(run: Any, name: str) -> Any:
-    from dataclasses import replace
-
     return replace(run, name=name)
 
 
@@ -168,6 +193,20 @@ def _record(place: Workspace, run: str) -> dict[str, Any]:
     except DocumentError:
         return {}  # a cache: without it the run is just done again
     return found if isinstance(found, dict) else {}
+
+
+def _called(place: Workspace, run: str) -> str:
+    """The name that a run was given since by `topobatch rename`; its own if it was not."""
+    name = run
+    for _ in range(MOST_NAMES):
+        if place.map_json(name).is_file():
+            return name
+        name = _record(place, name).get("renamed", run)
+        try:
+            checked_run_name(name)
+        except (UsageError, TypeError, AttributeError):
+            return run  # nothing of ours wrote that
+    return run
 
 
 def _runs_of(record: dict[str, Any], run: str) -> list[str]:
@@ -236,18 +275,40 @@ def outcomes_of(
 
         yield from (ingest_one(job, on_bytes) for job in jobs)
         return
+    left = list(jobs)
+    for _ in range(TOGETHER):
+        unfinished = []
+        for job, outcome in _side_by_side(left, workers, advance):
+            if outcome is None:
+                unfinished.append(job)
+            else:
+                yield outcome
+        left = unfinished
+    for job in left:  # one by one: a log that ends its process costs no other
+        for _, outcome in _side_by_side([job], 1, advance):
+            text = f"{job.log}: the process that read it was killed (out of memory?)"
+            yield outcome or IngestOutcome(job.log, job.run, "failed", text)
+
+
+def _side_by_side(
+    jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
+) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
+    """Jobs with their outcomes; None where the processes ended before it was there."""
+    if not jobs:
+        return
     context = _context()
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
         try:
             with _interrupts_deferred():  # a worker stopped half-started would complain
-                futures = {pool.submit(_counted, job): job for job in jobs}
+                futures = dict(_submitted(pool, jobs))
+            yield from ((job, None) for job in jobs[len(futures) :])
             waiting = set(futures)
             while waiting:
                 finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
                 advance(counter.value)
                 for future in finished:
-                    yield _result(future, futures[future])
+                    yield futures[future], _result(future)
         except BaseException:  # Ctrl-C: nobody waits for half-read logs
             for process in multiprocessing.active_children():
                 process.terminate()
@@ -274,14 +335,26 @@ def _interrupts_deferred() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _result(future: Future[IngestOutcome], job: IngestJob) -> IngestOutcome:
+def _submitted(
+    pool: ProcessPoolExecutor, jobs: Sequence[IngestJob]
+) -> Iterator[tuple[Future[IngestOutcome], IngestJob]]:
+    """The jobs as they are asked for, as long as all processes live."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    for job in jobs:
+        try:
+            yield pool.submit(_counted, job), job
+        except BrokenProcessPool:
+            return
+
+
+def _result(future: Future[IngestOutcome]) -> IngestOutcome | None:
     from concurrent.futures.process import BrokenProcessPool
 
     try:
         return future.result()
     except BrokenProcessPool:
-        text = f"{job.log}: the process that read it was killed (out of memory?); try --jobs 1"
-        return IngestOutcome(job.log, job.run, "failed", text)
+        return None
 
 
 def _context() -> Any:

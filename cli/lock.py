@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .journal import note
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say, warn
 from .workspace import Workspace
 
@@ -17,8 +18,12 @@ if TYPE_CHECKING:
 
 
 def lock(
-    a: Annotated[str | None, typer.Argument(metavar="[A]", help="A run.")] = None,
-    b: Annotated[str | None, typer.Argument(metavar="[B]", help="Another run.")] = None,
+    a: Annotated[
+        str | None, typer.Argument(metavar="[A]", help="A run.", autocompletion=complete_run)
+    ] = None,
+    b: Annotated[
+        str | None, typer.Argument(metavar="[B]", help="Another run.", autocompletion=complete_run)
+    ] = None,
     same: Annotated[
         bool, typer.Option("--same", help="The two share places: join them, where they fit best.")
     ] = False,
@@ -62,6 +67,8 @@ def lock(
             place.chosen_runs([a, b], False)
             kept = with_lock(place.locks(), _checked(place, Lock(a, b, _decision(same), _pair(at))))
         place.write_locks(kept)
+        done = "clear" if clear else _decision(same)
+        note(place, "lock", f"{min(a, b)} + {max(a, b)}: {done}", warn)
     _show(kept)
     say("next: topobatch merge --all")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from io import StringIO, TextIOWrapper
 from typing import Annotated, Any, cast
 
@@ -16,12 +17,16 @@ from typer.exceptions import TyperException
 
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
+from .discard import discard
 from .explain import explain
 from .info import info
 from .ingest import ingest
+from .journal import history
+from .listing import list_runs
 from .lock import lock
 from .merge import merge
 from .output import complain, say, say_lines
+from .rename import rename
 from .schema import schema
 from .simulate import simulate
 from .view import view
@@ -41,8 +46,22 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, info, explain, lock, simulate, schema):
-    app.command()(command)
+COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
+    ("ingest", ingest),
+    ("merge", merge),
+    ("view", view),
+    ("list", list_runs),
+    ("info", info),
+    ("explain", explain),
+    ("lock", lock),
+    ("discard", discard),
+    ("rename", rename),
+    ("history", history),
+    ("simulate", simulate),
+    ("schema", schema),
+)
+for name, command in COMMANDS:
+    app.command(name)(command)
 
 
 def _version(wanted: bool) -> None:

@@ -10,6 +10,7 @@ of files, topics and types come from others, and what would steer a terminal is 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -77,8 +78,10 @@ def count(number: int, singular: str, plural: str | None = None) -> str:
 class Screen:
     """Lines and, on a terminal, one progress bar below them."""
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(self, quiet: bool, verbose: bool = False) -> None:
         self.quiet = quiet
+        self.verbose = verbose
+        self._started = time.monotonic()
         self._progress: Any = None
         self._task: Any = None
 
@@ -86,6 +89,11 @@ class Screen:
         """A line of the result, above the bar if there is one."""
         if not self.quiet:
             self._emit(text, err=False)
+
+    def detail(self, text: str) -> None:
+        """What happens meanwhile, with the seconds since the start; only if it was asked for."""
+        if self.verbose:
+            self._emit(f"[{time.monotonic() - self._started:.1f} s] {text}", err=True)
 
     def warn(self, message: str) -> None:
         """A warning; --quiet silences it, for it is in the documents too."""

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import DataError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
 from .workspace import Workspace, shortened
 
@@ -18,7 +18,8 @@ def view(
     run: Annotated[
         str | None,
         typer.Argument(
-            help="Run whose map to open, or the --output NAME of a merge; the merged map without."
+            help="Run whose map to open, or the --output NAME of a merge; the merged map without.",
+            autocompletion=complete_run,
         ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,8 @@ NAME_BYTES = 200
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`, `cache/`.
+    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`,
+    `discards.json`, `history.jsonl`, `cache/`.
 
     What lies there may come from others. Raises DataError if one of its folders is a link, or is
     none: what is written and cleared away lies in the workspace. Names become paths only if they
@@ -44,7 +45,7 @@ class Workspace:
 
     def __post_init__(self) -> None:
         cache = self.root / "cache"
-        for folder in (self.maps, cache, cache / "ingest", self.root / "explain"):
+        for folder in (self.maps, cache, cache / "ingest", self.pairs, self.root / "explain"):
             self._require(folder, stat.S_IFDIR, "folder")
         self._require(self.root / ".lock", stat.S_IFREG, "file")
 
@@ -74,7 +75,8 @@ class Workspace:
     def check_merge(self) -> None:
         """UsageError if the name of the merge is too long, or another file's."""
         checked_file_name(self.merge, MERGE)
-        if self.merge.casefold() in (MERGED, self.locks_json.stem) or self.merge in self.runs():
+        taken = (MERGED, self.locks_json.stem, self.discards_json.stem)
+        if self.merge.casefold() in taken or self.merge in self.runs():
             raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
 
     @property
@@ -103,6 +105,11 @@ class Workspace:
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
+
+    @property
+    def pairs(self) -> Path:
+        """Folder of what matching pairs of maps found; may be deleted at any time."""
+        return self.root / "cache" / "pairs"
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""
@@ -158,6 +165,36 @@ class Workspace:
 
         write_json(self.locks_json, locks_to_document(locks))
 
+    @property
+    def history(self) -> Path:
+        """What was done to the workspace."""
+        return self.root / "history.jsonl"
+
+    @property
+    def discards_json(self) -> Path:
+        """Matches that a person took back."""
+        return self.root / "discards.json"
+
+    def discards(self) -> frozenset[tuple[str, str]]:
+        """Pairs of runs whose match a person took back; DocumentError if that cannot be read."""
+        from ..merge.discards import discards_from_document
+        from ..topology.document import read_json
+
+        if not os.path.lexists(self.discards_json):
+            return frozenset()
+        return discards_from_document(read_json(self.discards_json), str(self.discards_json))
+
+    def write_discards(self, pairs: Iterable[tuple[str, str]]) -> None:
+        """Keep these pairs; none leave no document."""
+        from ..merge.discards import discards_to_document
+        from ..topology.document import write_json
+
+        kept = frozenset(pairs)
+        if kept:
+            write_json(self.discards_json, discards_to_document(kept))
+        else:
+            self.discards_json.unlink(missing_ok=True)
+
     @contextmanager
     def held(self, say: Callable[[str], None], *, make: bool = True) -> Iterator[None]:
         """Keep other topobatch processes out of the workspace, waiting for them if need be.
@@ -186,7 +223,7 @@ class Workspace:
     def _clear_left_overs(self) -> None:
         from ..topology.document import LEFT_OVER
 
-        for folder in (self.root, self.maps, self.ingest_record("x").parent):
+        for folder in (self.root, self.maps, self.ingest_record("x").parent, self.pairs):
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)

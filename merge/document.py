@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,10 +44,28 @@ class ComponentEntry(Model):
     runs: dict[str, Pose]
 
 
+class UnlistedPairs(Model):
+    """Pairs of runs that a merge of more than 5,000 pairs counts and does not list in `merges`."""
+
+    joined: Index = Field(description="In one component, through other runs.")
+    unrelated: Index = Field(
+        description="Not in one component; matched, with nothing that chance would not offer."
+    )
+    screened: Index = Field(
+        description="Not in one component and not matched: no corridors that hang together look "
+        "alike enough for the two runs to be merged. They count in threshold_bits like all pairs."
+    )
+
+
 class MergedGraph(Model):
     """Attributes of the whole merge."""
 
     components: list[ComponentEntry]
+    unlisted: UnlistedPairs | None = Field(
+        None,
+        description="Present in large merges: how many pairs are not in `merges`. Such a pair is "
+        "unrelated, unless its runs are in one component.",
+    )
     method: str | None = None
     settings: dict[str, Any] | None = Field(
         None, description="What the method was tuned to; false_merge_rate and others."
@@ -176,7 +195,9 @@ class MergedDocument(Model):
     graph: MergedGraph
     nodes: list[MergedNode]
     edges: list[MergedEdge]
-    merges: list[MergeEntry]
+    merges: list[MergeEntry] = Field(
+        description="One entry for each pair of runs, but for those in graph.unlisted."
+    )
 
 
 def pose_to_document(pose: Any) -> dict[str, float]:
@@ -251,6 +272,8 @@ def merged_to_document(result: MergeResult) -> dict[str, Any]:
             for c in result.components
         ]
     }
+    if result.unlisted is not None:
+        graph["unlisted"] = asdict(result.unlisted)
     graph |= {k: v for k, v in sorted(result.info.items()) if k not in graph}
     return {
         "schema": MERGED_SCHEMA,

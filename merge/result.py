@@ -188,6 +188,11 @@ class FusedMap:
         return len(self.xy)
 
 
+def pairs_of(runs: int) -> int:
+    """How many pairs of runs there are."""
+    return runs * (runs - 1) // 2
+
+
 def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
     number = np.cumsum(chosen) - 1
@@ -207,18 +212,45 @@ def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str
     }
 
 
+@dataclass(frozen=True, slots=True)
+class Unlisted:
+    """Pairs of runs that a large merge counts instead of listing: none of them is accepted, or
+    speaks for an alignment, or was spoken of by a person.
+
+    joined: in one component, through other runs; of the others: unrelated: matched, with nothing
+    that chance would not offer; screened: not matched, as no corridors that hang together look
+    alike enough for the two to be merged.
+    """
+
+    joined: int = 0
+    unrelated: int = 0
+    screened: int = 0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeResult:
     """Everything `merged.json` holds.
 
-    verdicts: one per pair of runs, sorted by (a, b). info: what else the document's `graph` says
-    (method, settings, warnings, layers). JSON values only.
+    verdicts: one per pair of runs, sorted by (a, b), but for those that a large merge counts in
+    `unlisted`. info: what else the document's `graph` says (method, settings, warnings, layers).
+    JSON values only.
     """
 
     components: tuple[Component, ...]
     fused: FusedMap
     verdicts: tuple[PairVerdict, ...]
     info: Mapping[str, Any] = field(default_factory=dict)
+    unlisted: Unlisted | None = None
+
+    def count(self, standing: Standing) -> int:
+        """How many pairs, listed or not, stand so."""
+        listed = sum(pair.standing is standing for pair in self.verdicts)
+        rest = self.unlisted or Unlisted()
+        if standing is Standing.JOINED:
+            return listed + rest.joined
+        if standing is Standing.UNRELATED:
+            return listed + rest.unrelated + rest.screened
+        return listed
 
 
 def shown_bits(bits: float, digits: int = 1) -> str:

@@ -119,7 +119,13 @@ def test_what_is_imported_is_declared_and_locked() -> None:
     for requirement in [*needed, *tools]:
         found = locked[re.sub("[._]", "-", requirement.name.lower())]
         assert all(requirement.specifier.contains(version) for version in found), requirement
-    declared = {re.sub("[._]", "-", requirement.name.lower()) for requirement in needed}
+    extras = [
+        Requirement(text)
+        for extra, texts in project["optional-dependencies"].items()
+        if extra != "dev"
+        for text in texts
+    ]
+    declared = {re.sub("[._]", "-", asked.name.lower()) for asked in [*needed, *extras]}
     origin = packages_distributions()
     for path in [path for package in PACKAGES for path in modules(package)]:
         for node in ast.walk(ast.parse(path.read_text())):
@@ -127,7 +133,7 @@ def test_what_is_imported_is_declared_and_locked() -> None:
             if isinstance(node, ast.ImportFrom) and node.level == 0:
                 names = [node.module or ""]
             for name in {name.split(".")[0] for name in names} - sys.stdlib_module_names:
-                homes = {re.sub("[._]", "-", home.lower()) for home in origin[name]}
+                homes = {re.sub("[._]", "-", home.lower()) for home in origin.get(name, [name])}
                 assert homes & declared, f"{path}: {name} is not declared"
 
 

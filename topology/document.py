@@ -358,15 +358,16 @@ def read_json(path: Path) -> Any:
     than 200, text that is no UTF-8 or holds halves of characters, numbers that are none.
     """
     try:
-        return from_json(_content(path), allow_inf_nan=False)
+        return from_json(read_bytes(path), allow_inf_nan=False)
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
         raise DocumentError(f"{path}: is not JSON: {error}") from error
 
 
-def _content(path: Path) -> bytes:
-    """The bytes of a document; nothing that could block or act on being opened is opened."""
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a document; nothing that could block or act on being opened is opened. Raises
+    DocumentError on what is no file, OSError where it cannot be read."""
     if not stat.S_ISREG(os.lstat(path).st_mode):
         raise DocumentError(f"{path}: is a {kind_of(path)}, not a document; remove it")
     # Whoever puts something else there meanwhile is refused as well.

@@ -46,6 +46,10 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
     """(n, n) classes of all pairs, symmetric, rows and columns in the given order."""
     row = {run: i for i, run in enumerate(runs)}
     matrix = np.full((len(runs), len(runs)), UNRELATED, np.uint8)
+    if result.unlisted is not None:
+        for component in result.components:  # what is not listed is joined, or unrelated
+            rows = [row[run] for run in component.poses if run in row]
+            matrix[np.ix_(rows, rows)] = JOINED
     np.fill_diagonal(matrix, DIAGONAL)
     for pair in result.verdicts:
         if pair.a in row and pair.b in row:
@@ -56,7 +60,7 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
 
 def merge_summary(result: MergeResult) -> str:
     """A page of markdown: counts, components, how to read the picture, warnings."""
-    count = Counter(verdict_class(pair) for pair in result.verdicts)
+    count = {kind: result.count(standing) for standing, kind in _CLASSES.items()}
     fused = result.fused
     shared = sum(len(members) > 1 for members in fused.members)
     runs = sum(len(c.poses) for c in result.components)
@@ -119,20 +123,24 @@ def _notes(result: MergeResult) -> str:
 def pairs_told(result: MergeResult) -> str:
     """Markdown with every pair's verdict, reason and evidence; the strongest of each kind first."""
     parts = ["# Pairs of runs"]
-    for kind, title in (
-        (AMBIGUOUS, "Ambiguous"),
-        (NOT_ACCEPTED, "Fitting, but kept out"),
-        (MERGED, "Merged"),
-        (JOINED, "Joined through others"),
-        (UNRELATED, "Unrelated"),
+    for standing, title in (
+        (Standing.AMBIGUOUS, "Ambiguous"),
+        (Standing.KEPT_OUT, "Fitting, but kept out"),
+        (Standing.MERGED, "Merged"),
+        (Standing.JOINED, "Joined through others"),
+        (Standing.UNRELATED, "Unrelated"),
     ):
+        kind = _CLASSES[standing]
         pairs = strongest(p for p in result.verdicts if verdict_class(p) == kind)
-        if pairs:
-            parts.append(f"## {title} ({len(pairs)})")
+        everyone = result.count(standing)
+        if everyone:
+            parts.append(f"## {title} ({everyone})")
             told = _in_short if kind in (JOINED, UNRELATED) else _in_full
             parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
             if len(pairs) > MOST_PAIRS:
                 parts.append(f"… and {len(pairs) - MOST_PAIRS} more, in `merged.json`")
+            if everyone > len(pairs):
+                parts.append(f"{everyone - len(pairs)} pairs that a large merge only counts")
     if len(parts) == 1:
         parts.append("There is no pair: fewer than two runs.")
     return "\n\n".join(parts) + "\n"

@@ -7,6 +7,7 @@ from ..result import shown_bits
 from ..wording import counted, told_bits
 from .alignment import Candidate
 from .prepare import Prepared
+from .verdict import Faint
 
 
 def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
@@ -24,12 +25,12 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     return f"{text}; next best alignment {lead} bits behind"
 
 
-def nothing(best: Candidate | None, bits: float, need_bits: float) -> str:
+def nothing(best: Faint | None, need_bits: float) -> str:
     """Why two maps without an alignment beyond chance are unrelated."""
     if best is None:
         return "nothing that chance would not offer: no alignment holds"
-    agree = f"{counted(len(best), 'junction')} {'agrees' if len(best) == 1 else 'agree'}"
-    return f"nothing that chance would not offer: {agree}, {told_bits(bits, need_bits)}"
+    agree = f"{counted(best.junctions, 'junction')} {'agrees' if best.junctions == 1 else 'agree'}"
+    return f"nothing that chance would not offer: {agree}, {told_bits(best.bits, need_bits)}"
 
 
 def contradictions(best: Candidate, a: Prepared, b: Prepared) -> tuple[str, ...]:

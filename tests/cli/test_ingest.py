@@ -7,12 +7,17 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from topobatch.cli.ingest_worker import IngestJob, outcomes_of
+from topobatch.cli.workspace import Workspace
+from topobatch.ingest.mapping import MappingSettings
+from topobatch.ingest.reading import ReadSettings
 from topobatch.topology.document import read_map
 
 
@@ -70,6 +75,7 @@ def test_a_folder_of_logs_then_merge(topobatch, logs, tmp_path):
     assert [(m["a"], m["b"]) for m in document["merges"]] == [("first", "second")]
     assert sorted(p.name for p in workspace.iterdir() if not p.name.startswith(".")) == [
         "cache",
+        "history.jsonl",
         "maps",
         "merged.json",
         "merged.rrd",
@@ -353,3 +359,37 @@ def test_folders_deeper_than_the_stack(topobatch, logs, tmp_path, monkeypatch):
     # What removes folders is not as patient.
     os.rename(tmp_path / "d", tmp_path / "left")
     subprocess.run(["rm", "-rf", str(tmp_path / "left")], check=True)
+
+
+class Deadly:
+    """In place of a path: whoever unpickles it is killed, if told so only the first time."""
+
+    def __init__(self, path, mark=None):
+        self.path, self.mark = path, mark
+
+    def __reduce__(self):
+        kill = "__import__('os').kill(__import__('os').getpid(), 9)"
+        mark = f"__import__('pathlib').Path({str(self.mark)!r})"
+        path = f"__import__('pathlib').Path({str(self.path)!r})"
+        once = f"({mark}.exists() or [{mark}.touch(), {kill}]) and {path}"
+        return eval, (once if self.mark else kill,)
+
+    def __getattr__(self, name):
+        return getattr(self.path, name)
+
+    def __fspath__(self):
+        return str(self.path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
+@pytest.mark.parametrize("again", [True, False])
+def test_a_process_that_dies_costs_no_other_log(logs, tmp_path, again):
+    kinds = ("mcap", "bag", "other")
+    place = Workspace(tmp_path / "ws")
+    jobs = [
+        IngestJob(logs[k], k, place, ReadSettings(), MappingSettings(), force=False) for k in kinds
+    ]
+    deadly = Deadly(logs["bag"], None if again else tmp_path / "mark")
+    jobs[1] = replace(jobs[1], log=deadly)
+    found = {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)}
+    assert found == {"mcap": "done", "bag": "failed" if again else "done", "other": "done"}

@@ -192,7 +192,7 @@ def test_processes_stop_at_an_interrupt():
     futures = []
 
     def interrupted():
-        with _executor(2, 100) as pool:
+        with _executor(2) as pool:
             futures.extend(pool.submit(time.sleep, 20) for _ in range(4))
             raise KeyboardInterrupt
 

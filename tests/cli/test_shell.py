@@ -36,7 +36,8 @@ def test_help_and_version():
     assert run("--version").stdout.startswith("topobatch 0.")
     shown = run("--help")
     assert shown.returncode == 0
-    for command in ("ingest", "merge", "view", "info", "explain", "lock", "simulate", "schema"):
+    commands = "ingest merge view list info explain lock discard rename history simulate schema"
+    for command in commands.split():
         assert f"  {command} " in shown.stdout
         help_text = run(command, "--help")
         assert help_text.returncode == 0
@@ -132,7 +133,7 @@ def test_workers(before, after, code):
 MATCHERS = """
 import os, signal
 from topobatch.cli.merge import _executor
-with _executor(2, 2) as pool:
+with _executor(2) as pool:
     print(pool.submit(abs, -7).result(), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
