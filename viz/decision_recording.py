@@ -190,7 +190,7 @@ def _contradictions(
         (t, xy[side][list(ends)])
         for t in against
         for side, ends in enumerate((t.a, t.b))
-        if t.kind == "crossing" and len(ends) == 2
+        if t.kind != "unseen" and len(ends) == 2
     ]
     if crossed:
         lines = rr.LineStrips2D(

@@ -351,7 +351,7 @@ def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatAr
                 at = xy[side][ends[0]][None]
                 canvas.dots(at, canvas.theme["against"], 9.0, order=5.0, ring=True, told=told)
                 drawn = True
-            elif len(ends) == 2 and t.kind == "crossing":
+            elif len(ends) == 2 and t.kind != "unseen":
                 line = xy[side][list(ends)]
                 canvas.lines([line], canvas.theme["against"], 2.2, order=5.0, told=told)
                 drawn = True

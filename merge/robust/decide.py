@@ -34,7 +34,7 @@ from .verdict import (
     opinion,
     repetition_level,
 )
-from .wording import contradicting, contradictions, nothing, summary
+from .wording import contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
 """A batch repeats itself as its map at this quantile does: most maps repeat, or few do. Pairs are
@@ -410,12 +410,13 @@ def _extra(case: _Case) -> dict[str, float]:
 
 def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:
     order = np.argsort(c.a, kind="stable")
+    against = contradictions(c, a, b)
     return Alignment(
         transform=c.transform,
         evidence_bits=bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
-        contradictions=contradictions(c, a, b),
-        contradicting=contradicting(c, a, b),
+        contradictions=tuple(told for told, _, _ in against),
+        contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
     )
