@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ...topology.errors import LogError, UsageError
+from .laser_wire import LaserKind
 from .messages import Channel
 from .wire import Kind
 
@@ -41,8 +42,23 @@ TRANSFORM_KINDS: Mapping[str, Kind | None] = {
 }
 """Types that tell how frames lie to each other; None: they are decoded message by message."""
 
+SCAN_KINDS: Mapping[str, LaserKind | None] = {
+    "sensor_msgs/msg/LaserScan": "laser_scan",
+    "sensor_msgs/msg/MultiEchoLaserScan": "multi_echo",
+    "foxglove.LaserScan": None,
+    "foxglove_msgs/msg/LaserScan": None,
+}
+"""Types of planar scans; None: they are decoded message by message."""
+
+CLOUD_KINDS: Mapping[str, None] = {"sensor_msgs/msg/PointCloud2": None}
+
+GRID_KINDS: Mapping[str, None] = {"nav_msgs/msg/OccupancyGrid": None}
+
 ODOMETRY_TYPES = "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped or foxglove.PoseInFrame"
 JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
+SCAN_TYPES = "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan"
+CLOUD_TYPES = "sensor_msgs/PointCloud2"
+GRID_TYPES = "nav_msgs/OccupancyGrid"
 
 
 @dataclass(frozen=True, slots=True)
