@@ -32,6 +32,9 @@ JUNCTION_KINDS: Mapping[str, Kind] = {
     "foxglove_msgs/msg/PosesInFrame": "foxglove_poses",
 }
 
+PARTICLES = ("/particlecloud", "/particle_cloud")
+"""Names of topics that hold many poses of the robot, none of a junction."""
+
 TRANSFORM_KINDS: Mapping[str, Kind | None] = {
     "tf2_msgs/msg/TFMessage": "transforms",
     "tf/msg/tfMessage": "transforms",
@@ -128,12 +131,37 @@ def choose_junctions(
             return Choice("/junctions", every["/junctions"], "default name")
         raise UsageError(f"{log}: --junction-fields needs --junction-topic; {listing(counts)}")
     topics = _of_types(counts, set(JUNCTION_KINDS))
+    # What a particle filter believes of the robot's own pose.
+    topics = {name: kind for name, kind in topics.items() if not name.endswith(PARTICLES)}
     if not topics:
         raise LogError(
             f"{log}: no junction detections found ({JUNCTION_TYPES}); {listing(counts)}; if one of "
             "them holds junctions, name it by --junction-topic and its fields by --junction-fields"
         )
     return _single(topics, "/junctions", "--junction-topic", "the junction detections", log)
+
+
+def choose_sensor(
+    counts: Mapping[Channel, int],
+    named: str | None,
+    kinds: Iterable[str],
+    *,
+    usual: str,
+    types: str,
+    log: str,
+) -> Choice:
+    """The topic of scans, clouds or grids.
+
+    Raises LogError if there is none, UsageError if there are several to choose from. Cost maps are
+    what a planner makes of a map: taken only when named.
+    """
+    if named is not None:
+        return _named(counts, named, kinds=kinds, flag="--scan-topic", types=types, log=log)
+    topics = _of_types(counts, kinds)
+    topics = {name: kind for name, kind in topics.items() if "costmap" not in name}
+    if not topics:
+        raise LogError(f"{log}: nothing found to detect junctions in ({types}); {listing(counts)}")
+    return _single(topics, usual, "--scan-topic", "what junctions are to be found in", log)
 
 
 def _of_types(
