@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ..topology.errors import LogError
 from ..topology.odometry import Odometry
 from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, kept_whole
-from .frames import NO_TRANSFORMS, FixedCollector, FixedTransforms
+from .frames import FixedTransforms
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source
 from .logs.intake import Intake
-from .logs.messages import Channel, Findings
+from .logs.messages import Findings
 from .logs.recording import (
     Recording,
     find_logs,
@@ -23,13 +22,15 @@ from .logs.recording import (
     recording_at,
     run_name,
 )
-from .logs.topics import TRANSFORM_KINDS, Choice
+from .logs.topics import Choice
+from .mounting import transforms_about
 from .odometry.kidnapping import split_where_carried
 from .odometry.reading import because, described, driven, odometry_topic, source_of
 from .read_settings import DEFAULT_READ, ReadSettings
-from .sightings import Sightings, robot_frame_sightings, side_of
+from .scan_reading import with_scans
+from .sightings import Sightings, robot_frame_sightings
 from .sources import Clock, Source, choose_clock, clock_without_jumps
-from .survey import surveyed, walk
+from .survey import LogRead, surveyed, walk
 
 __all__ = [
     "LogInfo",
@@ -44,25 +45,6 @@ __all__ = [
 ]
 
 OnBytes = Callable[[int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class _Read:
-    """What one walk through a log has brought to light; warnings: what is damaged."""
-
-    recording: Recording
-    intake: Intake
-    counts: Mapping[Channel, int]
-    settings: ReadSettings
-    warnings: tuple[str, ...]
-
-    @property
-    def log(self) -> str:
-        return str(self.recording.path)
-
-    @property
-    def run(self) -> str:
-        return run_name(self.recording.path)
 
 
 def read_run(
@@ -84,7 +66,7 @@ def read_run(
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     findings = walk(recording, intake, on_bytes)
     warnings = _damage(recording, findings, settings)
-    read = _Read(recording, intake, findings.counts, settings, tuple(warnings))
+    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings))
     try:
         source = junction_source(findings.counts, settings, log)
         return WAYS[source.way](read, source)
@@ -93,7 +75,7 @@ def read_run(
         raise LogError("; ".join([str(error), *warnings])) from error
 
 
-def _with_detections(read: _Read, junction: JunctionSource) -> Run:
+def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     """The run of a log with junction detections."""
     settings, log, warnings = read.settings, read.log, list(read.warnings)
     odometry = odometry_topic(read.intake, read.counts, settings, log)
@@ -109,7 +91,7 @@ def _with_detections(read: _Read, junction: JunctionSource) -> Run:
         about["passed_over"] = list(junction.passed_over)
     track = driven(odometry, clock, settings, log)
     frames = (frame for frame, _ in junctions.frames)
-    fixed = fixed_transforms(read.recording, frames, track.recorded)
+    fixed = transforms_about(read.recording, frames, track.recorded)
     sightings = _sightings(
         junction.choice,
         junctions,
@@ -146,27 +128,13 @@ def _damage(recording: Recording, findings: Findings, settings: ReadSettings) ->
     return damage
 
 
-def _junctions(read: _Read, choice: Choice) -> Source:
+def _junctions(read: LogRead, choice: Choice) -> Source:
     source = source_of(read.intake, read.counts, choice.topic, read.log)
     if len(source) == 0:
         raise LogError(
             f"{read.log}: {choice.topic} holds no usable pose{because(source, choice.topic)}"
         )
     return source
-
-
-def fixed_transforms(
-    recording: Recording, frames: Iterable[str], odometry: Odometry
-) -> FixedTransforms:
-    """How frames of the robot lie to each other; the log is read again only where that is asked."""
-    if all(side_of(name, odometry.frame, odometry.child_frame) != "foreign" for name in frames):
-        return NO_TRANSFORMS
-    collector = FixedCollector()
-    intake = Intake(lambda channel: channel.type_name in TRANSFORM_KINDS, collector.decoder_for)
-    walk(recording, intake, None)
-    for sink in intake.sinks:
-        sink.flush()
-    return collector.found
 
 
 def _sightings(
@@ -195,4 +163,8 @@ def _sightings(
     return Sightings(sightings.detections, tuple(warnings))
 
 
-WAYS: Mapping[str, Callable[[_Read, JunctionSource], Run]] = {"topic": _with_detections}
+WAYS: Mapping[str, Callable[[LogRead, JunctionSource], Run]] = {
+    "topic": _with_detections,
+    "scan": with_scans,
+    "cloud": with_scans,
+}

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from .logs.intake import Intake
 from .logs.messages import Channel, Findings, Survey
-from .logs.recording import Recording, opened, sniff
+from .logs.recording import Recording, opened, run_name, sniff
+from .read_settings import ReadSettings
 
 OnBytes = Callable[[int], None]
 
@@ -66,3 +67,24 @@ def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Find
         if file.stat().st_size > told:
             progress(file.stat().st_size - told)
     return findings
+
+
+@dataclass(frozen=True, slots=True)
+class LogRead:
+    """What one walk through a log has brought to light; warnings: what is damaged."""
+
+    recording: Recording
+    intake: Intake
+    counts: Mapping[Channel, int]
+    settings: ReadSettings
+    warnings: tuple[str, ...]
+
+    @property
+    def log(self) -> str:
+        """The path, for messages."""
+        return str(self.recording.path)
+
+    @property
+    def run(self) -> str:
+        """The run's name."""
+        return run_name(self.recording.path)
