@@ -11,6 +11,7 @@ import typer
 from ..topology.errors import LogError
 from .ingest import JunctionFields, JunctionTopic, OdometryTopic
 from .output import complain, count, say, table
+from .scan_options import JunctionsFrom, ScanTopic
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo
@@ -24,6 +25,8 @@ def info(
     odometry_topic: OdometryTopic = None,
     junction_topic: JunctionTopic = None,
     junction_fields: JunctionFields = None,
+    junctions_from: JunctionsFrom = None,
+    scan_topic: ScanTopic = None,
 ) -> None:
     """Show what a log holds and what ingest would use.
 
@@ -37,6 +40,8 @@ def info(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
+        junctions_from=junctions_from,
+        scan_topic=scan_topic,
     )
     failed = False
     for each in find_logs([log]):

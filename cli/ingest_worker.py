@@ -25,6 +25,7 @@ from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
+from .scan_options import source_told
 from .workers import start_worker
 from .workspace import Workspace
 
@@ -112,6 +113,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     record = partial(write_json, doc={"key": key, "log": _origin(job.log), "runs": runs})
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
+    text += source_told(maps[0].info.get("source", {}))
     told = maps[0].info.get("warnings", ())
     return IngestOutcome(job.log, job.run, "done", text, tuple(told), maps=len(maps))
 

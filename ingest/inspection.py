@@ -8,18 +8,19 @@ from pathlib import Path
 
 from ..topology.errors import LogError, UsageError
 from .channels import check_mapping
-from .junction_source import junction_choice
+from .junction_source import JunctionSource, junction_source, sensor_topics
 from .logs.intake import Intake
 from .logs.messages import Channel
 from .logs.recording import Recording, recording_at, run_name, sniff
 from .logs.topics import choose_odometry
-from .read_settings import DEFAULT_READ, ReadSettings
+from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .survey import Index, surveyed, walk
 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """One topic of a log: `use` is "odometry", "junctions" or "", `why` the reason."""
+    """One topic of a log: `use` is "odometry", "junctions", "scans", "clouds", "grid" or "", `why`
+    the reason; of what could be used but is not, it says so."""
 
     topic: str
     type_name: str
@@ -79,16 +80,33 @@ def _uses(
     """Per topic what it would be used for and why; what is missing becomes a problem."""
     log = str(recording.path)
     uses: dict[str, tuple[str, str]] = {}
+    source: JunctionSource | None = None
+    missing: list[str] = []
+    try:
+        source = junction_source(counts, settings, log)
+        if source.way == "topic":
+            check_mapping(recording, counts, settings, log)
+    except (LogError, UsageError) as error:
+        missing.append(str(error))
     try:
         for rank, choice in enumerate(choose_odometry(counts, settings.odometry_topic, log)):
             why = choice.why if rank == 0 else f"{choice.why}, if no better one serves"
             uses[choice.topic] = ("odometry", why)
     except (LogError, UsageError) as error:
-        problems.append(str(error))
-    try:
-        choice = junction_choice(counts, settings, log)
-        uses[choice.topic] = ("junctions", choice.why)
-        check_mapping(recording, counts, settings, log)
-    except (LogError, UsageError) as error:
-        problems.append(str(error))
+        # A grid needs no odometry, scans can do without.
+        if source is None or source.way == "topic" or isinstance(error, UsageError):
+            problems.append(str(error))
+    problems += missing
+    for topic, way in sensor_topics(counts):
+        uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
+    if source is not None:
+        uses[source.choice.topic] = (NAMES[source.way], source.choice.why)
     return uses
+
+
+NAMES: Mapping[Way, str] = {
+    "topic": "junctions",
+    "scan": "scans",
+    "cloud": "clouds",
+    "grid": "grid",
+}

@@ -89,6 +89,18 @@ def _choice(way: Way, counts: Mapping[Channel, int], settings: ReadSettings, log
     return choose_sensor(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
 
 
+def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:
+    """Every topic that junctions can be found in, and how."""
+    return sorted(
+        {
+            (channel.topic, way)
+            for channel, count in counts.items()
+            for way, (kinds, _, _) in SENSORS.items()
+            if count and channel.type_name in set(kinds)
+        }
+    )
+
+
 def _others(way: Way, counts: Mapping[Channel, int]) -> tuple[str, ...]:
     """Topics that could have shown junctions as well."""
     if way not in ("topic", "scan"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from ..topology.errors import LogError
 from ..topology.odometry import Odometry
@@ -82,7 +83,7 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     junctions = _junctions(read, junction.choice)
     clock = choose_clock(odometry.source, junctions, settings.time, warnings)
     clock = clock_without_jumps(odometry.source, clock, settings.track.backward_min_s, warnings)
-    about = {
+    about: dict[str, Any] = {
         "odometry": described(odometry.choice, odometry.source),
         "junctions": described(junction.choice, junctions),
         "time": clock,
