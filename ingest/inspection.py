@@ -12,6 +12,7 @@ from .junction_source import JunctionSource, junction_source, sensor_topics
 from .logs.intake import Intake
 from .logs.messages import Channel
 from .logs.recording import Recording, recording_at, run_name, sniff
+from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import choose_odometry
 from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .survey import Index, surveyed, walk
@@ -45,7 +46,10 @@ class LogInfo:
 
 def inspect_log(path: Path, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
     """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
-    recording, survey = surveyed(recording_at(Path(path)), exact=True)
+    recording = recording_at(Path(path))
+    if is_saved_map(recording.path):
+        return _of_saved_map(recording)
+    recording, survey = surveyed(recording, exact=True)
     problems = list(recording.notes)
     if survey is None:
         findings = walk(recording, Intake(lambda _: False), None)
@@ -69,6 +73,21 @@ def inspect_log(path: Path, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
         ),
         tuple(problems),
     )
+
+
+def _of_saved_map(recording: Recording) -> LogInfo:
+    """A saved map, as a log with one message."""
+    problems: tuple[str, ...] = ()
+    why = ""
+    try:
+        grid = read_saved_map(recording.path)
+        height, width = grid.free.shape
+        why = f"{width} x {height} cells of {grid.resolution_m:g} m"
+    except LogError as error:
+        problems = (str(error),)
+    image = TopicInfo(recording.files[1].name, "map_server", 1, "grid", why)
+    name = run_name(recording.path)
+    return LogInfo(recording.path, name, "saved map", recording.bytes, 0, 0.0, (image,), problems)
 
 
 def _uses(

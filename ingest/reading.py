@@ -11,8 +11,10 @@ from ..topology.odometry import Odometry
 from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, kept_whole
 from .frames import FixedTransforms
+from .grid_map import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source
+from .logs.grids import last_grid
 from .logs.intake import Intake
 from .logs.messages import Findings
 from .logs.recording import (
@@ -23,6 +25,7 @@ from .logs.recording import (
     recording_at,
     run_name,
 )
+from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
 from .mounting import transforms_about
 from .odometry.kidnapping import split_where_carried
@@ -41,6 +44,7 @@ __all__ = [
     "inspect_log",
     "log_fingerprint",
     "log_size",
+    "read_log",
     "read_run",
     "run_name",
 ]
@@ -51,7 +55,19 @@ OnBytes = Callable[[int], None]
 def read_run(
     path: Path, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
 ) -> Run:
+    """`read_log`, of a log that holds a run; LogError if it holds a grid alone."""
+    found = read_log(path, settings, on_bytes=on_bytes)
+    if isinstance(found, GridLog):
+        raise LogError(f"{path}: holds a grid, but no run")
+    return found
+
+
+def read_log(
+    path: Path, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
+) -> Run | GridLog:
     """Read the odometry of one log, and the junction sightings or what shows junctions.
+
+    A saved map, or a log that shows nothing else, gives a grid.
 
     path: an MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a folder with the parts of one
     recording. on_bytes is told how many more bytes of `log_size(path)` are done. What a damaged
@@ -60,6 +76,8 @@ def read_run(
     """
     log = str(path)
     recording = recording_at(Path(path))
+    if is_saved_map(recording.path):
+        return _saved_map(recording, on_bytes)
     recording, survey = surveyed(recording)
     accept = acceptance(survey.counts if survey else None, settings, log)
     if survey is not None:
@@ -110,6 +128,24 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
             "carried; the chain is split there"
         )
     return Run(read.run, split, sightings.detections, about, tuple(warnings))
+
+
+def _saved_map(recording: Recording, on_bytes: OnBytes | None) -> GridLog:
+    grid = read_saved_map(recording.path)
+    if on_bytes is not None:
+        on_bytes(recording.bytes)
+    about = {"from": "grid", "topic": recording.files[1].name, "type": "map_server"}
+    return GridLog(run_name(recording.path), grid, {"junctions": about})
+
+
+def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
+    """The last grid of a topic."""
+    grid, failed = last_grid(read.recording, source.choice.topic)
+    warnings = list(read.warnings)
+    if failed:
+        warnings.append(f"{source.choice.topic}: the last {failed} grids cannot be read; left out")
+    about = {"from": "grid", "topic": source.choice.topic, "type": source.choice.type_name}
+    return GridLog(read.run, grid, {"junctions": about}, tuple(warnings))
 
 
 def _damage(recording: Recording, findings: Findings, settings: ReadSettings) -> list[str]:
@@ -164,8 +200,9 @@ def _sightings(
     return Sightings(sightings.detections, tuple(warnings))
 
 
-WAYS: Mapping[str, Callable[[LogRead, JunctionSource], Run]] = {
+WAYS: Mapping[str, Callable[[LogRead, JunctionSource], Run | GridLog]] = {
     "topic": _with_detections,
     "scan": with_scans,
     "cloud": with_scans,
+    "grid": _recorded_grid,
 }
