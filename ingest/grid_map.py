@@ -47,7 +47,10 @@ class GridLog:
     warnings: tuple[str, ...] = ()
 
 
-def map_of_grid(log: GridLog, settings: FloorplanSettings = FloorplanSettings()) -> TopoMap:
+DEFAULT_FLOORPLAN = FloorplanSettings()
+
+
+def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -> TopoMap:
     """The topological map of the largest connected part of a grid's free space.
 
     It has no observations, and corridors that nobody drove. Raises DataError if there is no

@@ -119,7 +119,8 @@ def _uses(
     for topic, way in sensor_topics(counts):
         uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
     if source is not None:
-        uses[source.choice.topic] = (NAMES[source.way], source.choice.why)
+        for choice in (source.choice, *(source.beside if source.way == "scan" else ())):
+            uses[choice.topic] = (NAMES[source.way], choice.why)
     return uses
 
 

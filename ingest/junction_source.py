@@ -19,7 +19,7 @@ from .logs.topics import (
     SCAN_TYPES,
     Choice,
     choose_junctions,
-    choose_sensor,
+    choose_sensors,
     listing,
 )
 from .read_settings import ReadSettings, Way
@@ -36,11 +36,15 @@ SENSORS: Mapping[Way, tuple[Iterable[str], str, str]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class JunctionSource:
-    """The way that junctions come, its topic, and topics of other ways that were passed over."""
+    """The way that junctions come, its topic, and topics of other ways that were passed over.
+
+    beside: further topics of the same way, of other lasers perhaps.
+    """
 
     way: Way
     choice: Choice
     passed_over: tuple[str, ...] = ()
+    beside: tuple[Choice, ...] = ()
 
 
 def junction_source(
@@ -54,12 +58,12 @@ def junction_source(
     asked = _asked(counts, settings)
     for way in asked:
         try:
-            choice = _choice(way, counts, settings, log)
+            choice, *beside = _choices(way, counts, settings, log)
         except LogError:
             if len(asked) == 1:
                 raise
             continue
-        return JunctionSource(way, choice, _others(way, counts))
+        return JunctionSource(way, choice, _others(way, counts), tuple(beside))
     raise LogError(
         f"{log}: no junction detections found ({JUNCTION_TYPES}), and nothing to find them "
         f"in: no scans ({SCAN_TYPES}), no clouds ({CLOUD_TYPES}), no grid ({GRID_TYPES}); "
@@ -82,11 +86,13 @@ def _asked(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple[Way, 
     return ("topic", *SENSORS)
 
 
-def _choice(way: Way, counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
+def _choices(
+    way: Way, counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> list[Choice]:
     if way == "topic":
-        return junction_choice(counts, settings, log)
+        return [junction_choice(counts, settings, log)]
     kinds, types, usual = SENSORS[way]
-    return choose_sensor(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
+    return choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
 
 
 def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:

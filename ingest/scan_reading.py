@@ -17,7 +17,7 @@ from .mounting import mounting
 from .odometry.reading import OdometryTopic, described, driven, odometry_topic
 from .scans.detection import detect
 from .scans.scan import ScanStatistics
-from .scans.stream import Mounting, ScanStream
+from .scans.stream import InterleavedScans, Mounting, ScanStream
 from .sources import Clock, Source, choose_clock, clock_without_jumps
 from .survey import LogRead
 
@@ -32,33 +32,37 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     used, DataError if nothing can be made of them.
     """
     warnings = list(read.warnings)
-    topic = source.choice.topic
     odometry = _odometry_if_any(read, warnings)
-    stream = ScanStream(read.recording, topic, ANYWHERE)
-    first = _First.of(stream)
-    if not first.frames:
-        why = "; ".join(stream.tally.warnings(topic)) or "it holds no scan"
-        raise LogError(f"{read.log}: nothing can be made of {topic}: {why}")
+    first = _First.of(read, source.choice.topic)
     clock = _clock(odometry, first, read, warnings)
     about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source)}, "time": clock}
     if odometry is not None:
         about["odometry"] = described(odometry.choice, odometry.source)
     way = driven(odometry, clock, read.settings, read.log) if odometry is not None else None
-    mounts, told = mounting(
-        read.recording, first.frames, way.recorded if way else None, read.settings
-    )
+    lasers = [first, *_others(read, source, first, warnings)]
+    frames = set().union(*(laser.frames for laser in lasers))
+    recorded = way.recorded if way else None
+    mounts, told = mounting(read.recording, frames, recorded, read.settings)
     warnings += [*(way.warnings if way else ()), *told]
-    stream = ScanStream(
-        read.recording,
-        topic,
-        mounts,
-        clock=clock,
-        stamp=read.settings.scan_stamp,
-        slices=read.settings.slices,
+    used = [laser for laser in lasers if laser is first or laser.frames <= set(mounts.known)]
+    stream = InterleavedScans(
+        [
+            ScanStream(
+                read.recording,
+                laser.topic,
+                mounts,
+                clock=clock,
+                stamp=read.settings.scan_stamp,
+                slices=read.settings.slices,
+            )
+            for laser in used
+        ]
     )
     found = detect(way.odometry if way else None, stream)
-    warnings += [*stream.tally.warnings(topic), *found.warnings]
-    about["junctions"] |= {"messages": stream.tally.messages, **_told(found.statistics)}
+    warnings += [*stream.warnings, *found.warnings]
+    about["junctions"] |= {"messages": stream.messages, **_told(found.statistics)}
+    if len(used) > 1:
+        about["junctions"]["lasers"] = [laser.topic for laser in used]
     return Run(
         read.run,
         found.odometry,
@@ -93,11 +97,14 @@ def _odometry_if_any(read: LogRead, warnings: list[str]) -> OdometryTopic | None
 class _First:
     """Of the first scans of a topic: names of their frames, and their times as a source's."""
 
+    topic: str
     frames: frozenset[str]
     times: Source
 
     @classmethod
-    def of(cls, stream: ScanStream) -> _First:
+    def of(cls, read: LogRead, topic: str) -> _First:
+        """LogError if the topic holds nothing that can be decoded."""
+        stream = ScanStream(read.recording, topic, ANYWHERE)
         frames: set[str] = set()
         stamp_ns, log_ns, scans = [], [], 0
         for timed in stream.raw():
@@ -107,6 +114,9 @@ class _First:
             scans += len(timed.log_ns)
             if scans >= FIRST_SCANS:
                 break
+        if not frames:
+            why = "; ".join(stream.tally.warnings(topic)) or "it holds no scan"
+            raise LogError(f"{read.log}: nothing can be made of {topic}: {why}")
         none = np.zeros(scans, np.int64)
         stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
         columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
@@ -120,7 +130,26 @@ class _First:
             zero_quaternion=0,
             empty=0,
         )
-        return cls(frozenset(frames), times)
+        return cls(topic, frozenset(frames), times)
+
+
+def _others(
+    read: LogRead, source: JunctionSource, first: _First, warnings: list[str]
+) -> list[_First]:
+    """Further lasers: in frames of their own, where the first one's scans are not shown again."""
+    if source.way != "scan" or read.settings.laser_pose is not None:
+        return []
+    found, frames = [], first.frames
+    for choice in source.beside:
+        try:
+            laser = _First.of(read, choice.topic)
+        except LogError as error:
+            warnings.append(f"one laser less: {error}")
+            continue
+        if not laser.frames & frames:
+            found.append(laser)
+            frames |= laser.frames
+    return found
 
 
 def _clock(

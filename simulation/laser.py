@@ -157,9 +157,10 @@ def scans(
     ranges = np.concatenate(rows) if rows else np.zeros((0, settings.beams))
     seen = ranges + chance.normal(settings.noise_m, ranges.size).reshape(ranges.shape)
     seen[chance.happens(settings.lost_rate, ranges.size).reshape(ranges.shape)] = np.inf
-    seen = np.where(seen > settings.range_max_m, np.inf, np.maximum(seen, settings.range_min_m))
     finite = np.isfinite(seen)
-    seen[finite] = quantised(seen[finite], GRID_BITS)
+    seen[finite] = quantised(np.maximum(seen[finite], settings.range_min_m), GRID_BITS)
+    # From range_max on, readers take a range for no echo.
+    seen[seen >= settings.range_max_m] = np.inf
     return Scans(start, seen.astype(np.float32), angles, settings, scene.doors)
 
 

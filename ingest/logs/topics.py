@@ -141,7 +141,7 @@ def choose_junctions(
     return _single(topics, "/junctions", "--junction-topic", "the junction detections", log)
 
 
-def choose_sensor(
+def choose_sensors(
     counts: Mapping[Channel, int],
     named: str | None,
     kinds: Iterable[str],
@@ -149,19 +149,26 @@ def choose_sensor(
     usual: str,
     types: str,
     log: str,
-) -> Choice:
-    """The topic of scans, clouds or grids.
+) -> list[Choice]:
+    """The topics of scans, clouds or grids: the usual one first, then those of most messages.
 
-    Raises LogError if there is none, UsageError if there are several to choose from. Cost maps are
-    what a planner makes of a map: taken only when named.
+    Raises LogError if there is none. Cost maps are what a planner makes of a map: taken only when
+    named.
     """
     if named is not None:
-        return _named(counts, named, kinds=kinds, flag="--scan-topic", types=types, log=log)
+        return [_named(counts, named, kinds=kinds, flag="--scan-topic", types=types, log=log)]
     topics = _of_types(counts, kinds)
     topics = {name: kind for name, kind in topics.items() if "costmap" not in name}
     if not topics:
         raise LogError(f"{log}: nothing found to detect junctions in ({types}); {listing(counts)}")
-    return _single(topics, usual, "--scan-topic", "what junctions are to be found in", log)
+    if len(topics) == 1:
+        return [_single(topics, usual, "--scan-topic", "what junctions are to be found in", log)]
+    messages = {name: sum(n for c, n in counts.items() if c.topic == name) for name in topics}
+    ranked = sorted(topics, key=lambda name: (name != usual, -messages[name], name))
+    why = "default name" if ranked[0] == usual else "most messages"
+    return [Choice(ranked[0], topics[ranked[0]], f"{why}, out of several topics of its type")] + [
+        Choice(name, topics[name], "one of several topics of its type") for name in ranked[1:]
+    ]
 
 
 def _of_types(

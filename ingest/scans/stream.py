@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...topology.errors import LogError
 from ...topology.se2 import compose, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
@@ -279,9 +278,50 @@ def _measured(raw: RawScans, rows: Ints, tally: Tally) -> tuple[NDArray[np.float
     return np.where(seen, ranges, np.float32(np.nan)), free_m
 
 
-def checked_stream(stream: ScanStream, log: str) -> Iterator[ScanBatch]:
-    """The batches of a stream; LogError at its end if there was none."""
-    yield from stream
-    if stream.tally.scans == 0:
-        why = "; ".join(stream.tally.warnings(stream.topic)) or f"{stream.topic} holds no scan"
-        raise LogError(f"{log}: no usable scan: {why}")
+class InterleavedScans:
+    """The scans of several lasers in the order of time.
+
+    Every laser's stream walks through the log by itself, so that none waits for another.
+    """
+
+    def __init__(self, streams: Sequence[ScanStream]) -> None:
+        self._streams = tuple(streams)
+
+    @property
+    def warnings(self) -> list[str]:
+        """One sentence per thing found wrong by the last iteration, with a count."""
+        return [line for stream in self._streams for line in stream.tally.warnings(stream.topic)]
+
+    @property
+    def messages(self) -> int:
+        """Messages of all lasers."""
+        return sum(stream.tally.messages for stream in self._streams)
+
+    def __iter__(self) -> Iterator[ScanBatch]:
+        if len(self._streams) == 1:
+            yield from self._streams[0]
+            return
+        sources = [iter(stream) for stream in self._streams]
+        heads = {k: batch for k, source in enumerate(sources) if (batch := next(source, None))}
+        while heads:
+            first, *others = sorted(heads, key=lambda k: (int(heads[k].times_ns[0]), k))
+            batch, end = heads[first], len(heads[first])
+            if others:
+                until = heads[others[0]].times_ns[0]
+                end = max(1, int(np.searchsorted(batch.times_ns, until, side="right")))
+            yield _part(batch, slice(0, end))
+            rest = _part(batch, slice(end, None)) if end < len(batch) else None
+            following = rest or next(sources[first], None)
+            if following is None:
+                del heads[first]
+            else:
+                heads[first] = following
+
+
+def _part(batch: ScanBatch, rows: slice) -> ScanBatch:
+    return replace(
+        batch,
+        times_ns=batch.times_ns[rows],
+        ranges_m=batch.ranges_m[rows],
+        free_m=np.asarray(batch.free_m)[rows],
+    )
