@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import binary_dilation, uniform_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ..topology.errors import DataError
 from ..topology.polyline import simplify, way_of
@@ -25,6 +26,9 @@ IntArray = NDArray[np.int64]
 
 SMOOTH_M = 0.5
 """Skeletons go in steps of cells; corridors are straight over this."""
+
+OPEN_END_M = 1.0
+"""A skeleton ends half a corridor's width or so before what is not known."""
 
 PATH_TOLERANCE_M = 0.08
 """As for the corridors of runs (`mapbuilding`)."""
@@ -58,6 +62,7 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
     """
     grid, warnings = _cropped(log.grid), log.warnings
     places, corridors = skeleton_graph(grid.free, grid.resolution_m, settings)
+    places, corridors = _without_open_ends(places, corridors, grid)
     if not any(place.kind == "junction" for place in places):
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
@@ -71,7 +76,7 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
     branches = Ragged.from_rows([sorted_ for sorted_, _ in rows])
     place_of_branch = {old: order for old, (_, order) in zip(kept, rows, strict=True)}
     paths = [_path(c, places, grid) for c in used]
-    length = np.array([way_of(path)[-1] for path in paths])
+    length = np.array([way_of(path)[-1] for path in paths], np.float64)
     return TopoMap(
         run=log.name,
         frame=grid.frame,
@@ -101,11 +106,38 @@ def _cropped(grid: Grid) -> Grid:
     """The grid without the rows and columns around its free space."""
     rows, columns = (np.flatnonzero(grid.free.any(axis=axis)) for axis in (1, 0))
     if len(rows) == 0:
-        return grid._replace(free=grid.free[:1, :1])
+        return grid._replace(free=grid.free[:1, :1], unknown=grid.unknown[:1, :1])
     corner = grid.resolution_m * np.array([columns[0], rows[0], 0.0])
     x, y, yaw = compose(np.array(grid.origin), corner).tolist()
-    free = grid.free[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return grid._replace(free=free, origin=(x, y, yaw))
+    kept = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    # Beyond the grid nothing is known.
+    edged = np.pad(grid.unknown, 1, constant_values=True)
+    unknown = edged[rows[0] : rows[-1] + 3, columns[0] : columns[-1] + 3]
+    rim = binary_dilation(unknown)[1:-1, 1:-1]
+    return grid._replace(free=grid.free[kept], unknown=rim, origin=(x, y, yaw))
+
+
+def _without_open_ends(
+    places: tuple[Place, ...], corridors: tuple[Corridor, ...], grid: Grid
+) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
+    """Ways that lead on into the unknown are branches of their junctions, and no dead ends.
+
+    grid.unknown: widened by a cell, so that it overlaps what is free where that is open.
+    """
+    frontier = (np.argwhere(grid.free & grid.unknown)[:, ::-1] + 0.5) * grid.resolution_m
+    if len(frontier) == 0 or not places:
+        return places, corridors
+    away, _ = cKDTree(frontier).query(np.array([place.xy for place in places]))
+    is_open = [
+        place.kind == "dead_end" and gap < OPEN_END_M
+        for place, gap in zip(places, away.tolist(), strict=True)
+    ]
+    left = tuple(c for c in corridors if not (is_open[c.source] or is_open[c.target]))
+    number = (np.cumsum(~np.array(is_open)) - 1).tolist()
+    return (
+        tuple(place for place, gone in zip(places, is_open, strict=True) if not gone),
+        tuple(replace(c, source=number[c.source], target=number[c.target]) for c in left),
+    )
 
 
 def _largest(
@@ -113,6 +145,8 @@ def _largest(
 ) -> tuple[list[int], list[Corridor], int]:
     """Places and corridors of the part with most corridors by length; junctions of the others."""
     ends = np.array([(c.source, c.target) for c in corridors], np.int64).reshape(-1, 2)
+    if len(ends) == 0:
+        return [0], [], len(places) - 1
     graph = coo_array(
         (np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(places), len(places))
     )

@@ -54,25 +54,39 @@ class Segments:
 def walls_of(world: World, corridor_m: float) -> Segments:
     """The outline of the free space of a world whose corridors are so wide. O(n log n).
 
-    The free space is a union of convex polygons: one for every straight piece of corridor, every
-    junction (a square where all corridors meet at right angles) and every dead end (a room as large
-    as its neighbours leave it). What of the corridors' sides and of the junctions' edges lies
-    inside of none of them is wall.
+    What of the corridors' sides and of the junctions' edges lies inside of no part of the free
+    space is wall.
     """
     half = 0.5 * corridor_m
-    rooms = [_junction(world, vertex, half) for vertex in range(len(world))]
-    pieces, sides = [], []
+    parts = free_space(world, corridor_m)
+    rooms = parts[: len(world)]
+    sides = [
+        step
+        for path in world.paths
+        for side in _offset(_simplified(path), half)
+        for step in _steps(side)
+    ]
+    edges = np.array([*sides, *(step for room in rooms for step in _steps(_ring(room)))])
+    inside = _HalfPlanes.of(parts)
+    left_over = [_outside(start, end, inside) for start, end in edges]
+    a, b = np.concatenate(left_over).transpose(1, 0, 2)
+    return Segments(a, b)
+
+
+def free_space(world: World, corridor_m: float) -> list[FloatArray]:
+    """Convex polygons (k, 2), counter-clockwise, whose union is free: first one for every vertex.
+
+    About a junction it is a square where all corridors meet at right angles, about a dead end a
+    room as large as its neighbours leave it. The others are straight pieces of corridors.
+    """
+    half = 0.5 * corridor_m
+    parts = [_junction(world, vertex, half) for vertex in range(len(world))]
     for path in world.paths:
         left, right = _offset(_simplified(path), half)
-        sides += [*_steps(left), *_steps(right)]
-        pieces += [
+        parts += [
             np.array([right[k], right[k + 1], left[k + 1], left[k]]) for k in range(len(left) - 1)
         ]
-    edges = np.array([*sides, *(step for room in rooms for step in _steps(_ring(room)))])
-    inside = _HalfPlanes.of([*rooms, *pieces])
-    parts = [_outside(start, end, inside) for start, end in edges]
-    a, b = np.concatenate(parts).transpose(1, 0, 2)
-    return Segments(a, b)
+    return parts
 
 
 def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray, IntArray]:

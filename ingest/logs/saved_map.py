@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,11 +28,13 @@ _NAMED = re.compile(r"\.ya?ml$", re.IGNORECASE)
 
 
 class Grid(NamedTuple):
-    """free: (h, w) cells known to be free, row 0 at the least y; resolution_m: of a cell; origin:
-    x, y [m], yaw [rad] of the corner of cell (0, 0) in the map's frame; frame: its name.
+    """free, unknown: (h, w) cells known to be free, and of which nothing is known, row 0 at the
+    least y; resolution_m: of a cell; origin: x, y [m], yaw [rad] of the corner of cell (0, 0) in
+    the map's frame; frame: its name.
     """
 
     free: NDArray[np.bool_]
+    unknown: NDArray[np.bool_]
     resolution_m: float
     origin: tuple[float, float, float]
     frame: str = "map"
@@ -84,9 +87,10 @@ def read_saved_map(path: Path) -> Grid:
     _, image = saved_map_files(path)
     try:
         found = _keys(_text(path))
-        free = _free(_pixels(image), found)
+        free, unknown = _cells(_pixels(image), found)
         x, y, yaw = [float(v) for v in (*found["origin"], "0")[:3]]
-        grid = Grid(free[::-1], _number(found, "resolution"), (x, y, yaw))
+        resolution = _number(found, "resolution")
+        grid = Grid(free[::-1], unknown[::-1], resolution, (x, y, yaw))
         return checked_grid(grid)
     except (ValueError, KeyError, OSError) as error:
         text = printable(" ".join(str(error).split()))[:200]
@@ -141,8 +145,12 @@ def _pixels(path: Path) -> NDArray[np.uint8]:
     """
     from PIL import Image
 
+    bombs = (Image.DecompressionBombError, Image.DecompressionBombWarning)
     try:
-        with Image.open(path, formats=IMAGE_FORMATS) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            image = Image.open(path, formats=IMAGE_FORMATS)
+        with image:
             if image.width * image.height > MOST_CELLS:
                 raise ValueError(f"a picture of {image.width} x {image.height} is too large")
             if image.mode.startswith(("I", "F")):
@@ -151,27 +159,25 @@ def _pixels(path: Path) -> NDArray[np.uint8]:
                 return np.stack([shades, np.full_like(shades, 255)], axis=-1)
             return np.asarray(image.convert("LA"))
     # Pillow's readers meet hostile bytes with these.
-    except (
-        OSError,
-        SyntaxError,
-        EOFError,
-        struct.error,
-        MemoryError,
-        Image.DecompressionBombError,
-    ) as error:
+    except (OSError, SyntaxError, EOFError, struct.error, MemoryError, *bombs) as error:
         raise ValueError(f"{path.name} is no picture that can be read") from error
 
 
-def _free(pixels: NDArray[np.uint8], found: dict[str, list[str]]) -> NDArray[np.bool_]:
-    """(h, w) which pixels are free: map_server's rule, whose modes differ in the rest alone."""
+def _cells(
+    pixels: NDArray[np.uint8], found: dict[str, list[str]]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(h, w) which pixels are free, and which unknown, by map_server's rules."""
     mode = (found.get("mode") or ["trinary"])[0]
     if mode not in ("trinary", "scale", "raw"):
         raise ValueError(f"its mode is {mode!r}, expected trinary, scale or raw")
-    least, shade = _number(found, "free_thresh", 0.196), np.arange(256)
+    least, most = _number(found, "free_thresh", 0.196), _number(found, "occupied_thresh", 0.65)
+    shade = np.arange(256)
     if mode == "raw":
-        # Pixels are the occupancy itself, 0 to 100.
-        free = shade <= 100 * least
+        # Pixels are the occupancy itself, 0 to 100, and more where nothing is known.
+        free, unknown = shade <= 100 * least, shade > 100
     else:
         occupied = shade if _number(found, "negate", 0) else 255 - shade
         free = occupied < 255 * least
-    return np.asarray(free[pixels[..., 0]] & ((pixels[..., 1] == 255) | (mode == "trinary")))
+        unknown = ~free & (occupied <= 255 * most)
+    seen = (pixels[..., 1] == 255) | (mode == "trinary")
+    return free[pixels[..., 0]] & seen, unknown[pixels[..., 0]] | ~seen

@@ -215,7 +215,7 @@ def _angles(raw: RawScans, tally: Tally) -> FloatArray:
         raise _UnusableError("have angles that are no numbers")
     if beams < 2:
         raise _UnusableError("have fewer than two ranges")
-    if step == 0 or abs(step) * (beams - 1) > 2 * np.pi + 2 * abs(step):
+    if step == 0 or abs(step) * (beams - 1) > 2.1 * np.pi:
         raise _UnusableError("have angles that make no turn, or more than a whole one")
     if abs((geometry.angle_max - first) / step - (beams - 1)) > 1.5:
         tally.mended[
