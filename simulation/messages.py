@@ -24,6 +24,7 @@ SCAN_TYPE = "sensor_msgs/msg/LaserScan"
 TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 
 LASER_FRAME = "laser"
+HEADER = "std_msgs/Header"
 
 COVARIANCE = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2]).ravel()
 
@@ -60,14 +61,15 @@ _PARTS = {
 }
 _NEEDS = {
     ODOMETRY_TYPE: (
+        HEADER,
         *("geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose", "geometry_msgs/Point"),
         *("geometry_msgs/Quaternion", "geometry_msgs/TwistWithCovariance"),
         *("geometry_msgs/Twist", "geometry_msgs/Vector3"),
     ),
-    POSES_TYPE: ("geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion"),
-    SCAN_TYPE: (),
+    POSES_TYPE: (HEADER, "geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion"),
+    SCAN_TYPE: (HEADER,),
     TRANSFORMS_TYPE: (
-        *("geometry_msgs/TransformStamped", "geometry_msgs/Transform"),
+        *("geometry_msgs/TransformStamped", HEADER, "geometry_msgs/Transform"),
         *("geometry_msgs/Vector3", "geometry_msgs/Quaternion"),
     ),
 }
@@ -90,10 +92,11 @@ DIGESTS = {
 
 def definition(type_name: str, ros: str) -> str:
     """The text that describes a message type and all types it is made of; ros: "ros1", "ros2"."""
-    parts = [("std_msgs/Header", _STAMP[ros])]
-    if ros == "ros2":
-        parts.append(("builtin_interfaces/Time", _PARTS["builtin_interfaces/Time"]))
-    parts += [(name, _PARTS[name]) for name in _NEEDS[type_name]]
+    parts: list[tuple[str, str]] = []
+    for name in _NEEDS[type_name]:
+        parts.append((name, _STAMP[ros] if name == HEADER else _PARTS[name]))
+        if name == HEADER and ros == "ros2":
+            parts.append(("builtin_interfaces/Time", _PARTS["builtin_interfaces/Time"]))
     rule = "=" * 80
     return _PARTS[type_name] + "".join(f"{rule}\nMSG: {name}\n{text}" for name, text in parts)
 

@@ -107,8 +107,8 @@ def _checked(
     yaw = float(yaw_from_quaternion(*(np.float64(q) for q in turn)))
     cells = data.reshape(height, width)
     free = (cells >= 0) & (cells < FREE)
+    known_frame = frame.lstrip("/") or "map"
+    origin = pose[0], pose[1], yaw
     return checked_grid(
-        Grid(
-            np.asarray(free), float(resolution), (pose[0], pose[1], yaw), frame.lstrip("/") or "map"
-        )
+        Grid(np.asarray(free), np.asarray(cells < 0), float(resolution), origin, known_frame)
     )
