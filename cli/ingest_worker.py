@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from .. import __version__
-from ..ingest.grid_map import GridLog, map_of_grid
+from ..ingest.grid_log import GridLog
 from ..ingest.mapping import MappingSettings, build_map
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..topology.document import map_to_document, read_json, write_json, write_together
@@ -100,6 +100,8 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     found = read_log(job.log, job.read, on_bytes=on_bytes)
     found = found if found.name == job.run else replace(found, name=job.run)
     if isinstance(found, GridLog):
+        from ..ingest.grid_map import map_of_grid
+
         topomap, odometry = map_of_grid(found), None
     else:
         topomap, odometry = build_map(found, job.mapping), found.odometry

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from ..topology.polyline import simplify, way_of
 from ..topology.ragged import Ragged
 from ..topology.se2 import apply, compose, wrap
 from ..topology.topomap import RunNoise, TopoMap
+from .grid_log import GridLog
 from .logs.saved_map import Grid
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 
@@ -39,16 +39,6 @@ GRID_NOISE = RunNoise(
 """Of places found in skeletons, as measured on passes of real buildings: centres repeat within 0.08
 to 0.18 m, branches within 4 degrees, one place in ten with another number of branches. Maps of
 others are corrected by their makers; how well, they do not say: odometry's defaults stand."""
-
-
-@dataclass(frozen=True, slots=True)
-class GridLog:
-    """A grid as it was saved or recorded; name, source, warnings: as of a run."""
-
-    name: str
-    grid: Grid
-    source: Mapping[str, Any]
-    warnings: tuple[str, ...] = ()
 
 
 DEFAULT_FLOORPLAN = FloorplanSettings()
@@ -130,7 +120,7 @@ def _without_open_ends(
     away, _ = cKDTree(frontier).query(np.array([place.xy for place in places]))
     is_open = [
         place.kind == "dead_end" and gap < OPEN_END_M
-        for place, gap in zip(places, away.tolist(), strict=True)
+        for place, gap in zip(places, np.asarray(away).tolist(), strict=True)
     ]
     left = tuple(c for c in corridors if not (is_open[c.source] or is_open[c.target]))
     number = (np.cumsum(~np.array(is_open)) - 1).tolist()

@@ -11,7 +11,7 @@ from ..topology.odometry import Odometry
 from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, kept_whole
 from .frames import FixedTransforms
-from .grid_map import GridLog
+from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source
 from .logs.grids import last_grid
@@ -31,7 +31,6 @@ from .mounting import transforms_about
 from .odometry.kidnapping import split_where_carried
 from .odometry.reading import because, described, driven, odometry_topic, source_of
 from .read_settings import DEFAULT_READ, ReadSettings
-from .scan_reading import with_scans
 from .sightings import Sightings, robot_frame_sightings
 from .sources import Clock, Source, choose_clock, clock_without_jumps
 from .survey import LogRead, surveyed, walk
@@ -130,6 +129,12 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     return Run(read.run, split, sightings.detections, about, tuple(warnings))
 
 
+def _with_scans(read: LogRead, source: JunctionSource) -> Run:
+    from .scan_reading import with_scans  # loads what most runs do without
+
+    return with_scans(read, source)
+
+
 def _saved_map(recording: Recording, on_bytes: OnBytes | None) -> GridLog:
     grid = read_saved_map(recording.path)
     if on_bytes is not None:
@@ -202,7 +207,7 @@ def _sightings(
 
 WAYS: Mapping[str, Callable[[LogRead, JunctionSource], Run | GridLog]] = {
     "topic": _with_detections,
-    "scan": with_scans,
-    "cloud": with_scans,
+    "scan": _with_scans,
+    "cloud": _with_scans,
     "grid": _recorded_grid,
 }

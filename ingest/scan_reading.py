@@ -32,7 +32,7 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     used, DataError if nothing can be made of them.
     """
     warnings = list(read.warnings)
-    odometry = _odometry_if_any(read, warnings)
+    odometry = _odometry_if_any(read)
     first = _First.of(read, source.choice.topic)
     clock = _clock(odometry, first, read, warnings)
     about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source)}, "time": clock}
@@ -80,16 +80,13 @@ NO_DETECTIONS = Detections(
 )
 
 
-def _odometry_if_any(read: LogRead, warnings: list[str]) -> OdometryTopic | None:
+def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
     """The odometry's topic; LogError if the one that was named cannot be used."""
     try:
         return odometry_topic(read.intake, read.counts, read.settings, read.log)
     except LogError:
         if read.settings.odometry_topic is not None:
             raise
-        warnings.append(
-            "no odometry: the way is known from scans matched with each other alone, and less sure"
-        )
         return None
 
 

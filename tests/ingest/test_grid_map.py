@@ -10,7 +10,8 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from topobatch.ingest.grid_map import GridLog, map_of_grid
+from topobatch.ingest.grid_log import GridLog
+from topobatch.ingest.grid_map import map_of_grid
 from topobatch.ingest.logs.saved_map import Grid, is_saved_map, read_saved_map
 from topobatch.ingest.reading import find_logs, inspect_log, log_fingerprint, read_log
 from topobatch.merge.merging import merge_maps

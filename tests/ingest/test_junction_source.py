@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.ingest.grid_map import GridLog
+from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.junction_source import junction_source
 from topobatch.ingest.logs.messages import Channel
 from topobatch.ingest.logs.recording import recording_at
