@@ -106,7 +106,7 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
         "time": clock,
     }
     if junction.passed_over:
-        about["passed_over"] = list(junction.passed_over)
+        about["junctions"]["passed_over"] = list(junction.passed_over)
     track = driven(odometry, clock, settings, log)
     frames = (frame for frame, _ in junctions.frames)
     fixed = transforms_about(read.recording, frames, track.recorded)

@@ -124,7 +124,7 @@ def test_with_detections_and_scans_the_detections_win(both: Path) -> None:
     run = read_run(both)
     assert len(run.detections) > 0
     assert run.scanned is None
-    assert run.source["passed_over"] == ["/scan"]
+    assert run.source["junctions"]["passed_over"] == ["/scan"]
     uses = {topic.topic: (topic.use, topic.why) for topic in inspect_log(both).topics}
     assert uses["/junctions"][0] == "junctions"
     assert uses["/scan"] == ("scans", "not used; --junctions-from scan finds junctions in it")
@@ -208,3 +208,80 @@ def test_a_log_with_a_grid_alone(sensors: ModuleType, tmp_path: Path) -> None:
     assert found.warnings == ("/map: the last 1 grids cannot be read; left out",)
     with pytest.raises(LogError, match="no run"):
         read_run(tmp_path / "grid.mcap")
+
+
+def rewritten(both: Path, out: Path, sensors: ModuleType, change: Any) -> Path:
+    """The messages of a log, changed one by one: topic, type, log time and payload to several."""
+    from mcap.reader import make_reader
+
+    rows = []
+    with both.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=True):
+            assert schema is not None
+            rows += change(channel.topic, schema.name, message.log_time, message.data)
+    return Path(sensors.mcap(out, rows))
+
+
+def test_clouds_become_a_map(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
+    def as_cloud(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic == "/junctions":
+            return []
+        if topic != "/scan":
+            return [(topic, kind, log_ns, raw)]
+        scan = sensors.ROS2.deserialize_cdr(raw, kind)
+        stamp_ns = scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec
+        angle = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+        seen = np.isfinite(scan.ranges)
+        xy = scan.ranges[seen, None] * np.column_stack([np.cos(angle), np.sin(angle)])[seen]
+        xyz = np.hstack([xy, np.zeros((len(xy), 1))])
+        return [("/velo", sensors.CLOUD, log_ns, sensors.cloud(xyz, stamp_ns=stamp_ns))]
+
+    run = read_run(rewritten(both, tmp_path / "cloud.mcap", sensors, as_cloud))
+    assert run.source["junctions"]["from"] == "cloud"
+    assert run.source["junctions"]["topic"] == "/velo"
+    assert run.scanned is not None
+    assert len(run.scanned.passes) > 5
+    assert run.warnings == ()
+
+
+def test_scans_without_odometry(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
+    def scans_alone(topic: str, *rest: Any) -> list[Any]:
+        return [(topic, *rest)] if topic in ("/scan", "/tf_static") else []
+
+    log = rewritten(both, tmp_path / "scans.mcap", sensors, scans_alone)
+    assert inspect_log(log).problems == ()
+    run = read_run(log)
+    assert run.scanned is not None
+    assert "odometry" not in run.source
+    assert any("no odometry" in warning for warning in run.warnings)
+    way = read_run(both).odometry.step_m.sum()
+    assert run.odometry.step_m.sum() == pytest.approx(way, rel=0.1)
+
+
+def test_two_lasers_are_read_together(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
+    """The beams of one laser dealt out to two: one to the left and one to the right."""
+
+    def halves(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic == "/tf_static":
+            mounts = [
+                sensors.mount(name, (0.15, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0))
+                for name in ("laser", "other")
+            ]
+            return [(topic, kind, log_ns + k, mount) for k, mount in enumerate(mounts)]
+        if topic != "/scan":
+            return [] if topic == "/junctions" else [(topic, kind, log_ns, raw)]
+        scan = sensors.ROS2.deserialize_cdr(raw, kind)
+        half = len(scan.ranges) // 2
+        out = []
+        for name, part in (("laser", slice(0, half)), ("other", slice(half, None))):
+            one = sensors.ROS2.deserialize_cdr(raw, kind)
+            one.header.frame_id, one.ranges = name, scan.ranges[part]
+            one.angle_min = scan.angle_min + scan.angle_increment * (part.start or 0)
+            one.angle_max = one.angle_min + scan.angle_increment * (len(one.ranges) - 1)
+            out.append((f"/{name}", kind, log_ns, sensors.packed(one, kind)))
+        return out
+
+    run = read_run(rewritten(both, tmp_path / "two.mcap", sensors, halves))
+    assert sorted(run.source["junctions"]["lasers"]) == ["/laser", "/other"]
+    assert run.scanned is not None
+    assert len(run.scanned.passes) > 0
