@@ -80,6 +80,10 @@ class Tally:
         return out + [f"{topic}: {n} scans {why}" for why, n in sorted(self.mended.items())]
 
 
+MOST_REASONS = 20
+"""So many reasons are told apart; the names of frames are the log's, and may be any number."""
+
+
 class _UnusableError(Exception):
     """Scans of which nothing can be made; its text says why. Never leaves this module."""
 
@@ -181,8 +185,10 @@ class ScanStream:
         geometry = raw.geometry
         mount = self._mounting.of(geometry.frame)
         if mount is None:
+            named = repr(geometry.frame[:100])
+            few = len(self.tally.left_out) < MOST_REASONS
             raise _UnusableError(
-                f"are in frame {geometry.frame!r}, of which the log does not say where it is"
+                f"are in frame {named if few else '…'}, of which the log does not say where it is"
             )
         angles = _angles(raw, self.tally)
         if geometry.level:

@@ -447,6 +447,18 @@ def test_a_tilted_laser_and_an_unknown_frame_are_left_out(
     assert "'laser'" in found.tally.warnings("/scan")[0]
 
 
+def test_any_number_of_frames_makes_few_warnings(sensors: ModuleType, tmp_path: Path) -> None:
+    payloads = [
+        sensors.scan([1, 2, 3, 4, 5], sensors.START_NS + k, f"frame{k:03}" * 40) for k in range(99)
+    ]
+    found, batches = one(sensors, tmp_path, *payloads, mounting=Mounting())
+    assert batches == []
+    told = found.tally.warnings("/scan")
+    assert len(told) <= 21
+    assert max(map(len, told)) < 300
+    assert sum(found.tally.left_out.values()) == 99
+
+
 @pytest.mark.parametrize(("stamp", "shift"), [("begin", 20), ("middle", 0), ("end", -20)])
 def test_times_are_those_of_the_middle_beam(
     sensors: ModuleType, tmp_path: Path, stamp: Any, shift: int
