@@ -44,13 +44,14 @@ def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:
                     del payloads[:-3]
     for channel, payload in reversed(payloads):
         try:
-            return _grid(channel, payload), failed
+            return grid_of_message(channel, payload), failed
         except (DamageError, ValueError) as error:
             failed, reason = failed + 1, str(error)
     raise LogError(f"{recording.path}: no grid can be read from {topic}: {reason}")
 
 
-def _grid(channel: Channel, payload: bytes) -> Grid:
+def grid_of_message(channel: Channel, payload: bytes) -> Grid:
+    """The grid of one message; raises DamageError or ValueError where it makes none."""
     if channel.encoding == "cdr" and payload[:4] == ZSTD_MAGIC:
         payload = inflate_message(payload)
     if channel.encoding == "json":

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
+from topobatch.ingest.logs.grids import grid_of_message
+from topobatch.ingest.logs.messages import Channel, DamageError
 from topobatch.ingest.logs.saved_map import Grid, is_saved_map, read_saved_map
 from topobatch.ingest.reading import find_logs, inspect_log, log_fingerprint, read_log
 from topobatch.merge.merging import merge_maps
@@ -218,3 +223,42 @@ def test_the_origin_places_the_map() -> None:
     np.testing.assert_allclose(moved.xy, apply(np.array([5.0, -3.0, 1.0]), plain.xy), atol=2e-3)
     np.testing.assert_allclose(fit_rigid(moved.xy, plain.xy), (5.0, -3.0, 1.0), atol=2e-3)
     np.testing.assert_array_equal(moved.degree, plain.degree)
+
+
+@settings(
+    deadline=None, max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_any_bytes_are_a_map_or_an_error(tmp_path: Path, data: st.DataObject) -> None:
+    """Flipped and cut bytes of a description and of its picture, in every format."""
+    suffix = data.draw(st.sampled_from(["pgm", "png", "bmp"]))
+    text = FLAT.replace("m.pgm", f"m.{suffix}")
+    path = saved(tmp_path, [[254, 205, 0], [0, 254, 254]], text, f"m.{suffix}")
+    target = data.draw(st.sampled_from([path, tmp_path / f"m.{suffix}"]))
+    raw = bytearray(target.read_bytes())
+    for _ in range(data.draw(st.integers(1, 5))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    target.write_bytes(raw[: data.draw(st.integers(0, len(raw)))])
+    try:
+        found = read_log(path)
+    except LogError:
+        return
+    assert isinstance(found, GridLog)
+    assert found.grid.free.shape == found.grid.unknown.shape
+    assert not np.any(found.grid.free & found.grid.unknown)
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_any_bytes_are_a_grid_or_damage(sensors: ModuleType, data: st.DataObject) -> None:
+    encoding = data.draw(st.sampled_from(["cdr", "ros1"]))
+    raw = bytearray(sensors.grid([[0, 100], [-1, 0]], 0.1, (1.0, 2.0, 0.3), encoding))
+    for _ in range(data.draw(st.integers(1, 5))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    payload = bytes(raw[: data.draw(st.integers(0, len(raw)))])
+    try:
+        grid = grid_of_message(Channel("/map", sensors.GRID, encoding), payload)
+    except (DamageError, ValueError):
+        return
+    assert grid.free.shape == grid.unknown.shape
+    assert grid.resolution_m > 0
