@@ -14,6 +14,7 @@ import typer
 from ..topology.errors import LogError
 from .ingest import JunctionFields, JunctionTopic, OdometryTopic
 from .output import complain, count, say, say_lines, table
+from .scan_options import JunctionsFrom, ScanTopic
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
@@ -33,6 +34,8 @@ def info(
     odometry_topic: OdometryTopic = None,
     junction_topic: JunctionTopic = None,
     junction_fields: JunctionFields = None,
+    junctions_from: JunctionsFrom = None,
+    scan_topic: ScanTopic = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show what logs hold and what ingest would use.
@@ -48,6 +51,8 @@ def info(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
+        junctions_from=junctions_from,
+        scan_topic=scan_topic,
     )
     failed, told = False, []
     for each in _each_log(logs, find_logs):
@@ -104,10 +109,10 @@ def _show(found: LogInfo) -> None:
 
 def _refused(log: Path, settings: ReadSettings) -> tuple[str, ...]:
     """Why ingest would refuse to read a log, nothing if it would not."""
-    from ..ingest.reading import read_run
+    from ..ingest.reading import read_log
 
     try:
-        read_run(log, settings)
+        read_log(log, settings)
     except LogError as error:
         return (str(error),)
     return ()

@@ -12,6 +12,7 @@ from ..topology.errors import LogError, UsageError
 from .journal import note
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen, count
+from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
 from .workspace import Workspace, checked_run_name, shortened
 
 if TYPE_CHECKING:
@@ -69,6 +70,11 @@ def ingest(
     odometry_topic: OdometryTopic = None,
     junction_topic: JunctionTopic = None,
     junction_fields: JunctionFields = None,
+    junctions_from: JunctionsFrom = None,
+    scan_topic: ScanTopic = None,
+    laser_pose: LaserPose = None,
+    scan_stamp: ScanStamp = "begin",
+    cloud_band: CloudBand = None,
     base_frame: BaseFrame = None,
     time: TimeSource = "header",
     closure: Annotated[
@@ -98,16 +104,23 @@ def ingest(
     ties the pieces together, also RUN#2 and so on.
 
     Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
+    Without junction detections, junctions are found in laser scans, clouds of points or a grid.
     Finished runs are skipped unless their log or the settings changed. One bad log does not stop
     the others; the exit code is then 1, or 2 if all that is wrong is a missing option.
     """
     from ..ingest.mapping import MappingSettings
     from ..ingest.reading import ReadSettings
+    from ..ingest.scans.slicing import SliceSettings
 
     read = ReadSettings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
+        junctions_from=junctions_from,
+        scan_topic=scan_topic,
+        laser_pose=numbers(laser_pose, "--laser-pose", "x,y,yaw"),  # type: ignore[arg-type]
+        scan_stamp=scan_stamp,
+        slices=SliceSettings(numbers(cloud_band, "--cloud-band", "low,high")),  # type: ignore[arg-type]
         base_frame=base_frame,
         time=time,
         strict=strict,

@@ -18,13 +18,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 from .. import __version__
+from ..ingest.grid_log import GridLog
 from ..ingest.mapping import MappingSettings, build_map
-from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_run
+from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..topology.document import map_to_document, read_json, write_json, write_together
 from ..topology.errors import DocumentError, TopobatchError, UsageError
+from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
+from .scan_options import source_told
 from .workers import start_worker
 from .workspace import Workspace, checked_run_name
 
@@ -103,8 +106,14 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     had = _runs_of(before, job.run)
     if not job.force and before.get("key") == key and _all_there(job.place, had):
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
-    run = read_run(job.log, job.read, on_bytes=on_bytes)
-    topomap = build_map(run if run.name == job.run else _renamed(run, job.run), job.mapping)
+    found = read_log(job.log, job.read, on_bytes=on_bytes)
+    found = found if found.name == job.run else replace(found, name=job.run)
+    if isinstance(found, GridLog):
+        from ..ingest.grid_map import map_of_grid
+
+        topomap, odometry, seen = map_of_grid(found), None, None
+    else:
+        topomap, odometry, seen = build_map(found, job.mapping), found.odometry, found.detections
     maps = _in_one_piece(topomap)
     runs = [m.run for m in maps]
     docs = {m.run: map_to_document(m) for m in maps}
@@ -112,9 +121,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         _refuse_other_log(job, name, doc)
     writes: dict[Path, Callable[[Path], object]] = {}
     for m in maps:
-        drawn = partial(
-            write_map_recording, topomap=m, odometry=run.odometry, detections=run.detections
-        )
+        drawn = partial(write_map_recording, topomap=m, odometry=odometry, detections=seen)
         writes[job.place.map_rrd(m.run)] = drawn
         writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
     write_together(writes)
@@ -124,7 +131,8 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     doc |= {"version": __version__, "bytes": job_size(job)}
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
-    text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
+    text = f"{_summary(maps, odometry)} ({time.monotonic() - started:.1f} s)"
+    text += source_told(maps[0].info.get("source", {}))
     told = maps[0].info.get("warnings", ())
     details = _details(job, topomap)
     return IngestOutcome(
@@ -176,18 +184,17 @@ def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[st
                 file.unlink(missing_ok=True)
 
 
-def _renamed(run: Any, name: str) -> Any:
-    return replace(run, name=name)
-
-
-def _summary(maps: Sequence[TopoMap], way_m: float) -> str:
+def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
     visits = sum(len(m.observation_vertex) for m in maps)
     found = ", and ".join(
         f"{count(len(m), 'junction')}, {count(len(m.source), 'corridor')}"
         + (f" ({m.run})" if len(maps) > 1 else "")
         for m in maps
     )
-    return f"{way_m:,.0f} m, {count(visits, 'junction pass', 'junction passes')} → {found}"
+    if odometry is None:
+        return found
+    way = f"{odometry.step_m.sum():,.0f} m"
+    return f"{way}, {count(visits, 'junction pass', 'junction passes')} → {found}"
 
 
 def _content_key(job: IngestJob) -> str:

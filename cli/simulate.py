@@ -47,6 +47,20 @@ def simulate(
         float | None,
         typer.Option(min=0, help="How far it turns, in degrees; default 30. Goes with --jumps."),
     ] = None,
+    laser: Annotated[
+        bool,
+        typer.Option(
+            "--laser",
+            help="Write a laser's scans instead of junction detections: walls, doors that open "
+            "and close, people walking, glass, as --faults says.",
+        ),
+    ] = False,
+    detections: Annotated[
+        bool, typer.Option("--detections", help="With --laser: write the detections as well.")
+    ] = False,
+    corridor_m: Annotated[
+        float, typer.Option(help="With --laser: width of the corridors, in metres.")
+    ] = 1.4,
     formats: Annotated[
         list[str] | None,
         typer.Option(
@@ -60,13 +74,13 @@ def simulate(
     """Write logs of simulated robots, to try things out on.
 
     With the truth beside them, in truth.json. The robots explore parts of one world that overlap,
-    with odometry that drifts and a junction detector that errs.
+    with odometry that drifts and a junction detector that errs, or a laser (--laser).
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
     if not jumps and (jump_m is not None or jump_deg is not None):
         raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
-    from ..simulation import DRIFTS, ScenarioSettings, simulate_scenario
+    from ..simulation import DRIFTS, LASERS, ScenarioSettings, simulate_scenario
     from ..simulation.writing import write_scenario
 
     screen = Screen(quiet)
@@ -83,6 +97,8 @@ def simulate(
             jump_deg=30.0 if jump_deg is None else jump_deg,
         ),
         faults=faults,
+        laser=replace(LASERS[faults], corridor_m=corridor_m) if laser else None,
+        tells_junctions=detections or not laser,
         seed=seed,
     )
     scenario = simulate_scenario(settings)

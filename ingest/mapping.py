@@ -22,12 +22,12 @@ from ..topology.mapbuilding import MapBuildingSettings, build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run
-from ..topology.topomap import Closure, TopoMap
+from ..topology.topomap import Closure, RunNoise, TopoMap
 from ..topology.vertex_errors import VertexErrors
 from .odometry.bridging import bridged, jumps_told, split_told
 from .odometry.calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
 from .odometry.noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
-from .passes import PassSettings, fuse_passes
+from .passes import PassSettings, fuse_passes, scanned_passes
 
 IntArray = NDArray[np.int64]
 
@@ -76,24 +76,24 @@ def build_map_with_errors(
     """`build_map`, and how far off its vertices may be, together: what its sigmas come from."""
     step = on_step or (lambda name: None)
     step("calibration")
-    calibration = calibrate(run.odometry, run.detections, settings.calibration, settings.passes)
+    calibration = _calibration(run, settings)
     odometry = apply_calibration(run.odometry, calibration)
     step("passes")
-    passes = fuse_passes(odometry, run.detections, settings.passes)
+    passes = _passes(run, odometry, settings)
     _require_passes(run, passes)
     _require_motion(run, settings.passes.reach_m)
     step("noise")
-    noise = estimate_noise(odometry, run.detections, passes, settings.noise)
+    noise = _noise(run, odometry, passes, settings)
     step("loop closure")
     systematic = _systematic(calibration, settings)
 
     def walk_of(track: Odometry) -> Walk:
-        fused = fuse_passes(track, run.detections, settings.passes)
+        fused = _passes(run, track, settings)
         return make_walk(track, fused, noise, systematic)
 
     if len(odometry.jumps) and settings.closure == "full":
         odometry = bridged(odometry, walk_of, lambda w: closure_without_grid(w, settings.rounds))
-        passes = fuse_passes(odometry, run.detections, settings.passes)
+        passes = _passes(run, odometry, settings)
     walk = quiet = make_walk(odometry, passes, noise, systematic)
     grid = None
     if settings.closure == "none":
@@ -122,7 +122,7 @@ def build_map_with_errors(
             layout.pose[:, 2],
             prior,
             drive_bys=int(np.sum(~settled.visits.seen)),
-            settings=settings.noise,
+            settings=_noise_settings(run, settings),
         )
         for prior in (walk.noise, replace(fair.noise, branch_rad=quiet.noise.branch_rad))
     )
@@ -141,6 +141,34 @@ def build_map_with_errors(
         settings=settings.drawing,
     )
     return replace(topomap, info=_info(run, settings, calibration, walk, odometry)), errors
+
+
+def _calibration(run: Run, settings: MappingSettings) -> Calibration:
+    """Of odometry that scans corrected, nothing is left to calibrate but what usually is left."""
+    if run.scanned is None:
+        return calibrate(run.odometry, run.detections, settings.calibration, settings.passes)
+    usual = settings.systematic
+    return Calibration(sigma=(usual.turn_rad_per_m, usual.turn_rad_per_rad, 0.0))
+
+
+def _passes(run: Run, odometry: Odometry, settings: MappingSettings) -> Passes:
+    """The passes of a run in the frame of its odometry as corrected so far."""
+    if run.scanned is None:
+        return fuse_passes(odometry, run.detections, settings.passes)
+    return scanned_passes(odometry, run.scanned.passes, settings.passes)
+
+
+def _noise(run: Run, odometry: Odometry, passes: Passes, settings: MappingSettings) -> RunNoise:
+    if run.scanned is None:
+        return estimate_noise(odometry, run.detections, passes, settings.noise)
+    return run.scanned.noise
+
+
+def _noise_settings(run: Run, settings: MappingSettings) -> NoiseSettings:
+    """What is expected of the detector: scans have rates of their own."""
+    if run.scanned is None:
+        return settings.noise
+    return replace(settings.noise, prior=run.scanned.noise)
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
@@ -169,6 +197,8 @@ def _require_passes(run: Run, passes: Passes) -> None:
         return
     if len(run.odometry) == 0:
         raise DataError(f"run {run.name}: holds no odometry; nothing can be mapped")
+    if run.scanned is not None:
+        raise DataError(f"run {run.name}: its scans show no junction; nothing can be mapped")
     if len(run.detections) == 0:
         raise DataError(f"run {run.name}: holds no junction detection; nothing can be mapped")
     raise DataError(

@@ -11,7 +11,7 @@ from ..topology.circular import cluster_angles
 from ..topology.odometry import Odometry
 from ..topology.passes import NO_BRANCH, Passes
 from ..topology.ragged import Ragged
-from ..topology.run import Detections
+from ..topology.run import Detections, ScanPasses
 from ..topology.se2 import apply, wrap
 from ..topology.track import stretch_of, track_directions, way_at
 
@@ -74,6 +74,33 @@ def fuse_passes(
         centre=centre,
         group=group,
         settings=settings,
+    )
+
+
+def scanned_passes(
+    odometry: Odometry, seen: ScanPasses, settings: PassSettings = PassSettings()
+) -> Passes:
+    """The passes that scans show, in the odometry frame."""
+    if len(odometry) == 0 or len(seen) == 0:
+        return no_passes()
+    pose = odometry.at(seen.time_ns)
+    centre = apply(pose, seen.centre)
+    owner = seen.branches.owner
+    heading = np.asarray(wrap(seen.branches.values + pose[owner, 2]))
+    order = np.lexsort((heading, owner))
+    branches = Ragged(seen.branches.offsets, heading[order])
+    track = track_directions(odometry, seen.time_ns, centre, reach_m=settings.reach_m)
+    return Passes(
+        time_ns=seen.time_ns,
+        start_ns=seen.start_ns,
+        end_ns=seen.end_ns,
+        centre=centre,
+        branches=branches,
+        support=Ragged(seen.support.offsets, seen.support.values[order]),
+        entry=nearest_branch(branches, track.arriving, settings.match_rad),
+        exit=nearest_branch(branches, track.leaving, settings.match_rad),
+        messages=seen.windows,
+        confidence=seen.confidence,
     )
 
 

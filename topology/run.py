@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from .frozen import frozen_array
 from .odometry import Odometry
 from .ragged import Ragged
+from .topomap import RunNoise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,12 +46,62 @@ class Detections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScanPasses:
+    """Junctions driven by, one row per pass, in the robot's frame at `time_ns`.
+
+    time_ns: (p,) when the robot was nearest to the centre, not descending; start_ns, end_ns: (p,)
+    while it was within reach; centre: (p, 2) [m]; branches: p rows of headings [rad] of which at
+    least one is there; support: the same rows, share of the variants of the settings that show the
+    branch (0..1]; confidence: (p,) share of the variants that show the junction with just these
+    branches (0..1]; windows: (p,) overlapping windows that show it; clearance_m: (p,) distance of
+    the centre from the nearest wall [m].
+    """
+
+    time_ns: IntArray
+    start_ns: IntArray
+    end_ns: IntArray
+    centre: FloatArray
+    branches: Ragged
+    support: Ragged
+    confidence: FloatArray
+    windows: IntArray
+    clearance_m: FloatArray
+
+    def __post_init__(self) -> None:
+        p = len(self.time_ns)
+        for name in ("time_ns", "start_ns", "end_ns", "windows"):
+            value = frozen_array(getattr(self, name), np.int64, (p,), name)
+            object.__setattr__(self, name, value)
+        for name, shape in (("centre", (p, 2)), ("confidence", (p,)), ("clearance_m", (p,))):
+            value = frozen_array(getattr(self, name), np.float64, shape, name)
+            object.__setattr__(self, name, value)
+        if len(self.branches) != p or not np.array_equal(
+            self.branches.offsets, self.support.offsets
+        ):
+            raise ValueError("branches and support must have one row per pass, of equal lengths")
+        if np.any(np.diff(self.time_ns) < 0):
+            raise ValueError("passes must be in the order of time")
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scanned:
+    """Junctions that scans show, beside the odometry that the scans corrected; noise: of both."""
+
+    passes: ScanPasses
+    noise: RunNoise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Run:
     """One recorded run: `name` (file name without its suffix), odometry, detections.
 
     source: where it came from (topics used, types, counts), for the document's `graph.source`:
     JSON values that depend on the content alone, not on the container, the path or the machine.
     warnings: one sentence per thing found wrong with the log, with a count.
+    scanned: of a run whose junctions were found in scans, what was found; its detections are empty.
     """
 
     name: str
@@ -55,3 +109,4 @@ class Run:
     detections: Detections
     source: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    scanned: Scanned | None = None

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.passes import PassSettings, fuse_passes
+from topobatch.ingest.passes import PassSettings, fuse_passes, scanned_passes
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections
+from topobatch.topology.run import Detections, ScanPasses
 from topobatch.topology.se2 import apply, compose, inverse, wrap
 
 T0 = 1_700_000_000 * 10**9
@@ -177,3 +177,50 @@ def test_settings_reach_the_grouping():
     )
     assert len(fuse_passes(odometry, seen)) == 1
     assert len(fuse_passes(odometry, seen, PassSettings(jump_m=0.3))) == 2
+
+
+def scan_passes(odometry, rows, centres, headings, confidence):
+    """What scans show at rows of the odometry: centres and headings in its frame."""
+    pose = odometry.pose[rows]
+    time_ns = odometry.time_ns[rows]
+    branches = Ragged.from_rows([wrap(h - t) for h, t in zip(headings, pose[:, 2], strict=True)])
+    return ScanPasses(
+        time_ns=time_ns,
+        start_ns=time_ns - STEP_NS,
+        end_ns=time_ns + STEP_NS,
+        centre=apply(inverse(pose), np.asarray(centres, float)),
+        branches=branches,
+        support=Ragged.from_rows([np.linspace(0.6, 1.0, len(h)) for h in headings]),
+        confidence=np.asarray(confidence, float),
+        windows=np.full(len(rows), 3),
+        clearance_m=np.ones(len(rows)),
+    )
+
+
+def test_what_scans_show_becomes_passes_like_others():
+    odometry = straight()
+    headings = [np.array([0.1, np.pi - 0.05, -1.5]), np.array([-3.1, 3.0, 0.0, 1.6])]
+    seen = scan_passes(odometry, [100, 300], [(5.0, 0.3), (15.0, -0.2)], headings, [1.0, 4 / 7])
+    passes = scanned_passes(odometry, seen)
+    assert np.allclose(passes.centre, [(5.0, 0.3), (15.0, -0.2)])
+    for row, given in enumerate(headings):
+        assert np.allclose(passes.branches[row], np.sort(given))
+        assert np.allclose(
+            passes.support[row], np.linspace(0.6, 1.0, len(given))[np.argsort(given)]
+        )
+        came, went = passes.branches[row][[passes.entry[row], passes.exit[row]]]
+        assert abs(wrap(came - np.pi)) < 0.2
+        assert abs(went) < 0.2
+    assert passes.confidence.tolist() == [1.0, 4 / 7]
+
+
+def test_what_scans_show_goes_with_the_robot_when_the_track_is_corrected():
+    odometry = straight()
+    seen = scan_passes(odometry, [100], [(5.0, 0.3)], [np.array([0.0, 2.0, -2.0])], [1.0])
+    T = np.array([3.0, -2.0, 2.5])
+    moved = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
+    passes = scanned_passes(moved, seen)
+    assert np.allclose(passes.centre, apply(T, np.array([[5.0, 0.3]])))
+    assert np.allclose(passes.branches[0], np.sort(wrap(np.array([0.0, 2.0, -2.0]) + 2.5)))
+    assert (np.diff(passes.branches[0]) > 0).all()
+    assert len(scanned_passes(moved, scan_passes(odometry, [], np.zeros((0, 2)), [], []))) == 0

@@ -286,9 +286,11 @@ def _match(
 
 
 def _sureness(places: Places, rows: IntArray) -> FloatArray:
-    """(k, s) how much it means that another look lacks the branch: 0 for what few passes saw."""
+    """(k, s) how much it means that another look lacks the branch: 0 for what few passes saw, and
+    less for places whose branches are not sure."""
     share, visits = places.share[rows], places.visits[rows]
     sure: FloatArray = np.where(visits[:, None] > 1, np.clip(2 * share - 0.6, 0, 1), share > 0)
+    sure = sure * places.confidence[rows, None]
     return np.where(np.isfinite(places.heading[rows]), sure, 0.0)
 
 

@@ -22,7 +22,8 @@ class Places:
     """`n` places with up to `s` branches ("slots") each; empty slots hold NaN.
 
     heading: (n, s) [rad] in the map frame; share: (n, s) share of the place's passes that reported
-    the branch, 0 for one known from the track alone; visits: (n,) passes; first, last: (n,) its
+    the branch, 0 for one known from the track alone; visits: (n,) passes; confidence: (n,) mean of
+    its passes', 1 if they come from a detector's topic; first, last: (n,) its
     first and last pass. next_place, next_slot: (n, s) where the slot was seen to lead, NOWHERE if
     it was not driven; length: (n, s) of that leg [m]; driven: (n, s) times driven so; tried: (n, s)
     times driven, wherever it led. entry, exit: (p,) slot by which each pass came and left.
@@ -31,6 +32,7 @@ class Places:
     heading: FloatArray
     share: FloatArray
     visits: IntArray
+    confidence: FloatArray
     first: IntArray
     last: IntArray
     next_place: IntArray
@@ -89,7 +91,8 @@ def tabulate(walk: Walk, place: IntArray, turn: FloatArray, gap_rad: float) -> P
     np.minimum.at(first, place[member], member)
     np.maximum.at(last, place[member], member)
     ways = _ways(walk, place, entry, exit_, (n, width))
-    return Places(heading, share, visits, first, last, *ways, entry, exit_)
+    sure = np.bincount(place[member], passes.confidence[member], n) / np.maximum(visits, 1)
+    return Places(heading, share, visits, sure, first, last, *ways, entry, exit_)
 
 
 def _ways(

@@ -1,0 +1,402 @@
+"""Junctions from scans of real logs: python benchmarks/laser.py FOLDER... [--alone] [--kiss]
+
+Folders hold `logs/*.mcap` with odometry and a laser, `truth.json` with corrected paths. Per run:
+
+  drift       error of the position after 5 and 20 m of way, of the odometry as recorded and as
+              corrected: median and 90 % of all stretches, and of those between moments at which the
+              robot drives straight (the truth is interpolated between scans far apart: in turns it
+              is off by degrees); `bent`: what is left at the ends of a stretch after the best
+              rigid fit of all of it, which no wrong heading of the truth at one end swings around
+  claimed     shares of heading errors after 20 m within 1 and 2 sigma as the run's noise claims
+              them, with the truth's own scatter (measured over 0.5 m) in it
+  repeat      of the times that a place with a junction was passed again: found within 0.5 m, and
+              with the same number of branches. A place counts as passed when the truth comes within
+              0.9 m; "sure": of junctions on which 6 of 7 variants agree
+  closure     pairs of passes by one place (0.6 m) that were identified, pairs that were though more
+              than 2 m apart; rmse of all passes after the best rigid fit of the map
+  covered     share of the way that corridors of the map stand for
+  speed       seconds of log per second of one core, for the chain and the map; peak memory
+
+--alone leaves the odometry out. --kiss runs KISS-ICP (no dependency of ours) on the same scans, one
+thread, the recorded motion as its prior. Pictures: walls, skeleton, junctions; the map beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topobatch.ingest.mapping import build_map
+from topobatch.ingest.scans.detection import detect
+from topobatch.ingest.scans.scan import ScanBatch, ScanResult
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.se2 import apply, between, compose, fit_rigid, wrap
+from topobatch.topology.topomap import TopoMap
+from topobatch.topology.track import way_at
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+STRAIGHT_RAD_PER_S = 0.05
+REPEAT_M, PASSED_M, SAME_PASS_M = 0.5, 0.9, 2.5
+ONE_PLACE_M, APART_M = 0.6, 2.0
+
+
+@dataclass(frozen=True)
+class Log:
+    """Odometry, scans, and the corrected path of a run."""
+
+    name: str
+    odometry: Odometry
+    scans: list[ScanBatch]
+    truth: Odometry
+
+    @property
+    def seconds(self) -> float:
+        return float(self.scans[-1].times_ns[-1] - self.scans[0].times_ns[0]) * 1e-9
+
+
+def logs(folder: Path) -> Iterator[Log]:
+    """The runs of a folder, read by rosbags: scans in the robot's frame, no echo beyond the
+    range."""
+    from rosbags.highlevel import AnyReader
+
+    runs = json.loads((folder / "truth.json").read_text())["runs"]
+    for name, run in sorted(runs.items()):
+        odometry, scans = [], []
+        with AnyReader([folder / "logs" / f"{name}.mcap"]) as reader:
+            for connection, _, raw in reader.messages():
+                if connection.msgtype.endswith("/Odometry"):
+                    odometry.append(_pose(reader.deserialize(raw, connection.msgtype)))
+                elif connection.msgtype.endswith("/LaserScan"):
+                    scans.append(reader.deserialize(raw, connection.msgtype))
+        rows = {row[0]: row[1:] for row in odometry}
+        times = np.array(sorted(rows), np.int64)
+        track = Odometry(times, np.array([rows[t] for t in times]), np.zeros(0, np.int64))
+        path = run["path"]
+        real = Odometry(
+            np.array([row[0] for row in path], np.int64),
+            np.array([row[1:] for row in path]),
+            np.zeros(0, np.int64),
+        )
+        yield Log(name, track, list(_batches(scans)), real)
+
+
+def _ns(stamp: Any) -> int:
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _pose(message: Any) -> tuple[int, float, float, float]:
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    return _ns(message.header.stamp), p.x, p.y, float(2 * np.arctan2(q.z, q.w))
+
+
+def _batches(messages: list[Any], size: int = 200) -> Iterator[ScanBatch]:
+    messages = sorted(messages, key=lambda m: _ns(m.header.stamp))
+    for k in range(0, len(messages), size):
+        part = messages[k : k + size]
+        first = part[0]
+        ranges = np.array([m.ranges for m in part], np.float32)
+        ranges[~((ranges > first.range_min) & (ranges < first.range_max))] = np.nan
+        angles = first.angle_min + first.angle_increment * np.arange(ranges.shape[1])
+        times = np.array([_ns(m.header.stamp) for m in part], np.int64)
+        yield ScanBatch(times, ranges, float(first.range_max), angles)
+
+
+def corrected_at(result: ScanResult, log: Log, time_ns: IntArray) -> FloatArray:
+    """Corrected poses between keyframes: recorded motion, bent onto the keyframes either side."""
+    t, T = result.odometry.time_ns, result.odometry.pose
+    if not result.statistics.odometry or len(t) < 2:
+        return result.odometry.at(time_ns)
+    raw = log.odometry.at
+    a = np.clip(np.searchsorted(t, time_ns, side="right") - 1, 0, len(t) - 2)
+    share = np.clip((time_ns - t[a]) / (t[a + 1] - t[a]), 0, 1)[:, None]
+    ahead = compose(T[a], between(raw(t[a]), raw(time_ns)))
+    back = compose(T[a + 1], between(raw(t[a + 1]), raw(time_ns)))
+    off = np.column_stack([back[:, :2] - ahead[:, :2], wrap(back[:, 2] - ahead[:, 2])])
+    return np.asarray(ahead + share * off)
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Pieces of way of one length: errors (q, 3) of the motion, straight at both ends, bent."""
+
+    error: FloatArray
+    straight: NDArray[np.bool_]
+    bent: FloatArray
+    turned: FloatArray
+
+    @classmethod
+    def of(cls, log: Log, time_ns: IntArray, ours: FloatArray, way_m: float) -> Stretches:
+        real = log.truth.at(time_ns)
+        way = way_at(log.truth, time_ns)
+        last = np.searchsorted(way, way + way_m)
+        first = np.flatnonzero(last < len(way))
+        last = last[first]
+        around = np.int64(3e8)
+        turn = log.odometry.at(time_ns + around)[:, 2] - log.odometry.at(time_ns - around)[:, 2]
+        calm = np.abs(wrap(turn)) / 0.6 < STRAIGHT_RAD_PER_S
+        total = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(real[:, 2]))))])
+        error = between(between(real[first], real[last]), between(ours[first], ours[last]))
+        bent = [_bent(real[a : b + 1], ours[a : b + 1]) for a, b in zip(first, last, strict=True)]
+        return cls(error, calm[first] & calm[last], np.array(bent), total[last] - total[first])
+
+    @property
+    def off_m(self) -> FloatArray:
+        return np.hypot(self.error[:, 0], self.error[:, 1])
+
+    def told(self) -> str:
+        if len(self.error) == 0:
+            return "too short"
+        everywhere, calm = self.off_m, self.off_m[self.straight]
+        calm = calm if len(calm) else np.array([np.nan])
+        return (
+            f"median {np.median(everywhere):.3f} p90 {np.percentile(everywhere, 90):.3f}; straight "
+            f"{np.median(calm):.3f} {np.percentile(calm, 90):.3f}; bent p90 "
+            f"{np.percentile(self.bent, 90):.3f} m"
+        )
+
+
+def _bent(real: FloatArray, ours: FloatArray) -> float:
+    T = fit_rigid(real[:, :2], ours[:, :2])
+    off = real[[0, -1], :2] - apply(T, ours[[0, -1], :2])
+    return float(np.hypot(*off.T).max())
+
+
+def claimed(log: Log, result: ScanResult, time_ns: IntArray, ours: FloatArray) -> str:
+    """Shares of heading errors after 20 m within 1 and 2 sigma."""
+    noise = result.noise
+    base = Stretches.of(log, time_ns, ours, 0.5)
+    far = Stretches.of(log, time_ns, ours, 20.0)
+    if not far.straight.any():
+        return "too short"
+    own = 1.4826 * np.median(np.abs(base.error[base.straight, 2]))
+    walk = noise.heading_rad_per_sqrt_m**2 * 20 + noise.heading_rad_per_sqrt_rad**2 * far.turned
+    z = np.abs(far.error[:, 2]) / np.sqrt(walk + own**2)
+    z = z[far.straight]
+    return f"{np.mean(z < 1):.2f} within 1, {np.mean(z < 1.96):.2f} within 2 sigma (n {len(z)})"
+
+
+def true_centres(log: Log, result: ScanResult) -> FloatArray:
+    """(p, 2) centres of the passes in the truth's frame, by 8 m of way around each."""
+    passes, odometry = result.passes, result.odometry
+    way = way_at(odometry, log.truth.time_ns)
+    at = way_at(odometry, passes.time_ns)
+    own = odometry.at(log.truth.time_ns)[:, :2]
+    centre = apply(odometry.at(passes.time_ns), passes.centre)
+    out = np.empty_like(centre)
+    for k in range(len(passes)):
+        near = np.abs(way - at[k]) < 4.0
+        T = fit_rigid(log.truth.pose[near, :2], own[near])
+        out[k] = apply(T, centre[k])
+    return out
+
+
+def repeatability(log: Log, result: ScanResult) -> str:
+    passes, centre = result.passes, true_centres(log, result)
+    degree = passes.branches.counts
+    time_ns = result.odometry.time_ns
+    way, at = way_at(result.odometry, time_ns), way_at(result.odometry, passes.time_ns)
+    xy = log.truth.at(time_ns)[:, :2]
+    found, same, sure = [], [], []
+    for k in range(len(passes)):
+        for begin, end in _visits(np.hypot(*(xy - centre[k]).T) < PASSED_M, way):
+            if begin - SAME_PASS_M <= at[k] <= end + SAME_PASS_M or end < 1 or begin > way[-1] - 1:
+                continue
+            there = (at >= begin - SAME_PASS_M) & (at <= end + SAME_PASS_M)
+            there &= np.hypot(*(centre - centre[k]).T) < REPEAT_M
+            found.append(bool(there.any()))
+            same.append(bool((degree[there] == degree[k]).any()))
+            sure.append(bool(passes.confidence[k] > 5.5 / 7))
+    if not found:
+        return "nothing passed again"
+    confident = np.array(same)[np.array(sure)]
+    return (
+        f"{np.mean(found):.3f} found, {np.mean(same):.3f} with the same branches of {len(found)}; "
+        f"sure {np.mean(confident) if len(confident) else np.nan:.3f} of {len(confident)}"
+    )
+
+
+def _visits(inside: NDArray[np.bool_], way: FloatArray) -> list[tuple[float, float]]:
+    """Stretches of way on which the robot was there; less than 3 m away in between is one visit."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
+    out: list[tuple[float, float]] = []
+    for a, b in zip(edges[::2], edges[1::2] - 1, strict=True):
+        if out and way[a] - out[-1][1] < 3.0:
+            out[-1] = out[-1][0], float(way[b])
+        else:
+            out.append((float(way[a]), float(way[b])))
+    return out
+
+
+def closure(log: Log, result: ScanResult, topomap: TopoMap) -> str:
+    row = np.searchsorted(result.passes.time_ns, topomap.observation_time_ns)
+    centre = true_centres(log, result)[np.minimum(row, len(result.passes) - 1)]
+    home = topomap.observation_vertex
+    a, b = np.triu_indices(len(home), 1)
+    apart, one = np.hypot(*(centre[a] - centre[b]).T), home[a] == home[b]
+    near = apart < ONE_PLACE_M
+    T = fit_rigid(centre, topomap.xy[home])
+    off = np.hypot(*(centre - apply(T, topomap.xy[home])).T)
+    recall = f"{np.mean(one[near]):.3f}" if near.any() else "-"
+    return (
+        f"{recall} of {near.sum()} identified, {np.sum(one & (apart > APART_M))} of {one.sum()} "
+        f"false; rmse {np.sqrt(np.mean(off**2)):.3f} m; {len(topomap.xy)} vertices, "
+        f"{len(topomap.source)} corridors"
+    )
+
+
+def judge(log: Log, *, alone: bool, pictures: Path | None) -> None:
+    began = time.process_time()
+    result = detect(None if alone else log.odometry, log.scans)
+    detected = time.process_time()
+    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
+    run = Run(log.name, result.odometry, none, scanned=Scanned(result.passes, result.noise))
+    topomap = build_map(run)
+    done = time.process_time()
+    t = log.truth.time_ns
+    t = t[(t >= result.odometry.time_ns[0]) & (t <= result.odometry.time_ns[-1])]
+    ours = corrected_at(result, log, t)
+    print(f"{log.name}: {log.seconds:.0f} s, {way_at(log.truth, t)[-1]:.0f} m")
+    for way_m in (5.0, 20.0):
+        recorded = Stretches.of(log, t, log.odometry.at(t), way_m)
+        print(f"  drift {way_m:2.0f} m recorded  {recorded.told()}")
+        print(f"  drift {way_m:2.0f} m corrected {Stretches.of(log, t, ours, way_m).told()}")
+    print(f"  claimed  {claimed(log, result, t, ours)}")
+    print(f"  repeat   {repeatability(log, result)}")
+    print(f"  closure  {closure(log, result, topomap)}")
+    way = way_at(result.odometry, result.odometry.time_ns[-1:])[0]
+    print(f"  covered  {topomap.length @ topomap.traversals / way:.2f} of {way:.0f} m")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    spent, total = detected - began, done - began
+    print(
+        f"  speed    {log.seconds / total:.0f} x real time ({spent:.1f} s scans, "
+        f"{done - detected:.1f} s map), {result.statistics.scans / spent:.0f} scans/s; "
+        f"peak {peak:.0f} MB with all scans held",
+        flush=True,
+    )
+    if pictures is not None:
+        draw(pictures / f"{log.name}.png", result, topomap)
+
+
+def draw(path: Path, result: ScanResult, topomap: TopoMap) -> None:
+    """Walls, skeleton and passes on the corrected track, and beside it the map."""
+    from PIL import Image, ImageDraw
+
+    layers = []
+    for layer in (result.picture.walls, result.picture.skeleton):
+        layers.append(apply(result.odometry.at(layer.anchor_ns)[layer.anchor], layer.xy))
+    low, high = layers[0].min(axis=0) - 1, layers[0].max(axis=0) + 1
+    scale = 1400 / float((high - low).max())
+    width, height = ((high - low) * scale).astype(int).tolist()
+    image = Image.new("RGB", (2 * width, height), "white")
+    pen = ImageDraw.Draw(image)
+
+    def at(xy: FloatArray, offset: float = 0.0) -> list[tuple[float, float]]:
+        x, y = ((np.atleast_2d(xy) - low) * scale).T
+        return list(zip((x + offset).tolist(), (height - y).tolist(), strict=True))
+
+    pen.point(at(layers[0]), fill=(150, 150, 150))
+    pen.point(at(layers[1]), fill=(0, 150, 0))
+    pen.line(at(result.odometry.pose[:, :2]), fill=(90, 120, 230))
+    pose = result.odometry.at(result.passes.time_ns)
+    for k, centre in enumerate(apply(pose, result.passes.centre)):
+        strong = result.passes.confidence[k] > 5.5 / 7
+        _star(pen, at, centre, result.passes.branches[k] + pose[k, 2], 0.0, strong=strong)
+    T = fit_rigid(
+        result.odometry.at(topomap.observation_time_ns)[:, :2],
+        topomap.xy[topomap.observation_vertex],
+    )
+    for line in topomap.paths:
+        pen.line(at(apply(T, line), width), fill=(60, 60, 220), width=2)
+    for k, centre in enumerate(apply(T, topomap.xy)):
+        _star(pen, at, centre, topomap.branches[k] + T[2], width, strong=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image.save(path)
+
+
+def _star(
+    pen: Any, at: Any, centre: FloatArray, headings: FloatArray, offset: float, *, strong: bool
+) -> None:
+    colour = (220, 0, 0) if strong else (230, 140, 0)
+    ((x, y),) = at(centre, offset)
+    pen.ellipse([x - 4, y - 4, x + 4, y + 4], outline=colour, width=2)
+    for heading in headings:
+        (end,) = at(centre + 0.8 * np.array([np.cos(heading), np.sin(heading)]), offset)
+        pen.line([(x, y), end], fill=colour, width=2)
+
+
+def kiss(log: Log) -> None:
+    """The same scans through KISS-ICP, as points in the plane, one thread."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    config = KISSConfig()
+    config.data.deskew, config.data.max_range, config.data.min_range = False, 40.0, 0.1
+    config.mapping.voxel_size = 0.5
+    config.registration.max_num_threads = 1
+    odometry = KissICP(config)
+    poses, times = [], []
+    last = None
+    began = time.process_time()
+    for batch in log.scans:
+        for row in range(len(batch)):
+            r = batch.ranges_m[row].astype(float)
+            seen = np.isfinite(r)
+            points = np.column_stack([r * np.cos(batch.angles_rad), r * np.sin(batch.angles_rad)])
+            cloud = np.column_stack([points[seen], np.zeros(seen.sum())])
+            wheel = log.odometry.at(batch.times_ns[row : row + 1])[0]
+            if last is not None:
+                odometry.last_delta = _lifted(between(last, wheel))
+            last = wheel
+            odometry.register_frame(cloud, np.zeros(len(cloud)))
+            T = odometry.last_pose
+            poses.append([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+            times.append(int(batch.times_ns[row]))
+    spent = time.process_time() - began
+    keep = np.concatenate([[True], np.diff(times) > 0])
+    track = Odometry(np.array(times)[keep], np.array(poses)[keep], np.zeros(0, np.int64))
+    t = log.truth.time_ns
+    t = t[(t >= track.time_ns[0]) & (t <= track.time_ns[-1])]
+    for way_m in (5.0, 20.0):
+        print(f"  KISS-ICP {way_m:2.0f} m {Stretches.of(log, t, track.at(t), way_m).told()}")
+    print(f"  KISS-ICP {len(times) / spent:.0f} scans/s", flush=True)
+
+
+def _lifted(motion: FloatArray) -> FloatArray:
+    out = np.eye(4)
+    c, s = np.cos(motion[2]), np.sin(motion[2])
+    out[:2, :2] = [[c, -s], [s, c]]
+    out[:2, 3] = motion[:2]
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--alone", action="store_true", help="leave the odometry out")
+    parser.add_argument("--kiss", action="store_true", help="KISS-ICP as well, if installed")
+    parser.add_argument("--pictures", type=Path, help="draw every run into this folder")
+    options = parser.parse_args()
+    for folder in options.folders:
+        for log in logs(folder):
+            judge(log, alone=options.alone, pictures=options.pictures)
+            if options.kiss:
+                kiss(log)
+
+
+if __name__ == "__main__":
+    main()

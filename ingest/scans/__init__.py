@@ -1,0 +1,1 @@
+"""Junctions from the range sensors people record: scan matching, windowed grids, skeletons."""

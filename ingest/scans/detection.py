@@ -1,0 +1,234 @@
+"""From odometry and scans to corrected odometry and the junctions that the scans show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.errors import DataError
+from ...topology.odometry import Odometry
+from ...topology.se2 import apply, compose, inverse
+from .junctions import Driven, JunctionSettings, junction_passes
+from .matching import Matched, MatchingSettings, matched, posed
+from .noise import matched_noise, position_sigma, recorded_drift
+from .scan import Anchored, ScanBatch, ScanPicture, ScanResult, ScanStatistics
+from .scan_odometry import scan_odometry
+from .step_errors import SpanErrors
+from .windows import Seen, WindowSettings, windows
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSettings:
+    """The whole chain's settings."""
+
+    matching: MatchingSettings = field(default_factory=MatchingSettings)
+    windows: WindowSettings = field(default_factory=WindowSettings)
+    junctions: JunctionSettings = field(default_factory=JunctionSettings)
+    least_fit: float = 0.5
+    """A keyframe of which less fits what the one before saw tells nothing."""
+
+
+def detect(
+    odometry: Odometry | None,
+    scans: Iterable[ScanBatch],
+    settings: ScanSettings = ScanSettings(),
+) -> ScanResult:
+    """Correct a run's odometry by its scans and find the junctions it drove by.
+
+    scans: in the order of time, several lasers interleaved. The odometry of the result has a row
+    per keyframe. Memory follows the keyframes' poses and a thinned picture, not the scans.
+    """
+    counted = _Counted(scans)
+    track = _Track()
+    if odometry is not None and len(odometry) > 0:
+        poses = posed(odometry, counted, settings.matching)
+    else:
+        odometry, m = None, settings.matching
+        poses = scan_odometry(counted, (m.keyframes, m.surfaces, m.alignment))
+    seen = list(windows(track.passing(matched(poses, settings.matching)), settings.windows))
+    return _result(odometry, counted, track, seen, settings)
+
+
+@dataclass(slots=True, eq=False)
+class _Counted:
+    """The scans as they come, counted."""
+
+    batches: Iterable[ScanBatch]
+    scans: int = 0
+
+    def __iter__(self) -> Iterator[ScanBatch]:
+        for batch in self.batches:
+            self.scans += len(batch)
+            yield batch
+
+
+@dataclass(slots=True, eq=False)
+class _Track:
+    """What is kept of the keyframes that went by: rows (k, 3) of the robot's pose, corrected and
+    as recorded."""
+
+    time_ns: list[IntArray] = field(default_factory=list)
+    pose: list[FloatArray] = field(default_factory=list)
+    recorded: list[FloatArray] = field(default_factory=list)
+    piece: list[IntArray] = field(default_factory=list)
+    fit: list[FloatArray] = field(default_factory=list)
+    spans: list[SpanErrors] = field(default_factory=list)
+    walls: list[Anchored] = field(default_factory=list)
+    every: int = 1
+    searched: int = 0
+    bias_rad_per_m: float = 0.0
+
+    def passing(self, parts: Iterable[Matched]) -> Iterator[Matched]:
+        """The parts as they come, what is needed of them noted."""
+        for part in parts:
+            off = inverse(part.keyframes.mount)
+            self.time_ns.append(part.keyframes.time_ns)
+            self.pose.append(compose(part.pose, off))
+            self.recorded.append(compose(part.keyframes.odometry, off))
+            self.piece.append(part.keyframes.piece)
+            self.fit.append(part.fit)
+            self.spans.append(part.spans)
+            self.walls.append(_thinned(_walls(part), self.every))
+            while sum(map(len, self.walls)) > MOST_POINTS:
+                self.every *= 2
+                self.walls = [_thinned(walls, 2) for walls in self.walls]
+            self.searched += int(part.searched.sum())
+            self.bias_rad_per_m = float(part.errors.terms[0])
+            yield part
+
+    def driven(self) -> Driven:
+        """Rows by time; two lasers at one time make one row. Way as in `windows`."""
+        pose, piece = np.concatenate(self.pose), np.concatenate(self.piece)
+        step = np.hypot(*np.diff(pose[:, :2], axis=0).T)
+        step[np.diff(piece) != 0] = 0.0
+        way = np.concatenate([[0.0], np.cumsum(step)])
+        return Driven(np.concatenate(self.time_ns), pose, way)
+
+
+MOST_POINTS = 400_000
+"""Wall points kept for the picture, 10 MB; of longer runs every second, every fourth, ..."""
+
+
+def _thinned(points: Anchored, every: int) -> Anchored:
+    return Anchored(points.anchor_ns, points.anchor[::every], points.xy[::every])
+
+
+def _walls(part: Matched, cell_m: float = 0.1, reach_m: float = 8.0) -> Anchored:
+    """Points of a stretch of keyframes, one per cell, in the robot's frame."""
+    distance = np.hypot(part.keyframes.xy[..., 0], part.keyframes.xy[..., 1])
+    row, beam = np.nonzero(distance < reach_m)
+    own = part.keyframes.xy[row, beam].astype(np.float64)
+    world = apply(part.pose[row], own)
+    cell = np.floor(world / cell_m).astype(np.int64)
+    keep = np.sort(np.unique(cell, axis=0, return_index=True)[1])
+    body = apply(part.keyframes.mount[row[keep]], own[keep])
+    own_rows = row[keep].astype(np.int32)
+    return Anchored(part.keyframes.time_ns, own_rows, body.astype(np.float32))
+
+
+def _result(
+    recorded: Odometry | None,
+    counted: _Counted,
+    track: _Track,
+    seen: list[Seen],
+    settings: ScanSettings,
+) -> ScanResult:
+    if not track.pose:
+        raise DataError(_nothing(recorded, counted.scans))
+    driven = track.driven()
+    passes = junction_passes(seen, driven, settings.windows, settings.junctions)
+    noise = matched_noise(track.spans, passes, alone=recorded is None)
+    fit, piece = np.concatenate(track.fit), np.concatenate(track.piece)
+    statistics = ScanStatistics(
+        scans=counted.scans,
+        matched=int(np.sum(fit >= settings.least_fit)),
+        drift_before_m=recorded_drift(
+            np.concatenate(track.recorded), driven.pose, driven.way, DRIFT_M
+        ),
+        drift_after_m=position_sigma(noise, DRIFT_M),
+        bias_rad_per_m=track.bias_rad_per_m,
+        covered=_covered(driven, fit >= settings.least_fit),
+        searched=track.searched,
+        odometry=recorded is not None,
+    )
+    keep = np.concatenate([[True], np.diff(driven.time_ns) > 0])
+    odometry = Odometry(
+        driven.time_ns[keep],
+        driven.pose[keep],
+        np.flatnonzero(np.diff(piece[keep])) + 1,
+        recorded.frame if recorded is not None else "odom",
+        recorded.child_frame if recorded is not None else "base_link",
+    )
+    picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), settings.windows.half_m)
+    return ScanResult(odometry, passes, noise, statistics, picture, _warnings(statistics))
+
+
+def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
+    out = []
+    if not statistics.odometry:
+        out.append(
+            "no odometry beside the scans: each scan was matched to the one before, so that the "
+            "way along bare corridors is not well known"
+        )
+    if statistics.searched:
+        out.append(
+            f"{statistics.searched} times the odometry led astray between two scans; the way on "
+            "was found by searching"
+        )
+    return tuple(out)
+
+
+DRIFT_M = 20.0
+"""Way after which drift is told."""
+
+
+def _nothing(recorded: Odometry | None, scans: int) -> str:
+    if scans == 0:
+        return "the scan topic holds no usable scan"
+    if recorded is not None:
+        return (
+            f"none of the {scans} scans has an echo and lies within the time of the odometry; "
+            "check the clocks of the two topics"
+        )
+    return f"none of the {scans} scans has an echo"
+
+
+def _covered(driven: Driven, good: NDArray[np.bool_]) -> float:
+    """Share of the way driven between keyframes that fit each other."""
+    step = np.diff(driven.way)
+    total = float(step.sum())
+    return float(step[good[1:]].sum()) / total if total > 0 else 0.0
+
+
+def _joined(parts: list[Anchored]) -> Anchored:
+    counts = np.cumsum([0, *(len(part.anchor_ns) for part in parts)])
+    return Anchored(
+        np.concatenate([part.anchor_ns for part in parts]),
+        np.concatenate([part.anchor + counts[k] for k, part in enumerate(parts)]),
+        np.concatenate([part.xy for part in parts]),
+    )
+
+
+def _skeleton(seen: list[Seen], driven: Driven) -> Anchored:
+    """Skeletons of the windows, each where it is nearer to its middle than the next one's."""
+    rows = [min(int(np.searchsorted(driven.way, w.way)), len(driven.way) - 1) for w in seen]
+    middles = driven.pose[rows]
+    points, anchor = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
+    for k, window in enumerate(seen):
+        away = np.hypot(*(window.skeleton - middles[k, :2]).T)
+        others = middles[max(k - 1, 0) : k + 2, :2]
+        nearest = np.hypot(*(window.skeleton[:, None] - others).transpose(2, 0, 1)).min(axis=1)
+        own = window.skeleton[away <= nearest + 1e-9]
+        points.append(apply(inverse(middles[k]), own))
+        anchor.append(np.full(len(own), k))
+    return Anchored(
+        driven.time_ns[rows],
+        np.concatenate(anchor),
+        np.concatenate(points).astype(np.float32),
+    )

@@ -1,0 +1,182 @@
+"""Junctions and corridors of a saved grid: the skeleton of all its free space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from ...topology.se2 import wrap
+from .grid import GridSettings, without_islands
+from .skeleton import Edge, SkeletonGraph, SkeletonSettings, thin, trace
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class FloorplanSettings:
+    """How a grid's free space becomes a graph."""
+
+    skeleton: SkeletonSettings = field(default_factory=SkeletonSettings)
+    island_m: float = GridSettings().island_m
+    agree_m: float = 0.7
+    """A variant agrees on a junction if it has one so near with as many branches."""
+
+    @property
+    def variants(self) -> tuple[SkeletonSettings, ...]:
+        """The skeleton's settings and six beside them, each off in one respect."""
+        s = self.skeleton
+        return (
+            s,
+            replace(s, clearance_m=0.8 * s.clearance_m),
+            replace(s, clearance_m=1.3 * s.clearance_m),
+            s.with_spurs(0.8),
+            s.with_spurs(1.25),
+            replace(s, join_m=0.75 * s.join_m),
+            replace(s, join_m=1.3 * s.join_m),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A place of a floor plan: (2,) x, y [m] from the grid's corner, headings (b,) [rad] of its
+    branches, ascending, share of the variants of the settings that agree on them."""
+
+    xy: FloatArray
+    branches: FloatArray
+    kind: Literal["junction", "dead_end"]
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corridor:
+    """A way from place to place: their numbers, the row of each one's branches that it leaves by,
+    and a polyline (k, 2) [m], k >= 2."""
+
+    source: int
+    target: int
+    source_branch: int
+    target_branch: int
+    path: FloatArray
+
+
+def skeleton_graph(
+    free: BoolArray, resolution_m: float, settings: FloorplanSettings = FloorplanSettings()
+) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
+    """Places and corridors of free space (h, w), row 0 at the least y, column 0 at the least x.
+
+    Every corridor has a place at both ends: where it ends without a junction, a dead end. A loop
+    without any place is left out. Raises ValueError on a grid that is not two-dimensional or a
+    resolution that is not positive. O(h w) a variant.
+    """
+    free = np.asarray(free, bool)
+    if free.ndim != 2 or not resolution_m > 0:
+        raise ValueError("a grid of two dimensions and a positive resolution are needed")
+    if not free.any():
+        return (), ()
+    grid = replace(GridSettings(), island_m=settings.island_m, cell_m=resolution_m)
+    padded = np.pad(without_islands(free, grid), 1)
+    clearance = ndimage.distance_transform_edt(padded) * resolution_m
+    graphs = [
+        trace(thin(clearance > s.clearance_m), clearance, resolution_m, s)
+        for s in settings.variants
+    ]
+    return _places(graphs, resolution_m, settings)
+
+
+def _places(
+    graphs: list[SkeletonGraph], cell_m: float, settings: FloorplanSettings
+) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
+    graph = graphs[0]
+    # The middle of the padded grid's first cell lies half a cell before the corner.
+    shift = np.array([-0.5, -0.5]) * cell_m
+    places = [
+        Place(node.xy + shift, node.headings, "junction", _agreement(node.xy, k, graphs, settings))
+        for k, node in enumerate(graph.nodes)
+    ]
+    corridors = []
+    used = [[False] * len(node.ends) for node in graph.nodes]
+    for number, edge in enumerate(graph.edges):
+        path = _polyline(edge, graph, cell_m)
+        if edge.nodes[0] < 0 or path is None:
+            continue
+        source, source_branch = edge.nodes[0], _take(graph, used, edge.nodes[0], number)
+        target, target_branch = edge.nodes[1], 0
+        if target >= 0:
+            target_branch = _take(graph, used, target, number)
+        else:
+            back = path[-min(len(path), 1 + round(1.0 / cell_m))] - path[-1]
+            heading = wrap(np.array([np.arctan2(back[1], back[0])]))
+            target = len(places)
+            places.append(Place(path[-1] + shift, heading, "dead_end", 0.5))
+        corridors.append(Corridor(source, target, source_branch, target_branch, path + shift))
+    return tuple(places), tuple(corridors)
+
+
+def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) -> int:
+    """The branch of a place that a way leaves by; a ring leaves by two."""
+    for branch, way in enumerate(graph.nodes[node].ends):
+        if way == edge and not used[node][branch]:
+            used[node][branch] = True
+            return branch
+    raise AssertionError("every way at a place is one of its branches")
+
+
+def _agreement(
+    xy: FloatArray, node: int, graphs: list[SkeletonGraph], settings: FloorplanSettings
+) -> float:
+    """Share of the variants that have such a place, themselves included."""
+    degree = len(graphs[0].nodes[node].headings)
+    agreeing = 0
+    for graph in graphs:
+        agreeing += any(
+            len(other.headings) == degree and np.hypot(*(other.xy - xy)) <= settings.agree_m
+            for other in graph.nodes
+        )
+    return agreeing / len(graphs)
+
+
+def _polyline(edge: Edge, graph: SkeletonGraph, cell_m: float) -> FloatArray | None:
+    """Cells of a way in order, between the centres of its places; None if it has neither."""
+    start, end = edge.nodes
+    if start < 0:
+        return None
+    centre = graph.nodes[start].xy
+    if len(edge.cells) == 0:
+        return np.array([centre, graph.nodes[end].xy]) if end >= 0 else None
+    xy = edge.cells[:, ::-1] * cell_m
+    order = _chain(edge.cells, int(np.argmin(np.hypot(*(xy - centre).T))), ring=start == end)
+    path = [centre[None], xy[order]]
+    if end >= 0:
+        path.append(graph.nodes[end].xy[None])
+    return np.concatenate(path)
+
+
+def _chain(cells: IntArray, first: int, *, ring: bool) -> IntArray:
+    """Rows of cells along the shortest way from `first` to the farthest one.
+
+    Neighbouring cells hang together; where a dissolved place left a gap, it is bridged at a price.
+    """
+    tree = cKDTree(cells)
+    pairs = tree.query_pairs(4.0, output_type="ndarray")
+    gap = np.hypot(*(cells[pairs[:, 0]] - cells[pairs[:, 1]]).T)
+    if ring:
+        # Its two ends come near each other at the place that they hang on.
+        home = np.hypot(*(cells - cells[first]).T) < 8
+        across = (gap > 1.5) & home[pairs].all(axis=1)
+        pairs, gap = pairs[~across], gap[~across]
+    graph = coo_array((gap**3, (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2).tocsr()
+    distance, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
+    at = int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))
+    chain = [at]
+    while chain[-1] != first:
+        chain.append(int(before[chain[-1]]))
+    return np.array(chain[::-1], np.int64)

@@ -1,0 +1,175 @@
+"""Occupancy grids of what the robot saw around a place, from aligned keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ...topology.se2 import apply
+from .keyframes import Keyframes
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class GridSettings:
+    """What counts as wall and as free."""
+
+    cell_m: float = 0.1
+    """Side of a cell: a doorway is nine of them wide."""
+    reach_m: float = 8.0
+    """How far along a beam cells are observed: beyond, beams are more than a cell apart."""
+    wall_hits: int = 2
+    wall_share: float = 0.15
+    """A wall is hit by so many keyframes, and in so large a share of the looks at it: who walks
+    by is hit in few."""
+    free_looks: int = 1
+    """Keyframes that saw through a free cell."""
+    strip_m: float = 0.3
+    """Where the robot itself drove is free, this far to either side."""
+    island_m: float = 2.0
+    """What stands free and is smaller (pillars, furniture, people) is no part of the building."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """What every keyframe saw of the cells around it: patches (k, s, s) of cells seen through and
+    of cells hit, row y, column x; corner: (k, 2) lattice cell (x, y) of each patch's first."""
+
+    free: BoolArray
+    hit: BoolArray
+    corner: IntArray
+
+    def __len__(self) -> int:
+        return len(self.corner)
+
+    def take(self, rows: slice) -> Looks:
+        """Those of some keyframes."""
+        return Looks(self.free[rows], self.hit[rows], self.corner[rows])
+
+
+@lru_cache(maxsize=4)
+def _patch(half: int, cell_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Bearing and distance of every cell of a patch from its middle."""
+    step = np.arange(-half, half + 1) * cell_m
+    x, y = np.meshgrid(step, step)
+    return np.arctan2(y, x).astype(np.float32), np.hypot(x, y).astype(np.float32)
+
+
+def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSettings()) -> Looks:
+    """Cast the beams of keyframes at `pose` (k, 3) into cells of the frame of the poses.
+
+    Every cell asks the beam that goes by it, the laser standing in the middle of its own cell:
+    0.05 m off at most, less than the cell that beams stop short of what they hit.
+    """
+    half = round(settings.reach_m / settings.cell_m)
+    bearing, distance = _patch(half, settings.cell_m)
+    k, m = frames.xy.shape[:2]
+    side = 2 * half + 1
+    free, hit = np.zeros((k, side, side), bool), np.zeros((k, side, side), bool)
+    own = np.floor(pose[:, :2] / settings.cell_m).astype(np.int64)
+    corner = own - half
+    ranges = np.hypot(frames.xy[..., 0], frames.xy[..., 1])
+    echo = np.isfinite(ranges)
+    reached = np.minimum(_beside(ranges, echo), frames.free[:, None])
+    through = np.where(echo, ranges - settings.cell_m, reached)
+    # One beam more than there are, seen through nowhere: for cells out of the field of view.
+    through = np.pad(through, ((0, 0), (0, 1))).astype(np.float32)
+    through = np.minimum(through, settings.reach_m)
+    middle = 0.5 * frames.increment * (m - 1)
+    for row in range(k):
+        ahead = np.float32(pose[row, 2] + frames.start[row] + middle[row])
+        turn = np.mod(bearing - (ahead - np.float32(np.pi)), np.float32(2 * np.pi)) - np.float32(
+            np.pi
+        )
+        beam = np.rint((turn + np.float32(middle[row])) / np.float32(frames.increment[row]))
+        beam = np.where((beam >= 0) & (beam < m), beam, m).astype(np.int16)
+        free[row] = distance < through[row][beam]
+        at = echo[row] & (ranges[row] < settings.reach_m - settings.cell_m)
+        ends = apply(pose[row], frames.xy[row, at].astype(np.float64))
+        x, y = (np.floor(ends / settings.cell_m).astype(np.int64) - corner[row]).T
+        hit[row, y, x] = True
+    return Looks(free & ~hit, hit, corner)
+
+
+def _beside(ranges: NDArray[np.float32], echo: BoolArray) -> NDArray[np.float32]:
+    """(k, m) the nearer of the next echoes on either side of every beam, 0 where there is none.
+
+    A beam without an echo amid a wall met glass or something dark, not the way out.
+    """
+    beam = np.arange(ranges.shape[1])
+    before = np.maximum.accumulate(np.where(echo, beam, -1), axis=1)
+    after = np.minimum.accumulate(np.where(echo, beam, len(beam))[:, ::-1], axis=1)[:, ::-1]
+    padded = np.pad(np.where(echo, ranges, 0), ((0, 0), (1, 1)))
+    rows = np.arange(len(ranges))[:, None]
+    return np.minimum(padded[rows, before + 1], padded[rows, after + 1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """A square of the lattice: how many keyframes saw through each cell (s, s), and hit it; driven:
+    cells that the robot drove over; corner: (2,) lattice cell (x, y) of the first."""
+
+    free: IntArray
+    hit: IntArray
+    driven: BoolArray
+    corner: IntArray
+
+
+def gather(
+    seen: Looks, way_xy: FloatArray, centre: FloatArray, half: int, settings: GridSettings
+) -> Window:
+    """What keyframes saw within `half` cells of a place `centre` (2,); way_xy: (w, 2) the way
+    driven meanwhile, densely [m]."""
+    corner = np.floor(centre / settings.cell_m).astype(np.int64) - half
+    side = 2 * half + 1
+    free, hit = np.zeros((side, side), np.int32), np.zeros((side, side), np.int32)
+    patch = seen.free.shape[1]
+    for k in range(len(seen)):
+        x, y = seen.corner[k] - corner
+        ax, bx, ay, by = max(x, 0), min(x + patch, side), max(y, 0), min(y + patch, side)
+        if ax < bx and ay < by:
+            into, out_of = np.s_[ay:by, ax:bx], np.s_[ay - y : by - y, ax - x : bx - x]
+            free[into] += seen.free[k][out_of]
+            hit[into] += seen.hit[k][out_of]
+    driven = np.zeros((side, side), bool)
+    x, y = (np.floor(way_xy / settings.cell_m).astype(np.int64) - corner).T
+    inside = (x >= 0) & (x < side) & (y >= 0) & (y < side)
+    driven[y[inside], x[inside]] = True
+    return Window(free, hit, driven, corner)
+
+
+def free_space(window: Window, settings: GridSettings) -> BoolArray:
+    """(s, s) cells that are free: seen through, or driven over; without walls, but for islands."""
+    observed = window.hit + window.free
+    wall = (window.hit >= settings.wall_hits) & (window.hit > settings.wall_share * observed)
+    free = (window.free >= settings.free_looks) & ~wall
+    radius = round(settings.strip_m / settings.cell_m)
+    strip = ndimage.binary_dilation(window.driven, disc(radius))
+    return without_islands(free | strip, settings)
+
+
+def without_islands(free: BoolArray, settings: GridSettings) -> BoolArray:
+    """Free space with small islands of anything else filled, unless they touch the border."""
+    labels, count = ndimage.label(~free, np.ones((3, 3)))
+    if count == 0:
+        return free
+    limit = settings.island_m / settings.cell_m
+    small = np.zeros(count + 1, bool)
+    rows, columns = free.shape
+    for number, (ys, xs) in enumerate(ndimage.find_objects(labels), start=1):
+        inside = ys.start > 0 and xs.start > 0 and ys.stop < rows and xs.stop < columns
+        small[number] = inside and max(ys.stop - ys.start, xs.stop - xs.start) <= limit
+    return np.asarray(free | small[labels])
+
+
+def disc(radius: int) -> BoolArray:
+    """(2 r + 1, 2 r + 1) cells within `radius` of the middle."""
+    step = np.arange(-radius, radius + 1)
+    return np.asarray(step[:, None] ** 2 + step**2 <= (radius + 0.5) ** 2)

@@ -1,0 +1,184 @@
+"""Passes of junctions: what windows along the way agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ...topology.ragged import Ragged
+from ...topology.se2 import apply, inverse, wrap
+from .scan import ScanPasses
+from .windows import Seen, WindowSettings
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class JunctionSettings:
+    """When what windows show is one junction."""
+
+    together_m: float = 0.7
+    """Places of different windows and variants nearer than this are one …"""
+    together_way_m: float = 2.5
+    """… if the robot had not driven more than this in between: else it was there twice."""
+    least_share: float = 0.5
+    """Of the windows that could show a junction, so many must."""
+    gap_rad: float = 0.35
+    """Headings farther apart than this are of different branches."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """The way driven: (k,) times, (k, 3) poses in the corrected frame, (k,) way so far [m]."""
+
+    time_ns: IntArray
+    pose: FloatArray
+    way: FloatArray
+
+
+def junction_passes(
+    seen: Sequence[Seen],
+    driven: Driven,
+    windows: WindowSettings,
+    settings: JunctionSettings,
+) -> ScanPasses:
+    """Fuse the forks of all windows and variants to passes. O(q log q) for q forks."""
+    records = [
+        (window.number, variant, way, node)
+        for window in seen
+        for variant, way, node in window.forks
+    ]
+    if not records:
+        return no_passes()
+    number = np.array([r[0] for r in records])
+    variant = np.array([r[1] for r in records])
+    way = np.array([r[2] for r in records])
+    xy = np.array([r[3].xy for r in records])
+    clearance = np.array([r[3].clearance_m for r in records])
+    headings = Ragged.from_rows([r[3].headings for r in records])
+    group = _together(xy, way, settings)
+    middles = np.array([window.way for window in seen])
+    rows = []
+    for g in range(int(group.max()) + 1):
+        members = np.flatnonzero(group == g)
+        at = float(np.median(way[members]))
+        near = np.flatnonzero(np.abs(middles - at) <= 1.5 * windows.every_m)
+        looks = len(windows.variants) * max(len(near), 1)
+        # One window shows a place once under one variant, or as two halves of it.
+        shown = len(np.unique(number[members] * len(windows.variants) + variant[members]))
+        if shown < settings.least_share * looks:
+            continue
+        votes = _nearest_looks(members, variant, np.abs(middles[number] - at))
+        degree = np.bincount(headings.counts[votes])
+        branches, support = _branches(headings, members, votes, int(np.argmax(degree)), settings)
+        rows.append(
+            (
+                at,
+                np.median(xy[members], axis=0),
+                branches,
+                support,
+                int(degree.max()) / len(windows.variants),
+                len(np.unique(number[members])),
+                float(np.median(clearance[members])),
+            )
+        )
+    rows.sort(key=lambda row: (row[0], *row[1]))
+    return _passes(rows, driven, windows)
+
+
+def no_passes() -> ScanPasses:
+    """Of a run that passed no junction."""
+    none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
+    return ScanPasses(
+        none, none, none, np.zeros((0, 2)), empty, empty, np.zeros(0), none, np.zeros(0)
+    )
+
+
+def _together(xy: FloatArray, way: FloatArray, settings: JunctionSettings) -> IntArray:
+    """(q,) number of the junction of each record: linked if near in place and way."""
+    scaled = np.column_stack([xy, way * (settings.together_m / settings.together_way_m)])
+    pairs = cKDTree(scaled).query_pairs(settings.together_m, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xy),) * 2)
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> IntArray:
+    """Of the records of one junction, those of each variant's nearest window: it shows the most
+    of what is around."""
+    order = members[np.lexsort((members, away[members], variant[members]))]
+    return order[np.unique(variant[order], return_index=True)[1]]
+
+
+def _branches(
+    headings: Ragged,
+    members: IntArray,
+    votes: IntArray,
+    degree: int,
+    settings: JunctionSettings,
+) -> tuple[FloatArray, FloatArray]:
+    """Headings of a junction of `degree` branches, and the share of all looks that show each.
+
+    Of the votes for so many branches, the one that the others are nearest to; every branch is the
+    mean of what all looks show near it.
+    """
+    alike = headings.take(votes[headings.counts[votes] == degree])
+    table = alike.values.reshape(-1, degree)
+    off = np.abs(wrap(table[:, None, :, None] - table[None, :, None, :])).min(axis=3)
+    medoid = table[int(np.argmin(off.sum(axis=(1, 2))))]
+    own = headings.take(members)
+    away = np.asarray(wrap(own.values[:, None] - medoid))
+    nearest = np.argmin(np.abs(away), axis=1)
+    gap = away[np.arange(len(away)), nearest]
+    near = np.abs(gap) <= settings.gap_rad
+    mean = np.bincount(nearest[near], gap[near], degree)
+    mean /= np.maximum(np.bincount(nearest[near], minlength=degree), 1)
+    looks = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
+    share = np.bincount(looks, minlength=degree) / len(members)
+    return np.asarray(wrap(medoid + mean)), share
+
+
+def _passes(
+    rows: list[tuple[float, FloatArray, FloatArray, FloatArray, float, int, float]],
+    driven: Driven,
+    windows: WindowSettings,
+) -> ScanPasses:
+    """Rows in the corrected frame, turned into the robot's at the time it was nearest."""
+    if not rows:
+        return no_passes()
+    at = np.array([row[0] for row in rows])
+    xy = np.array([row[1] for row in rows])
+    nearest = np.empty(len(rows), np.int64)
+    start, end = np.empty(len(rows), np.int64), np.empty(len(rows), np.int64)
+    for k in range(len(rows)):
+        a, b = np.searchsorted(driven.way, [at[k] - 2 * windows.near_m, at[k] + 2 * windows.near_m])
+        b = max(int(b), int(a) + 1)
+        a = min(int(a), len(driven.way) - 1)
+        distance = np.hypot(*(driven.pose[a:b, :2] - xy[k]).T)
+        best = a + int(np.argmin(distance))
+        within = np.flatnonzero(distance <= max(windows.near_m, float(distance.min())))
+        nearest[k] = best
+        start[k], end[k] = a + within[0], a + within[-1]
+    order = np.lexsort((at, driven.time_ns[nearest]))
+    rows = [rows[k] for k in order]
+    nearest, start, end, xy = nearest[order], start[order], end[order], xy[order]
+    pose = driven.pose[nearest]
+    branches = Ragged.from_rows([row[2] for row in rows])
+    owner = branches.owner
+    return ScanPasses(
+        time_ns=driven.time_ns[nearest],
+        start_ns=driven.time_ns[start],
+        end_ns=driven.time_ns[end],
+        centre=apply(inverse(pose), xy),
+        branches=Ragged(branches.offsets, wrap(branches.values - pose[owner, 2])),
+        support=Ragged.from_rows([row[3] for row in rows]),
+        confidence=np.array([row[4] for row in rows]),
+        windows=np.array([row[5] for row in rows], np.int64),
+        clearance_m=np.array([row[6] for row in rows]),
+    )

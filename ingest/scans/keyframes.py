@@ -1,0 +1,229 @@
+"""Scans worth matching: one after every bit of way or turn, on a raster of beams."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.se2 import compose, inverse, wrap
+from .scan import ScanBatch
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeSettings:
+    """Which scans are matched, and how finely."""
+
+    step_m: float = 0.25
+    turn_rad: float = 0.15
+    """Way or turn after which the next scan is a keyframe: neighbours still see nearly the same."""
+    raster_rad: float = 0.0175
+    """Beams nearer to each other are thinned out: a degree is 9 cm at 5 m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframes:
+    """`k` scans by time. odometry: (k, 3) pose of the *laser* in the odometry frame; mount: (k, 3)
+    T_body_laser; xy: (k, m, 2) points in the laser's frame, NaN without return; start, increment:
+    (k,) bearing of the first beam and between beams [rad]; free: (k,) way free along beams without
+    return [m]; rate: (k,) [rad/s]; piece: (k,) of unbroken odometry; scans: (k,) read since the
+    keyframe before."""
+
+    time_ns: IntArray
+    odometry: FloatArray
+    mount: FloatArray
+    xy: Float32Array
+    start: FloatArray
+    increment: FloatArray
+    free: FloatArray
+    rate: FloatArray
+    piece: IntArray
+    scans: IntArray
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def take(self, rows: slice | IntArray) -> Keyframes:
+        """Some of them."""
+        return Keyframes(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+
+def join(parts: list[Keyframes]) -> Keyframes:
+    """Keyframes one after the other; rasters of different width are filled up with NaN."""
+    width = max((part.xy.shape[1] for part in parts), default=0)
+    columns = []
+    for f in fields(Keyframes):
+        values = [getattr(part, f.name) for part in parts]
+        if f.name == "xy":
+            values = [
+                np.pad(v, ((0, 0), (0, width - v.shape[1]), (0, 0)), constant_values=np.nan)
+                for v in values
+            ]
+        columns.append(np.concatenate(values))
+    return Keyframes(*columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """A batch of scans with the pose (n, 3) of the robot, in the odometry frame, at each, and how
+    it moved (n, 3) during the sweep, in its own frame, and turned (n,) [rad/s]. usable: (n,) times
+    with a known pose; piece: (n,) which piece of unbroken odometry."""
+
+    batch: ScanBatch
+    pose: FloatArray
+    motion: FloatArray
+    rate: FloatArray
+    usable: NDArray[np.bool_]
+    piece: IntArray
+
+
+def keyframes(
+    posed: Iterable[Posed], settings: KeyframeSettings = KeyframeSettings()
+) -> Iterator[Keyframes]:
+    """The keyframes of every batch. The first scan of each laser is one."""
+    last: dict[tuple[float, ...], FloatArray] = {}
+    waiting = 0
+    for part in posed:
+        laser = (*part.batch.T_body_laser.tolist(), float(len(part.batch.angles_rad)))
+        rows, counts, waiting = _chosen(part, last, laser, waiting, settings)
+        if rows:
+            yield prepared(part, np.array(rows), np.array(counts), settings)
+
+
+def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Iterator[Keyframes]:
+    """The same keyframes by time, `size` at once (the last ones fewer).
+
+    Batches of several lasers may overlap: a keyframe is held back until every laser that was heard
+    of in the last `late_s` has gone on beyond it.
+    """
+    waiting: list[Keyframes] = []
+    heard: dict[bytes, int] = {}
+    for part in parts:
+        waiting.append(part)
+        heard[part.mount[-1].tobytes()] = int(part.time_ns[-1])
+        newest = max(heard.values())
+        settled = min(t for t in heard.values() if t >= newest - late_s * 1e9)
+        held = _by_time(waiting)
+        ready = int(np.searchsorted(held.time_ns, settled, side="right"))
+        whole = ready - ready % size
+        for begin in range(0, whole, size):
+            yield held.take(slice(begin, begin + size))
+        waiting = [held.take(slice(whole, None))]
+    held = _by_time(waiting) if waiting else None
+    while held is not None and len(held):
+        yield held.take(slice(0, size))
+        held = held.take(slice(size, None))
+
+
+def _by_time(parts: list[Keyframes]) -> Keyframes:
+    """Keyframes of several lasers by time, those of one time by where their lasers are."""
+    joint = join(parts)
+    x, y, theta = joint.mount.T
+    return joint.take(np.lexsort((theta, y, x, joint.time_ns)))
+
+
+def _chosen(
+    part: Posed,
+    last: dict[tuple[float, ...], FloatArray],
+    laser: tuple[float, ...],
+    waiting: int,
+    settings: KeyframeSettings,
+) -> tuple[list[int], list[int], int]:
+    """Rows of a batch that are keyframes, scans that each stands for, scans left over."""
+    rows: list[int] = []
+    counts: list[int] = []
+    poses = part.pose.tolist()
+    seen = np.isfinite(part.batch.ranges_m).any(axis=1) & part.usable
+    for row, usable in enumerate(seen.tolist()):
+        waiting += 1
+        if not usable:
+            continue
+        x, y, theta = poses[row]
+        if laser in last:
+            x0, y0, theta0 = last[laser]
+            still = (x - x0) ** 2 + (y - y0) ** 2 < settings.step_m**2
+            if still and abs(wrap(theta - theta0)) < settings.turn_rad:
+                continue
+        last[laser] = np.array(poses[row])
+        rows.append(row)
+        counts.append(waiting)
+        waiting = 0
+    return rows, counts, waiting
+
+
+def prepared(
+    part: Posed, rows: IntArray, counts: IntArray, settings: KeyframeSettings
+) -> Keyframes:
+    """Scans `rows` of a batch as keyframes that stand for `counts` scans each."""
+    batch, n = part.batch, len(rows)
+    columns, start, step = raster(batch.angles_rad, settings.raster_rad)
+    angles = np.asarray(batch.angles_rad[columns])
+    ranges = batch.ranges_m[rows][:, columns].astype(np.float64)
+    xy = np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)
+    if batch.sweep_s != 0:
+        share = columns / max(len(batch.angles_rad) - 1, 1) - 0.5
+        xy = _at_mid_sweep(xy, part.motion[rows], share, batch.T_body_laser)
+        xy = _rastered(xy, start, step)
+    mount = np.tile(batch.T_body_laser, (n, 1))
+    return Keyframes(
+        batch.times_ns[rows],
+        compose(part.pose[rows], mount),
+        mount,
+        xy.astype(np.float32),
+        np.full(n, start),
+        np.full(n, step),
+        np.asarray(batch.free_m)[rows],
+        part.rate[rows],
+        part.piece[rows],
+        counts,
+    )
+
+
+def raster(angles_rad: FloatArray, finest_rad: float) -> tuple[IntArray, float, float]:
+    """Columns of a scan that stand, ascending, on an even raster; its first bearing and step [rad].
+
+    Beams in uneven steps go to the nearest place of the raster; every place takes one.
+    """
+    order = np.argsort(angles_rad, kind="stable")
+    angles = angles_rad[order]
+    if len(angles) < 2 or not angles[-1] > angles[0]:
+        return order[:1].astype(np.int64), float(angles[0]) if len(angles) else 0.0, finest_rad
+    spacing = (angles[-1] - angles[0]) / (len(angles) - 1)
+    even = np.abs(angles - angles[0] - spacing * np.arange(len(angles))).max() < 0.25 * spacing
+    if even:
+        stride = max(1, int(finest_rad / spacing + 0.01))
+        return order[::stride].astype(np.int64), float(angles[0]), float(stride * spacing)
+    step = max(finest_rad, float(np.median(np.diff(angles))))
+    places = angles[0] + step * np.arange(int((angles[-1] - angles[0]) / step) + 1)
+    after = np.clip(np.searchsorted(angles, places), 1, len(angles) - 1)
+    nearest = np.where(places - angles[after - 1] < angles[after] - places, after - 1, after)
+    return order[nearest].astype(np.int64), float(angles[0]), step
+
+
+def _at_mid_sweep(
+    xy: FloatArray, motion: FloatArray, share: FloatArray, mount: FloatArray
+) -> FloatArray:
+    """Points seen at `share` (m,) of the sweep, -1/2 to 1/2, in the laser's frame at its middle."""
+    own = compose(compose(inverse(mount), motion), mount)[:, None, :] * share[:, None]
+    c, s = np.cos(own[..., 2]), np.sin(own[..., 2])
+    x = c * xy[..., 0] - s * xy[..., 1] + own[..., 0]
+    y = s * xy[..., 0] + c * xy[..., 1] + own[..., 1]
+    return np.stack([x, y], axis=-1)
+
+
+def _rastered(xy: FloatArray, start: float, step: float) -> FloatArray:
+    """The points at the places of the raster that their bearings now have."""
+    m = xy.shape[1]
+    middle = start + 0.5 * step * (m - 1)
+    bearing = wrap(np.arctan2(xy[..., 1], xy[..., 0]) - middle) + 0.5 * step * (m - 1)
+    beam = np.rint(np.where(np.isfinite(bearing), bearing / step, -1)).astype(np.int64)
+    row, column = np.nonzero((beam >= 0) & (beam < m))
+    out = np.full_like(xy, np.nan)
+    out[row, beam[row, column]] = xy[row, column]
+    return out

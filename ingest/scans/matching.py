@@ -1,0 +1,195 @@
+"""Odometry corrected by scan matching, window by window as the scans come in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.odometry import Odometry
+from ...topology.se2 import between, compose, wrap
+from ...topology.track import chain_of
+from .alignment import Aligned, AlignmentSettings, Steps, align, match_steps
+from .association import Swept
+from .keyframes import Keyframes, KeyframeSettings, Posed, in_order, join, keyframes
+from .scan import ScanBatch
+from .step_errors import SpanErrors, StepErrors, span_errors
+from .surfaces import SurfaceSettings, surfaces
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchingSettings:
+    """How odometry is corrected by scans."""
+
+    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
+    surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    window: int = 400
+    """Keyframes solved for at once: much more than the widest pair, little memory."""
+    lag: int = 60
+    """The last ones of a window are solved for again with those that follow: the widest pair."""
+    outside_s: float = 0.5
+    """How far beyond the odometry's ends a scan may lie."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matched:
+    """Keyframes whose poses are final. pose: (k, 3) of the laser in the corrected frame; fit: (k,)
+    share of the points that lie on what the keyframe before saw; searched: (k,) found by search;
+    spans: how well the poses are known."""
+
+    keyframes: Keyframes
+    pose: FloatArray
+    fit: FloatArray
+    searched: NDArray[np.bool_]
+    spans: SpanErrors
+    errors: StepErrors
+
+
+def posed(
+    odometry: Odometry, batches: Iterable[ScanBatch], settings: MatchingSettings
+) -> Iterator[Posed]:
+    """The robot's pose at every scan, by the odometry."""
+    for batch in batches:
+        if len(batch) == 0:
+            continue
+        half = np.int64(0.5e9 * batch.sweep_s)
+        around = np.int64(1e8)
+        t = batch.times_ns
+        turned = wrap(odometry.at(t + around)[:, 2] - odometry.at(t - around)[:, 2])
+        outside = np.int64(settings.outside_s * 1e9)
+        first, last = odometry.time_ns[[0, -1]] + np.array([-outside, outside])
+        yield Posed(
+            batch,
+            odometry.at(t),
+            between(odometry.at(t - half), odometry.at(t + half)),
+            turned / (2e-9 * around),
+            (t >= first) & (t <= last),
+            chain_of(odometry, t),
+        )
+
+
+def matched(
+    posed_scans: Iterable[Posed], settings: MatchingSettings = MatchingSettings()
+) -> Iterator[Matched]:
+    """The keyframes of a run with their corrected poses. Memory: one window.
+
+    Every window begins with keyframes whose poses are final and stay, and ends with some that are
+    solved for again in the next one.
+    """
+    held: Keyframes | None = None
+    solved = _Solved(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
+    final, errors = 0, StepErrors()
+    for fresh in in_order(keyframes(posed_scans, settings.keyframes), settings.window):
+        if held is not None:
+            upto = len(held) - settings.lag
+            yield _finished(held, solved, slice(final, upto), errors)
+            keep = max(upto - settings.lag, 0)
+            held, solved, final = held.take(slice(keep, None)), solved.since(keep), upto - keep
+        held = fresh if held is None else join([held, fresh])
+        solved, errors = _solve(held, solved, final, errors, settings)
+    if held is not None:
+        yield _finished(held, solved, slice(final, len(held)), errors)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """What is known of the keyframes of a window: poses, fit and whether they were searched for
+    (`Matched`), and how the window as a whole was aligned."""
+
+    pose: FloatArray
+    fit: FloatArray
+    searched: NDArray[np.bool_]
+    aligned: Aligned | None = None
+
+    def since(self, row: int) -> _Solved:
+        return _Solved(self.pose[row:], self.fit[row:], self.searched[row:])
+
+
+def _solve(
+    held: Keyframes,
+    known: _Solved,
+    final: int,
+    errors: StepErrors,
+    settings: MatchingSettings,
+) -> tuple[_Solved, StepErrors]:
+    """All keyframes held, of which the first ones were solved for before, `final` of them for
+    good."""
+    scans = Swept(
+        held.xy,
+        held.start,
+        held.increment,
+        surfaces(held.xy, held.increment, settings.surfaces),
+    )
+    n, least_fit = len(held), settings.alignment.lost_fit
+    before = _before(held)
+    new = n - len(known.pose)
+    fit = np.concatenate([known.fit, np.ones(new)])
+    searched = np.concatenate([known.searched, np.zeros(new, bool)])
+    fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
+    pairs = fresh, before[fresh]
+    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), settings.alignment)
+    errors = errors.learned(held, pairs, found.motion, found.fit > least_fit)
+    fit[fresh], searched[fresh] = found.fit, found.searched
+    consecutive = np.arange(1, n), np.arange(n - 1)
+    raw = Steps(*errors.steps(held, *consecutive))
+    guess = _guess(held, known.pose, (fresh, before, found.motion), raw)
+    earlier = _earlier(before, settings.alignment.offsets)
+    aligned = align(scans, guess, raw, fixed=final, earlier=earlier, settings=settings.alignment)
+    return _Solved(aligned.pose, fit, searched, aligned), errors
+
+
+def _before(held: Keyframes) -> IntArray:
+    """(n,) the keyframe of the same laser before each, in the same piece of odometry; else -1."""
+    key = np.column_stack([held.mount, held.piece])
+    kind = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(kind, kind="stable")
+    out = np.full(len(held), -1, np.int64)
+    same = np.diff(kind[order]) == 0
+    out[order[1:][same]] = order[:-1][same]
+    return out
+
+
+def _earlier(before: IntArray, offsets: tuple[int, ...]) -> list[IntArray]:
+    """Per offset, the keyframe of the same laser so many before each; -1 where there is none."""
+    out, at, gone = [], np.arange(len(before)), 0
+    for offset in offsets:
+        while gone < offset:
+            at = np.where(at >= 0, before[at], -1)
+            gone += 1
+        out.append(at)
+    return out
+
+
+def _guess(
+    held: Keyframes,
+    known: FloatArray,
+    matched_to: tuple[IntArray, IntArray, FloatArray],
+    raw: Steps,
+) -> FloatArray:
+    """(n, 3) poses to start from: those known, then one after the other, each from the keyframe
+    that it was matched to, or by the odometry."""
+    fresh, before, motion = matched_to
+    row_of = {int(row): k for k, row in enumerate(fresh)}
+    pose = np.concatenate([known, np.zeros((len(held) - len(known), 3))])
+    for row in range(len(known), len(held)):
+        if row in row_of:
+            pose[row] = compose(pose[before[row]], motion[row_of[row]])
+        elif row > 0:
+            pose[row] = compose(pose[row - 1], raw.motion[row - 1])
+        else:
+            pose[row] = held.odometry[0]
+    return pose
+
+
+def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors) -> Matched:
+    assert solved.aligned is not None
+    information, residual_m = solved.aligned.information, solved.aligned.residual_m
+    spans = span_errors(solved.pose, information, rows, residual_m)
+    own = solved.pose[rows], solved.fit[rows], solved.searched[rows]
+    return Matched(held.take(rows), *own, spans, errors)

@@ -1,0 +1,78 @@
+"""How well scan-matched odometry is known, in the terms of loop closure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from ...topology.digits import significant
+from ...topology.se2 import between
+from ...topology.topomap import RunNoise
+from .scan import ScanPasses
+from .step_errors import SpanErrors
+
+FloatArray = NDArray[np.float64]
+
+PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07, miss_rate=0.06, phantom_rate=0.03)
+"""Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by
+2 to 4 degrees, and is not found again in 6 of 100 (`benchmarks/laser.py`)."""
+LEAST_HEADING = 0.002
+"""No heading is kept better than this [rad per root metre]: walls are not straighter."""
+
+
+ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
+"""Of scans without odometry, at least: what bare corridors leave open [m, rad per root metre]."""
+
+
+def matched_noise(
+    spans: Sequence[SpanErrors], passes: ScanPasses, *, alone: bool = False
+) -> RunNoise:
+    """Random walks that give the variances of the spans, by non-negative least squares; branch
+    faults by the share of variants that disagree with their pass.
+
+    alone: there was no odometry beside the scans.
+    """
+    way = np.concatenate([np.zeros(0), *(s.way for s in spans)])
+    turned = np.concatenate([np.zeros(0), *(s.turned for s in spans)])
+    variance = np.concatenate([np.zeros((0, 3)), *(s.variance for s in spans)])
+    doubt = float(np.mean(1 - passes.confidence)) if len(passes) else PRIOR.branch_fault_rate
+    fault = float(np.clip(doubt, PRIOR.branch_fault_rate, 0.5))
+    if len(way) == 0:
+        return replace(PRIOR, branch_fault_rate=fault)
+    weight = 1 / np.maximum(variance[:, 2], 1e-8)
+    walk, _ = nnls(np.column_stack([way, turned]) * weight[:, None], variance[:, 2] * weight)
+    along = float(np.sqrt(np.median(variance[:, 0] / np.maximum(way, 0.1))))
+    heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
+    return replace(
+        PRIOR,
+        along_m_per_sqrt_m=significant(max(along, ALONE_ALONG) if alone else along),
+        heading_rad_per_sqrt_m=significant(heading),
+        heading_rad_per_sqrt_rad=significant(max(float(np.sqrt(walk[1])), LEAST_HEADING)),
+        branch_fault_rate=significant(fault),
+    )
+
+
+def position_sigma(noise: RunNoise, way_m: float) -> float:
+    """1 sigma of the position after a straight way, by a run's noise [m]."""
+    across = noise.heading_rad_per_sqrt_m**2 * way_m**3 / 3
+    return float(np.sqrt(noise.along_m_per_sqrt_m**2 * way_m + across))
+
+
+def recorded_drift(
+    recorded: FloatArray, corrected: FloatArray, way: FloatArray, way_m: float
+) -> float:
+    """Median distance [m] between where odometry as recorded (n, 3) and as corrected lead to
+    after `way_m`; NaN if there is not so much way."""
+    last = np.searchsorted(way, way + way_m)
+    first = np.flatnonzero(last < len(way))
+    if len(first) == 0:
+        return float("nan")
+    off = between(
+        between(corrected[first], corrected[last[first]]),
+        between(recorded[first], recorded[last[first]]),
+    )
+    return float(np.median(np.hypot(off[:, 0], off[:, 1])))

@@ -1,0 +1,142 @@
+"""What goes into the scan chain, and what comes out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.frozen import frozen_array
+from ...topology.odometry import Odometry
+from ...topology.run import ScanPasses
+from ...topology.topomap import RunNoise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanBatch:
+    """Consecutive planar scans of one laser with the same geometry, in the order of time.
+
+    times_ns: (n,) int64, time of the middle beam of each sweep; ranges_m: (n, m) float32 [m], NaN
+    where nothing was returned; free_m: (n,) or one number [m], way known to be free along a beam
+    without return, 0 where nothing is known; angles_rad: (m,) beam directions in the laser's frame,
+    counter-clockwise seen from above; T_body_laser: (3,) x, y [m], yaw [rad] of the laser in the
+    odometry's child frame; sweep_s: time from the first column's beam to the last one's [s],
+    negative if the last was taken first, 0 if unknown.
+    Raises ValueError on shapes that do not fit or times that descend.
+    """
+
+    times_ns: IntArray
+    ranges_m: NDArray[np.float32]
+    free_m: FloatArray | float
+    angles_rad: FloatArray
+    T_body_laser: FloatArray = field(default_factory=lambda: np.zeros(3))
+    sweep_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        times_ns = frozen_array(self.times_ns, np.int64, (None,), "times_ns")
+        angles = frozen_array(self.angles_rad, np.float64, (None,), "angles_rad")
+        pose = frozen_array(self.T_body_laser, np.float64, (3,), "T_body_laser")
+        ranges = np.asarray(self.ranges_m, np.float32)
+        if ranges.shape != (len(times_ns), len(angles)):
+            raise ValueError(
+                f"ranges_m has shape {ranges.shape}, expected {(len(times_ns), len(angles))}"
+            )
+        if np.isinf(ranges).any() or (ranges <= 0).any():
+            raise ValueError("ranges_m holds values that are neither positive nor NaN")
+        if np.any(np.diff(times_ns) < 0):
+            raise ValueError("scans must be in the order of time")
+        free = np.broadcast_to(np.asarray(self.free_m, np.float64), (len(times_ns),))
+        if not np.isfinite(free).all() or (free < 0).any() or not np.isfinite(self.sweep_s):
+            raise ValueError("free_m and sweep_s must be finite, free_m not negative")
+        for name, value in (
+            ("times_ns", times_ns),
+            ("ranges_m", ranges),
+            ("free_m", free),
+            ("angles_rad", angles),
+            ("T_body_laser", pose),
+        ):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchored:
+    """Points that hang on the robot's pose at some times, so that they follow when it is corrected.
+
+    anchor_ns: (k,) ascending times; anchor: (n,) index into them; xy: (n, 2) [m] in the robot's
+    frame at that time.
+    """
+
+    anchor_ns: IntArray
+    anchor: IntArray
+    xy: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.anchor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanPicture:
+    """What the detector looked at, thinned, for drawing.
+
+    walls: scan points, one per cell of the grid; skeleton: pixels of the skeleton nearest to the
+    way driven; window_m: half the side of the window about a junction [m].
+    """
+
+    walls: Anchored
+    skeleton: Anchored
+    window_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScanStatistics:
+    """What scan matching made of a run.
+
+    scans: read; matched: of these, used and found to fit; drift_before_m, drift_after_m: 1 sigma of
+    the position error after 20 m of way [m], of the odometry as recorded (by what was corrected)
+    and as corrected (by its own covariance), NaN where the run is shorter; bias_rad_per_m: heading
+    error of the odometry that was found and taken out; covered: share of the way driven where the
+    scans show the surroundings well enough to tell a junction; searched: times that matching had
+    lost its way and searched for it; odometry: whether there was any beside the scans.
+    """
+
+    scans: int = 0
+    matched: int = 0
+    drift_before_m: float = float("nan")
+    drift_after_m: float = float("nan")
+    bias_rad_per_m: float = 0.0
+    covered: float = 0.0
+    searched: int = 0
+    odometry: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanResult:
+    """Corrected odometry, its noise, and the junctions that the scans show.
+
+    noise: of `odometry`, as loop closure takes it, and of the passes (centre, branch).
+    warnings: one sentence per thing found wrong, with a count.
+    """
+
+    odometry: Odometry
+    passes: ScanPasses
+    noise: RunNoise
+    statistics: ScanStatistics
+    picture: ScanPicture
+    warnings: tuple[str, ...] = ()
+
+
+__all__ = [
+    "Anchored",
+    "ScanBatch",
+    "ScanPasses",
+    "ScanPicture",
+    "ScanResult",
+    "ScanStatistics",
+]

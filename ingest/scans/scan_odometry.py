@@ -1,0 +1,141 @@
+"""Odometry out of scans alone, where a log has no other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.se2 import between, compose, inverse
+from .alignment import AlignmentSettings, Steps, chained, match_steps
+from .association import Swept
+from .keyframes import Keyframes, KeyframeSettings, Posed, join, prepared
+from .scan import ScanBatch
+from .surfaces import SurfaceSettings, surfaces
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MOST_SCANS = 256
+"""Scans matched at once."""
+
+
+LOOSE_M = 0.05
+"""1 sigma beyond which scans are not believed to tell how far the robot went between two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How robots move that nothing is known of: 1 sigma of speed and of rate of turn."""
+
+    speed_m_per_s: float = 1.0
+    turn_rad_per_s: float = 1.0
+
+
+def scan_odometry(
+    batches: Iterable[ScanBatch],
+    settings: tuple[KeyframeSettings, SurfaceSettings, AlignmentSettings],
+    pace: Pace = Pace(),
+) -> Iterator[Posed]:
+    """The robot's pose at every scan of the first laser, each scan matched to the one before.
+
+    It starts at (0, 0, 0). Scans of other lasers have no pose: `usable` is False for them.
+    """
+    laser: FloatArray | None = None
+    before: Keyframes | None = None
+    pose = np.zeros(3)
+    for whole in batches:
+        for batch in _split(whole):
+            laser = batch.T_body_laser if laser is None else laser
+            if not np.array_equal(batch.T_body_laser, laser):
+                yield _without_pose(batch, pose)
+                continue
+            part, pose, before = _posed(batch, pose, before, settings=settings, pace=pace)
+            yield part
+
+
+def _split(batch: ScanBatch) -> Iterator[ScanBatch]:
+    for begin in range(0, len(batch), MOST_SCANS):
+        rows = slice(begin, begin + MOST_SCANS)
+        yield ScanBatch(
+            batch.times_ns[rows],
+            batch.ranges_m[rows],
+            np.asarray(batch.free_m)[rows],
+            batch.angles_rad,
+            batch.T_body_laser,
+            batch.sweep_s,
+        )
+
+
+def _without_pose(batch: ScanBatch, pose: FloatArray) -> Posed:
+    n = len(batch)
+    still = np.zeros((n, 3))
+    return Posed(batch, still + pose, still, np.zeros(n), np.zeros(n, bool), np.zeros(n, np.int64))
+
+
+def _posed(
+    batch: ScanBatch,
+    pose: FloatArray,
+    before: Keyframes | None,
+    *,
+    settings: tuple[KeyframeSettings, SurfaceSettings, AlignmentSettings],
+    pace: Pace,
+) -> tuple[Posed, FloatArray, Keyframes | None]:
+    """A batch with its poses; the last scan's pose, and the last scan that shows anything."""
+    part = _without_pose(batch, pose)
+    rows = np.flatnonzero(np.isfinite(batch.ranges_m).any(axis=1))
+    if len(rows) == 0:
+        return part, pose, before
+    fresh = prepared(part, rows, np.ones(len(rows), np.int64), settings[0])
+    frames = fresh if before is None else join([before, fresh])
+    scans = Swept(
+        frames.xy,
+        frames.start,
+        frames.increment,
+        surfaces(frames.xy, frames.increment, settings[1]),
+    )
+    seconds = np.maximum(np.diff(frames.time_ns) * 1e-9, 1e-3)
+    information = np.zeros((len(seconds), 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = (pace.speed_m_per_s * seconds) ** -2
+    information[:, 2, 2] = (pace.turn_rad_per_s * seconds) ** -2
+    pairs = np.arange(1, len(frames)), np.arange(len(frames) - 1)
+    still = Steps(np.zeros((len(seconds), 3)), information)
+    found = match_steps(scans, pairs, still, settings[2])
+    motion = found.motion
+    if (found.loose_m > LOOSE_M).any() and (found.loose_m <= LOOSE_M).any():
+        # Along bare walls robots go on as before: the pace of the steps around that are sure.
+        sure = found.loose_m <= LOOSE_M
+        when = np.cumsum(seconds)
+        pace_of = [np.interp(when, when[sure], (motion[:, k] / seconds)[sure]) for k in range(3)]
+        going = Steps(np.stack(pace_of, axis=1) * seconds[:, None], 4 * information)
+        again = match_steps(scans, pairs, going, settings[2]).motion
+        motion = np.where(sure[:, None], motion, again)
+    mount = batch.T_body_laser
+    own = compose(compose(mount, motion), inverse(mount))
+    path = chained(pose, own)
+    seen = path if before is not None else np.concatenate([pose[None], path])
+    poses = _held(batch.times_ns, batch.times_ns[rows], seen)
+    rate = _rates(batch.times_ns, poses)
+    swept = np.zeros((len(batch), 3))
+    swept[:, 2] = rate * batch.sweep_s
+    usable = np.zeros(len(batch), bool)
+    usable[rows] = True
+    done = Posed(batch, poses, swept, rate, usable, np.zeros(len(batch), np.int64))
+    last = Keyframes(*(getattr(fresh, f.name)[-1:] for f in fields(fresh)))
+    return done, seen[-1], last
+
+
+def _held(time_ns: IntArray, known_ns: IntArray, pose: FloatArray) -> FloatArray:
+    """(n, 3) pose at every time: that of the last known one."""
+    at = np.maximum(np.searchsorted(known_ns, time_ns, side="right") - 1, 0)
+    return np.asarray(pose[at])
+
+
+def _rates(time_ns: IntArray, pose: FloatArray) -> FloatArray:
+    """(n,) rate of turn [rad/s] at every scan."""
+    if len(pose) < 2:
+        return np.zeros(len(pose))
+    step = between(pose[:-1], pose[1:])[:, 2] / np.maximum(np.diff(time_ns) * 1e-9, 1e-3)
+    return np.convolve(np.concatenate([step[:1], step, step[-1:]]), [0.5, 0.5], mode="valid")

@@ -1,0 +1,361 @@
+"""The skeleton of free space as a graph: places with their branches, and corridors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ...topology.se2 import wrap
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class SkeletonSettings:
+    """What of a skeleton is a corridor, and what a corner of a room."""
+
+    clearance_m: float = 0.25
+    """Free space narrower than twice this is no way: half the width of a small robot."""
+    spur_m: float = 1.5
+    spur_beyond_m: float = 0.5
+    """Branches that end within this, or within the place's clearance and this, are corners."""
+    join_m: float = 1.0
+    """Places nearer to each other along the skeleton are one: the skeleton of a crossing is two
+    forks beside each other."""
+    chord_m: float = 1.5
+    chord_beyond_m: float = 0.3
+    """Where a branch's heading is taken: this far from the place, out of its widening."""
+
+    def with_spurs(self, factor: float) -> SkeletonSettings:
+        """The same with spurs of `factor` times the length pruned."""
+        return replace(self, spur_m=factor * self.spur_m, spur_beyond_m=factor * self.spur_beyond_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Node:
+    """A place of a skeleton. xy: (2,) x, y [m] from the middle of the first cell; clearance_m: from
+    the nearest wall; headings: (b,) [rad] of its branches, ascending; ends: (b,) the edge of each
+    branch, a ring's twice."""
+
+    xy: FloatArray
+    clearance_m: float
+    headings: FloatArray
+    ends: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkeletonGraph:
+    """Places and the ways between them. pixels: of the skeleton that is left, row and column."""
+
+    nodes: tuple[Node, ...]
+    edges: tuple[Edge, ...]
+    pixels: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """A way of the skeleton. nodes: at its ends, -1 for none (a dead end, or the border); cells:
+    (k, 2) row and column, in no order; length_m: along it; border: whether it runs into it."""
+
+    nodes: tuple[int, int]
+    cells: IntArray
+    length_m: float
+    border: bool
+
+
+@dataclass(slots=True, eq=False)
+class _Segment:
+    """A piece of skeleton while the graph is being simplified."""
+
+    parts: list[int]
+    nodes: list[int]
+    length: float
+    border: bool
+
+
+@dataclass(slots=True, eq=False)
+class _Net:
+    """Nodes (centre, pixels) and segments by number."""
+
+    centre: dict[int, FloatArray]
+    clearance: dict[int, float]
+    weight: dict[int, float]
+    segments: dict[int, _Segment]
+    incident: dict[int, list[int]] = field(default_factory=dict)
+    """Segment numbers by node, twice for a loop."""
+    joints: dict[int, list[int]] = field(default_factory=dict)
+    """Segments swallowed by a node when others were joined to it."""
+
+
+_AROUND = np.ones((3, 3), np.int8)
+
+
+def thin(free: BoolArray) -> BoolArray:
+    """The skeleton of a mask: one cell wide, as connected as the mask."""
+    from skimage.morphology import skeletonize
+
+    return np.asarray(skeletonize(free), bool)
+
+
+def trace(
+    skeleton: BoolArray,
+    clearance_m: NDArray[np.float32] | FloatArray,
+    cell_m: float,
+    settings: SkeletonSettings = SkeletonSettings(),
+    border: BoolArray | None = None,
+) -> SkeletonGraph:
+    """Turn a skeleton (h, w) into places and ways; clearance_m: (h, w) distance from walls;
+    border: (h, w) cells where the grid ends and ways may go on, by default those around it.
+
+    Spurs are pruned shortest first, places of two branches dissolved, near ones joined. Labels of
+    pixels are made at once for all of the image; what is simplified is a graph of a few nodes.
+    """
+    picture = skeleton.astype(np.int8)
+    neighbours = ndimage.convolve(picture, _AROUND, mode="constant") - picture
+    fork = skeleton & (neighbours >= 3)
+    fork_label, forks = ndimage.label(fork, _AROUND)
+    line_label, lines = ndimage.label(skeleton & ~fork, _AROUND)
+    net = _net(skeleton, clearance_m, (fork_label, forks), (line_label, lines), cell_m)
+    for number in np.unique(line_label[_outline(skeleton) if border is None else border]):
+        if number > 0:
+            net.segments[int(number)].border = True
+    _simplify(net, settings)
+    return _graph(net, line_label, cell_m, settings)
+
+
+def _outline(mask: BoolArray) -> BoolArray:
+    out = np.zeros(mask.shape, bool)
+    out[[0, -1]] = True
+    out[:, [0, -1]] = True
+    return out
+
+
+def _net(
+    skeleton: BoolArray,
+    clearance_m: NDArray[np.float32] | FloatArray,
+    forks: tuple[IntArray, int],
+    lines: tuple[IntArray, int],
+    cell_m: float,
+) -> _Net:
+    fork_label, fork_count = forks
+    line_label, line_count = lines
+    rows, columns = np.nonzero(fork_label)
+    number = fork_label[rows, columns]
+    size = np.bincount(number, minlength=fork_count + 1)
+    safe = np.maximum(size, 1)
+    x = np.bincount(number, columns, fork_count + 1) / safe * cell_m
+    y = np.bincount(number, rows, fork_count + 1) / safe * cell_m
+    wide = np.zeros(fork_count + 1)
+    np.maximum.at(wide, number, clearance_m[rows, columns])
+    length = _lengths(skeleton, line_label, line_count) * cell_m
+    touching = _touching(fork_label, line_label)
+    segments = {k: _Segment([k], [], float(length[k]), False) for k in range(1, line_count + 1)}
+    for line, fork in touching:
+        # A ring hangs on its one fork by both ends; a fork's own two pixels are no ring.
+        segments[line].nodes.append(fork)
+    net = _Net(
+        {k: np.array([x[k], y[k]]) for k in range(1, fork_count + 1)},
+        {k: float(wide[k]) for k in range(1, fork_count + 1)},
+        {k: float(size[k]) for k in range(1, fork_count + 1)},
+        segments,
+    )
+    net.incident = {k: [] for k in net.centre}
+    net.joints = {k: [] for k in net.centre}
+    for k, segment in segments.items():
+        del segment.nodes[2:]
+        for node in segment.nodes:
+            net.incident[node].append(k)
+    return net
+
+
+def _lengths(skeleton: BoolArray, label: IntArray, count: int) -> FloatArray:
+    """(count + 1,) length of every line in cells, and from its ends into the forks."""
+    out = np.zeros(count + 1)
+    s = skeleton
+    for a, b, step in (
+        (np.s_[:, :-1], np.s_[:, 1:], 1.0),
+        (np.s_[:-1, :], np.s_[1:, :], 1.0),
+        (np.s_[:-1, :-1], np.s_[1:, 1:], np.sqrt(2)),
+        (np.s_[:-1, 1:], np.s_[1:, :-1], np.sqrt(2)),
+    ):
+        both = s[a] & s[b]
+        la, lb = label[a][both], label[b][both]
+        out += np.bincount(np.maximum(la, lb), minlength=count + 1) * step
+    out[0] = 0.0
+    return out
+
+
+def _touching(fork: IntArray, line: IntArray) -> list[tuple[int, int]]:
+    """(line, fork) numbers that touch, a fork twice for a line that touches it with both ends."""
+    pairs = []
+    ends_line, ends_fork, cells = [], [], []
+    width = fork.shape[1]
+    flat = np.arange(fork.size).reshape(fork.shape)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            if dy == dx == 0:
+                continue
+            a = np.s_[max(dy, 0) : fork.shape[0] + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
+            b = np.s_[max(-dy, 0) : fork.shape[0] + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
+            both = (line[a] > 0) & (fork[b] > 0)
+            ends_line.append(line[a][both])
+            ends_fork.append(fork[b][both])
+            cells.append(flat[a][both])
+    found = np.unique(
+        np.stack([np.concatenate(c) for c in (ends_line, ends_fork, cells)], axis=1), axis=0
+    )
+    last: tuple[int, int, int] | None = None
+    for row, by, cell in found.tolist():
+        beside = last is not None and last[:2] == (row, by) and _adjacent(last[2], cell, width)
+        if not beside:
+            pairs.append((row, by))
+        last = (row, by, cell)
+    return pairs
+
+
+def _adjacent(a: int, b: int, width: int) -> bool:
+    return max(abs(a // width - b // width), abs(a % width - b % width)) <= 1
+
+
+def _simplify(net: _Net, settings: SkeletonSettings) -> None:
+    """Prune spurs, dissolve places of two branches, join near ones, until nothing changes."""
+    while _prune(net, settings) or _join(net, settings):
+        pass
+
+
+def _prune(net: _Net, settings: SkeletonSettings) -> bool:
+    """Remove the shortest spur; False if there is none."""
+    best, at = np.inf, -1
+    for k, segment in net.segments.items():
+        if len(segment.nodes) != 1 or segment.border or segment.length >= best:
+            continue
+        clear = net.clearance[segment.nodes[0]]
+        if segment.length < max(settings.spur_m, clear + settings.spur_beyond_m):
+            best, at = segment.length, k
+    if at < 0:
+        return False
+    node = net.segments.pop(at).nodes[0]
+    net.incident[node].remove(at)
+    _dissolve(net, node)
+    return True
+
+
+def _join(net: _Net, settings: SkeletonSettings) -> bool:
+    """Make one place of the two nearest; False if none are near."""
+    best, at = settings.join_m, -1
+    for k, segment in net.segments.items():
+        if len(segment.nodes) == 2 and segment.nodes[0] != segment.nodes[1]:
+            if segment.length < best:
+                best, at = segment.length, k
+        elif len(segment.nodes) == 2 and segment.length < settings.join_m:
+            best, at = -1.0, k
+    if at < 0:
+        return False
+    segment = net.segments.pop(at)
+    a, b = segment.nodes
+    for node in (a, b):
+        net.incident[node].remove(at)
+    net.joints[a] += segment.parts
+    if a != b:
+        total = net.weight[a] + net.weight[b]
+        net.centre[a] = (net.centre[a] * net.weight[a] + net.centre[b] * net.weight[b]) / total
+        net.weight[a] = total
+        net.clearance[a] = max(net.clearance[a], net.clearance.pop(b))
+        for other in net.incident.pop(b):
+            net.segments[other].nodes = [a if n == b else n for n in net.segments[other].nodes]
+            net.incident[a].append(other)
+        net.joints[a] += net.joints.pop(b)
+        del net.centre[b], net.weight[b]
+    _dissolve(net, a)
+    return True
+
+
+def _dissolve(net: _Net, node: int) -> None:
+    """Let a place of fewer than three branches be part of the way through it."""
+    ends = net.incident[node]
+    if len(ends) >= 3:
+        return
+    extra = net.joints[node]
+    if len(ends) == 2 and ends[0] != ends[1]:
+        first, second = (net.segments[k] for k in ends)
+        others = [n for n in second.nodes if n != node]
+        first.nodes = [n for n in first.nodes if n != node] + others
+        first.parts += second.parts + extra
+        first.length += second.length
+        first.border |= second.border
+        for other in others:
+            net.incident[other] = [ends[0] if k == ends[1] else k for k in net.incident[other]]
+        del net.segments[ends[1]]
+    else:
+        for k in set(ends):
+            net.segments[k].nodes = [n for n in net.segments[k].nodes if n != node]
+            net.segments[k].parts += extra
+    for table in (net.centre, net.clearance, net.weight, net.incident, net.joints):
+        table.pop(node, None)  # type: ignore[attr-defined]
+
+
+def _graph(net: _Net, label: IntArray, cell_m: float, settings: SkeletonSettings) -> SkeletonGraph:
+    """What is left, with the cells of every way and the headings of every place."""
+    home = np.zeros(int(label.max(initial=0)) + 1, np.int64)
+    kept = sorted(net.segments)
+    for number, k in enumerate(kept, start=1):
+        home[net.segments[k].parts] = number
+    rows, columns = np.nonzero(label)
+    owner = home[label[rows, columns]]
+    left = np.flatnonzero(owner > 0)
+    order = left[np.argsort(owner[left], kind="stable")]
+    cells = np.stack([rows[order], columns[order]], axis=1).astype(np.int64)
+    bounds = np.searchsorted(owner[order], np.arange(1, len(kept) + 2))
+    names = {node: index for index, node in enumerate(sorted(net.centre))}
+    edges = []
+    for number, k in enumerate(kept):
+        segment = net.segments[k]
+        ends = [names[n] for n in segment.nodes] + [-1, -1]
+        own = cells[bounds[number] : bounds[number + 1]]
+        edges.append(Edge((ends[0], ends[1]), own, segment.length, segment.border))
+    nodes = []
+    place = {k: number for number, k in enumerate(kept)}
+    for node in names:
+        ways = [place[k] for k in net.incident[node]]
+        reach = max(settings.chord_m, net.clearance[node] + settings.chord_beyond_m)
+        headings = _headings(net.centre[node], ways, edges, reach, cell_m)
+        order_ = np.argsort(headings, kind="stable")
+        nodes.append(
+            Node(
+                net.centre[node],
+                net.clearance[node],
+                headings[order_],
+                tuple(ways[k] for k in order_),
+            )
+        )
+    return SkeletonGraph(tuple(nodes), tuple(edges), cells)
+
+
+def _headings(
+    centre: FloatArray, ways: list[int], edges: list[Edge], reach_m: float, cell_m: float
+) -> FloatArray:
+    """Headings of the chords from a place to where its ways cross a circle about it."""
+    out = np.zeros(len(ways))
+    used: dict[int, float] = {}
+    for k, way in enumerate(ways):
+        away = edges[way].cells[:, ::-1] * cell_m - centre
+        if len(away) == 0:
+            continue
+        off = np.abs(np.hypot(away[:, 0], away[:, 1]) - reach_m)
+        heading = np.arctan2(away[:, 1], away[:, 0])
+        if way in used:
+            # A ring comes back: its other end crosses the circle elsewhere.
+            apart = np.abs((heading - used[way] + np.pi) % (2 * np.pi) - np.pi) > 0.5
+            off = np.where(apart, off, np.inf)
+        best = int(np.argmin(off))
+        near = off <= off[best] + 0.5 * cell_m
+        # Mean over the cells on the circle that belong to the same crossing.
+        same = near & (np.hypot(*(away - away[best]).T) < 4 * cell_m)
+        mean = away[same].mean(axis=0)
+        out[k] = used[way] = wrap(np.arctan2(mean[1], mean[0]))
+    return out

@@ -1,0 +1,264 @@
+"""Junctions seen from every stretch of the way: a grid around it, its skeleton, what forks near."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ...topology.se2 import compose, inverse
+from .grid import GridSettings, Looks, free_space, gather, looks
+from .keyframes import Keyframes
+from .matching import Matched
+from .skeleton import Node, SkeletonSettings, thin, trace
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way of looking at a window."""
+
+    grid: GridSettings
+    skeleton: SkeletonSettings
+    way_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindowSettings:
+    """Where windows lie and what is looked for in them."""
+
+    grid: GridSettings = field(default_factory=GridSettings)
+    skeleton: SkeletonSettings = field(default_factory=SkeletonSettings)
+    way_m: float = 10.0
+    """Way driven before and after that a window is made of: what comes counts as much as what
+    was, and drift is still small."""
+    every_m: float = 1.5
+    half_m: float = 6.0
+    """Half the side of a window: the farthest node, and a spur beyond it."""
+    near_m: float = 1.25
+    """A place that the robot drove by at no more than this was passed."""
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """The settings themselves and six others beside them, each off in one respect."""
+        g, s, way = self.grid, self.skeleton, self.way_m
+        return (
+            Variant(g, s, way),
+            Variant(g, replace(s, clearance_m=0.8 * s.clearance_m), way),
+            Variant(g, replace(s, clearance_m=1.3 * s.clearance_m), way),
+            Variant(g, s.with_spurs(0.8), way),
+            Variant(g, s.with_spurs(1.25), way),
+            Variant(replace(g, wall_share=1.6 * g.wall_share), s, way),
+            Variant(g, s, 0.75 * way),
+        )
+
+
+SHOWN_M = 4.0
+"""How far from the middle of a window its skeleton is kept for the picture."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What one window shows: its middle [m of way], forks, skeleton points (k, 2) near it."""
+
+    number: int
+    way: float
+    forks: tuple[tuple[int, float, Node], ...]
+    skeleton: FloatArray
+
+
+@dataclass(slots=True, eq=False)
+class _Rolling:
+    """Keyframes around the next window, and the way driven up to each."""
+
+    seen: Looks
+    body: FloatArray
+    way: FloatArray
+
+
+def windows(
+    parts: Iterable[Matched], settings: WindowSettings = WindowSettings()
+) -> Iterator[Seen]:
+    """Look through a window at every stretch of the way, as the keyframes come in.
+
+    Memory: the keyframes of two windows.
+    """
+    held: _Rolling | None = None
+    piece, driven, number = -1, 0.0, 0
+    following = 0.0
+    for part in parts:
+        for run in _pieces(part):
+            own = int(run.keyframes.piece[0])
+            body = compose(run.pose, inverse(run.keyframes.mount))
+            if held is not None and own != piece:
+                for seen in _due(held, following, np.inf, number, settings):
+                    yield seen
+                    number += 1
+                driven, held = float(held.way[-1]), None
+                following = driven
+            piece = own
+            fresh = _rolling(
+                run.keyframes, run.pose, body, held=held, driven=driven, settings=settings
+            )
+            held = fresh
+            ready = float(held.way[-1]) - settings.way_m
+            for seen in _due(held, following, ready, number, settings):
+                yield seen
+                number += 1
+                following = seen.way + settings.every_m
+            held = _trimmed(held, following - settings.way_m)
+    if held is not None:
+        yield from _due(held, following, np.inf, number, settings)
+
+
+def _pieces(part: Matched) -> Iterator[Matched]:
+    """A part cut where the odometry is broken."""
+    cuts = np.flatnonzero(np.diff(part.keyframes.piece)) + 1
+    for a, b in zip([0, *cuts], [*cuts, len(part.pose)], strict=True):
+        if b > a:
+            rows = slice(int(a), int(b))
+            yield replace(part, keyframes=part.keyframes.take(rows), pose=part.pose[rows])
+
+
+def _rolling(
+    frames: Keyframes,
+    pose: FloatArray,
+    body: FloatArray,
+    *,
+    held: _Rolling | None,
+    driven: float,
+    settings: WindowSettings,
+) -> _Rolling:
+    seen = looks(frames, pose, settings.grid)
+    before = held.body[-1:] if held is not None else body[:1]
+    start = float(held.way[-1]) if held is not None else driven
+    step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
+    way = start + np.cumsum(step)
+    if held is None:
+        return _Rolling(seen, body, way)
+    joint = Looks(
+        np.concatenate([held.seen.free, seen.free]),
+        np.concatenate([held.seen.hit, seen.hit]),
+        np.concatenate([held.seen.corner, seen.corner]),
+    )
+    return _Rolling(joint, np.concatenate([held.body, body]), np.concatenate([held.way, way]))
+
+
+def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
+    first = min(int(np.searchsorted(held.way, oldest)), len(held.way) - 1)
+    rows = slice(first, None)
+    return _Rolling(held.seen.take(rows), held.body[rows], held.way[rows])
+
+
+def _due(
+    held: _Rolling, following: float, ready: float, number: int, settings: WindowSettings
+) -> Iterator[Seen]:
+    """The windows whose middles lie from `following` to `ready` on the way held."""
+    last = float(held.way[-1])
+    while following <= min(ready, last):
+        yield _look(held, following, number, settings)
+        following += settings.every_m
+        number += 1
+
+
+def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) -> Seen:
+    """One window under all variants of the settings."""
+    variants = settings.variants
+    cell = settings.grid.cell_m
+    half = round(settings.half_m / cell)
+    centre = np.array([np.interp(middle, held.way, held.body[:, k]) for k in (0, 1)])
+    masks, corner = _masks(held, middle, centre, half, variants)
+    side = 2 * half + 1
+    thinned = np.zeros((len(variants), side + 1, side), bool)
+    clearance = np.zeros((len(variants), side + 1, side))
+    distances: dict[int, FloatArray] = {}
+    path = _dense(held, middle - settings.every_m, middle + settings.every_m, cell)
+    at = np.floor(path / cell).astype(np.int64) - corner
+    at = at[((at >= 0) & (at < side)).all(axis=1)]
+    for k, (variant, mask) in enumerate(zip(variants, masks, strict=True)):
+        if id(mask) not in distances:
+            distances[id(mask)] = ndimage.distance_transform_edt(_framed(mask))[1:-1, 1:-1] * cell
+        clearance[k, :side] = distances[id(mask)]
+        open_ = clearance[k, :side] > variant.skeleton.clearance_m
+        labels, _ = ndimage.label(open_, np.ones((3, 3)))
+        mine = np.unique(labels[at[:, 1], at[:, 0]])
+        thinned[k, :side] = np.isin(labels, mine[mine > 0])
+    stacked = thin(thinned.reshape(-1, side)).reshape(thinned.shape)
+    forks, skeleton = [], np.zeros((0, 2))
+    span = _near(held, middle, 1.5 * settings.every_m)
+    border = np.zeros((side + 1, side), bool)
+    border[[0, side - 1]] = True
+    border[:side, [0, side - 1]] = True
+    for k, variant in enumerate(variants):
+        graph = trace(stacked[k], clearance[k], cell, variant.skeleton, border)
+        for node in graph.nodes:
+            xy = node.xy + (corner + 0.5) * cell
+            found = _passed(xy, span, settings.near_m)
+            if found is not None and len(node.headings) >= 3:
+                forks.append((k, found, replace(node, xy=xy)))
+        if k == 0:
+            skeleton = (graph.pixels[:, ::-1] + corner + 0.5) * cell
+            skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
+    return Seen(number, middle, tuple(forks), skeleton.astype(np.float32))
+
+
+def _framed(mask: BoolArray) -> BoolArray:
+    """The mask, its border repeated: what lies beyond is no wall."""
+    return np.pad(mask, 1, mode="edge")
+
+
+def _masks(
+    held: _Rolling,
+    middle: float,
+    centre: FloatArray,
+    half: int,
+    variants: tuple[Variant, ...],
+) -> tuple[list[BoolArray], IntArray]:
+    """Free space for every variant, the same array for those that differ in the skeleton only."""
+    made: dict[tuple[GridSettings, float], BoolArray] = {}
+    gathered = {}
+    for variant in variants:
+        key = variant.grid, variant.way_m
+        if key in made:
+            continue
+        if variant.way_m not in gathered:
+            a, b = np.searchsorted(held.way, [middle - variant.way_m, middle + variant.way_m])
+            rows = slice(int(a), max(int(b), int(a) + 1))
+            path = _dense(held, middle - variant.way_m, middle + variant.way_m, variant.grid.cell_m)
+            gathered[variant.way_m] = gather(held.seen.take(rows), path, centre, half, variant.grid)
+        made[key] = free_space(gathered[variant.way_m], variant.grid)
+    corner = next(iter(gathered.values())).corner
+    return [made[v.grid, v.way_m] for v in variants], corner
+
+
+def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:
+    """(w, 2) points of the way, closer than `step`."""
+    begin, end = max(begin, float(held.way[0])), min(end, float(held.way[-1]))
+    way = np.linspace(begin, end, max(2, int((end - begin) / (0.7 * step)) + 2))
+    return np.stack([np.interp(way, held.way, held.body[:, k]) for k in (0, 1)], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Span:
+    way: FloatArray
+    xy: FloatArray
+
+
+def _near(held: _Rolling, middle: float, reach: float) -> _Span:
+    begin, end = max(middle - reach, held.way[0]), min(middle + reach, held.way[-1])
+    way = np.linspace(begin, end, 64)
+    xy = np.stack([np.interp(way, held.way, held.body[:, k]) for k in (0, 1)], axis=1)
+    return _Span(way, xy)
+
+
+def _passed(xy: FloatArray, span: _Span, near_m: float) -> float | None:
+    """Way driven when the robot was nearest to a place; None if it did not drive by in the span."""
+    distance = np.hypot(*(span.xy - xy).T)
+    best = int(np.argmin(distance))
+    return float(span.way[best]) if distance[best] <= near_m else None

@@ -1,0 +1,208 @@
+"""From odometry and scans to corrected odometry and junctions, in a building drawn by hand."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.mapping import build_map
+from topobatch.ingest.scans.detection import detect
+from topobatch.ingest.scans.scan import ScanBatch, ScanResult
+from topobatch.topology.errors import DataError
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.se2 import apply, between, wrap
+
+from .building import HALF_TURN, RING, WHOLE_TURN, Building, biased, drive, parts, scans
+
+BIAS = np.radians(2.0)
+# Once around the western half, then through the middle and around the eastern one.
+ROUND = drive((0, 0), (10, 0), (10, 20), (0, 20), (0, 0), (20, 0), (20, 20), (10, 20), (10, 0))
+CROSSINGS = {(10, 0): 3, (10, 20): 3, (20, 8): 3}
+
+
+@cache
+def seen() -> ScanBatch:
+    return scans(RING, ROUND)
+
+
+@cache
+def found() -> ScanResult:
+    return detect(biased(ROUND, BIAS), parts(seen(), 64))
+
+
+def drift(result: ScanResult, truth: Odometry, way_m: float) -> np.ndarray:
+    """(q,) errors of the position after `way_m` [m]."""
+    time_ns = result.odometry.time_ns
+    real, ours = truth.at(time_ns), result.odometry.pose
+    way = np.cumsum(np.concatenate([[0], np.hypot(*np.diff(real[:, :2], axis=0).T)]))
+    last = np.searchsorted(way, way + way_m)
+    first = np.flatnonzero(last < len(way))
+    last = last[first]
+    off = between(between(real[first], real[last]), between(ours[first], ours[last]))
+    return np.hypot(off[:, 0], off[:, 1])
+
+
+def true_centres(result: ScanResult, truth: Odometry) -> np.ndarray:
+    return apply(truth.at(result.passes.time_ns), result.passes.centre)
+
+
+def test_odometry_is_corrected() -> None:
+    result = found()
+    assert np.percentile(drift(result, ROUND, 20.0), 90) < 0.2
+    assert result.statistics.drift_before_m > 1.0
+    assert result.statistics.drift_after_m < 0.5
+    assert result.statistics.bias_rad_per_m == pytest.approx(BIAS, abs=np.radians(0.3))
+    assert result.statistics.covered > 0.95
+    assert result.statistics.scans == len(seen())
+
+
+def test_every_crossing_is_passed_and_nothing_else() -> None:
+    result = found()
+    centres = true_centres(result, ROUND)
+    for place, degree in CROSSINGS.items():
+        near = np.flatnonzero(np.hypot(*(centres - place).T) < 0.6)
+        assert len(near) >= 1, place
+        assert set(result.passes.branches.counts[near].tolist()) == {degree}
+        assert (result.passes.confidence[near] >= 6 / 7 - 1e-9).all()
+    away = np.min([np.hypot(*(centres - place).T) for place in CROSSINGS], axis=0)
+    assert (away < 0.6).all()
+
+
+def test_branches_point_along_the_corridors() -> None:
+    result = found()
+    passes, centres = result.passes, true_centres(result, ROUND)
+    row = int(np.argmin(np.hypot(*(centres - (20, 8)).T)))
+    heading = passes.branches[row] + ROUND.at(passes.time_ns[row : row + 1])[0, 2]
+    wanted = np.array([-np.pi / 2, 0.0, np.pi / 2])
+    off = np.abs(wrap(np.sort(wrap(heading)) - wanted))
+    assert off.max() < 0.2
+    assert (passes.support[row] > 0.9).all()
+
+
+def test_map_closes_its_loops() -> None:
+    result = found()
+    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
+    run = Run("ring", result.odometry, none, scanned=Scanned(result.passes, result.noise))
+    topomap = build_map(run)
+    centres = true_centres(result, ROUND)
+    home = topomap.observation_vertex
+    for a in range(len(centres)):
+        for b in range(a):
+            if home[a] == home[b]:
+                assert np.hypot(*(centres[a] - centres[b])) < 1.0
+
+
+def test_result_does_not_depend_on_batches_or_the_order_of_beams() -> None:
+    small = detect(biased(ROUND, BIAS), parts(seen(), 17))
+    batch = seen()
+    turned = ScanBatch(
+        batch.times_ns, batch.ranges_m[:, ::-1], batch.free_m, batch.angles_rad[::-1]
+    )
+    backwards = detect(biased(ROUND, BIAS), [turned])
+    for other in (small, backwards):
+        assert other.odometry.pose.tobytes() == found().odometry.pose.tobytes()
+        assert other.passes.centre.tobytes() == found().passes.centre.tobytes()
+        assert other.passes.confidence.tobytes() == found().passes.confidence.tobytes()
+
+
+def test_bare_corridor_keeps_the_way_of_the_odometry_and_says_so() -> None:
+    bare = Building.of((-60, -1, 60, 1))
+    truth = drive((-20, 0), (20, 0))
+    batch = scans(bare, truth)
+    result = detect(biased(truth, 0.0, scale=1.02), [batch])
+    ends = result.odometry.pose[[0, -1], 0]
+    recorded = biased(truth, 0.0, scale=1.02).at(result.odometry.time_ns[[0, -1]])[:, 0]
+    assert ends[1] - ends[0] == pytest.approx(recorded[1] - recorded[0], rel=0.01)
+    assert np.abs(result.odometry.pose[:, 1]).max() < 0.05
+    assert len(result.passes) == 0
+    assert result.noise.along_m_per_sqrt_m > 2 * found().noise.along_m_per_sqrt_m
+
+
+def test_scans_alone() -> None:
+    result = detect(None, parts(seen(), 100))
+    assert not result.statistics.odometry
+    assert np.percentile(drift(result, ROUND, 20.0), 90) < 1.0
+    assert result.noise.along_m_per_sqrt_m > found().noise.along_m_per_sqrt_m
+    assert any("no odometry" in warning for warning in result.warnings)
+
+
+def test_motion_during_the_sweep_is_taken_out() -> None:
+    quick = drive((0, 0), (10, 0), (10, 12), speed=1.5)
+    batch = scans(RING, quick, WHOLE_TURN, sweep_s=0.18)
+    plain = ScanBatch(batch.times_ns, batch.ranges_m, 0.0, batch.angles_rad)
+    told, untold = detect(quick, [batch]), detect(quick, [plain])
+    assert np.median(drift(told, quick, 5.0)) < 0.7 * np.median(drift(untold, quick, 5.0))
+
+
+def test_several_lasers_see_together() -> None:
+    truth = drive((0, 0), (10, 0), (10, 12))
+    front = scans(RING, truth, mount=np.array([0.2, 0.0, 0.0]))
+    back = scans(RING, truth, mount=np.array([-0.2, 0.1, np.pi]))
+    both = [b for pair in zip(parts(front, 5), parts(back, 5), strict=True) for b in pair]
+    result = detect(biased(truth, BIAS), both)
+    assert result.statistics.scans == 2 * len(truth)
+    assert np.percentile(drift(result, truth, 5.0), 90) < 0.12
+    assert np.hypot(*(true_centres(result, truth) - (10, 0)).T).min() < 0.5
+
+
+def test_blind_scans_and_gaps_in_time() -> None:
+    batch = seen()
+    ranges = batch.ranges_m.copy()
+    ranges[10:14] = np.nan
+    ranges[::7, 30:60] = np.nan
+    keep = np.ones(len(batch), bool)
+    keep[200:215] = False
+    holed = ScanBatch(batch.times_ns[keep], ranges[keep], 0.0, batch.angles_rad)
+    result = detect(biased(ROUND, BIAS), parts(holed, 64))
+    assert np.percentile(drift(result, ROUND, 20.0), 90) < 0.4
+
+
+def test_broken_odometry_stays_broken() -> None:
+    track = biased(ROUND, BIAS)
+    broken = Odometry(track.time_ns, track.pose, np.array([300]))
+    result = detect(broken, parts(seen(), 64))
+    assert len(result.odometry.breaks) == 1
+    at = result.odometry.time_ns[result.odometry.breaks[0]]
+    assert track.time_ns[299] < at <= track.time_ns[305]
+
+
+def test_one_scan() -> None:
+    result = detect(ROUND, [parts(seen(), 1)[0]])
+    assert len(result.odometry) == 1
+    assert len(result.passes) == 0
+    assert np.isnan(result.statistics.drift_before_m)
+
+
+@pytest.mark.parametrize("odometry", [ROUND, None])
+def test_nothing_to_go_by(odometry: Odometry | None) -> None:
+    with pytest.raises(DataError, match="no usable scan"):
+        detect(odometry, [])
+    blind = ScanBatch(ROUND.time_ns[:20], np.full((20, 181), np.nan, np.float32), 0.0, HALF_TURN)
+    with pytest.raises(DataError, match="none of the 20 scans has an echo"):
+        detect(odometry, [blind])
+
+
+def test_scans_of_another_time() -> None:
+    batch = parts(seen(), 50)[0]
+    late = ScanBatch(batch.times_ns + 10**15, batch.ranges_m, 0.0, batch.angles_rad)
+    with pytest.raises(DataError, match="clocks"):
+        detect(ROUND, [late])
+
+
+def test_picture_hangs_on_the_track() -> None:
+    picture = found().picture
+    for layer in (picture.walls, picture.skeleton):
+        assert len(layer) > 100
+        assert layer.anchor.max() < len(layer.anchor_ns)
+    pose = found().odometry.at(picture.skeleton.anchor_ns)[picture.skeleton.anchor]
+    points = apply(pose, picture.skeleton.xy)
+    truth = apply(
+        ROUND.at(picture.skeleton.anchor_ns)[picture.skeleton.anchor], picture.skeleton.xy
+    )
+    free = np.array([RING.free[tuple(((p - RING.corner) / 0.02).astype(int)[::-1])] for p in truth])
+    assert np.isfinite(points).all()
+    assert free.mean() > 0.95

@@ -1,0 +1,101 @@
+"""Places and corridors of grids drawn by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.scans.floorplan import skeleton_graph
+from topobatch.topology.se2 import wrap
+
+from .building import RING
+
+
+def grid(*rooms: tuple[int, int, int, int], shape: tuple[int, int] = (200, 300)) -> np.ndarray:
+    """Free cells where any rectangle (row, column, row, column) lies."""
+    free = np.zeros(shape, bool)
+    for a, b, c, d in rooms:
+        free[a:c, b:d] = True
+    return free
+
+
+CROSS = grid((90, 20, 110, 280), (10, 140, 190, 160))
+CELL = 0.1
+
+
+def headings_off(branches: np.ndarray, wanted: list[float]) -> float:
+    return float(np.abs(wrap(np.sort(branches) - np.sort(wrap(np.array(wanted))))).max())
+
+
+def test_cross() -> None:
+    places, corridors = skeleton_graph(CROSS, CELL)
+    junctions = [p for p in places if p.kind == "junction"]
+    assert len(junctions) == 1
+    assert np.hypot(*(junctions[0].xy - (15.0, 10.0))) < 0.2
+    assert headings_off(junctions[0].branches, [0, np.pi / 2, -np.pi, -np.pi / 2]) < 0.1
+    assert junctions[0].confidence == 1.0
+    assert len(places) == 5
+    assert len(corridors) == 4
+    for corridor in corridors:
+        ends = places[corridor.source], places[corridor.target]
+        for place, point in zip(ends, corridor.path[[0, -1]], strict=True):
+            assert np.hypot(*(place.xy - point)) < 0.3
+        assert np.hypot(*np.diff(corridor.path, axis=0).T).max() < 0.5
+        leaving = corridor.path[min(15, len(corridor.path) - 1)] - corridor.path[0]
+        branch = ends[0].branches[corridor.source_branch]
+        assert abs(wrap(np.arctan2(leaving[1], leaving[0]) - branch)) < 0.3
+
+
+def test_ring_hangs_on_its_place_by_two_branches() -> None:
+    free = grid((20, 20, 40, 280), (20, 180, 180, 200), (160, 180, 180, 280), (20, 260, 180, 280))
+    places, corridors = skeleton_graph(free, CELL)
+    (junction,) = [k for k, p in enumerate(places) if p.kind == "junction"]
+    (ring,) = [c for c in corridors if c.source == c.target]
+    assert ring.source == junction
+    assert ring.source_branch != ring.target_branch
+    length = np.hypot(*np.diff(ring.path, axis=0).T).sum()
+    assert length == pytest.approx(2 * (8 + 14), rel=0.1)
+    assert np.hypot(*np.diff(ring.path, axis=0).T).max() < 1.0
+
+
+def test_pillars_corners_and_narrow_gaps_are_no_junctions() -> None:
+    free = grid((80, 20, 120, 280), (120, 150, 190, 153))
+    free[98:102, 150:154] = False
+    places, _ = skeleton_graph(free, CELL)
+    assert all(p.kind == "dead_end" for p in places)
+
+
+def test_turned_grid_gives_the_turned_graph() -> None:
+    free = np.ascontiguousarray(RING.free[::5, ::5])
+    places, corridors = skeleton_graph(free, CELL)
+    turned, others = skeleton_graph(np.ascontiguousarray(np.rot90(free)), CELL)
+    assert len(corridors) == len(others)
+    width = free.shape[1] * CELL
+    for place in places:
+        # rot90 of rows and columns takes x, y to y, width - x.
+        xy = np.array([place.xy[1], width - place.xy[0]])
+        near = [p for p in turned if np.hypot(*(p.xy - xy)) < 0.4 and p.kind == place.kind]
+        assert len(near) == 1
+        assert len(near[0].branches) == len(place.branches)
+
+
+def test_half_of_a_grid_shows_the_places_in_it() -> None:
+    free = np.ascontiguousarray(RING.free[::5, ::5])
+    whole = [p for p in skeleton_graph(free, CELL)[0] if p.kind == "junction"]
+    half = [p for p in skeleton_graph(free[:, :170], CELL)[0] if p.kind == "junction"]
+    inside = [p for p in whole if p.xy[0] < 15.0]
+    assert inside
+    for place in inside:
+        assert min(np.hypot(*(p.xy - place.xy)) for p in half) < 0.3
+
+
+def test_nothing_free() -> None:
+    assert skeleton_graph(np.zeros((20, 30), bool), CELL) == ((), ())
+    assert skeleton_graph(np.zeros((0, 0), bool), CELL) == ((), ())
+    assert skeleton_graph(grid((10, 10, 12, 12)), CELL) == ((), ())
+
+
+@pytest.mark.parametrize(("free", "cell"), [(np.ones(5, bool), 0.1), (CROSS, 0.0), (CROSS, -1.0)])
+def test_wrong_grids_are_refused(free: np.ndarray, cell: float) -> None:
+    with pytest.raises(ValueError, match="two dimensions and a positive resolution"):
+        skeleton_graph(free, cell)

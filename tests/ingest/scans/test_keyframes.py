@@ -1,0 +1,91 @@
+"""Rasters of beams, the order of keyframes, and the checks of a batch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.scans.keyframes import KeyframeSettings, in_order, keyframes, raster
+from topobatch.ingest.scans.matching import MatchingSettings, posed
+from topobatch.ingest.scans.scan import ScanBatch
+
+from .building import HALF_TURN, RING, drive, parts, scans
+
+FINEST = KeyframeSettings().raster_rad
+
+
+def test_even_beams_are_thinned_by_whole_steps() -> None:
+    fine = np.radians(np.arange(-135, 135.25, 0.25))
+    columns, start, step = raster(fine, FINEST)
+    assert step == pytest.approx(np.radians(1.0))
+    assert np.allclose(fine[columns], start + step * np.arange(len(columns)))
+    coarse = np.radians(np.arange(-90, 91, 2.0))
+    columns, start, step = raster(coarse, FINEST)
+    assert len(columns) == len(coarse)
+    assert step == pytest.approx(np.radians(2.0))
+
+
+def test_descending_beams_come_out_ascending() -> None:
+    columns, start, step = raster(HALF_TURN[::-1], FINEST)
+    assert np.allclose(HALF_TURN[::-1][columns], start + step * np.arange(len(columns)))
+    assert step > 0
+
+
+def test_uneven_beams_go_to_the_nearest_place() -> None:
+    uneven = np.sort(np.random.default_rng(3).uniform(-1.5, 1.5, 700))
+    columns, start, step = raster(uneven, FINEST)
+    off = np.abs(uneven[columns] - (start + step * np.arange(len(columns))))
+    assert off.max() < 2 * np.diff(uneven).max()
+
+
+@pytest.mark.parametrize("angles", [np.zeros(0), np.zeros(1), np.zeros(3)])
+def test_hardly_any_beams(angles: np.ndarray) -> None:
+    columns, _, step = raster(angles, FINEST)
+    assert len(columns) <= 1
+    assert step > 0
+
+
+def test_keyframes_of_two_lasers_come_by_time() -> None:
+    truth = drive((0, 0), (8, 0))
+    front, back = scans(RING, truth), scans(RING, truth, mount=np.array([-0.3, 0.0, np.pi]))
+    mixed = [b for pair in zip(parts(front, 7), parts(back, 7), strict=True) for b in pair]
+    settings = MatchingSettings()
+    chunks = list(in_order(keyframes(posed(truth, mixed, settings)), 10))
+    assert all(len(chunk) == 10 for chunk in chunks[:-1])
+    times = np.concatenate([chunk.time_ns for chunk in chunks])
+    assert (np.diff(times) >= 0).all()
+    single = sum(len(k) for k in keyframes(posed(truth, [front], settings)))
+    assert len(times) == 2 * single
+    assert sum(int(chunk.scans.sum()) for chunk in chunks) <= 2 * len(truth)
+
+
+def test_a_standing_robot_gives_one_keyframe() -> None:
+    truth = drive((0, 0), (8, 0))
+    batch = scans(RING, truth)
+    still = ScanBatch(batch.times_ns, batch.ranges_m, 0.0, batch.angles_rad)
+    stood = type(truth)(truth.time_ns, np.zeros((len(truth), 3)), np.zeros(0, np.int64))
+    assert sum(len(k) for k in keyframes(posed(stood, [still], MatchingSettings()))) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ranges_m": np.ones((3, 5), np.float32)}, "shape"),
+        ({"ranges_m": np.full((3, 4), np.inf, np.float32)}, "neither positive nor NaN"),
+        ({"ranges_m": np.zeros((3, 4), np.float32)}, "neither positive nor NaN"),
+        ({"times_ns": np.array([3, 2, 1])}, "order of time"),
+        ({"free_m": -1.0}, "not negative"),
+        ({"sweep_s": np.nan}, "finite"),
+        ({"angles_rad": np.array([0.0, np.nan, 1.0, 2.0])}, "not finite"),
+    ],
+)
+def test_batches_are_checked_at_birth(change: dict[str, object], message: str) -> None:
+    good = {
+        "times_ns": np.array([1, 2, 3]),
+        "ranges_m": np.ones((3, 4), np.float32),
+        "free_m": 0.0,
+        "angles_rad": np.linspace(-1, 1, 4),
+    }
+    ScanBatch(**good)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=message):
+        ScanBatch(**(good | change))  # type: ignore[arg-type]
