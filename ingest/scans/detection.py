@@ -128,8 +128,7 @@ def _walls(part: Matched, cell_m: float = 0.1, reach_m: float = 8.0) -> Anchored
     cell = np.floor(world / cell_m).astype(np.int64)
     keep = np.sort(np.unique(cell, axis=0, return_index=True)[1])
     body = apply(part.keyframes.mount[row[keep]], own[keep])
-    own_rows = row[keep].astype(np.int32)
-    return Anchored(part.keyframes.time_ns, own_rows, body.astype(np.float32))
+    return Anchored(part.keyframes.time_ns, row[keep], body.astype(np.float32))
 
 
 def _result(

@@ -174,7 +174,10 @@ def _chain(cells: IntArray, first: int, *, ring: bool) -> IntArray:
         across = (gap > 1.5) & home[pairs].all(axis=1)
         pairs, gap = pairs[~across], gap[~across]
     graph = coo_array((gap**3, (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2).tocsr()
-    distance, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
+    start = np.array([first])
+    distance, before = (
+        table[0] for table in dijkstra(graph, False, start, return_predecessors=True)
+    )
     at = int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))
     chain = [at]
     while chain[-1] != first:

@@ -108,7 +108,8 @@ def _beside(ranges: NDArray[np.float32], echo: BoolArray) -> NDArray[np.float32]
     after = np.minimum.accumulate(np.where(echo, beam, len(beam))[:, ::-1], axis=1)[:, ::-1]
     padded = np.pad(np.where(echo, ranges, 0), ((0, 0), (1, 1)))
     rows = np.arange(len(ranges))[:, None]
-    return np.minimum(padded[rows, before + 1], padded[rows, after + 1])
+    nearer: NDArray[np.float32] = np.minimum(padded[rows, before + 1], padded[rows, after + 1])
+    return nearer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +130,7 @@ def gather(
     driven meanwhile, densely [m]."""
     corner = np.floor(centre / settings.cell_m).astype(np.int64) - half
     side = 2 * half + 1
-    free, hit = np.zeros((side, side), np.int32), np.zeros((side, side), np.int32)
+    free, hit = np.zeros((side, side), np.int64), np.zeros((side, side), np.int64)
     patch = seen.free.shape[1]
     for k in range(len(seen)):
         x, y = seen.corner[k] - corner

@@ -137,8 +137,8 @@ def _branches(
     nearest = np.argmin(np.abs(away), axis=1)
     gap = away[np.arange(len(away)), nearest]
     near = np.abs(gap) <= settings.gap_rad
-    mean = np.bincount(nearest[near], gap[near], degree)
-    mean /= np.maximum(np.bincount(nearest[near], minlength=degree), 1)
+    count = np.bincount(nearest[near], minlength=degree)
+    mean = np.bincount(nearest[near], gap[near], degree) / np.maximum(count, 1)
     looks = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
     share = np.bincount(looks, minlength=degree) / len(members)
     return np.asarray(wrap(medoid + mean)), share

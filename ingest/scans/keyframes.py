@@ -115,10 +115,10 @@ def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Ite
         for begin in range(0, whole, size):
             yield held.take(slice(begin, begin + size))
         waiting = [held.take(slice(whole, None))]
-    held = _by_time(waiting) if waiting else None
-    while held is not None and len(held):
-        yield held.take(slice(0, size))
-        held = held.take(slice(size, None))
+    if waiting:
+        rest = _by_time(waiting)
+        for begin in range(0, len(rest), size):
+            yield rest.take(slice(begin, begin + size))
 
 
 def _by_time(parts: list[Keyframes]) -> Keyframes:

@@ -99,7 +99,8 @@ def thin(free: BoolArray) -> BoolArray:
     """The skeleton of a mask: one cell wide, as connected as the mask."""
     from skimage.morphology import skeletonize
 
-    return np.asarray(skeletonize(free), bool)
+    lines: BoolArray = skeletonize(free)  # type: ignore[no-untyped-call]
+    return lines
 
 
 def trace(
@@ -118,14 +119,20 @@ def trace(
     picture = skeleton.astype(np.int8)
     neighbours = ndimage.convolve(picture, _AROUND, mode="constant") - picture
     fork = skeleton & (neighbours >= 3)
-    fork_label, forks = ndimage.label(fork, _AROUND)
-    line_label, lines = ndimage.label(skeleton & ~fork, _AROUND)
+    fork_label, forks = labelled(fork)
+    line_label, lines = labelled(skeleton & ~fork)
     net = _net(skeleton, clearance_m, (fork_label, forks), (line_label, lines), cell_m)
     for number in np.unique(line_label[_outline(skeleton) if border is None else border]):
         if number > 0:
             net.segments[int(number)].border = True
     _simplify(net, settings)
     return _graph(net, line_label, cell_m, settings)
+
+
+def labelled(mask: BoolArray) -> tuple[IntArray, int]:
+    """Numbers from 1 on of cells that hang together by sides or corners, and how many."""
+    label, count = ndimage.label(mask, _AROUND)
+    return np.asarray(label, np.int64), int(count)
 
 
 def _outline(mask: BoolArray) -> BoolArray:
@@ -296,7 +303,7 @@ def _dissolve(net: _Net, node: int) -> None:
             net.segments[k].nodes = [n for n in net.segments[k].nodes if n != node]
             net.segments[k].parts += extra
     for table in (net.centre, net.clearance, net.weight, net.incident, net.joints):
-        table.pop(node, None)  # type: ignore[attr-defined]
+        table.pop(node, None)
 
 
 def _graph(net: _Net, label: IntArray, cell_m: float, settings: SkeletonSettings) -> SkeletonGraph:

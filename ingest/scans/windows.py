@@ -183,14 +183,16 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
     at = at[((at >= 0) & (at < side)).all(axis=1)]
     for k, (variant, mask) in enumerate(zip(variants, masks, strict=True)):
         if id(mask) not in distances:
-            distances[id(mask)] = ndimage.distance_transform_edt(_framed(mask))[1:-1, 1:-1] * cell
+            away = ndimage.distance_transform_edt(_framed(mask))
+            distances[id(mask)] = np.asarray(away, np.float64)[1:-1, 1:-1] * cell
         clearance[k, :side] = distances[id(mask)]
         open_ = clearance[k, :side] > variant.skeleton.clearance_m
         labels, _ = ndimage.label(open_, np.ones((3, 3)))
         mine = np.unique(labels[at[:, 1], at[:, 0]])
         thinned[k, :side] = np.isin(labels, mine[mine > 0])
     stacked = thin(thinned.reshape(-1, side)).reshape(thinned.shape)
-    forks, skeleton = [], np.zeros((0, 2))
+    forks: list[tuple[int, float, Node]] = []
+    skeleton: FloatArray = np.zeros((0, 2))
     span = _near(held, middle, 1.5 * settings.every_m)
     border = np.zeros((side + 1, side), bool)
     border[[0, side - 1]] = True
