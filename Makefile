@@ -4,9 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := topobatch-workspace
 # posegraph.py is not among them: it wants the names of public graph files.
-BENCHMARKS := startup paper merging calibration odometry uncertainty closure chain ingest soak audit
-LOCK := requirements-dev.lock
+BENCHMARKS := startup paper merging aliasing calibration odometry uncertainty closure chain fleet \
+	exports transfer changes ingest soak audit
+# What the program needs, and that with the tools of its tests.
+LOCK := requirements.lock
+DEV_LOCK := requirements-dev.lock
 UV := uv==0.13.9
+LOCKED := --universal --python-version 3.11 --generate-hashes --quiet \
+	--custom-compile-command 'make lock'
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test check lint types samples docs bench attack lock clean
@@ -14,21 +19,29 @@ UV := uv==0.13.9
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
 
-# Made anew whenever the dependencies change: exactly what the lock file names, checked by hashes.
-$(VENV)/.ready: pyproject.toml $(LOCK)
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+CHECKED := --require-hashes --no-deps
+
+# Made anew whenever the dependencies change: exactly what the lock files name, checked by hashes.
+$(VENV)/.runs: pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "Python 3.11 or newer is needed; try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $(LOCK)
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check \
-		--no-deps --no-build-isolation --editable .
+	$(PIP) install $(CHECKED) -r $(LOCK)
+	PYTHONWARNINGS=ignore $(PIP) install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-demo: $(VENV)/.ready  ## ingest and merge the sample logs, say where to look
+$(VENV)/.ready: $(VENV)/.runs $(DEV_LOCK)
+	$(PIP) install --quiet $(CHECKED) -r $(DEV_LOCK)
+	@touch $@
+
+demo: $(VENV)/.runs  ## ingest and merge the sample logs, say where to look
 	$(BIN)/topobatch ingest sample_logs --workspace $(DEMO)
 	$(BIN)/topobatch merge --all --workspace $(DEMO)
+	$(BIN)/topobatch report --workspace $(DEMO)
 	@echo
 	@echo "Look at the results with: $(BIN)/topobatch view --workspace $(DEMO)"
+	@echo "or, in a browser: $(DEMO)/report.html"
 	@ls $(DEMO)/merged.rrd $(DEMO)/maps/*.rrd
 
 test: $(VENV)/.ready  ## run the tests
@@ -58,15 +71,17 @@ bench: $(VENV)/.ready  ## the long suites: slow tests and every benchmark
 	done
 
 attack: $(VENV)/.ready  ## thousands of hostile logs, documents, kills and races (some 40 minutes)
+	$(BIN)/python tests/hostile/sweep.py
 	$(BIN)/python tests/hostile/attack.py
 
 # Releases younger than a week are passed over: bad ones are mostly found by then.
 lock:  ## raise the locked dependencies to their newest versions
 	$(PYTHON) -m venv $(VENV)/lock
 	$(VENV)/lock/bin/python -m pip install --quiet --disable-pip-version-check '$(UV)'
-	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
-		--generate-hashes --upgrade --exclude-newer '7 days' --quiet \
-		--custom-compile-command 'make lock' --output-file $(LOCK)
+	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra dev --upgrade --exclude-newer '7 days' \
+		$(LOCKED) --output-file $(DEV_LOCK)
+	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra build --constraint $(DEV_LOCK) \
+		$(LOCKED) --output-file $(LOCK)
 
 clean:  ## remove what the targets above made
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

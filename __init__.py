@@ -1,7 +1,58 @@
 """topobatch: recorded robot runs to topological maps, and maps of many runs merged.
 
-Importing the package does nothing but define names; the heavy libraries (rerun, rosbags,
-scipy.optimize) are imported by the functions that use them.
+    import topobatch
+
+    maps = [m for log in logs for m in topobatch.ingest(log)]
+    result = topobatch.merge(maps)
+    graph = topobatch.to_networkx(result)
+
+`ingest`, `read_map`, `merge`, `to_networkx` and `Workspace` are described in docs/library.md and by
+their docstrings. Importing the package does nothing but define names; they are loaded when they are
+used, and the heavy libraries (rerun, rosbags, scipy.optimize) by the functions that need them.
 """
 
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .cli.library import Workspace, ingest, merge, read_map, to_networkx
+
 __version__ = "0.1.0"
+__all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
+
+_ALSO_FOLDERS = ("ingest", "merge")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ALSO_FOLDERS:
+        from importlib import import_module
+
+        return import_module(f"{__name__}.{name}")  # callable: see _Package
+    if name in __all__:
+        from .cli import library
+
+        return getattr(library, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+class _CallableFolder(ModuleType):
+    """`topobatch.ingest` and `topobatch.merge` are folders of modules, and functions as well."""
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        """Call the function that is called like the folder (`topobatch.cli.library`)."""
+        from .cli import library
+
+        return getattr(library, self.__name__.rpartition(".")[2])(*args, **options)
+
+
+class _Package(ModuleType):
+    """Python sets a folder as an attribute of the package whenever something of it is imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _ALSO_FOLDERS and isinstance(value, ModuleType):
+            value.__class__ = _CallableFolder
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

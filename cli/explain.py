@@ -9,7 +9,7 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from . import paper_options
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import count, say, say_lines, warn
 from .workspace import Workspace, shortened
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 def explain(
-    a: Annotated[str, typer.Argument(help="A run.")],
-    b: Annotated[str, typer.Argument(help="Another run.")],
+    a: Annotated[str, typer.Argument(help="A run.", autocompletion=complete_run)],
+    b: Annotated[str, typer.Argument(help="Another run.", autocompletion=complete_run)],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     method: Annotated[
         Literal["robust", "paper"],
@@ -88,7 +88,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     from ..viz import write_decision_recording
 
     maps = {run: place.read_map(run) for run in pair}
-    decision = _decision(place, pair, maps)
+    decision = decided(place, pair, maps)
     if as_json:
         say_lines(json.dumps(to_document(decision)))
     else:
@@ -102,7 +102,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     )
 
 
-def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -> Decision:
+def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -> Decision:
     """The decision on a pair, with the settings and the runs of the merge that had both."""
     from dataclasses import replace
 
@@ -115,8 +115,8 @@ def _decision(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap])
     said, poses, settings, runs = {}, {}, DEFAULT_ROBUST, place.runs()
     if document is not None and not why_not:
         said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
-        runs = sorted({run for both in said for run in both})
         poses = poses_from_document(document)
+        runs = sorted(poses)
         try:
             settings = settings_from_document(document.graph.settings or {})
         except ValueError as error:
@@ -143,7 +143,7 @@ def _not_merged(document: MergedDocument | None, pair: tuple[str, str]) -> str:
         return "not merged yet (topobatch merge --all)"
     if document.graph.method == "paper":
         return "merged by --method paper (see topobatch explain --method paper)"
-    if pair not in {(entry.a, entry.b) for entry in document.merges}:
+    if not all(any(run in c.runs for c in document.graph.components) for run in pair):
         return "the last merge did not have both runs"
     return ""
 

@@ -2,34 +2,48 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..topology.errors import LogError
 from .ingest import JunctionFields, JunctionTopic, OdometryTopic
-from .output import complain, count, say, table
+from .output import complain, count, say, say_lines, table
+from .scan_options import JunctionsFrom, ScanTopic
 
 if TYPE_CHECKING:
-    from ..ingest.reading import LogInfo
+    from ..ingest.reading import LogInfo, ReadSettings
+
+WHOLE_BYTES = 64_000_000
+"""A log of this size is read in a fraction of a second."""
 
 
 def info(
-    log: Annotated[
-        Path,
-        typer.Argument(help="An MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a folder of logs."),
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...",
+            help="MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs.",
+        ),
     ],
     odometry_topic: OdometryTopic = None,
     junction_topic: JunctionTopic = None,
     junction_fields: JunctionFields = None,
+    junctions_from: JunctionsFrom = None,
+    scan_topic: ScanTopic = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Show what a log holds and what ingest would use.
+    """Show what logs hold and what ingest would use.
 
-    Its topics, their types and counts, how long it is, which topics would be used and why. Exits
-    with 1 if a log is seen to be damaged, or if ingest could not use its topics. A finished log is
-    not read whole: what is wrong inside its messages is told by ingest.
+    Their topics, types and counts, how long they are, which topics would be used and why. Exits
+    with 1 if a log is seen to be damaged, if ingest could not use its topics, or if what they hold
+    would be refused. That is tried with logs of up to 64 MB; of a larger one with an index, no
+    message is read, and a line says so.
     """
     from ..ingest.reading import ReadSettings, find_logs, inspect_log
 
@@ -37,24 +51,75 @@ def info(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
+        junctions_from=junctions_from,
+        scan_topic=scan_topic,
     )
-    failed = False
-    for each in find_logs([log]):
+    failed, told = False, []
+    for each in _each_log(logs, find_logs):
         try:
+            if isinstance(each, LogError):
+                raise each
             found = inspect_log(each, settings)
         except LogError as error:
             complain(str(error))
             failed = True
             continue
-        for line in described(found):
-            say(line)
+        if not found.problems and found.bytes <= WHOLE_BYTES:
+            found = replace(found, problems=_refused(each, settings))
+        if as_json:
+            told.append(_as_json(found))
+        else:
+            _show(found)
         failed |= bool(found.problems)
+    if as_json:
+        say_lines(json.dumps(told))
     if failed:
         raise typer.Exit(1)
 
 
+def _each_log(
+    given: list[Path], find_logs: Callable[[list[Path]], Iterable[Path]]
+) -> Iterator[Path | LogError]:
+    """Every log once; an error in place of what holds none."""
+    seen: set[Path] = set()
+    for path in given:
+        try:
+            found = list(find_logs([path]))
+        except LogError as error:
+            yield error
+            continue
+        yield from (log for log in found if log not in seen)
+        seen.update(found)
+
+
+def _as_json(found: LogInfo) -> dict[str, Any]:
+    """What `described` shows, as JSON values."""
+    path = str(found.path).encode("utf-8", "backslashreplace").decode()
+    return asdict(found) | {"path": path}
+
+
+def _show(found: LogInfo) -> None:
+    for line in described(found):
+        say(line)
+    for problem in found.problems:
+        say(f"problem: {problem}")
+    if found.bytes > WHOLE_BYTES:
+        say("not read whole: what its messages hold may still be refused by ingest")
+
+
+def _refused(log: Path, settings: ReadSettings) -> tuple[str, ...]:
+    """Why ingest would refuse to read a log, nothing if it would not."""
+    from ..ingest.reading import read_log
+
+    try:
+        read_log(log, settings)
+    except LogError as error:
+        return (str(error),)
+    return ()
+
+
 def described(found: LogInfo) -> list[str]:
-    """The lines that describe a log."""
+    """The lines that describe a log, without its problems."""
     start = "no messages"
     if any(topic.messages for topic in found.topics):
         seconds = found.start_ns // 1_000_000_000
@@ -67,7 +132,7 @@ def described(found: LogInfo) -> list[str]:
     lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
     if not rows:
         lines = [head, f"  {count(0, 'topic')}"]
-    return lines + [f"problem: {problem}" for problem in found.problems]
+    return lines
 
 
 def _use(use: str, why: str) -> str:

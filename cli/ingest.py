@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import LogError, UsageError
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .journal import note
+from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen, count
+from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
 from .workspace import Workspace, checked_run_name, shortened
 
 if TYPE_CHECKING:
@@ -68,6 +70,11 @@ def ingest(
     odometry_topic: OdometryTopic = None,
     junction_topic: JunctionTopic = None,
     junction_fields: JunctionFields = None,
+    junctions_from: JunctionsFrom = None,
+    scan_topic: ScanTopic = None,
+    laser_pose: LaserPose = None,
+    scan_stamp: ScanStamp = "begin",
+    cloud_band: CloudBand = None,
     base_frame: BaseFrame = None,
     time: TimeSource = "header",
     closure: Annotated[
@@ -89,6 +96,7 @@ def ingest(
     ] = False,
     strict: Strict = False,
     quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Turn logs into topological maps, one per run.
 
@@ -96,24 +104,34 @@ def ingest(
     ties the pieces together, also RUN#2 and so on.
 
     Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
+    Without junction detections, junctions are found in laser scans, clouds of points or a grid.
     Finished runs are skipped unless their log or the settings changed. One bad log does not stop
     the others; the exit code is then 1, or 2 if all that is wrong is a missing option.
     """
     from ..ingest.mapping import MappingSettings
     from ..ingest.reading import ReadSettings
+    from ..ingest.scans.slicing import SliceSettings
 
     read = ReadSettings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
+        junctions_from=junctions_from,
+        scan_topic=scan_topic,
+        laser_pose=numbers(laser_pose, "--laser-pose", "x,y,yaw"),  # type: ignore[arg-type]
+        scan_stamp=scan_stamp,
+        slices=SliceSettings(numbers(cloud_band, "--cloud-band", "low,high")),  # type: ignore[arg-type]
         base_frame=base_frame,
         time=time,
         strict=strict,
     )
-    place, screen = Workspace(workspace), Screen(quiet)
+    place, screen = Workspace(workspace), Screen(quiet, verbose)
     planned = _plan(logs, name, place, read, MappingSettings(closure=closure), force)
     with place.held(screen.warn):
         outcomes = _run_all(planned, jobs, screen)
+        new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
+        if new:
+            note(place, "ingest", f"{count(len(new), 'log')}: {shortened(new)}", screen.warn)
     _summarise(outcomes, place, screen)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
@@ -148,6 +166,7 @@ def _plan(
     for log in logs:
         try:
             run = checked_run_name(name if name is not None else run_name(log))
+            place.check_run(run)
         except UsageError as error:
             text = f"{log}: {error}; give it another by --name"
             planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))
@@ -202,6 +221,8 @@ def _show(outcome: IngestOutcome, screen: Screen) -> None:
         screen.complain(outcome.text)
         return
     screen.line(f"{outcome.run}: {outcome.text}")
+    for detail in outcome.details:
+        screen.detail(f"{outcome.run}: {detail}")
     for warning in outcome.warnings:
         screen.warn(f"{outcome.run}: {warning}")
 

@@ -12,23 +12,32 @@ import time
 from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from .. import __version__
+from ..ingest.grid_log import GridLog
 from ..ingest.mapping import MappingSettings, build_map
-from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_run
+from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..topology.document import map_to_document, read_json, write_json, write_together
 from ..topology.errors import DocumentError, TopobatchError, UsageError
+from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
+from .scan_options import source_told
 from .workers import start_worker
-from .workspace import Workspace
+from .workspace import Workspace, checked_run_name
 
 POLL_S = 0.1
+
+TOGETHER = 2
+"""Times that logs are read side by side, as long as processes die; then one by one."""
+
+MOST_NAMES = 16
+"""Names of one run, one after the other, that are followed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +65,8 @@ class IngestOutcome:
     """The log is good, but the call must say more: which topic, for instance."""
     maps: int = 1
     """How many maps the log has given."""
+    details: tuple[str, ...] = ()
+    """What was read and how, for those who ask."""
 
 
 def job_size(job: IngestJob) -> int:
@@ -89,13 +100,20 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started = time.monotonic()
+    job = replace(job, run=_called(job.place, job.run))
     key = _content_key(job)
-    before = _record(job.place, job.run)
+    before = ingest_record(job.place, job.run)
     had = _runs_of(before, job.run)
     if not job.force and before.get("key") == key and _all_there(job.place, had):
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
-    run = read_run(job.log, job.read, on_bytes=on_bytes)
-    topomap = build_map(run if run.name == job.run else _renamed(run, job.run), job.mapping)
+    found = read_log(job.log, job.read, on_bytes=on_bytes)
+    found = found if found.name == job.run else replace(found, name=job.run)
+    if isinstance(found, GridLog):
+        from ..ingest.grid_map import map_of_grid
+
+        topomap, odometry, seen = map_of_grid(found), None, None
+    else:
+        topomap, odometry, seen = build_map(found, job.mapping), found.odometry, found.detections
     maps = _in_one_piece(topomap)
     runs = [m.run for m in maps]
     docs = {m.run: map_to_document(m) for m in maps}
@@ -103,17 +121,36 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         _refuse_other_log(job, name, doc)
     writes: dict[Path, Callable[[Path], object]] = {}
     for m in maps:
-        drawn = partial(write_map_recording, topomap=m, odometry=run.odometry)
+        drawn = partial(write_map_recording, topomap=m, odometry=odometry, detections=seen)
         writes[job.place.map_rrd(m.run)] = drawn
         writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
     write_together(writes)
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
-    record = partial(write_json, doc={"key": key, "log": _origin(job.log), "runs": runs})
+    doc = {"key": key, "log": _origin(job.log), "runs": runs, "read": _read_how(job.read)}
+    doc |= {"version": __version__, "bytes": job_size(job)}
+    record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
-    text = f"{_summary(maps, run.odometry.step_m.sum())} ({time.monotonic() - started:.1f} s)"
+    text = f"{_summary(maps, odometry)} ({time.monotonic() - started:.1f} s)"
+    text += source_told(maps[0].info.get("source", {}))
     told = maps[0].info.get("warnings", ())
-    return IngestOutcome(job.log, job.run, "done", text, tuple(told), maps=len(maps))
+    details = _details(job, topomap)
+    return IngestOutcome(
+        job.log, job.run, "done", text, tuple(told), maps=len(maps), details=details
+    )
+
+
+def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
+    """What was read, and what loop closure made of it."""
+    source = topomap.info.get("source", {})
+    read = [
+        f"{what}: {part['messages']:,} messages of {part['type']} on {part['topic']}"
+        for what, part in source.items()
+        if isinstance(part, dict) and {"messages", "type", "topic"} <= set(part)
+    ]
+    closed = sum(closure.accepted for closure in topomap.closures)
+    closures = f"{closed} of {count(len(topomap.closures), 'closure')} accepted"
+    return (f"from {job.log}, {job_size(job):,} bytes", *read, closures)
 
 
 def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
@@ -125,6 +162,15 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
     return joined_pieces(topomap)
 
 
+READ_OPTIONS = ("odometry_topic", "junction_topic", "base_frame", "junction_fields", "time")
+"""What a call can say about reading a log, and what reading it again takes."""
+
+
+def _read_how(settings: ReadSettings) -> dict[str, str]:
+    values = ((name, getattr(settings, name)) for name in READ_OPTIONS)
+    return {name: value for name, value in values if value is not None}
+
+
 def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
     files = [path(run) for run in runs for path in (place.map_json, place.map_rrd)]
     return bool(files) and all(file.is_file() and not file.is_symlink() for file in files)
@@ -133,25 +179,22 @@ def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
 def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[str]) -> None:
     """Remove the maps of pieces that the log gave before and does not give any more."""
     for gone in set(_runs_of(before, run)) - kept:
-        if _record(place, gone).get("log") == before.get("log"):
+        if ingest_record(place, gone).get("log") == before.get("log"):
             for file in (place.map_json(gone), place.map_rrd(gone), place.ingest_record(gone)):
                 file.unlink(missing_ok=True)
 
 
-def _renamed(run: Any, name: str) -> Any:
-    from dataclasses import replace
-
-    return replace(run, name=name)
-
-
-def _summary(maps: Sequence[TopoMap], way_m: float) -> str:
+def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
     visits = sum(len(m.observation_vertex) for m in maps)
     found = ", and ".join(
         f"{count(len(m), 'junction')}, {count(len(m.source), 'corridor')}"
         + (f" ({m.run})" if len(maps) > 1 else "")
         for m in maps
     )
-    return f"{way_m:,.0f} m, {count(visits, 'junction pass', 'junction passes')} → {found}"
+    if odometry is None:
+        return found
+    way = f"{odometry.step_m.sum():,.0f} m"
+    return f"{way}, {count(visits, 'junction pass', 'junction passes')} → {found}"
 
 
 def _content_key(job: IngestJob) -> str:
@@ -161,13 +204,27 @@ def _content_key(job: IngestJob) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _record(place: Workspace, run: str) -> dict[str, Any]:
+def ingest_record(place: Workspace, run: str) -> dict[str, Any]:
     """What the map of a run was made from; empty where that is not known."""
     try:
         found = read_json(place.ingest_record(run))
     except DocumentError:
         return {}  # a cache: without it the run is just done again
     return found if isinstance(found, dict) else {}
+
+
+def _called(place: Workspace, run: str) -> str:
+    """The name that a run was given since by `topobatch rename`; its own if it was not."""
+    name = run
+    for _ in range(MOST_NAMES):
+        if place.map_json(name).is_file():
+            return name
+        name = ingest_record(place, name).get("renamed", run)
+        try:
+            checked_run_name(name)
+        except (UsageError, TypeError, AttributeError):
+            return run  # nothing of ours wrote that
+    return run
 
 
 def _runs_of(record: dict[str, Any], run: str) -> list[str]:
@@ -187,7 +244,7 @@ def _origin(log: Path) -> str:
 
 def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """A map made from another log of the same name is not overwritten unasked."""
-    other, path = _record(job.place, run).get("log"), job.place.map_json(run)
+    other, path = ingest_record(job.place, run).get("log"), job.place.map_json(run)
     if job.force or not isinstance(other, str) or other == _origin(job.log):
         return
     try:
@@ -236,18 +293,40 @@ def outcomes_of(
 
         yield from (ingest_one(job, on_bytes) for job in jobs)
         return
+    left = list(jobs)
+    for _ in range(TOGETHER):
+        unfinished = []
+        for job, outcome in _side_by_side(left, workers, advance):
+            if outcome is None:
+                unfinished.append(job)
+            else:
+                yield outcome
+        left = unfinished
+    for job in left:  # one by one: a log that ends its process costs no other
+        for _, outcome in _side_by_side([job], 1, advance):
+            text = f"{job.log}: the process that read it was killed (out of memory?)"
+            yield outcome or IngestOutcome(job.log, job.run, "failed", text)
+
+
+def _side_by_side(
+    jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
+) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
+    """Jobs with their outcomes; None where the processes ended before it was there."""
+    if not jobs:
+        return
     context = _context()
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
         try:
             with _interrupts_deferred():  # a worker stopped half-started would complain
-                futures = {pool.submit(_counted, job): job for job in jobs}
+                futures = dict(_submitted(pool, jobs))
+            yield from ((job, None) for job in jobs[len(futures) :])
             waiting = set(futures)
             while waiting:
                 finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
                 advance(counter.value)
                 for future in finished:
-                    yield _result(future, futures[future])
+                    yield futures[future], _result(future)
         except BaseException:  # Ctrl-C: nobody waits for half-read logs
             for process in multiprocessing.active_children():
                 process.terminate()
@@ -274,14 +353,26 @@ def _interrupts_deferred() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _result(future: Future[IngestOutcome], job: IngestJob) -> IngestOutcome:
+def _submitted(
+    pool: ProcessPoolExecutor, jobs: Sequence[IngestJob]
+) -> Iterator[tuple[Future[IngestOutcome], IngestJob]]:
+    """The jobs as they are asked for, as long as all processes live."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    for job in jobs:
+        try:
+            yield pool.submit(_counted, job), job
+        except BrokenProcessPool:
+            return
+
+
+def _result(future: Future[IngestOutcome]) -> IngestOutcome | None:
     from concurrent.futures.process import BrokenProcessPool
 
     try:
         return future.result()
     except BrokenProcessPool:
-        text = f"{job.log}: the process that read it was killed (out of memory?); try --jobs 1"
-        return IngestOutcome(job.log, job.run, "failed", text)
+        return None
 
 
 def _context() -> Any:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from ..topology.errors import UsageError
+from .journal import note
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say, warn
 from .workspace import Workspace
 
@@ -17,8 +18,12 @@ if TYPE_CHECKING:
 
 
 def lock(
-    a: Annotated[str | None, typer.Argument(metavar="[A]", help="A run.")] = None,
-    b: Annotated[str | None, typer.Argument(metavar="[B]", help="Another run.")] = None,
+    a: Annotated[
+        str | None, typer.Argument(metavar="[A]", help="A run.", autocompletion=complete_run)
+    ] = None,
+    b: Annotated[
+        str | None, typer.Argument(metavar="[B]", help="Another run.", autocompletion=complete_run)
+    ] = None,
     same: Annotated[
         bool, typer.Option("--same", help="The two share places: join them, where they fit best.")
     ] = False,
@@ -62,6 +67,8 @@ def lock(
             place.chosen_runs([a, b], False)
             kept = with_lock(place.locks(), _checked(place, Lock(a, b, _decision(same), _pair(at))))
         place.write_locks(kept)
+        done = "clear" if clear else _decision(same)
+        note(place, "lock", f"{min(a, b)} + {max(a, b)}: {done}", warn)
     _show(kept)
     say("next: topobatch merge --all")
 
@@ -84,7 +91,7 @@ def _checked(place: Workspace, wanted: Lock) -> Lock:
     for run, vertex in zip((wanted.a, wanted.b), wanted.at or (), strict=False):
         junctions = len(place.read_map(run))
         if vertex >= junctions:
-            raise DataError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
+            raise UsageError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
     return wanted
 
 

@@ -8,22 +8,32 @@ from __future__ import annotations
 
 import os
 import sys
-from io import StringIO, TextIOWrapper
-from typing import Annotated, Any, cast
+from collections.abc import Callable
+from io import TextIOWrapper
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
 
 from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
+from .changes import changes
+from .discard import discard
+from .draw import draw
 from .explain import explain
+from .export import export
 from .info import info
 from .ingest import ingest
+from .journal import history
+from .listing import list_runs
 from .lock import lock
 from .merge import merge
 from .output import complain, say, say_lines
+from .rename import rename
+from .report import report
 from .schema import schema
 from .simulate import simulate
+from .transfer import transfer
 from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
@@ -41,8 +51,27 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
-for command in (ingest, merge, view, info, explain, lock, simulate, schema):
-    app.command()(command)
+COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
+    ("ingest", ingest),
+    ("merge", merge),
+    ("view", view),
+    ("draw", draw),
+    ("report", report),
+    ("list", list_runs),
+    ("info", info),
+    ("explain", explain),
+    ("export", export),
+    ("transfer", transfer),
+    ("changes", changes),
+    ("lock", lock),
+    ("discard", discard),
+    ("rename", rename),
+    ("history", history),
+    ("simulate", simulate),
+    ("schema", schema),
+)
+for name, command in COMMANDS:
+    app.command(name)(command)
 
 
 def _version(wanted: bool) -> None:
@@ -65,6 +94,18 @@ def topobatch(
     """
 
 
+def _say_what_is_wrong(error: TyperException) -> None:
+    """A wrong call in one line, like every error; without arguments, the help."""
+    text = error.format_message()
+    if text.startswith("Usage:"):
+        say_lines(text.rstrip("\n"), err=True)
+        return
+    context = getattr(error, "ctx", None)
+    command = getattr(context, "command_path", "topobatch")
+    line = " ".join(text.split()).removesuffix(".")
+    complain(f"{line[:1].lower()}{line[1:]}; see `{command} --help`")
+
+
 def main() -> None:
     """Run the command line; the one place that turns errors into messages and exit codes."""
     for name in _THREADS:
@@ -75,9 +116,7 @@ def main() -> None:
     try:
         sys.exit(app(prog_name="topobatch", standalone_mode=False))
     except TyperException as error:
-        shown = StringIO()
-        cast(Any, error).show(file=shown)
-        say_lines(shown.getvalue().rstrip("\n"), err=True)
+        _say_what_is_wrong(error)
         sys.exit(error.exit_code)
     except TopobatchError as error:
         complain(str(error))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -12,25 +13,34 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from . import paper_options
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
-from .output import Screen, count
+from .journal import note
+from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, complete_run
+from .output import Screen, count, folded
 from .workers import start_worker
 from .workspace import MERGED, Workspace, shortened
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ..merge.locks import Lock
+    from ..merge.document import MergedGraph
     from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
+    from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
 
 MOST_LINES, MOST_JOINED = 20, 5
 
+WORTH_PROCESSES = 2000
+"""Pairs; fewer are matched in the seconds that it takes to start processes and to give them maps.
+"""
+
 
 def merge(
     runs: Annotated[
-        list[str] | None, typer.Argument(metavar="[RUN]...", help="Runs to merge, by name.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[RUN]...", help="Runs to merge, by name.", autocompletion=complete_run
+        ),
     ] = None,
     everything: Annotated[
         bool, typer.Option("--all", help="Merge every run of the workspace.")
@@ -70,8 +80,25 @@ def merge(
     met: paper_options.MetOption = None,
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=0, help="Processes to match with; 0: one per core.")
-    ] = 1,
+    ] = 0,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
+            "the same path; needs topobatch[cluster].",
+        ),
+    ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N",
+            help="With --all: only match the I-th of N shares of the pairs, for the cache; a last "
+            "merge --all collects what all shares found.",
+        ),
+    ] = None,
     quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Merge the maps of many runs, where they overlap.
 
@@ -81,7 +108,7 @@ def merge(
     falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of
     the runs does not matter.
     """
-    place, screen = Workspace(workspace), Screen(quiet)
+    place, screen = Workspace(workspace), Screen(quiet, verbose)
     if output is not None:
         place = Workspace(workspace, output)
         place.check_merge()
@@ -89,17 +116,71 @@ def merge(
         degree, confidence, confidence_of, weights, iterative, tuple(met or ())
     )
     settings = _settings(method, false_merge_rate, options)
+    workers = partial(_workers, jobs, cluster)
+    if shard is not None:
+        if not everything or method != "robust":
+            raise UsageError("--shard goes with --all and the robust method")
+        from .shard import match_share, share_of
+
+        match_share(place, settings, share_of(shard), workers, screen)
+        return
     with place.held(screen.warn, make=False):
         chosen = place.chosen_runs(runs or [], everything)
         # A merge of all loses nothing but runs that the workspace has lost.
         if not replace_last and (output is not None or not everything):
             _keep_larger(place, chosen)
-        maps, broken = _read_maps(place, chosen, screen)
-        result = _merged(maps, settings, place.locks(), jobs, screen)
+        maps, broken = read_maps(place, chosen, screen)
+        result = _merged(place, maps, settings, workers, everything, screen)
         _write(place, result, maps)
+        told = f"{place.merge}: {count(len(maps), 'run')}, {_counts(result)}"
+        note(place, "merge", told, screen.warn)
     _summarise(result, place, screen)
     if broken:
         raise typer.Exit(1)
+
+
+def merge_again(
+    place: Workspace,
+    affected: Collection[str],
+    screen: Screen,
+    new: Mapping[str, str] | None = None,
+) -> None:
+    """Merge anew what the last merge had of runs that are still there, as it was merged, if it had
+    one of the affected runs; new: names that runs have now. The workspace is held."""
+    from ..merge.document import read_merged
+
+    if not os.path.lexists(place.merged_json):
+        return
+    try:
+        graph = read_merged(place.merged_json).graph
+        settings = _settings_of(graph)
+    except (DocumentError, ValueError) as error:
+        screen.warn(f"{error}; merge again: topobatch merge --all")
+        return
+    before = {run for component in graph.components for run in component.runs}
+    if not before & set(affected):
+        return
+    runs = sorted({(new or {}).get(run, run) for run in before} & set(place.runs()))
+    if not runs:
+        place.merged_json.unlink()
+        place.merged_rrd.unlink(missing_ok=True)
+        return
+    maps, _ = read_maps(place, runs, screen)
+    everything = runs == place.runs()
+    result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen)
+    _write(place, result, maps)
+    screen.line(f"merged again: {count(len(maps), 'run')}, {_counts(result)}")
+
+
+def _settings_of(graph: MergedGraph) -> MergeSettings:
+    """How a merge was made; ValueError on settings that cannot be."""
+    from ..merge.merging import MergeSettings
+    from ..merge.paper.method import settings_from_document as of_paper
+    from ..merge.robust.settings import settings_from_document as of_robust
+
+    if graph.method == "paper":
+        return MergeSettings(method="paper", paper=of_paper(graph.settings or {}))
+    return MergeSettings(robust=of_robust(graph.settings or {}))
 
 
 def _keep_larger(place: Workspace, chosen: list[str]) -> None:
@@ -122,7 +203,7 @@ def _keep_larger(place: Workspace, chosen: list[str]) -> None:
         )
 
 
-def _read_maps(
+def read_maps(
     place: Workspace, names: list[str], screen: Screen
 ) -> tuple[list[TopoMap], list[str]]:
     """The maps that can be read, and the names of those that cannot."""
@@ -157,39 +238,55 @@ def _settings(
 
 
 def _merged(
+    place: Workspace,
     maps: list[TopoMap],
     settings: MergeSettings,
-    locks: tuple[Lock, ...],
-    jobs: int,
+    workers: Callable[[int], Workers | None],
+    everything: bool,
     screen: Screen,
 ) -> MergeResult:
+    from ..merge.cache import PairCache
     from ..merge.merging import merge_maps
+    from ..merge.robust import Means
 
     pairs = len(maps) * (len(maps) - 1) // 2
-    with (
-        _executor(jobs, pairs) as executor,
-        screen.progress("matching", pairs, "pairs") as advance,
-    ):
-        return merge_maps(
-            maps,
-            settings,
-            locks=locks,
+    store = PairCache(place.pairs, screen.warn)
+    with screen.progress("matching", pairs, "pairs") as advance:
+        means = Means(
+            workers=workers(pairs),
+            maps=replace(place, root=place.root.resolve()),
+            store=store,
             on_pair=lambda done, _: advance(done),
-            executor=executor,
+            tell=screen.detail,
         )
+        try:
+            result = merge_maps(
+                maps, settings, locks=place.locks(), discarded=place.discards(), means=means
+            )
+        finally:
+            store.flush()
+    if everything and settings.method == "robust":
+        store.settle(maps, settings.robust)
+    return result
+
+
+def _workers(jobs: int, cluster: str | None, pairs: int) -> Workers | None:
+    """Where to match, if not in this process: processes where there is enough to do for them."""
+    from ..merge.workers import Workers
+    from .cluster import cluster as dask_cluster
+
+    if cluster is not None:
+        return Workers(partial(dask_cluster, cluster))
+    count = min(jobs or (os.cpu_count() if pairs >= WORTH_PROCESSES else 1) or 1, pairs)
+    return Workers(partial(_executor, count)) if count > 1 else None
 
 
 @contextmanager
-def _executor(jobs: int, pairs: int) -> Iterator[Executor | None]:
-    """Processes to match in, where there is enough to do for them."""
+def _executor(workers: int) -> Iterator[Executor]:
+    """Processes to match in, started as they are needed."""
     import multiprocessing
-    import os
     from concurrent.futures import ProcessPoolExecutor
 
-    workers = min(jobs or os.cpu_count() or 1, pairs)
-    if workers < 2:
-        yield None
-        return
     with ProcessPoolExecutor(workers, initializer=start_worker) as pool:
         try:
             yield pool
@@ -213,6 +310,12 @@ def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
     )
 
 
+def _told(screen: Screen, text: str) -> None:
+    """A line, folded; the rest of it is indented further."""
+    for line in folded(text):
+        screen.line(line)
+
+
 def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
     from ..merge.merging import ALONE
     from ..merge.result import Standing
@@ -222,33 +325,48 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
 
     home = {run: component.id for component in result.components for run in component.poses}
     for component in result.components:
-        names = sorted(component.poses)
-        alone = "" if len(names) > 1 else " (alone)"
-        screen.line(f"component {component.id}: {shortened(names)}{alone}")
+        if len(component.poses) > 1:
+            _told(screen, f"component {component.id}: {shortened(sorted(component.poses))}")
+    alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
+    if alone:
+        _told(screen, f"alone: {shortened(alone)}")
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             screen.warn(f"{pair.a} and {pair.b} are not joined: {pair.reason}")
     merged, joined, ambiguous = map(of, (Standing.MERGED, Standing.JOINED, Standing.AMBIGUOUS))
-    kept_out, unrelated = len(of(Standing.KEPT_OUT)), len(of(Standing.UNRELATED))
+    others = result.count(Standing.JOINED)
     for pair in merged[:MOST_LINES]:
-        screen.line(f"  {pair.a} + {pair.b}: {pair.reason}")
+        _told(screen, f"  {pair.a} + {pair.b}: {pair.reason}")
     if len(merged) > MOST_LINES:
         screen.line(f"  … and {len(merged) - MOST_LINES} more merged pairs, in {place.merged_json}")
     for pair in joined[:MOST_JOINED]:
-        screen.line(f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
-    if len(joined) > MOST_JOINED:
-        screen.line(f"  … and {len(joined) - MOST_JOINED} more pairs joined through others")
+        _told(screen, f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
+    if others > min(len(joined), MOST_JOINED):
+        more = others - min(len(joined), MOST_JOINED)
+        screen.line(f"  … and {more} more pairs joined through others")
     for pair in ambiguous[:MOST_LINES]:
-        advice = f"; {pair.advice}" if pair.advice else ""
-        screen.line(f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}{advice}")
+        _told(screen, f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}")
+        if pair.advice:
+            _told(screen, f"    to settle it: {pair.advice}")
     if len(ambiguous) > MOST_LINES:
         screen.line(f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs")
-    screen.line(
-        f"{count(len(result.verdicts), 'pair')}: {len(merged)} merged, "
-        f"{f'{len(joined)} joined through others, ' if joined else ''}{len(ambiguous)} ambiguous, "
-        f"{unrelated} unrelated{f', {kept_out} kept out' if kept_out else ''}; "
-        f"{count(len(result.components), 'component')}"
-    )
+    screen.line(_counts(result))
     screen.line(f"{place.merged_json}")
     name = "" if place.merge == MERGED else f" {place.merge}"
     screen.line(f"{place.merged_rrd}  (look at it: topobatch view{name})")
+
+
+def _counts(result: MergeResult) -> str:
+    """What became of all pairs, in a line."""
+    from ..merge.result import Standing, pairs_of
+
+    runs = sum(len(component.poses) for component in result.components)
+    others, kept_out = result.count(Standing.JOINED), result.count(Standing.KEPT_OUT)
+    return (
+        f"{count(pairs_of(runs), 'pair')}: {result.count(Standing.MERGED)} merged, "
+        f"{f'{others} joined through others, ' if others else ''}"
+        f"{result.count(Standing.AMBIGUOUS)} ambiguous, "
+        f"{result.count(Standing.UNRELATED)} unrelated"
+        f"{f', {kept_out} kept out' if kept_out else ''}; "
+        f"{count(len(result.components), 'component')}"
+    )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from ..topology.errors import TopobatchError
 
 WorkspaceOption = Annotated[
     Path,
@@ -22,3 +25,17 @@ DEFAULT_WORKSPACE = Path("topobatch-workspace")
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show errors only: no progress, no summary.")
 ]
+
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Say what happens meanwhile.")]
+
+
+def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The runs of the workspace that begin so, for the completion of shells."""
+    from .workspace import Workspace
+
+    named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")
+    try:
+        runs = Workspace(Path(named or DEFAULT_WORKSPACE)).runs()
+    except (TopobatchError, OSError):
+        return []
+    return [run for run in runs if run.startswith(incomplete) and run.isprintable()]

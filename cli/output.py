@@ -10,11 +10,16 @@ of files, topics and types come from others, and what would steer a terminal is 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from textwrap import wrap
 from typing import Any
 
 import typer
+
+WIDTH = 79
+"""Letters in a line of advice: the smallest usual terminal."""
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200
@@ -49,6 +54,18 @@ def say_lines(text: str, *, err: bool = False) -> None:
         typer.echo(plain(line, len(line)), err=err)
 
 
+def folded(text: str, indent: str = "      ") -> list[str]:
+    """A long line as several of WIDTH letters at most, all but the first indented."""
+    return wrap(
+        plain(text),
+        WIDTH,
+        subsequent_indent=indent,
+        drop_whitespace=True,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
 def complain(message: str) -> None:
     """An error, on the standard error."""
     typer.echo(typer.style("error: ", fg="red", bold=True) + plain(message), err=True)
@@ -57,6 +74,14 @@ def complain(message: str) -> None:
 def warn(message: str) -> None:
     """A warning, on the standard error."""
     typer.echo(typer.style("warning: ", fg="yellow") + plain(message), err=True)
+
+
+def say_text(text: str) -> None:
+    """A file for the next program, as it is; on a terminal like everything that is shown."""
+    if sys.stdout.isatty():
+        say_lines(text.removesuffix("\n"))
+    else:
+        typer.echo(text.encode(), nl=False)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
@@ -77,8 +102,10 @@ def count(number: int, singular: str, plural: str | None = None) -> str:
 class Screen:
     """Lines and, on a terminal, one progress bar below them."""
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(self, quiet: bool, verbose: bool = False) -> None:
         self.quiet = quiet
+        self.verbose = verbose
+        self._started = time.monotonic()
         self._progress: Any = None
         self._task: Any = None
 
@@ -86,6 +113,11 @@ class Screen:
         """A line of the result, above the bar if there is one."""
         if not self.quiet:
             self._emit(text, err=False)
+
+    def detail(self, text: str) -> None:
+        """What happens meanwhile, with the seconds since the start; only if it was asked for."""
+        if self.verbose:
+            self._emit(f"[{time.monotonic() - self._started:.1f} s] {text}", err=True)
 
     def warn(self, message: str) -> None:
         """A warning; --quiet silences it, for it is in the documents too."""

@@ -39,8 +39,28 @@ def simulate(
         int,
         typer.Option(min=0, help="How often every run's odometry jumps while the robot drives on."),
     ] = 0,
-    jump_m: Annotated[float, typer.Option(min=0, help="How far it jumps, in metres.")] = 0.5,
-    jump_deg: Annotated[float, typer.Option(min=0, help="How far it turns, in degrees.")] = 30.0,
+    jump_m: Annotated[
+        float | None,
+        typer.Option(min=0, help="How far it jumps, in metres; default 0.5. Goes with --jumps."),
+    ] = None,
+    jump_deg: Annotated[
+        float | None,
+        typer.Option(min=0, help="How far it turns, in degrees; default 30. Goes with --jumps."),
+    ] = None,
+    laser: Annotated[
+        bool,
+        typer.Option(
+            "--laser",
+            help="Write a laser's scans instead of junction detections: walls, doors that open "
+            "and close, people walking, glass, as --faults says.",
+        ),
+    ] = False,
+    detections: Annotated[
+        bool, typer.Option("--detections", help="With --laser: write the detections as well.")
+    ] = False,
+    corridor_m: Annotated[
+        float, typer.Option(help="With --laser: width of the corridors, in metres.")
+    ] = 1.4,
     formats: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,11 +74,13 @@ def simulate(
     """Write logs of simulated robots, to try things out on.
 
     With the truth beside them, in truth.json. The robots explore parts of one world that overlap,
-    with odometry that drifts and a junction detector that errs.
+    with odometry that drifts and a junction detector that errs, or a laser (--laser).
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
-    from ..simulation import DRIFTS, ScenarioSettings, simulate_scenario
+    if not jumps and (jump_m is not None or jump_deg is not None):
+        raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
+    from ..simulation import DRIFTS, LASERS, ScenarioSettings, simulate_scenario
     from ..simulation.writing import write_scenario
 
     screen = Screen(quiet)
@@ -68,8 +90,15 @@ def simulate(
         unrelated_runs=unrelated,
         overlap=overlap,
         junctions_per_run=junctions,
-        drift=replace(DRIFTS[drift], jumps=jumps, jump_m=jump_m, jump_deg=jump_deg),
+        drift=replace(
+            DRIFTS[drift],
+            jumps=jumps,
+            jump_m=0.5 if jump_m is None else jump_m,
+            jump_deg=30.0 if jump_deg is None else jump_deg,
+        ),
         faults=faults,
+        laser=replace(LASERS[faults], corridor_m=corridor_m) if laser else None,
+        tells_junctions=detections or not laser,
         seed=seed,
     )
     scenario = simulate_scenario(settings)

@@ -4,47 +4,114 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..topology.errors import DataError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from ..topology.errors import DataError, DocumentError, UsageError
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
 from .workspace import Workspace, shortened
+
+ONE_RUN = "--with-log goes with one run: topobatch view RUN --with-log"
 
 
 def view(
     run: Annotated[
         str | None,
         typer.Argument(
-            help="Run whose map to open, or the --output NAME of a merge; the merged map without."
+            help="Run whose map to open, or the --output NAME of a merge; the merged map without.",
+            autocompletion=complete_run,
         ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    with_log: Annotated[
+        bool,
+        typer.Option(
+            "--with-log", help="Lay the raw log of the run under its map (MCAP logs only)."
+        ),
+    ] = False,
 ) -> None:
-    """Open the merged map, or a run's, in the rerun viewer."""
+    """Open the merged map, or a run's, in the rerun viewer.
+
+    Drag the time line below the map: a run's map grows as it was driven, a merged map as its runs
+    were joined. With --with-log the topics of the raw log stand beside it, under /log, and share
+    its time.
+    """
     place = Workspace(workspace)
+    if with_log and run is None:
+        raise UsageError(ONE_RUN)
+    recording = _recording(place, run)
+    if not with_log or run is None:
+        _open([recording])
+        return
+    if recording != place.map_rrd(run):
+        raise UsageError(ONE_RUN)
+    with _raw_log(place, run) as raw:
+        _open([recording, raw])
+
+
+def _recording(place: Workspace, run: str | None) -> Path:
+    """The recording that is asked for; UsageError or DataError where there is none."""
     recording = place.merged_rrd if run is None else place.map_rrd(run)
-    if (
-        run is not None
-        and not recording.is_file()
-        and Workspace(workspace, run).merged_json.is_file()
-    ):
-        recording = Workspace(workspace, run).merged_rrd
-    if not recording.is_file():
-        if run is None:
-            raise DataError(f"{recording}: is not there yet; make it with `topobatch merge --all`")
-        known = shortened(place.runs()) or "none"
-        raise DataError(f"{recording}: is not there; runs with a map: {known}")
+    if recording.is_file():
+        return recording
+    if run is None:
+        raise DataError(f"{recording}: is not there yet; make it with `topobatch merge --all`")
+    if run in place.runs():
+        raise DataError(f"{recording}: is not there; ingest the log of {run} again")
+    merge = Workspace(place.root, run)
+    if merge.merged_rrd.is_file() and merge.merged_json.is_file():
+        return merge.merged_rrd
+    known = shortened(place.runs()) or "none"
+    raise UsageError(f"no map or merge of {run} in {place.root}; runs with a map: {known}")
+
+
+@contextmanager
+def _raw_log(place: Workspace, run: str) -> Iterator[Path]:
+    """A recording of the log that a run's map was made from: kept in the workspace or, where that
+    cannot be written, as long as the viewer is open."""
+    from ..topology.document import read_json
+    from ..viz import write_raw_log
+
+    try:
+        record = read_json(place.ingest_record(run))
+    except DocumentError:
+        record = None
+    log = record.get("log") if isinstance(record, dict) else None
+    if not isinstance(log, str):
+        raise DataError(f"{run}: which log its map was made from is not known; ingest it again")
+    if not Path(log).exists():
+        raise DataError(f"{log}: the log of {run} is not there any more")
+    with tempfile.TemporaryDirectory() as spare:
+        raw = place.raw_log_rrd(run)
+        try:
+            write_raw_log(raw, Path(log), run)
+        except PermissionError:
+            if not _has_display():
+                raise
+            raw = Path(spare) / raw.name
+            write_raw_log(raw, Path(log), run)
+        yield raw
+
+
+def _open(recordings: list[Path]) -> None:
+    """Show recordings, or say how where there is no display."""
     if not _has_display():
-        say(f"{recording}: there is no display here. To look at it:")
-        say(f"  on a machine with a screen:  rerun {recording.name}   (pip install rerun-sdk)")
-        say(f"  in a browser, served by this machine:  rerun --web-viewer {recording}")
+        names = " ".join(r.name for r in recordings)
+        paths = " ".join(map(str, recordings))
+        say(f"{recordings[0]}: there is no display here. To look at it:")
+        say(f"  on a machine with a screen:  rerun {names}   (pip install rerun-sdk)")
+        say(f"  in a browser, served by this machine:  rerun --web-viewer {paths}")
         return
     import subprocess
 
-    raise typer.Exit(subprocess.call([sys.executable, "-m", "rerun", str(recording)]))
+    call = [sys.executable, "-m", "rerun", *map(str, recordings)]
+    raise typer.Exit(subprocess.call(call))
 
 
 def _has_display() -> bool:

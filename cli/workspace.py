@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ..topology.errors import DataError, DocumentError, UsageError
 
 if TYPE_CHECKING:
+    from ..merge.document import MergedDocument
     from ..merge.locks import Lock
     from ..topology.topomap import TopoMap
 
@@ -30,7 +31,8 @@ NAME_BYTES = 200
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`, `cache/`.
+    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`,
+    `discards.json`, `history.jsonl`, `cache/`.
 
     What lies there may come from others. Raises DataError if one of its folders is a link, or is
     none: what is written and cleared away lies in the workspace. Names become paths only if they
@@ -44,7 +46,15 @@ class Workspace:
 
     def __post_init__(self) -> None:
         cache = self.root / "cache"
-        for folder in (self.maps, cache, cache / "ingest", self.root / "explain"):
+        for folder in (
+            self.maps,
+            cache,
+            cache / "ingest",
+            cache / "log",
+            self.pairs,
+            self.root / "explain",
+            self.exports,
+        ):
             self._require(folder, stat.S_IFDIR, "folder")
         self._require(self.root / ".lock", stat.S_IFREG, "file")
 
@@ -72,10 +82,19 @@ class Workspace:
         return self.root / f"{plain_name(self.merge, MERGE)}.rrd"
 
     def check_merge(self) -> None:
-        """UsageError if the name of the merge is too long, or another file's."""
+        """UsageError if the name of the merge is too long, or that of something else."""
         checked_file_name(self.merge, MERGE)
-        if self.merge.casefold() in (MERGED, self.locks_json.stem) or self.merge in self.runs():
+        folders = (self.maps.name, "cache", "explain", self.exports.name)
+        kept = (MERGED, self.locks_json.stem, self.discards_json.stem, *folders)
+        if self.merge.casefold() in kept or self.merge in self.runs():
             raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
+
+    def check_run(self, run: str) -> None:
+        """UsageError if a merge is called like a run: `view` and people could not tell which."""
+        merge = self.root / f"{plain_name(run)}.json"
+        others = (self.locks_json, self.discards_json)
+        if run.casefold() == MERGED or (merge not in others and os.path.lexists(merge)):
+            raise UsageError(f"{run!r} cannot name a run: a merge is called so")
 
     @property
     def locks_json(self) -> Path:
@@ -100,9 +119,23 @@ class Workspace:
             name = "+".join((*short, digest))
         return self.root / "explain" / f"{name}{kind}.rrd"
 
+    @property
+    def exports(self) -> Path:
+        """Folder of maps in the formats of others."""
+        return self.root / "exports"
+
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
+
+    @property
+    def pairs(self) -> Path:
+        """Folder of what matching pairs of maps found; may be deleted at any time."""
+        return self.root / "cache" / "pairs"
+
+    def raw_log_rrd(self, run: str) -> Path:
+        """The log of a run as a recording; may be deleted at any time."""
+        return self.root / "cache" / "log" / f"{plain_name(run)}.log.rrd"
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""
@@ -112,7 +145,7 @@ class Workspace:
         """The runs that a command is about; UsageError or DataError where there are none."""
         known = self.runs()
         if not known:
-            raise self._no_maps()
+            raise self.no_maps()
         if everything and names:
             raise UsageError("give run names or --all, not both")
         if everything:
@@ -126,7 +159,8 @@ class Workspace:
             )
         return sorted(set(names))
 
-    def _no_maps(self) -> DataError:
+    def no_maps(self) -> DataError:
+        """What to say of a workspace without maps."""
         return DataError(f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
 
     def read_map(self, run: str) -> TopoMap:
@@ -141,6 +175,15 @@ class Workspace:
         if topomap.run != run:
             raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
         return topomap
+
+    def read_merged(self) -> MergedDocument:
+        """The merged document; DataError if there is none, DocumentError if it is none."""
+        from ..merge.document import read_merged
+
+        if not self.merged_json.is_file():
+            told = "is not there yet; make it with `topobatch merge --all`"
+            raise DataError(f"{self.merged_json}: {told}")
+        return read_merged(self.merged_json)
 
     def locks(self) -> tuple[Lock, ...]:
         """What a person decided about pairs of runs; DocumentError if it cannot be read."""
@@ -158,6 +201,36 @@ class Workspace:
 
         write_json(self.locks_json, locks_to_document(locks))
 
+    @property
+    def history(self) -> Path:
+        """What was done to the workspace."""
+        return self.root / "history.jsonl"
+
+    @property
+    def discards_json(self) -> Path:
+        """Matches that a person took back."""
+        return self.root / "discards.json"
+
+    def discards(self) -> frozenset[tuple[str, str]]:
+        """Pairs of runs whose match a person took back; DocumentError if that cannot be read."""
+        from ..merge.discards import discards_from_document
+        from ..topology.document import read_json
+
+        if not os.path.lexists(self.discards_json):
+            return frozenset()
+        return discards_from_document(read_json(self.discards_json), str(self.discards_json))
+
+    def write_discards(self, pairs: Iterable[tuple[str, str]]) -> None:
+        """Keep these pairs; none leave no document."""
+        from ..merge.discards import discards_to_document
+        from ..topology.document import write_json
+
+        kept = frozenset(pairs)
+        if kept:
+            write_json(self.discards_json, discards_to_document(kept))
+        else:
+            self.discards_json.unlink(missing_ok=True)
+
     @contextmanager
     def held(self, say: Callable[[str], None], *, make: bool = True) -> Iterator[None]:
         """Keep other topobatch processes out of the workspace, waiting for them if need be.
@@ -168,7 +241,8 @@ class Workspace:
         from filelock import FileLock, Timeout
 
         if not make and not self.root.is_dir():
-            raise self._no_maps()
+            raise self.no_maps()
+        new = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.root / ".lock")
         try:
@@ -181,15 +255,35 @@ class Workspace:
             yield
         finally:
             self._clear_left_overs()  # of worker processes that were stopped
+            if new:
+                self._remove_if_empty(new)
             lock.release()
+
+    def _remove_if_empty(self, new: Sequence[Path]) -> None:
+        """Take back a workspace that was made for nothing; new: the folders made for it, innermost
+        first. Called while the lock is held: whoever waits for it finds its file gone, and makes
+        another."""
+        record = self.ingest_record("x").parent
+        for folder in (self.maps, record, record.parent):
+            _remove_folder(folder)
+        with suppress(OSError):  # a file in use stays on some systems, and with it the workspace
+            if [path.name for path in self.root.iterdir()] == [".lock"]:
+                (self.root / ".lock").unlink()
+        for folder in new:
+            _remove_folder(folder)
 
     def _clear_left_overs(self) -> None:
         from ..topology.document import LEFT_OVER
 
-        for folder in (self.root, self.maps, self.ingest_record("x").parent):
+        for folder in (self.root, self.maps, self.ingest_record("x").parent, self.pairs):
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+def _remove_folder(folder: Path) -> None:
+    with suppress(OSError):  # it is not there, or holds something
+        folder.rmdir()
 
 
 def shortened(names: Sequence[str], most: int = 12) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from ..topology.errors import UsageError
+from ..topology.errors import LogError, UsageError
+from .junction_source import junction_source
 from .logs.field_check import check_fields
 from .logs.fields import JunctionFields, fields_decoder
 from .logs.intake import Intake, decoder_for
@@ -14,8 +15,6 @@ from .logs.recording import Recording, opened
 from .logs.topics import (
     JUNCTION_KINDS,
     ODOMETRY_KINDS,
-    Choice,
-    choose_junctions,
     choose_odometry,
 )
 from .read_settings import ReadSettings
@@ -40,12 +39,25 @@ def acceptance(
     if counts is None:
         return lambda channel: channel.topic in named or channel.type_name in types
     listed = {channel.topic for channel in counts}
-    chosen = {c.topic for c in choose_odometry(counts, settings.odometry_topic, log)}
-    chosen.add(junction_choice(counts, settings, log).topic)
+    chosen = _chosen(counts, settings, log)
     # A topic that the index forgot is kept as well: the choice is made again at the end.
     return lambda channel: (
         channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
     )
+
+
+def _chosen(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> set[str]:
+    """Topics of odometry and detections; scans are read by themselves, and can do without both."""
+    source = junction_source(counts, settings, log)
+    detections = {source.choice.topic} if source.way == "topic" else set()
+    if source.way == "grid":
+        return set()
+    try:
+        return {c.topic for c in choose_odometry(counts, settings.odometry_topic, log)} | detections
+    except LogError:
+        if detections or settings.odometry_topic is not None:
+            raise
+        return set()
 
 
 def decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecoder]:
@@ -101,9 +113,3 @@ def _try_mapping(recording: Recording, settings: ReadSettings, log: str) -> None
     found = Source.of(intake.of_topic(topic or ""))
     if found.messages and found.failed == found.messages:
         raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")
-
-
-def junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
-    """The topic of the junction detections; raises LogError or UsageError if there is none."""
-    any_type = settings.junction_fields is not None
-    return choose_junctions(counts, settings.junction_topic, any_type, log)

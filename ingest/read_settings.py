@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
 
 from ..topology.errors import UsageError
 from .logs.fields import JunctionFields
 from .odometry.track import TrackSettings
+from .scans.slicing import SliceSettings
 from .sightings import SightingSettings
 from .sources import Clock
+
+Way = Literal["topic", "scan", "cloud", "grid"]
+"""How junctions come: as detections, or found in scans, in clouds of points, in a grid."""
+
+Stamp = Literal["begin", "middle", "end"]
+"""Which beam of a scan its time is of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +27,11 @@ class ReadSettings:
 
     odometry_topic, junction_topic, scan_topic: None finds them; base_frame: the robot's frame,
     where a topic holds the odometry of several; junction_fields: which fields of any other message
-    are the junction ("center=pose.position,branches=frontiers[].angle"); time: the clock to go by;
-    strict: refuse a damaged log instead of using what it still holds.
+    are the junction ("center=pose.position,branches=frontiers[].angle"); junctions_from: how
+    junctions come, None takes the first way that the log has something for; laser_pose: x, y [m],
+    yaw [rad] of the scans' frame on the robot, None finds it; scan_stamp: which beam the time of a
+    scan is of; time: the clock to go by; strict: refuse a damaged log instead of using what it
+    still holds.
     """
 
     odometry_topic: str | None = None
@@ -26,6 +39,10 @@ class ReadSettings:
     scan_topic: str | None = None
     base_frame: str | None = None
     junction_fields: str | None = None
+    junctions_from: Way | None = None
+    laser_pose: tuple[float, float, float] | None = None
+    scan_stamp: Stamp = "begin"
+    slices: SliceSettings = field(default_factory=SliceSettings)
     time: Clock = "header"
     strict: bool = False
     track: TrackSettings = field(default_factory=TrackSettings)
@@ -34,6 +51,8 @@ class ReadSettings:
     def __post_init__(self) -> None:
         if self.time not in ("header", "log"):
             raise UsageError(f"--time is {self.time!r}, expected header or log")
+        if self.laser_pose is not None and not np.isfinite(self.laser_pose).all():
+            raise UsageError(f"--laser-pose is {self.laser_pose}, which is no place")
         if self.junction_fields is not None:
             JunctionFields.parse(self.junction_fields)
             named = self.odometry_topic

@@ -158,18 +158,27 @@ def pair_of_poses(source: Source, base: str | None = None) -> int | None:
     return int(count.argmax()) if count.any() else None
 
 
-def choose_clock(odometry: Source, junctions: Source, wanted: Clock, warnings: list[str]) -> Clock:
-    """The clock to go by: the wanted one, or log time where header stamps cannot serve."""
+def choose_clock(
+    odometry: Source,
+    junctions: Source,
+    wanted: Clock,
+    warnings: list[str],
+    what: str = "junction",
+) -> Clock:
+    """The clock to go by: the wanted one, or log time where header stamps cannot serve.
+
+    what: the messages of `junctions`, for the warnings.
+    """
     if wanted == "log":
         return "log"
-    for source, what in ((odometry, "odometry"), (junctions, "junction")):
+    for source, name in ((odometry, "odometry"), (junctions, what)):
         zero = source.columns.stamp_ns == 0
         if 2 * int(zero.sum()) > len(zero):
-            warnings.append(f"{what} messages carry no header time; log time is used")
+            warnings.append(f"{name} messages carry no header time; log time is used")
             return "log"
     if _apart(odometry, junctions, "header") and not _apart(odometry, junctions, "log"):
         warnings.append(
-            "header times of odometry and junctions are of different clocks; log time is used"
+            f"header times of odometry and {what}s are of different clocks; log time is used"
         )
         return "log"
     return "header"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from collections.abc import Collection, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -13,14 +13,23 @@ import numpy as np
 from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
 from . import robust
+from .discards import REASON, Names
 from .fusion.fuse import DEFAULT_FUSION, FusionSettings, fuse
 from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
 from .layers import layers_to_document
 from .locks import Lock
 from .paper import method as paper
 from .paper.method import DEFAULT_PAPER, PaperSettings
-from .result import Component, MergeResult, PairVerdict, Spread
-from .robust import DEFAULT_ROBUST, RobustSettings
+from .result import (
+    Component,
+    MergeResult,
+    PairVerdict,
+    Spread,
+    Unlisted,
+    Verdict,
+    pairs_of,
+)
+from .robust import DEFAULT_ROBUST, Means, RobustSettings
 from .through import joined_through
 
 
@@ -37,6 +46,10 @@ class MergeSettings:
 
 DEFAULT_MERGE = MergeSettings()
 
+MOST_LISTED = 5000
+"""Pairs: of a larger merge those are counted that have nothing to say. As many as are all matched:
+what was not matched is not listed."""
+
 ALONE = "; the two maps alone: "
 """Stands in the reasons of pairs that others join, before what they say by themselves."""
 
@@ -46,28 +59,67 @@ def merge_maps(
     settings: MergeSettings = DEFAULT_MERGE,
     *,
     locks: Sequence[Lock] = (),
-    on_pair: Callable[[int, int], None] | None = None,
-    executor: Executor | None = None,
+    discarded: Collection[Names] = (),
+    means: Means | None = None,
 ) -> MergeResult:
     """Merge the maps of many runs: a verdict for every pair, components, one fused map.
 
-    locks: what a person decided about pairs; on_pair(done, total) after each pair; executor: where
-    pairs are matched, here if None. The result does not depend on the order of the maps.
+    locks: what a person decided about pairs; discarded: pairs of runs, each in the order of names,
+    whose matches a person took back; means: where pairs are matched, and what is known of
+    them already. The result depends neither on that nor on the order of the maps.
     Raises DataError if two maps are of the same run, or one is in pieces (`pieces.joined_pieces`).
     """
     ordered = _by_run(maps)
     verdicts: tuple[PairVerdict, ...]
     if settings.method == "robust":
         verdicts = robust.decide(
-            ordered, settings.robust, locks=locks, on_pair=on_pair, executor=executor
+            ordered, settings.robust, locks=locks, discarded=discarded, means=means
         )
     else:
-        verdicts = paper.decide(
-            ordered, settings.paper, locks=locks, on_pair=on_pair, executor=executor
-        )
+        means = means or Means()
+        with means.workers.start() if means.workers else nullcontext() as executor:
+            verdicts = paper.decide(
+                ordered, settings.paper, locks=locks, on_pair=means.on_pair, executor=executor
+            )
+        verdicts = tuple(_taken_back(v) if (v.a, v.b) in discarded else v for v in verdicts)
     components, fused = fuse(ordered, verdicts, settings.fusion, how_sure=True)
-    told = _placed(verdicts, components)
-    return MergeResult(components, fused, told, info=_info(settings, components, told))
+    listed, unlisted = _listed_pairs(len(ordered), verdicts, components, discarded)
+    told = _placed(listed, components)
+    info = _info(settings, components, told)
+    return MergeResult(components, fused, told, info=info, unlisted=unlisted)
+
+
+def _taken_back(verdict: PairVerdict) -> PairVerdict:
+    """The verdict on a pair whose match a person discarded; locks are of a person, too."""
+    if verdict.locked:
+        return verdict
+    need = verdict.threshold_bits
+    return PairVerdict(
+        verdict.a, verdict.b, Verdict.UNRELATED, False, 0.0, REASON, threshold_bits=need
+    )
+
+
+def _listed_pairs(
+    runs: int,
+    verdicts: tuple[PairVerdict, ...],
+    components: Sequence[Component],
+    discarded: Collection[Names],
+) -> tuple[tuple[PairVerdict, ...], Unlisted | None]:
+    """The verdicts to list, all of a small merge, and the numbers of the others of a large one."""
+    if pairs_of(runs) <= MOST_LISTED:
+        return verdicts, None
+    home = {run: c.id for c in components for run in c.poses}
+    listed = tuple(
+        v
+        for v in verdicts
+        if v.verdict is not Verdict.UNRELATED or v.locked or (v.a, v.b) in discarded
+    )
+    joined = sum(pairs_of(len(c.poses)) for c in components)
+    joined -= sum(home[v.a] == home[v.b] for v in listed)
+    apart = [v for v in verdicts if home[v.a] != home[v.b]]
+    unrelated = len(apart) - sum(home[v.a] != home[v.b] for v in listed)
+    screened = pairs_of(runs) - len(listed) - joined - unrelated
+    return listed, Unlisted(joined, unrelated, screened)
 
 
 def _apart(spread: Spread, pair: PairVerdict) -> tuple[float, float]:

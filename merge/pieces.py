@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..topology.topomap import Closure, TopoMap
+from .member_times import member_times
 from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
 from .result import FusedMap, PairVerdict, Verdict, graph_part
 
@@ -38,7 +39,8 @@ def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> 
     asked = [c for v in result.verdicts for c in _closures(v, able)]
     whole = replace(topomap, closures=(*topomap.closures, *asked))
     # Components come in the order of their first parts, which are named by time.
-    found = [_cut_out(whole, result.fused, c.id) for c in result.components]
+    times = _times(able, result.fused)
+    found = [_cut_out(whole, result.fused, c.id, times) for c in result.components]
     main = max(found or small, key=_passes)
     kept = [main, *(m for m in found if m is not main)]
     small = [m for m in small if m is not main]
@@ -113,7 +115,21 @@ def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
     return replace(topomap, run=name, info={}, **graph_part(topomap, chosen), **passes, **sigmas)
 
 
-def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
+def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:
+    """When the corridors of the merged parts were driven."""
+    return member_times(
+        parts,
+        fused.edge_members,
+        fused_of={(n, v): k for k, of in enumerate(fused.members) for n in of for v in of[n]},
+        source=fused.source,
+        target=fused.target,
+        length=fused.length,
+    )
+
+
+def _cut_out(
+    topomap: TopoMap, fused: FusedMap, component: int, times: tuple[IntArray, ...] | None
+) -> TopoMap:
     """One component of the merged parts as the map of a run."""
     chosen = fused.component == component
     seen = sorted(
@@ -125,7 +141,11 @@ def _cut_out(topomap: TopoMap, fused: FusedMap, component: int) -> TopoMap:
     passes = _seen(topomap, vertex, time_ns)
     # What each part knew of its own shape says nothing of that of the whole.
     plain = replace(topomap, position_sigma=None, branch_sigma=None)
-    return replace(plain, **graph_part(fused, chosen), **passes)
+    part = graph_part(fused, chosen)
+    if times is not None:
+        edges = np.flatnonzero(chosen[fused.source]).tolist()
+        part["traversal_ns"] = tuple(times[e] for e in edges)
+    return replace(plain, **part, **passes)
 
 
 def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:

@@ -50,7 +50,9 @@ class Alignment:
     place, not a copy of it? (counted so that both need the same for merging); matched: (k, 2)
     int64 pairs (vertex of a, vertex of b), sorted; rmse_m: root mean square distance of the
     matched vertices under the transform; contradictions: sentences, one per disagreement found
-    ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there").
+    ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there"); contradicting: for each
+    of these the vertices of a and of b that it speaks of, a corridor as its two ends; empty where
+    that is not known.
     """
 
     transform: NDArray[np.float64]
@@ -59,12 +61,15 @@ class Alignment:
     rmse_m: float
     corridors: int = 0
     contradictions: tuple[str, ...] = ()
+    contradicting: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = ()
 
     def __post_init__(self) -> None:
         transform = frozen_array(self.transform, np.float64, (3,), "transform")
         object.__setattr__(self, "transform", transform)
         matched = frozen_array(np.reshape(self.matched, (-1, 2)), np.int64, (None, 2), "matched")
         object.__setattr__(self, "matched", matched)
+        if self.contradicting and len(self.contradicting) != len(self.contradictions):
+            raise ValueError("every contradiction needs its vertices, or none of them")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,9 +193,15 @@ class FusedMap:
         return len(self.xy)
 
 
+def pairs_of(runs: int) -> int:
+    """How many pairs of runs there are."""
+    return runs * (runs - 1) // 2
+
+
 def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
     number = np.cumsum(chosen) - 1
+    times = graph.traversal_ns if isinstance(graph, TopoMap) else None
     rows, edges = np.flatnonzero(chosen), np.flatnonzero(chosen[graph.source])
     return {
         "xy": graph.xy[rows],
@@ -204,21 +215,49 @@ def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str
         "length_sigma": graph.length_sigma[edges],
         "traversals": graph.traversals[edges],
         "paths": tuple(graph.paths[e] for e in edges.tolist()),
+        "traversal_ns": None if times is None else tuple(times[e] for e in edges.tolist()),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Unlisted:
+    """Pairs of runs that a large merge counts instead of listing: none of them is accepted, or
+    speaks for an alignment, or was spoken of by a person.
+
+    joined: in one component, through other runs; of the others: unrelated: matched, with nothing
+    that chance would not offer; screened: not matched, as no corridors that hang together look
+    alike enough for the two to be merged.
+    """
+
+    joined: int = 0
+    unrelated: int = 0
+    screened: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeResult:
     """Everything `merged.json` holds.
 
-    verdicts: one per pair of runs, sorted by (a, b). info: what else the document's `graph` says
-    (method, settings, warnings, layers). JSON values only.
+    verdicts: one per pair of runs, sorted by (a, b), but for those that a large merge counts in
+    `unlisted`. info: what else the document's `graph` says (method, settings, warnings, layers).
+    JSON values only.
     """
 
     components: tuple[Component, ...]
     fused: FusedMap
     verdicts: tuple[PairVerdict, ...]
     info: Mapping[str, Any] = field(default_factory=dict)
+    unlisted: Unlisted | None = None
+
+    def count(self, standing: Standing) -> int:
+        """How many pairs, listed or not, stand so."""
+        listed = sum(pair.standing is standing for pair in self.verdicts)
+        rest = self.unlisted or Unlisted()
+        if standing is Standing.JOINED:
+            return listed + rest.joined
+        if standing is Standing.UNRELATED:
+            return listed + rest.unrelated + rest.screened
+        return listed
 
 
 def shown_bits(bits: float, digits: int = 1) -> str:

@@ -6,6 +6,7 @@ settings give the same runs, and the same files byte for byte, on any machine.
 
 from .drift import DRIFTS, Drift
 from .faults import FAULTS, Faults
+from .laser import LASERS, LaserSettings
 from .motion import MotionSettings
 from .scenario import (
     RunSettings,
@@ -37,9 +38,11 @@ __all__ = [
     "DRIFTS",
     "FAULTS",
     "FORMATS",
+    "LASERS",
     "MIXED",
     "Drift",
     "Faults",
+    "LaserSettings",
     "MotionSettings",
     "RunSettings",
     "RunTruth",

@@ -1,7 +1,8 @@
 """Runs as ROS messages: nav_msgs/Odometry on /odom, geometry_msgs/PoseArray on /junctions.
 
 A detection is one PoseArray in the robot's frame: a pose per branch, each at the junction's centre
-and looking along its branch.
+and looking along its branch. A laser's scans are sensor_msgs/LaserScan on /scan, stamped with the
+time of their first beam, its place on the robot one message on /tf_static.
 """
 
 from __future__ import annotations
@@ -13,11 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .chance import Chance, quantised
+from .laser import Scans
 from .scenario import SimulatedRun
 from .world import FloatArray, IntArray
 
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 POSES_TYPE = "geometry_msgs/msg/PoseArray"
+SCAN_TYPE = "sensor_msgs/msg/LaserScan"
+TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
+
+LASER_FRAME = "laser"
+HEADER = "std_msgs/Header"
 
 COVARIANCE = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2]).ravel()
 
@@ -39,20 +46,44 @@ _PARTS = {
         "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n"
     ),
     POSES_TYPE: "std_msgs/Header header\ngeometry_msgs/Pose[] poses\n",
+    SCAN_TYPE: (
+        "std_msgs/Header header\nfloat32 angle_min\nfloat32 angle_max\nfloat32 angle_increment\n"
+        "float32 time_increment\nfloat32 scan_time\nfloat32 range_min\nfloat32 range_max\n"
+        "float32[] ranges\nfloat32[] intensities\n"
+    ),
+    "geometry_msgs/Transform": (
+        "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
+    ),
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
+    ),
+    TRANSFORMS_TYPE: "geometry_msgs/TransformStamped[] transforms\n",
 }
 _NEEDS = {
     ODOMETRY_TYPE: (
+        HEADER,
         *("geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose", "geometry_msgs/Point"),
         *("geometry_msgs/Quaternion", "geometry_msgs/TwistWithCovariance"),
         *("geometry_msgs/Twist", "geometry_msgs/Vector3"),
     ),
-    POSES_TYPE: ("geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion"),
+    POSES_TYPE: (HEADER, "geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion"),
+    SCAN_TYPE: (HEADER,),
+    TRANSFORMS_TYPE: (
+        *("geometry_msgs/TransformStamped", HEADER, "geometry_msgs/Transform"),
+        *("geometry_msgs/Vector3", "geometry_msgs/Quaternion"),
+    ),
 }
 DIGESTS = {
     ("ros1", ODOMETRY_TYPE): "cd5e73d190d741a2f92e81eda573aca7",
     ("ros1", POSES_TYPE): "916c28c5764443f268b296bb671b9d97",
     ("ros2", ODOMETRY_TYPE): (
         "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
+    ),
+    ("ros1", SCAN_TYPE): "90c7ef2dc6895d81024acba2ac42f369",
+    ("ros1", TRANSFORMS_TYPE): "94810edda583a504dfda3829e70d7eec",
+    ("ros2", SCAN_TYPE): "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
+    ("ros2", TRANSFORMS_TYPE): (
+        "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
     ),
     ("ros2", POSES_TYPE): "RIHS01_af0cc36d190e104d546d168d6b39df04fa4b4ccecf59cb4c9ed328d3d5004aa0",
 }
@@ -61,10 +92,11 @@ DIGESTS = {
 
 def definition(type_name: str, ros: str) -> str:
     """The text that describes a message type and all types it is made of; ros: "ros1", "ros2"."""
-    parts = [("std_msgs/Header", _STAMP[ros])]
-    if ros == "ros2":
-        parts.append(("builtin_interfaces/Time", _PARTS["builtin_interfaces/Time"]))
-    parts += [(name, _PARTS[name]) for name in _NEEDS[type_name]]
+    parts: list[tuple[str, str]] = []
+    for name in _NEEDS[type_name]:
+        parts.append((name, _STAMP[ros] if name == HEADER else _PARTS[name]))
+        if name == HEADER and ros == "ros2":
+            parts.append(("builtin_interfaces/Time", _PARTS["builtin_interfaces/Time"]))
     rule = "=" * 80
     return _PARTS[type_name] + "".join(f"{rule}\nMSG: {name}\n{text}" for name, text in parts)
 
@@ -80,8 +112,8 @@ class Topic:
     payloads: list[bytes]
 
 
-def topics_of(simulated: SimulatedRun, ros: str) -> tuple[Topic, Topic]:
-    """The two topics of a run, serialized for ROS 1 or as the CDR of ROS 2. O(n), vectorised.
+def topics_of(simulated: SimulatedRun, ros: str) -> tuple[Topic, ...]:
+    """The topics of a run, serialized for ROS 1 or as the CDR of ROS 2. O(n), vectorised.
 
     Messages reach the log some milliseconds after their stamp, like those of a real recorder.
     """
@@ -90,10 +122,15 @@ def topics_of(simulated: SimulatedRun, ros: str) -> tuple[Topic, Topic]:
     odometry_ns, seen_ns = run.odometry.time_ns, run.detections.time_ns
     late = chance.uniform(1_000, 8_000, len(odometry_ns)).astype(np.int64) * 1000
     seen_late = chance.uniform(20_000, 70_000, len(seen_ns)).astype(np.int64) * 1000
-    return (
-        Topic("/odom", ODOMETRY_TYPE, odometry_ns + late, odometry_ns, _odometry(simulated, ros)),
-        Topic("/junctions", POSES_TYPE, seen_ns + seen_late, seen_ns, _detections(simulated, ros)),
-    )
+    topics = [
+        Topic("/odom", ODOMETRY_TYPE, odometry_ns + late, odometry_ns, _odometry(simulated, ros))
+    ]
+    if simulated.tells_junctions:
+        seen = _detections(simulated, ros)
+        topics.append(Topic("/junctions", POSES_TYPE, seen_ns + seen_late, seen_ns, seen))
+    if simulated.scans is not None:
+        topics += _laser(simulated, simulated.scans, ros)
+    return tuple(topics)
 
 
 def in_log_order(topics: tuple[Topic, ...]) -> list[tuple[int, int, int, bytes]]:
@@ -218,3 +255,64 @@ def _detections(simulated: SimulatedRun, ros: str) -> list[bytes]:
         for i, payload in zip(which.tolist(), _payloads(rows), strict=True):
             out[i] = payload
     return out
+
+
+def _laser(simulated: SimulatedRun, scans: Scans, ros: str) -> tuple[Topic, Topic]:
+    """The scans, each in the log when its sweep is done, and where the laser is mounted."""
+    first_ns = simulated.run.odometry.time_ns[:1]
+    stamp_ns = simulated.scans_ns
+    chance = Chance("laser latency", len(scans))
+    late = chance.uniform(1_000, 9_000, len(scans)).astype(np.int64) * 1000
+    done_ns = stamp_ns + round(scans.settings.sweep_s * 1e9) + late
+    mount = _mount(simulated, scans, int(first_ns[0]), ros)
+    return (
+        Topic("/scan", SCAN_TYPE, done_ns, stamp_ns, _scans(scans, stamp_ns, ros)),
+        Topic("/tf_static", TRANSFORMS_TYPE, first_ns, first_ns, [mount]),
+    )
+
+
+def _scans(scans: Scans, stamp_ns: IntArray, ros: str) -> list[bytes]:
+    settings, angles = scans.settings, scans.angles_rad
+    layout = _Layout(ros)
+    layout.add_header(LASER_FRAME)
+    about = {
+        "angle_min": angles[0],
+        "angle_max": angles[-1],
+        "angle_increment": (angles[-1] - angles[0]) / (len(angles) - 1),
+        "time_increment": settings.sweep_s / (len(angles) - 1),
+        "scan_time": 1 / settings.rate_hz,
+        "range_min": settings.range_min_m,
+        "range_max": settings.range_max_m,
+    }
+    for name in about:
+        layout.add(name, "<f4")
+    layout.add("count", "<u4")
+    layout.add("ranges", "<f4", len(angles))
+    layout.add("no_intensities", "<u4")
+    rows = layout.rows(len(scans))
+    _fill_header(rows, stamp_ns, np.arange(len(scans)), LASER_FRAME)
+    for name, value in about.items():
+        rows[name] = value
+    rows["count"], rows["ranges"] = len(angles), scans.ranges_m
+    return _payloads(rows)
+
+
+def _mount(simulated: SimulatedRun, scans: Scans, time_ns: int, ros: str) -> bytes:
+    x, y, yaw = scans.settings.mount
+    layout = _Layout(ros)
+    layout.add("transforms", "<u4")
+    layout.add_header(simulated.run.odometry.child_frame)
+    layout.add_text("child", LASER_FRAME)
+    layout.add("translation", "<f8", 3)
+    layout.add("rotation", "<f8", 4)
+    rows = layout.rows(1)
+    _fill_header(
+        rows, np.array([time_ns]), np.zeros(1, np.int64), simulated.run.odometry.child_frame
+    )
+    _fill_text(rows, "child", LASER_FRAME)
+    rows["transforms"] = 1
+    rows["translation"] = x, y, 0.2
+    turn = _quaternion(np.array([yaw]))[0]
+    # Half a turn about the x axis after the yaw: (z, w) becomes (y, x).
+    rows["rotation"] = [turn[3], turn[2], 0.0, 0.0] if scans.settings.upside_down else turn
+    return _payloads(rows)[0]

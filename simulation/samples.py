@@ -1,7 +1,7 @@
 """Makes the sample logs: `python -m topobatch.simulation.samples sample_logs`.
 
-Three runs through one maze, each in another container, and one through streets elsewhere. Running
-it again gives the same files byte for byte.
+Three runs through one maze, each in another container, one through streets elsewhere, and one of a
+robot with a laser in an office. Running it again gives the same files byte for byte.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from .laser import LaserSettings
 from .motion import MotionSettings
 from .scenario import Scenario, ScenarioSettings, joined, simulate_scenario
 from .walk import WalkSettings
@@ -19,7 +20,8 @@ BRISK = MotionSettings(
 )
 """Short runs make small files."""
 
-FORMATS = ("mcap", "bag", "db3", "mcap")
+CONTAINERS = {"maze-1": "mcap", "maze-2": "bag", "maze-3": "db3"}
+"""What is not named here is an MCAP file."""
 
 MAZE = ScenarioSettings(
     world="maze",
@@ -48,16 +50,33 @@ STREETS = ScenarioSettings(
     prefix="streets-",
     seed=26,
 )
+OFFICE = ScenarioSettings(
+    world="office",
+    runs=1,
+    junctions_per_run=20,
+    drift="mid",
+    faults="mild",
+    walk=WalkSettings(revisit_share=0.3),
+    motion=BRISK,
+    odometry_hz=10.0,
+    laser=LaserSettings(beams=120, rate_hz=4.0, range_max_m=10.0),
+    tells_junctions=False,
+    prefix="office-",
+    seed=3,
+)
 
 
 def sample_scenario() -> Scenario:
     """The runs of the sample logs, in memory."""
-    return joined(simulate_scenario(MAZE), simulate_scenario(STREETS))
+    return joined(*(simulate_scenario(s) for s in (MAZE, OFFICE, STREETS)))
 
 
 def write_samples(folder: Path) -> list[Path]:
     """Write the sample logs and their truth into a folder; the paths of the logs."""
-    return write_scenario(sample_scenario(), folder, FORMATS)
+    scenario = sample_scenario()
+    return write_scenario(
+        scenario, folder, [CONTAINERS.get(name, "mcap") for name in scenario.runs]
+    )
 
 
 if __name__ == "__main__":

@@ -21,11 +21,12 @@ from .chance import Chance
 from .detector import sightings
 from .drift import DRIFTS, Drift, MeasuredTrack, measured
 from .faults import FAULTS, Faults
+from .laser import LASERS, LaserSettings, Scans, scans
 from .motion import Drive, MotionSettings, drive
 from .regions import chain_of_regions, scattered_regions
 from .truth import RunTruth, Truth
 from .walk import WalkSettings, explore
-from .world import FloatArray, World
+from .world import FloatArray, IntArray, World
 from .worlds import WORLDS, make_world
 
 EPOCH_NS = 1_700_000_000 * 10**9
@@ -43,6 +44,10 @@ class RunSettings:
     motion: MotionSettings = field(default_factory=MotionSettings)
     odometry_hz: float = 20.0
     detector_hz: float = 7.0
+    laser: LaserSettings | None = None
+    """None: there is no laser."""
+    tells_junctions: bool = True
+    """Whether the log holds what the detector reports."""
 
     def __post_init__(self) -> None:
         for name in ("odometry_hz", "detector_hz"):
@@ -74,6 +79,10 @@ class ScenarioSettings:
     motion: MotionSettings = field(default_factory=MotionSettings)
     odometry_hz: float = 20.0
     detector_hz: float = 7.0
+    laser: str | LaserSettings | None = None
+    """A level (none, mild, harsh) or a LaserSettings; None: the robots have no laser."""
+    tells_junctions: bool = True
+    """Whether the logs hold what the detectors report."""
     prefix: str = "run"
     """Runs are named prefix + number."""
     seed: int = 0
@@ -85,6 +94,8 @@ class ScenarioSettings:
             _one_of("drift", self.drift, DRIFTS)
         if isinstance(self.faults, str):
             _one_of("faults", self.faults, FAULTS)
+        if isinstance(self.laser, str):
+            _one_of("laser", self.laser, LASERS)
         for name, least, most in (
             ("runs", 1, 10_000),
             ("unrelated_runs", 0, 10_000),
@@ -109,6 +120,8 @@ class ScenarioSettings:
             motion=self.motion,
             odometry_hz=self.odometry_hz,
             detector_hz=self.detector_hz,
+            laser=LASERS[self.laser] if isinstance(self.laser, str) else self.laser,
+            tells_junctions=self.tells_junctions,
         )
 
 
@@ -121,12 +134,17 @@ def _one_of(name: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> 
 class SimulatedRun:
     """A run as its log will hold it, the truth about it, and the measured speeds.
 
-    twist: (n, 2) forward [m/s] and turning speed [rad/s] of every odometry row.
+    twist: (n, 2) forward [m/s] and turning speed [rad/s] of every odometry row; scans: what the
+    laser saw, None without one; scans_ns: (k,) their stamps; tells_junctions: whether the log holds
+    `run.detections`.
     """
 
     run: Run
     truth: RunTruth
     twist: FloatArray
+    scans: Scans | None = None
+    scans_ns: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    tells_junctions: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,6 +264,9 @@ def simulate_run(
 
     odometry = Odometry(time_ns=stamps(track.time_s), pose=track.pose, breaks=track.breaks)
     detections = Detections(stamps(seen.time_s), seen.centre, seen.branches)
+    seen_by_laser = (
+        scans(world, driven, closed, s.laser, Chance("laser", seed)) if s.laser else None
+    )
     every = np.arange(0, len(track.time_s), max(1, round(s.odometry_hz / 2)))
     wrapped = np.column_stack([track.true_pose[:, :2], wrap(track.true_pose[:, 2])])
     truth = RunTruth(
@@ -262,9 +283,39 @@ def simulate_run(
         path=wrapped[every],
         closed_edges=tuple(sorted(closed)),
         **_events(track, odometry),
-        settings={"seed": seed, **asdict(s)},
+        doors=_shut(seen_by_laser, stamps),
+        settings={"seed": seed, **_told(s)},
     )
-    return SimulatedRun(Run(name, odometry, detections), truth, track.twist)
+    return SimulatedRun(
+        Run(name, odometry, detections),
+        truth,
+        track.twist,
+        seen_by_laser,
+        stamps(seen_by_laser.time_s if seen_by_laser else np.zeros(0)),
+        s.tells_junctions,
+    )
+
+
+def _told(settings: RunSettings) -> dict[str, Any]:
+    """The settings for the truth; without a laser nothing is said of one."""
+    told = asdict(settings)
+    if settings.laser is None:
+        del told["laser"], told["tells_junctions"]
+    return told
+
+
+def _shut(scans: Scans | None, stamps: Any) -> tuple[tuple[int, int, int, int], ...]:
+    """Corridor, vertex, from and to [ns] of every time that a door was shut."""
+    if scans is None:
+        return ()
+    doors = scans.doors
+    columns = (
+        doors.edge[doors.door],
+        doors.vertex[doors.door],
+        stamps(doors.from_s),
+        stamps(doors.to_s),
+    )
+    return tuple(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _drives(driven: Drive, stamps: Any) -> dict[str, Any]:

@@ -10,15 +10,17 @@
                                   "messages": […], "fault": […]},
                        "drives": {"edge": […], "start_ns": […], "end_ns": […]},
                        "closed_edges": […], "break_ns": […], "jump_ns": […],
+                       "doors": [[edge, vertex, from_ns, to_ns], …],
                        "path": [[time_ns, x, y, theta], …],
                        "settings": {…}}},
      "pairs": [{"a": "run1", "b": "run2", "common": [vertex, …], "transform": [x, y, theta]}]}
 
 Metres and radians in the frame of the world. A vertex or edge is named by its place in the list of
 its world. `vertex` is -1 for a phantom; a pass with 0 messages was not detected. Pass times are the
-detector's stamps, `path` and `drives` are true times. `T_world_odom` places the odometry frame by
-the first pose; drift comes on top of it. `transform` is T_a_b, from the same placing; it and
-`common` (vertices that both runs detected) are there for every pair of runs of one world.
+detector's stamps, `path`, `drives` and `doors` are true times; `doors` tells when they were shut,
+and is left out of runs without a laser. `T_world_odom` places the odometry frame by the first pose;
+drift comes on top of it. `transform` is T_a_b, from the same placing; it and `common` (vertices
+that both runs detected) are there for every pair of runs of one world.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ class RunTruth:
 
     start_ns, end_ns, vertex, messages: (p,) and fault: p words, the passes by time. drive_edge,
     drive_start_ns, drive_end_ns: (l,) corridors driven end to end. path_ns: (k,), path: (k, 3).
+    doors: corridor, vertex at that end of it, from and to [ns] of each time that a door was shut.
     """
 
     name: str
@@ -71,6 +74,7 @@ class RunTruth:
     closed_edges: tuple[int, ...] = ()
     break_ns: tuple[int, ...] = ()
     jump_ns: tuple[int, ...] = ()
+    doors: tuple[tuple[int, int, int, int], ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -245,6 +249,7 @@ def _run_to_document(run: RunTruth) -> dict[str, Any]:
         "closed_edges": list(run.closed_edges),
         "break_ns": list(run.break_ns),
         "jump_ns": list(run.jump_ns),
+        **({"doors": [list(row) for row in run.doors]} if run.doors else {}),
         "path": [[t, *pose] for t, pose in path],
         "settings": dict(run.settings),
     }
@@ -293,6 +298,7 @@ def _run_from_document(name: str, doc: Any) -> RunTruth:
         closed_edges=tuple(doc["closed_edges"]),
         break_ns=tuple(doc["break_ns"]),
         jump_ns=tuple(doc["jump_ns"]),
+        doors=tuple(tuple(row) for row in doc.get("doors", ())),
         settings=doc["settings"],
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import xml.etree.ElementTree as ET
 from itertools import combinations
 from pathlib import Path
 
@@ -30,6 +31,8 @@ from topobatch.simulation.samples import sample_scenario
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.se2 import between
 from topobatch.topology.topomap import TopoMap
+from topobatch.viz.draw import draw_merged
+from topobatch.viz.theme import DARK, LIGHT
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 MAZE = ("maze-1", "maze-2", "maze-3")
@@ -178,6 +181,14 @@ def test_the_picture_shows_what_is_made_of_the_sample_logs_today(merged: MergeRe
     picture = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(picture)
     assert picture.shown_by(picture.PICTURE) == picture.facts(merged_to_document(merged))
+    for theme, drawing in picture.DRAWN.items():
+        wanted = draw_merged(merged, {"light": LIGHT, "dark": DARK}[theme]).as_bytes("svg")
+        assert words(drawing.read_bytes()) == words(wanted)
+
+
+def words(svg: bytes) -> list[str]:
+    """What is written in a drawing."""
+    return [text for text in ET.fromstring(svg).itertext() if text.strip()]
 
 
 def test_the_page_on_verdicts_shows_what_explain_says_today(

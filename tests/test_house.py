@@ -23,7 +23,17 @@ MAY_IMPORT = {
     "cli": {"topology", "ingest", "merge", "simulation", "viz"},
 }
 VIZ_MAY_USE_OF_MERGE = {"result", "paper.explain", "decision", "decision_text"}
-HEAVY = ("rerun", "numpy", "scipy", "rosbags", "mcap", "networkx", "pydantic", "rich.progress")
+HEAVY = (
+    "rerun",
+    "numpy",
+    "scipy",
+    "rosbags",
+    "mcap",
+    "networkx",
+    "pydantic",
+    "matplotlib",
+    "rich.progress",
+)
 
 
 def modules(package: str) -> list[Path]:
@@ -103,6 +113,15 @@ def test_every_module_is_below_a_declared_package() -> None:
             assert dotted in declared, f"{path} would not be installed"
 
 
+def locked_versions(name: str) -> dict[str, list[str]]:
+    """The versions of every package in a lock file; several where they differ by platform."""
+    locked: dict[str, list[str]] = {}
+    found = re.findall(r"^([\w.-]+)==([\w.+-]+)", (ROOT / name).read_text(), re.MULTILINE)
+    for package, version in found:
+        locked.setdefault(package.lower(), []).append(version)
+    return locked
+
+
 def test_what_is_imported_is_declared_and_locked() -> None:
     import tomllib
     from importlib.metadata import packages_distributions
@@ -112,14 +131,22 @@ def test_what_is_imported_is_declared_and_locked() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     needed = [Requirement(text) for text in project["dependencies"]]
     tools = [Requirement(text) for text in project["optional-dependencies"]["dev"]]
-    lines = (ROOT / "requirements-dev.lock").read_text().splitlines()
-    locked: dict[str, list[str]] = {}
-    for name, version in re.findall(r"^([\w.-]+)==([\w.+-]+)", "\n".join(lines), re.MULTILINE):
-        locked.setdefault(name.lower(), []).append(version)
+    locked, runs = locked_versions("requirements-dev.lock"), locked_versions("requirements.lock")
+    # What runs the program is what its tests run on, without their tools.
+    assert {name: locked.get(name) for name in runs} == runs
+    assert not {"pytest", "mypy", "ruff", "hypothesis"} & set(runs)
+    for requirement in needed:
+        assert re.sub("[._]", "-", requirement.name.lower()) in runs, requirement
     for requirement in [*needed, *tools]:
         found = locked[re.sub("[._]", "-", requirement.name.lower())]
         assert all(requirement.specifier.contains(version) for version in found), requirement
-    declared = {re.sub("[._]", "-", requirement.name.lower()) for requirement in needed}
+    extras = [
+        Requirement(text)
+        for extra, texts in project["optional-dependencies"].items()
+        if extra != "dev"
+        for text in texts
+    ]
+    declared = {re.sub("[._]", "-", asked.name.lower()) for asked in [*needed, *extras]}
     origin = packages_distributions()
     for path in [path for package in PACKAGES for path in modules(package)]:
         for node in ast.walk(ast.parse(path.read_text())):
@@ -127,7 +154,7 @@ def test_what_is_imported_is_declared_and_locked() -> None:
             if isinstance(node, ast.ImportFrom) and node.level == 0:
                 names = [node.module or ""]
             for name in {name.split(".")[0] for name in names} - sys.stdlib_module_names:
-                homes = {re.sub("[._]", "-", home.lower()) for home in origin[name]}
+                homes = {re.sub("[._]", "-", home.lower()) for home in origin.get(name, [name])}
                 assert homes & declared, f"{path}: {name} is not declared"
 
 
@@ -148,7 +175,8 @@ def test_importing_the_library_does_not_load_the_viewer() -> None:
     code = (
         "import sys, topobatch, topobatch.topology.document, topobatch.merge.merging\n"
         "import topobatch.ingest.reading, topobatch.ingest.mapping, topobatch.viz\n"
-        "print([m for m in ('rerun', 'rosbags', 'scipy.optimize') if m in sys.modules])"
+        "heavy = ('rerun', 'rosbags', 'scipy.optimize', 'matplotlib')\n"
+        "print([m for m in heavy if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -7,14 +7,18 @@ import sys
 from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from topobatch.ingest.reading import read_run
+from topobatch.ingest.logs.recording import recording_at
+from topobatch.ingest.reading import inspect_log, read_run
+from topobatch.ingest.scans.stream import Mounting, ScanStream
 from topobatch.simulation import Truth, read_truth
 from topobatch.simulation.samples import sample_scenario
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
-LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "streets-1.mcap")
+LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "office-1.mcap", "streets-1.mcap")
+WITH_DETECTIONS = tuple(log for log in LOGS if not log.startswith("office"))
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -36,7 +40,7 @@ def test_one_command_writes_them_anew_byte_for_byte(tmp_path: Path) -> None:
 
 
 def test_they_are_small_and_come_in_three_containers() -> None:
-    assert sum(len(raw) for raw in _contents(SAMPLES).values()) < 3_200_000
+    assert sum(len(raw) for raw in _contents(SAMPLES).values()) < 3_700_000
     assert (SAMPLES / "maze-1.mcap").read_bytes().startswith(b"\x89MCAP0\r\n")
     assert (SAMPLES / "maze-2.bag").read_bytes().startswith(b"#ROSBAG V2.0\n")
     assert (SAMPLES / "maze-3" / "maze-3_0.db3").read_bytes().startswith(b"SQLite format 3\0")
@@ -44,16 +48,17 @@ def test_they_are_small_and_come_in_three_containers() -> None:
 
 
 def test_three_runs_overlap_and_one_is_elsewhere(truth: Truth) -> None:
-    assert truth.linked(least_common=12) == [{"maze-1", "maze-2", "maze-3"}, {"streets-1"}]
+    groups = [{"maze-1", "maze-2", "maze-3"}, {"office-1"}, {"streets-1"}]
+    assert truth.linked(least_common=12) == groups
     assert all(20 <= len(run.detected) <= 40 for run in truth.runs.values())
-    for run in truth.runs.values():
+    for run in (truth.runs[Path(log).stem] for log in WITH_DETECTIONS):
         corridors = set(run.drive_edge.tolist())
         assert len(corridors) - len(run.detected) >= 2, "no loops to close"
 
 
 def test_every_log_holds_the_run_that_was_simulated() -> None:
     simulated = sample_scenario().runs
-    for log in LOGS:
+    for log in WITH_DETECTIONS:
         run = read_run(SAMPLES / log)
         want = simulated[run.name]
         assert run.name == Path(log).stem
@@ -63,10 +68,27 @@ def test_every_log_holds_the_run_that_was_simulated() -> None:
         assert run.detections.branches.counts.tolist() == want.detections.branches.counts.tolist()
 
 
+def test_one_log_has_scans_and_no_detections(truth: Truth) -> None:
+    raw = (SAMPLES / "office-1.mcap").read_bytes()
+    assert len(raw) < 1_000_000
+    topics = {topic.topic: topic for topic in inspect_log(SAMPLES / "office-1.mcap").topics}
+    assert sorted(topics) == ["/odom", "/scan", "/tf_static"]
+    assert topics["/scan"].use == "scans"
+    scans = next(s.scans for s in sample_scenario().simulated if s.run.name == "office-1")
+    assert scans is not None
+    mounting = Mounting({"laser": np.array([0.15, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])})
+    stream = ScanStream(recording_at(SAMPLES / "office-1.mcap"), "/scan", mounting)
+    ranges = np.concatenate([batch.ranges_m for batch in stream])
+    want = np.where(np.isfinite(scans.ranges_m), scans.ranges_m, np.nan)
+    np.testing.assert_array_equal(ranges, want)
+    assert truth.runs["office-1"].doors
+
+
 def test_the_figures_of_the_readme_are_those_of_the_logs(truth: Truth) -> None:
     lines = (SAMPLES / "README.md").read_text().splitlines()
+    simulated = sample_scenario().runs
     for log in LOGS:
-        run = read_run(SAMPLES / log)
+        run = simulated[Path(log).stem]
         way_m, seen = run.odometry.step_m.sum(), truth.runs[run.name].detected
         row = next(line for line in lines if line.startswith(f"| `{log}` |"))
         assert row.endswith(f"| {way_m:.0f} m | {len(seen)} |")

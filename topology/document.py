@@ -69,21 +69,34 @@ class Model(BaseModel):
 class Observation(Model):
     """One pass of a robot by a vertex."""
 
-    run: str
-    time_ns: Nanoseconds
+    run: str = Field(description="The run that passed.")
+    time_ns: Nanoseconds = Field(
+        description="When the robot was nearest to the centre: nanoseconds since 1970, by the "
+        "clock of the log."
+    )
 
 
 class MapNode(Model):
     """A vertex of a map."""
 
-    id: Index
-    x: Metres
-    y: Metres
-    kind: str
-    branches: list[Finite] = Field(max_length=MOST_BRANCHES)
-    observations: list[Observation]
-    sigma_m: Noise | None = None
-    branch_sigmas: list[Noise] | None = None
+    id: Index = Field(description="0, 1, 2, … in the order of the list.")
+    x: Metres = Field(description="Position in the map's frame, metres.")
+    y: Metres = Field(description="Position in the map's frame, metres.")
+    kind: str = Field(description="junction, dead_end (one branch) or bend (two, not opposite).")
+    branches: list[Finite] = Field(
+        max_length=MOST_BRANCHES,
+        description="Direction in which each branch leaves, driven or only seen: radians in the "
+        "map's frame, ascending in [-π, π).",
+    )
+    observations: list[Observation] = Field(description="The passes of the robot, by time.")
+    sigma_m: Noise | None = Field(
+        None,
+        description="1 sigma of each coordinate, metres, with the map as a whole laid over the "
+        "truth; absent where it is not known.",
+    )
+    branch_sigmas: list[Noise] | None = Field(
+        None, description="1 sigma of each branch's direction, radians, likewise."
+    )
 
     @model_validator(mode="after")
     def _one_sigma_per_branch(self) -> MapNode:
@@ -95,15 +108,27 @@ class MapNode(Model):
 class MapEdge(Model):
     """A corridor between two vertices."""
 
-    source: Index
-    target: Index
-    key: Index
-    length: Extent
-    length_sigma: Extent
-    source_branch: Index | None
-    target_branch: Index | None
-    path: list[tuple[Metres, Metres]] = Field(min_length=2)
-    traversals: Index
+    source: Index = Field(description="Vertex at one end.")
+    target: Index = Field(description="Vertex at the other end; corridors lead both ways.")
+    key: Index = Field(description="Number among the corridors between the same two vertices.")
+    length: Extent = Field(description="Way from centre to centre along the corridor, metres.")
+    length_sigma: Extent = Field(description="1 sigma of the length, metres.")
+    source_branch: Index | None = Field(
+        description="Which branch of the source it leaves by, counted from 0; null: unknown."
+    )
+    target_branch: Index | None = Field(
+        description="Which branch of the target it leaves by, counted from 0; null: unknown."
+    )
+    path: list[tuple[Metres, Metres]] = Field(
+        min_length=2, description="Its course from source to target in the map's frame, metres."
+    )
+    traversals: Index = Field(description="How often it was driven from end to end.")
+    traversal_ns: list[tuple[Nanoseconds, Nanoseconds]] | None = Field(
+        None,
+        description="For every time that it was driven, when the robot was at the source and when "
+        "at the target (nanoseconds since 1970): driven from target to source, the second is the "
+        "earlier one. Standing and turning round at the ends is not counted. Absent where unknown.",
+    )
 
 
 class ClosureRecord(Model):
@@ -113,24 +138,41 @@ class ClosureRecord(Model):
     takes it back; revised: a later round answered otherwise.
     """
 
-    time_ns: tuple[Nanoseconds, Nanoseconds]
-    accepted: bool
-    bits: Finite
-    reason: str
-    round: Index | None = None
-    accepted_round: Index | None = None
-    revised: bool = False
+    time_ns: tuple[Nanoseconds, Nanoseconds] = Field(
+        description="Times of the two passes that were asked to be one place."
+    )
+    accepted: bool = Field(description="Whether they were taken for one place.")
+    bits: Finite = Field(description="Evidence: log2 of the odds that they are one place.")
+    reason: str = Field(description="The answer in words.")
+    round: Index | None = Field(None, description="Round of the loop closure, from 1 on.")
+    accepted_round: Index | None = Field(
+        None, description="Round in which it had been accepted, where this takes it back."
+    )
+    revised: bool = Field(False, description="A later round answered otherwise.")
 
 
 class MapGraph(Model):
     """Attributes of a whole map."""
 
-    run: str
-    frame: str
-    pieces: Annotated[int, Field(ge=1)] = 1
-    noise: dict[str, Noise] = Field(default_factory=dict)
-    fitted_noise: dict[str, Noise] | None = None
-    closures: list[ClosureRecord] = Field(default_factory=list)
+    run: str = Field(description="Name of the run, unique in a workspace.")
+    frame: str = Field(description="Frame of the odometry; the map's own frame is called the same.")
+    pieces: int = Field(
+        1,
+        ge=1,
+        description="Parts of which nothing tells how they lie to each other; they are drawn side "
+        "by side.",
+    )
+    noise: dict[str, Noise] = Field(
+        default_factory=dict,
+        description="How well the run was measured, by name with its unit, as closure and matching "
+        "count with it: with caution.",
+    )
+    fitted_noise: dict[str, Noise] | None = Field(
+        None, description="The same as the closed run itself shows it; sigmas come from this."
+    )
+    closures: list[ClosureRecord] = Field(
+        default_factory=list, description="Every identification made, refused or taken back."
+    )
 
 
 def _as_false(value: Any) -> Any:
@@ -155,12 +197,14 @@ class MapDocument(Model):
     model_config = ConfigDict(extra="allow", frozen=True, serialize_by_alias=True)
 
     # The alias keeps pydantic's own `schema` method free.
-    schema_name: Literal["topobatch.map/1"] = Field(alias="schema")
-    directed: Undirected
-    multigraph: Multigraph
-    graph: MapGraph
-    nodes: list[MapNode]
-    edges: list[MapEdge]
+    schema_name: Literal["topobatch.map/1"] = Field(
+        alias="schema", description="Name and version of this schema."
+    )
+    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
+    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
+    graph: MapGraph = Field(description="What is said of the map as a whole.")
+    nodes: list[MapNode] = Field(description="The junctions, bends and dead ends.")
+    edges: list[MapEdge] = Field(description="The corridors between them.")
 
 
 def edge_keys(source: NDArray[np.int64], target: NDArray[np.int64]) -> list[int]:
@@ -243,6 +287,7 @@ def edges_to_document(graph: Any) -> list[dict[str, Any]]:
 
     keys = edge_keys(graph.source, graph.target)
     length = rounded(np.maximum(graph.length, SHORTEST_M), METRES)
+    times = getattr(graph, "traversal_ns", None)
     return [
         {
             "source": int(graph.source[i]),
@@ -254,6 +299,7 @@ def edges_to_document(graph: Any) -> list[dict[str, Any]]:
             "target_branch": branch(int(graph.target_branch[i])),
             "path": rounded(graph.paths[i], METRES),
             "traversals": int(graph.traversals[i]),
+            **({} if times is None else {"traversal_ns": times[i].tolist()}),
         }
         for i in range(len(keys))
     ]
@@ -305,6 +351,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             fitted_noise=None if fitted is None else _noise(fitted),
             position_sigma=_all_known([node.sigma_m for node in d.nodes]),
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
+            traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
             closures=tuple(
                 Closure(
                     *c.time_ns,
@@ -337,6 +384,13 @@ def _rows_known(rows: Sequence[list[float] | None]) -> Ragged | None:
     return Ragged.from_rows(known) if known and len(known) == len(rows) else None
 
 
+def _times_known(
+    rows: Sequence[list[tuple[int, int]] | None],
+) -> tuple[NDArray[np.int64], ...] | None:
+    known = [np.array(row, np.int64).reshape(-1, 2) for row in rows if row is not None]
+    return tuple(known) if known and len(known) == len(rows) else None
+
+
 M = TypeVar("M", bound=BaseModel)
 
 
@@ -358,15 +412,16 @@ def read_json(path: Path) -> Any:
     than 200, text that is no UTF-8 or holds halves of characters, numbers that are none.
     """
     try:
-        return from_json(_content(path), allow_inf_nan=False)
+        return from_json(read_bytes(path), allow_inf_nan=False)
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
         raise DocumentError(f"{path}: is not JSON: {error}") from error
 
 
-def _content(path: Path) -> bytes:
-    """The bytes of a document; nothing that could block or act on being opened is opened."""
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a document; nothing that could block or act on being opened is opened. Raises
+    DocumentError on what is no file, OSError where it cannot be read."""
     if not stat.S_ISREG(os.lstat(path).st_mode):
         raise DocumentError(f"{path}: is a {kind_of(path)}, not a document; remove it")
     # Whoever puts something else there meanwhile is refused as well.

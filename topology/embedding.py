@@ -207,13 +207,23 @@ def embed_general(topomap: TopoMap, settings: EmbeddingSettings = DEFAULT_EMBEDD
 
     Raises nothing on a hard map: the solver's answer is the best it found.
     """
-    parts = corridor_measurements(topomap, settings=settings)
-    start = np.column_stack([topomap.xy, np.zeros(len(topomap))])
-    graph = PoseGraph(
-        pose=start,
+    graph = _graph(topomap, corridor_measurements(topomap, settings=settings))
+    return solve(graph).pose[:, :2].copy()
+
+
+def map_pose_graph(topomap: TopoMap) -> PoseGraph:
+    """The vertices of a map as poses, its corridors as what the odometry measured between them.
+
+    Headings are turns against the map's frame: all 0 where the map lies as it was drawn.
+    """
+    return _graph(topomap, odometry_measurements(topomap))
+
+
+def _graph(topomap: TopoMap, parts: Measurements) -> PoseGraph:
+    return PoseGraph(
+        pose=np.column_stack([topomap.xy, np.zeros(len(topomap))]),
         source=parts.source,
         target=parts.target,
         measurement=parts.measurement,
         information=parts.information,
     )
-    return solve(graph).pose[:, :2].copy()

@@ -14,7 +14,7 @@ from .polyline import join_centres, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
-from .track import track_directions, way_at
+from .track import times_between, track_directions, way_at
 from .vertex_errors import VertexErrors
 from .visits import Visits, draw_track
 
@@ -43,6 +43,9 @@ class MapBuildingSettings:
     """A turn within this to either side is a corner of the corridor, cut by the robot …"""
     corner_rad: float = 0.5
     """… if it turns by this; gentler ones are bends, driven as they are."""
+    standing_m: float = 0.05
+    """A robot that stands, or turns on the spot, seems to drive no farther: what it does so near to
+    a centre is no part of the time that a corridor takes."""
     repeated_m: float = 50.0
     """Way driven again without wandering at all that a run is taken to have shown beforehand."""
 
@@ -114,6 +117,7 @@ def build_topomap(
         fitted_noise=fitted_noise,
         position_sigma=shape.position_sigma(),
         branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
+        traversal_ns=edges.time_ns,
         closures=closures,
     )
 
@@ -182,7 +186,8 @@ def _kind(branches: FloatArray, settings: MapBuildingSettings) -> str:
 class _Legs:
     """Drives from a visit to the next: ends with their branches, and the way from centre to centre.
 
-    length: (l,) of `path` [m]; path: l polylines from the first visit's vertex to the next one's.
+    length: (l,) of `path` [m]; path: l polylines from the first visit's vertex to the next one's;
+    time_ns: (l, 2) when the robot left the first visit's centre and came to the next one's.
     """
 
     source: IntArray
@@ -193,6 +198,7 @@ class _Legs:
     path: list[FloatArray]
     turned: NDArray[np.bool_]
     """Driven from target to source."""
+    time_ns: IntArray
 
 
 def _legs(
@@ -218,7 +224,8 @@ def _legs(
     swap = (u > v) | ((u == v) & (a > b))
     s, t = np.where(swap, v, u), np.where(swap, u, v)
     sb, tb = np.where(swap, b, a), np.where(swap, a, b)
-    return _Legs(s, t, sb, tb, length, path, swap)
+    time_ns = times_between(odometry, visits.time_ns, first, settings.standing_m)
+    return _Legs(s, t, sb, tb, length, path, swap, time_ns)
 
 
 def _between_centres(
@@ -251,6 +258,7 @@ class _Edges:
     target_branch: IntArray
     length: FloatArray
     traversals: IntArray
+    time_ns: tuple[IntArray, ...]
     leg: IntArray
     """The leg whose track is drawn: the one of median length."""
     wander: float
@@ -302,7 +310,10 @@ def _edges(legs: _Legs, settings: MapBuildingSettings) -> _Edges:
         way += float(length[e] * (len(sound) - 1))
     traversals = np.array([len(groups[key]) for key in keys], np.int64)
     s, t, sb, tb = table.T
-    return _Edges(s, t, sb, tb, length, traversals, leg, excess / way)
+    at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
+    times = tuple(at[groups[key]] for key in keys)
+    times = tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times)
+    return _Edges(s, t, sb, tb, length, traversals, times, leg, excess / way)
 
 
 def _fitting(

@@ -72,6 +72,9 @@ class TopoMap:
     closed run itself shows, None where that is not known.
     position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, and branch_sigma: n rows, of
     each branch heading [rad], with the map as a whole laid over the truth; None where not known.
+    traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's source and at its
+    target each time that it drove the edge (from target to source, the second is the earlier one);
+    None where that is not known.
     Raises ValueError where shapes, indices or values do not fit.
     """
 
@@ -95,6 +98,7 @@ class TopoMap:
     fitted_noise: RunNoise | None = None
     position_sigma: NDArray[np.float64] | None = None
     branch_sigma: Ragged | None = None
+    traversal_ns: tuple[NDArray[np.int64], ...] | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     """What else the document's `graph` holds: source, settings, warnings. JSON values only."""
 
@@ -137,6 +141,11 @@ class TopoMap:
             self.branch_sigma.offsets, self.branches.offsets
         ):
             raise ValueError("branch_sigma needs one value per branch")
+        if self.traversal_ns is not None:
+            driven = tuple(frozen_array(t, np.int64, (None, 2), "times") for t in self.traversal_ns)
+            object.__setattr__(self, "traversal_ns", driven)
+            if len(driven) != m:
+                raise ValueError("traversal_ns needs one array per edge")
         if np.any(self.length <= 0) or np.any(self.length_sigma <= 0):
             raise ValueError("lengths and their sigmas must be positive")
 

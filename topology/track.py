@@ -50,6 +50,30 @@ def way_at(odometry: Odometry, time_ns: NDArray[np.int64]) -> FloatArray:
     return result
 
 
+def times_between(
+    odometry: Odometry, time_ns: NDArray[np.int64], first: NDArray[np.int64], near_m: float
+) -> NDArray[np.int64]:
+    """When the robot left each place and came to the next one: (k, 2), in whole milliseconds.
+
+    time_ns: (v,) when it was at the places; first: (k,) places that it left for the next one. What
+    it does within `near_m` of a place (it stands, it turns on the spot) is not on the way: the way
+    there is taken to be driven at the speed of the rest.
+    """
+    way, at = way_along(odometry), way_at(odometry, time_ns)
+    begin, end = at[first], at[first + 1]
+    near = np.minimum(near_m, (end - begin) / 3)
+    origin = odometry.time_ns[0]
+    seconds = (odometry.time_ns - origin) * 1e-9
+    # Ascending ways, each with the last time, and the first, that the robot was so far.
+    moved = np.diff(way) > 0
+    last, come = np.append(moved, True), np.concatenate([[True], moved])
+    left = np.interp(begin + near, way[last], seconds[last])
+    came = np.interp(end - near, way[come], seconds[come])
+    spare = near * (came - left) / np.maximum(end - begin - 2 * near, 1e-9)
+    both = np.stack([left - spare, came + spare], axis=1)
+    return np.asarray(origin + np.round(both * 1e3).astype(np.int64) * 10**6)
+
+
 def track_directions(
     odometry: Odometry,
     time_ns: NDArray[np.int64],

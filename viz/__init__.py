@@ -15,19 +15,26 @@ if TYPE_CHECKING:
     from ..merge.paper.explain import Explanation
     from ..merge.result import MergeResult
     from ..topology.odometry import Odometry
+    from ..topology.run import Detections
     from ..topology.topomap import TopoMap
 
 
-def write_map_recording(path: Path, topomap: TopoMap, *, odometry: Odometry | None = None) -> None:
+def write_map_recording(
+    path: Path,
+    topomap: TopoMap,
+    *,
+    odometry: Odometry | None = None,
+    detections: Detections | None = None,
+) -> None:
     """Write the recording of one run's map, `maps/<run>.rrd`, atomically.
 
-    odometry: the run's own, as recorded; with it the recording shows what closing the loops
-    changed, and where the robot is on the map at any time. Raises OSError if the file cannot be
-    written.
+    odometry, detections: the run's own, as recorded; with them the recording shows what closing the
+    loops changed, where the robot is on the map at any time, and what its detector saw there.
+    Raises OSError if the file cannot be written.
     """
     from .map_recording import write
 
-    write(path, topomap, odometry)
+    write(path, topomap, odometry, detections)
 
 
 def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
@@ -61,3 +68,14 @@ def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, explanation: Exp
     from .explain_recording import write
 
     write(path, a, b, explanation)
+
+
+def write_raw_log(path: Path, log: Path, run: str) -> None:
+    """Write a raw log, an MCAP file or a folder of them, as a recording that the viewer lays under
+    the map of its run: its topics lie below /log, and share the map's time.
+
+    Raises LogError if the viewer cannot read it, OSError if the file cannot be written.
+    """
+    from .raw_log import write
+
+    write(path, log, run)

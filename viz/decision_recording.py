@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from ..merge.decision_text import (
     digits_of,
     headline,
     lies,
-    listed,
     missing,
     needs,
     pose,
@@ -27,12 +25,13 @@ from ..merge.decision_text import (
     threshold,
 )
 from ..merge.result import shown_bits
-from ..topology.se2 import apply, compose
+from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import bounds, pen_m
 from .fused_layers import write_cards, write_own_map
 from .map_summary import bulleted, plain
+from .placements import placements
 from .recording import UP, PathParts, Recording, map_view, markdown, placed, write_recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
@@ -48,21 +47,6 @@ LINKS_SHOWN = 5
 FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
 
-APART, ASIDE = 0.15, 0.2
-"""The gap between two tied maps, and how far the lower one is moved aside, so that ties do not lie
-on the corridors of a grid; in extents of both together."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
-    """One drawing of map b beside or over map a: T_a_b is how it is drawn."""
-
-    name: str
-    title: str
-    placement: Placement | None
-    T_a_b: FloatArray
-    tied: bool
-
 
 def write(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
     """Write the recording of a decision; see `topobatch.viz.write_decision_recording`."""
@@ -77,42 +61,8 @@ def write(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
     write_recording(path, f"{a.run} - {b.run}", fill)
 
 
-def _drawn(a: TopoMap, b: TopoMap, decision: Decision) -> list[_Picture]:
-    """The verdict's placement, the same with the maps drawn apart so that ties can be followed, and
-    the next best placement; of an undecided pair only the two placements, side by side. Before
-    these, of runs that only others join, how these place them."""
-    out: list[_Picture] = []
-    if decision.by_others is not None:
-        title = f"joined through {listed(decision.said.through, 2)}"
-        out.append(_Picture("joined", title, None, decision.by_others, tied=False))
-    for k, placement in enumerate(decision.placements):
-        T = placement.alignment.transform
-        bits = f"{shown_bits(placement.alignment.evidence_bits)} bits"
-        name = ("placement", "next best")[k]
-        title = f"{name}: {bits}" if decision.start is None else "best hypothesis, given up"
-        out.append(_Picture(name, title, placement, T, tied=False))
-        alone = len(decision.placements) == 1 or decision.said.accepted
-        alone &= decision.by_others is None
-        if k == 0 and alone and len(placement.alignment.matched):
-            count = len(placement.alignment.matched)
-            title = f"the {count} matched junctions tied"
-            out.append(_Picture("tied", title, placement, _apart(a, b, T), tied=True))
-    return out
-
-
-def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
-    """T_a_b moved so that b lies below a, where a is drawn upright."""
-    turn = upright_rad(a.paths)
-    upright = np.array([0.0, 0.0, turn])
-    of_a, of_b = apply(upright, a.xy), apply(compose(upright, T_a_b), b.xy)
-    extent = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
-    drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * extent
-    away = np.array([ASIDE * extent, drop, 0.0])
-    return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
-
-
 def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) -> list[Cell]:
-    drawn = _drawn(a, b, decision)
+    drawn = placements(a, b, decision)
     if not drawn:  # nothing to lay over each other: the two maps as they are
         return _side_by_side(recording, a, b)
     points = [np.concatenate([a.xy, apply(p.T_a_b, b.xy)]) for p in drawn]
@@ -240,7 +190,7 @@ def _contradictions(
         (t, xy[side][list(ends)])
         for t in against
         for side, ends in enumerate((t.a, t.b))
-        if t.kind == "crossing" and len(ends) == 2
+        if t.kind != "unseen" and len(ends) == 2
     ]
     if crossed:
         lines = rr.LineStrips2D(

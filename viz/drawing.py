@@ -110,8 +110,8 @@ def ribbon(path: FloatArray, offset_m: float) -> FloatArray:
 
 def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
     """Rows of a track to draw: those that enter a new multiple of `spacing_m` of way, the first
-    and the last."""
-    if len(xy) < 3:
+    and the last; all for a spacing of 0."""
+    if len(xy) < 3 or spacing_m == 0:
         return np.arange(len(xy))
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     step = np.floor(way / spacing_m)

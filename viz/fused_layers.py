@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ..merge.result import Component, FusedMap, MergeResult
-from ..topology.se2 import compose
+from ..merge.decision_text import short
+from ..merge.result import FusedMap, MergeResult
+from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
+from .contradictions import write_contradictions
 from .drawing import branch_arrows, driven_branches, pen_m, ribbon
-from .recording import UP, PathParts, Recording, placed
-from .sheet import ASPECT, Cell, arrange, sheet_margin_m, upright_rad
+from .growing import colour_columns, light_up_by_step
+from .parts import Part, legend_step_m
+from .placements import Spot, contradiction_spots
+from .recording import JOIN, UP, PathParts, Recording, placed
+from .sheet import ASPECT, Cell
+from .steps import Step, first_steps
+from .story import shared_from
 
-FUSED, AGREEMENT, RUNS = "map", "agreement", "runs"
-"""Roots of the three pictures of the components."""
+FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
+"""Roots of the three pictures of the components, and of the names of the runs."""
+
+LEGEND_ROWS, LEGEND_COLUMN = 34, 8.0
+"""Rows of the legend, and the distance of its columns in rows."""
 
 WIDEST_RIBBON = 4
 """A ribbon is at most this many pens wide; with more runs its strands get thinner."""
-
-MOST_LEGENDS = 6
-"""Up to this many components of several runs get a legend beside them."""
-
-MOST_NAMES = 16
-"""Longest legend."""
-
-LEGEND_LINES = 26
-"""A sheet as high as its view has room for this many lines of text."""
 
 LEGEND_LINE = 0.2
 """Half the length of a legend's lines over its width."""
@@ -38,72 +38,8 @@ LEGEND_LINE = 0.2
 MOST_LONG_TITLES = 12
 """Up to this many components have a title with their number of junctions."""
 
-MOST_TITLES = 60
-"""Up to this many components are titled."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """One component and its place on the sheet; vertices, edges: its rows of the fused map."""
-
-    component: Component
-    cell: Cell
-    vertices: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    legend_m: float
-
-    @property
-    def name(self) -> str:
-        """Its entity's name."""
-        return f"component_{self.component.id}"
-
-    @property
-    def title(self) -> str:
-        """What stands above it."""
-        merged = len(self.component.poses) > 1
-        more = f" merged, {len(self.vertices)} junctions" if merged else ""
-        return self.short_title + more
-
-    @property
-    def short_title(self) -> str:
-        """The run's name, or how many runs there are."""
-        runs = list(self.component.poses)
-        return runs[0] if len(runs) == 1 else f"{len(runs)} runs"
-
-
-def lay_out(result: MergeResult) -> list[Part]:
-    """All components on one sheet, those of many runs first."""
-    fused = result.fused
-    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
-    of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
-    vertices = [np.flatnonzero(fused.component == c.id) for c in order]
-    edges = [np.flatnonzero(of_edge == c.id) for c in order]
-    paths = [[fused.paths[i] for i in rows.tolist()] for rows in edges]
-    points = [
-        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines])
-        for rows, lines in zip(vertices, paths, strict=True)
-    ]
-    legends = _legends(order, points)
-    cells = arrange(points, [upright_rad(p) for p in paths], sheet_margin_m(points), legends)
-    return [Part(*row) for row in zip(order, cells, vertices, edges, legends, strict=True)]
-
-
-def _legends(order: list[Component], points: list[NDArray[np.float64]]) -> list[float]:
-    """Room for each component's legend [m]; none where there are too many."""
-    several = [2 <= len(c.poses) <= MOST_NAMES for c in order]
-    if sum(several) > MOST_LEGENDS:
-        return [0.0] * len(order)
-    area = sum(float(np.prod(np.ptp(p, axis=0))) for p in points if len(p))
-    sheet_m = 1.3 * np.sqrt(ASPECT * area)
-    return [
-        sheet_m * _legend_share(c) if shown else 0.0
-        for c, shown in zip(order, several, strict=True)
-    ]
-
-
-def _legend_share(component: Component) -> float:
-    """A legend's width over the sheet's: about as much as the longest name takes in a view."""
-    return 0.04 + 0.008 * min(max(map(len, component.poses)), 40)
+TITLE_LETTERS, SHORTEST_TITLE = 150, 5
+"""Letters across a view of usual width; titles with room for fewer than this are left out."""
 
 
 def write_fused_layers(
@@ -111,9 +47,12 @@ def write_fused_layers(
     result: MergeResult,
     maps: Mapping[str, TopoMap],
     parts: list[Part],
+    *,
     colours: Mapping[str, tuple[int, int, int]],
+    steps: Sequence[Step],
 ) -> None:
-    """The fused map by run, the agreement of the runs, and each run's own map."""
+    """The fused map by run, as it came together step by step; the agreement of the runs; and each
+    run's own map."""
     for root in (FUSED, AGREEMENT, RUNS):
         recording.static((root,), UP)
         _cards(recording, root, parts, colours)
@@ -121,16 +60,68 @@ def write_fused_layers(
             recording.static((root, part.name), placed(part.cell.T_sheet_map))
     pen = pen_m([result.fused])
     driven = driven_branches(result.fused)
+    first = first_steps(steps)
     for part in parts:
-        _ribbons(recording, result.fused, part, colours, pen)
+        _ribbons(recording, result.fused, part, colours, pen=pen, first=first)
         _agreement(recording, result.fused, part, pen)
-        for root in (FUSED, AGREEMENT):
-            _junctions(recording, root, result.fused, part, pen)
+        _junctions(recording, AGREEMENT, result.fused, part, pen)
+        _junctions(recording, FUSED, result.fused, part, pen)
+        _junctions_in_time(recording, result.fused, part, steps, first)
         _unexplored(recording, result.fused, part, driven, pen)
         for run in sorted(part.component.poses):
             own = (RUNS, part.name, run)
             recording.static(own, placed(part.component.poses[run]))
             write_own_map(recording, own, maps[run], colours[run], pen)
+
+
+def write_fused_contradictions(
+    recording: Recording, result: MergeResult, maps: Mapping[str, TopoMap], parts: list[Part]
+) -> bool:
+    """Red dots where joined runs contradict each other; False where nothing does."""
+    pen = pen_m([result.fused])
+    found: dict[int, list[Spot]] = {}
+    home = {run: part for part in parts for run in part.component.poses}
+    for pair in result.verdicts:
+        if pair.accepted and pair.best is not None and pair.best.contradicting:
+            poses = home[pair.a].component.poses
+            of_a, of_b = (apply(poses[run], maps[run].xy) for run in (pair.a, pair.b))
+            spots = contradiction_spots(pair.best, of_a, of_b)
+            found.setdefault(home[pair.a].component.id, []).extend(spots)
+    for part in parts:
+        path = (FUSED, part.name, "contradictions")
+        write_contradictions(recording, path, found.get(part.component.id, []), pen)
+    return bool(found)
+
+
+def write_legend(
+    recording: Recording, parts: list[Part], colours: Mapping[str, tuple[int, int, int]]
+) -> list[Cell]:
+    """The names of all merged runs in their colours, in columns, each component below its title.
+
+    Nothing, and no cells, where every component has its legend beside it.
+    """
+    several = [part for part in parts if len(part.component.poses) > 1]
+    if all(part.legend_m > 0 for part in several):
+        return []
+    entries: list[tuple[str, tuple[int, int, int]]] = []
+    for part in several:
+        entries.append((f"component {part.component.id}", palette.TITLE))
+        entries += [(run, colours[run]) for run in sorted(part.component.poses)]
+    rows = min(LEGEND_ROWS, len(entries))
+    number = np.arange(len(entries))
+    places = np.stack([LEGEND_COLUMN * (number // rows), -(number % rows)], axis=-1)
+    names = rr.Points2D(
+        places.astype(np.float64),
+        radii=rr.Radius.ui_points(2.0),
+        colors=[colour for _, colour in entries],
+        labels=[name for name, _ in entries],
+        show_labels=True,
+    )
+    recording.static((LEGEND,), UP)
+    recording.static((LEGEND, "runs"), names)
+    low = np.array([-LEGEND_COLUMN, -rows - 1.0])
+    high = np.array([LEGEND_COLUMN * (-(-len(entries) // rows)), 1.0])
+    return [Cell(np.zeros(3), low, high)]
 
 
 def _cards(
@@ -141,12 +132,11 @@ def _cards(
 ) -> None:
     """The frame, title and legend of every component."""
     titles = [part.short_title if len(parts) > MOST_LONG_TITLES else part.title for part in parts]
-    write_cards(recording, root, [part.cell for part in parts], titles if len(parts) > 1 else [])
-    corners = np.array([(part.cell.low, part.cell.high) for part in parts]).reshape(-1, 2)
+    cells = [part.cell for part in parts]
+    write_cards(recording, root, cells, titles if len(parts) > 1 else [])
     for part in parts:
         if part.legend_m > 0:
-            width, height = np.ptp(corners, axis=0)
-            step_m = float(max(width / ASPECT, height)) / LEGEND_LINES
+            step_m = legend_step_m(cells)
             entries = {run: colours[run] for run in sorted(part.component.poses)}
             if root == AGREEMENT:
                 entries = _count_colours(part)
@@ -210,19 +200,33 @@ def write_cards(recording: Recording, root: str, cells: list[Cell], titles: list
             corners, radii=rr.Radius.ui_points(0.75), colors=palette.CARD, draw_order=0.0
         )
         recording.static((root, "frames"), frames)
-    if titles and len(titles) <= MOST_TITLES:
-        tops = np.array([((c.low[0] + c.high[0]) / 2, c.high[1]) for c in cells])
+    shown = [(k, _fitting(title, cells[k], cells)) for k, title in enumerate(titles)]
+    shown = [(k, title) for k, title in shown if title]
+    if shown:
+        tops = [((cells[k].low[0] + cells[k].high[0]) / 2, cells[k].high[1]) for k, _ in shown]
         recording.static(
             (root, "titles"),
             rr.Points2D(
                 tops,
                 radii=0.0,
                 colors=palette.TITLE,
-                labels=titles,
+                labels=[title for _, title in shown],
                 show_labels=True,
                 draw_order=50.0,
             ),
         )
+
+
+def _fitting(title: str, cell: Cell, cells: list[Cell]) -> str:
+    """A title as far as its cell has room for it, where the sheet fills a view of usual width; ""
+    where there is none."""
+    if len(cells) <= MOST_LONG_TITLES:
+        return title
+    width = max(c.high[0] for c in cells) - min(c.low[0] for c in cells)
+    height = max(c.high[1] for c in cells) - min(c.low[1] for c in cells)
+    share = (cell.high[0] - cell.low[0]) / max(width, ASPECT * height)
+    room = int(share * TITLE_LETTERS)
+    return short(title, room) if room >= SHORTEST_TITLE else ""
 
 
 def _ribbons(
@@ -230,9 +234,12 @@ def _ribbons(
     fused: FusedMap,
     part: Part,
     colours: Mapping[str, tuple[int, int, int]],
+    *,
     pen: float,
+    first: Mapping[str, int],
 ) -> None:
-    """Corridors with one strand beside the other for each run that drove them."""
+    """Corridors with one strand beside the other for each run that drove them, dim until the run
+    is joined with another; first: at which step that is."""
     strands: dict[str, list[tuple[int, NDArray[np.float64], float]]] = {}
     for edge in part.edges.tolist():
         runs = sorted({run for run, _ in fused.edge_members[edge]})
@@ -242,13 +249,18 @@ def _ribbons(
             strands.setdefault(run, []).append((edge, beside, width / 2))
     for run, drawn in sorted(strands.items()):
         edges = np.array([edge for edge, _, _ in drawn])
-        lines = rr.LineStrips2D(
-            [line for _, line, _ in drawn],
+        path = (FUSED, part.name, "corridors", run)
+        lines = rr.LineStrips2D.from_fields(
+            strips=[line for _, line, _ in drawn],
             radii=[radius for _, _, radius in drawn],
-            colors=colours[run],
             draw_order=10.0,
         )
-        recording.static((FUSED, part.name, "corridors", run), lines, _corridor_info(fused, edges))
+        recording.static(path, lines, _corridor_info(fused, edges))
+        colour = np.array([colours[run]], np.uint8)
+        if run in first:
+            light_up_by_step(recording, path, rr.LineStrips2D, np.array([first[run]]), colour)
+        else:
+            recording.static(path, rr.LineStrips2D.from_fields(colors=colour))
 
 
 def _agreement(recording: Recording, fused: FusedMap, part: Part, pen: float) -> None:
@@ -284,13 +296,12 @@ def _junctions(recording: Recording, root: str, fused: FusedMap, part: Part, pen
         return
     runs = np.array([len(fused.members[i]) for i in rows.tolist()])
     shared = runs > 1
-    colours = palette.by_count(runs)
-    if root == FUSED:
-        colours = np.where(shared[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8)
+    # Those of the map get their colours step by step.
+    colours = palette.by_count(runs) if root == AGREEMENT else None
     recording.static(
         (root, part.name, "junctions"),
-        rr.Points2D(
-            fused.xy[rows],
+        rr.Points2D.from_fields(
+            positions=fused.xy[rows],
             radii=pen * np.where(shared, 2.4, 1.4),
             colors=colours,
             labels=list(map(str, rows.tolist())),
@@ -306,6 +317,38 @@ def _junctions(recording: Recording, root: str, fused: FusedMap, part: Part, pen
             passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
         ),
     )
+
+
+def _junctions_in_time(
+    recording: Recording,
+    fused: FusedMap,
+    part: Part,
+    steps: Sequence[Step],
+    first: Mapping[str, int],
+) -> None:
+    """Junctions are dim until a run that has them is joined, grey until two of their runs are
+    together, then white."""
+    if len(part.vertices) == 0:
+        return
+    path = (FUSED, part.name, "junctions")
+    runs = sorted(part.component.poses)
+    members = [fused.members[i] for i in part.vertices.tolist()]
+    runs_at = np.array([[run in at for run in runs] for at in members], bool)
+    single = np.array(palette.SINGLE, np.uint8)
+    if not first.keys() & set(runs):
+        colours = np.tile(single, (len(members), 1))
+        colours[runs_at.sum(axis=1) > 1] = palette.WHITE
+        recording.static(path, rr.Points2D.from_fields(colors=colours))
+        return
+    joined = np.array([first.get(run, 0) for run in runs])
+    when = np.where(runs_at, joined[None, :], np.iinfo(np.int64).max).min(axis=1)
+    shared = shared_from(part, steps, runs_at)
+    numbers = np.unique(np.concatenate([[0], when, shared]))
+    rows = np.where(
+        (when[None, :] <= numbers[:, None])[:, :, None], single, np.array(palette.UNLIT, np.uint8)
+    )
+    rows[(shared[None, :] > 0) & (shared[None, :] <= numbers[:, None])] = palette.WHITE
+    recording.over_steps(path, JOIN, numbers, colour_columns(rr.Points2D, rows.astype(np.uint8)))
 
 
 def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
@@ -364,8 +407,3 @@ def write_own_map(
             vertex=np.arange(len(topomap)), kind=list(topomap.kind), branches=topomap.degree
         )
         recording.static((*path, "junctions"), points, info)
-
-
-def pose_on_sheet(part: Part, run: str) -> NDArray[np.float64]:
-    """(3,) T_sheet_run: where a run's own map lies on the sheet."""
-    return compose(part.cell.T_sheet_map, part.component.poses[run])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,15 @@ from numpy.typing import NDArray
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from ..topology.odometry import Odometry
-from ..topology.topomap import Closure, TopoMap
+from ..topology.run import Detections
+from ..topology.topomap import TopoMap
 from . import palette
+from .detections import write_detections
 from .drawing import bounds, branch_arrows, driven_branches, pen_m
-from .map_summary import map_summary
+from .growing import light_up
+from .history import History, Question, history, questions
+from .map_summary import Shown, map_summary
+from .odometry_health import Lane, lanes
 from .recording import (
     CLOCKS,
     UP,
@@ -36,43 +43,84 @@ MOST_NODES = 300
 GRAPH_CORRIDOR = 90.0
 """The usual corridor's length in the graph, in units of which a node takes about twenty."""
 
-TRAIL_S = 60.0
+TRAIL_S, DETECTION_S = 60.0, 0.3
+"""So long behind the cursor the robot's trail and its detections are shown."""
+
+FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
+"""Radii, in pens, of the rings round a junction, one for each accepted closure."""
+
+_CIRCLE = np.stack(
+    [np.cos(np.linspace(0, 2 * np.pi, 25)), np.sin(np.linspace(0, 2 * np.pi, 25))], 1
+)
+
+WIDEST = 1.4
+"""The view holds the recorded odometry unless that makes the map smaller than by this."""
+
+HEALTH_COLOURS = {
+    "steady": palette.MERGED,
+    "gap": palette.AMBIGUOUS,
+    "jump": palette.NOT_ACCEPTED,
+    "broken": palette.REFUSED,
+    "driving": palette.CORRIDOR,
+    "standing": palette.FAINT,
+    "new ground": palette.TRAIL,
+    "known ground": palette.SINGLE,
+}
 
 MAP: PathParts = ("map",)
 
 
-def write(path: Path, topomap: TopoMap, odometry: Odometry | None) -> None:
+def write(
+    path: Path, topomap: TopoMap, odometry: Odometry | None, detections: Detections | None
+) -> None:
     """Write the recording of a map; see `topobatch.viz.write_map_recording`."""
     track = robot_track(topomap, odometry) if odometry is not None else None
+    known = history(topomap)
+    asked = questions(topomap, known.visit)
+    health = lanes(odometry, topomap) if odometry is not None else []
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
-        _corridors(recording, topomap)
-        _branches(recording, topomap)
-        _junctions(recording, topomap)
+        begin = int(odometry.time_ns[0]) if odometry is not None and len(odometry) else None
+        _corridors(recording, topomap, known, begin)
+        _branches(recording, topomap, known, begin)
+        _junctions(recording, topomap, known, begin)
         _graph(recording, topomap)
-        _refused(recording, topomap)
-        _visits(recording, topomap)
+        _closures(recording, topomap, asked, begin)
+        _visits(recording, topomap, known, asked)
         if track is not None:
-            _track(recording, track, topomap)
-        recording.static(("summary",), markdown(map_summary(topomap)))
-        return _blueprint(topomap, track)
+            _track(recording, track)
+            _drift(recording, track, topomap)
+            if detections is not None:
+                write_detections(recording, MAP, detections, track)
+        for lane in health:
+            _lane(recording, lane)
+        shown = Shown(
+            odometry=track is not None,
+            detections=track is not None and detections is not None and len(detections) > 0,
+            accepted=any(q.closure.accepted for q in asked),
+            refused=any(not q.closure.accepted for q in asked),
+            health=bool(health),
+        )
+        recording.static(("summary",), markdown(map_summary(topomap, asked, shown)))
+        return _blueprint(topomap, track, health)
 
     write_recording(path, topomap.run, fill)
 
 
-def _corridors(recording: Recording, topomap: TopoMap) -> None:
+def _corridors(
+    recording: Recording, topomap: TopoMap, known: History, begin_ns: int | None
+) -> None:
     if len(topomap.source) == 0:
         return
     share = np.clip((topomap.traversals - 1) / 3.0, 0.0, 1.0)[:, None]
     dull, bright = np.array(palette.CORRIDOR), np.array(palette.WHITE)
+    colours = (dull + 0.45 * share * (bright - dull)).astype(np.uint8)
+    path = (*MAP, "corridors")
     recording.static(
-        (*MAP, "corridors"),
-        rr.LineStrips2D(
-            list(topomap.paths),
-            radii=pen_m([topomap]) / 2,
-            colors=(dull + 0.45 * share * (bright - dull)).astype(np.uint8),
-            draw_order=10.0,
+        path,
+        rr.LineStrips2D.from_fields(
+            strips=list(topomap.paths), radii=pen_m([topomap]) / 2, draw_order=10.0
         ),
         rr.AnyValues(
             corridor=np.arange(len(topomap.source)),
@@ -82,9 +130,10 @@ def _corridors(recording: Recording, topomap: TopoMap) -> None:
             traversals=topomap.traversals,
         ),
     )
+    light_up(recording, path, rr.LineStrips2D, known.corridor_ns, colours, begin_ns=begin_ns)
 
 
-def _branches(recording: Recording, topomap: TopoMap) -> None:
+def _branches(recording: Recording, topomap: TopoMap, known: History, begin_ns: int | None) -> None:
     driven = driven_branches(topomap)
     pen = pen_m([topomap])
     origins, vectors = branch_arrows(topomap, 7 * pen)
@@ -94,27 +143,29 @@ def _branches(recording: Recording, topomap: TopoMap) -> None:
     )
     for name, which, colour, order in layers:
         if which.any():
-            arrows = rr.Arrows2D(
-                origins=origins[which],
-                vectors=vectors[which],
-                radii=pen / 3,
-                colors=colour,
-                draw_order=order,
+            path = (*MAP, name)
+            arrows = rr.Arrows2D.from_fields(
+                origins=origins[which], vectors=vectors[which], radii=pen / 3, draw_order=order
             )
-            recording.static((*MAP, name), arrows)
+            recording.static(path, arrows)
+            when = known.vertex_ns[topomap.branches.owner[which]]
+            colours = np.tile(np.array(colour, np.uint8), (len(when), 1))
+            light_up(recording, path, rr.Arrows2D, when, colours, begin_ns=begin_ns)
 
 
-def _junctions(recording: Recording, topomap: TopoMap) -> None:
+def _junctions(
+    recording: Recording, topomap: TopoMap, known: History, begin_ns: int | None
+) -> None:
     n = len(topomap)
     if n == 0:
         return
     passes = np.bincount(topomap.observation_vertex, minlength=n)
+    path = (*MAP, "junctions")
     recording.static(
-        (*MAP, "junctions"),
-        rr.Points2D(
-            topomap.xy,
+        path,
+        rr.Points2D.from_fields(
+            positions=topomap.xy,
             radii=np.where(topomap.degree >= 3, 2.2, 1.6) * pen_m([topomap]),
-            colors=palette.by_degree(topomap.degree),
             labels=[str(i) for i in range(n)],
             show_labels=n <= MOST_LABELS,
             draw_order=20.0,
@@ -129,6 +180,10 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
             passes=passes,
         ),
     )
+    if topomap.position_sigma is not None:
+        recording.static(path, rr.AnyValues(position_sigma_m=topomap.position_sigma))
+    colours = palette.by_degree(topomap.degree)
+    light_up(recording, path, rr.Points2D, known.vertex_ns, colours, begin_ns=begin_ns)
 
 
 def _on_graph(topomap: TopoMap) -> NDArray[np.float64]:
@@ -153,39 +208,61 @@ def _graph(recording: Recording, topomap: TopoMap) -> None:
     recording.static(("graph",), nodes, *([rr.GraphEdges(edges)] if edges else []))
 
 
-def _refused(recording: Recording, topomap: TopoMap) -> None:
-    """Thin lines between visits that were not taken for the same place."""
-    seen = dict(
-        zip(
-            topomap.observation_time_ns.tolist(),
-            topomap.observation_vertex.tolist(),
-            strict=True,
-        )
-    )
-    visits = [
-        (c, seen.get(c.time_a_ns), seen.get(c.time_b_ns))
-        for c in topomap.closures
-        if not c.accepted and not c.revised
-    ]
-    # A visit that ended in no vertex (a phantom, say) has no place to draw a line from.
-    apart = [(c, a, b) for c, a, b in visits if a is not None and b is not None and a != b]
-    if not apart:
-        return
+def _closures(
+    recording: Recording, topomap: TopoMap, asked: Sequence[Question], begin_ns: int | None
+) -> None:
+    """Every identification as a line of its own: one that was accepted as a ring round its
+    junction, the first the innermost; one that was refused between the two junctions."""
+    groups: dict[str, list[tuple[Question, NDArray[np.float64]]]] = {"accepted": [], "refused": []}
+    rings: Counter[int] = Counter()
+    pen = pen_m([topomap])
+    for question in asked:
+        a, b = question.rows
+        if a is None or b is None:  # a pass that ended in no vertex has no place to draw from
+            continue
+        u, v = topomap.observation_vertex[[a, b]].tolist()
+        if question.closure.accepted and u == v:
+            radius = pen * (FIRST_RING + RING_STEP * (rings[u] % MOST_RINGS))
+            rings[u] += 1
+            groups["accepted"].append((question, topomap.xy[u] + radius * _CIRCLE))
+        elif u != v:
+            name = "accepted" if question.closure.accepted else "refused"
+            groups[name].append((question, topomap.xy[[u, v]]))
+    for name, colour in (("accepted", palette.CLOSED), ("refused", palette.REFUSED)):
+        drawn = groups[name]
+        if drawn:
+            path = (*MAP, "closures", name)
+            _closure_lines(recording, path, topomap, drawn)
+            when = np.array([q.closure.time_b_ns for q, _ in drawn], np.int64)
+            colours = np.tile(np.array(colour, np.uint8), (len(drawn), 1))
+            hidden = palette.BACKGROUND
+            light_up(recording, path, rr.LineStrips2D, when, colours, begin_ns=begin_ns, dim=hidden)
+
+
+def _closure_lines(
+    recording: Recording,
+    path: PathParts,
+    topomap: TopoMap,
+    drawn: Sequence[tuple[Question, NDArray[np.float64]]],
+) -> None:
+    ends = [[topomap.observation_vertex[k] for k in q.rows if k is not None] for q, _ in drawn]
     recording.static(
-        (*MAP, "loops refused"),
-        rr.LineStrips2D(
-            [topomap.xy[[a, b]] for _, a, b in apart],
-            radii=rr.Radius.ui_points(0.75),
-            colors=palette.REFUSED,
-            draw_order=5.0,
+        path,
+        rr.LineStrips2D.from_fields(
+            strips=[line for _, line in drawn], radii=rr.Radius.ui_points(0.75), draw_order=1.0
         ),
         rr.AnyValues(
-            bits=np.array([c.bits for c, _, _ in apart]), reason=[c.reason for c, _, _ in apart]
+            closure=[q.told for q, _ in drawn],
+            junctions=[", ".join(map(str, dict.fromkeys(pair))) for pair in ends],
+            bits=np.array([q.closure.bits for q, _ in drawn]),
+            reason=[q.closure.reason for q, _ in drawn],
         ),
     )
 
 
-def _visits(recording: Recording, topomap: TopoMap) -> None:
+def _visits(
+    recording: Recording, topomap: TopoMap, known: History, asked: Sequence[Question]
+) -> None:
     """The junction passed last, and a log of passes and closures."""
     time_ns, vertex = topomap.observation_time_ns, topomap.observation_vertex
     if len(time_ns) == 0:
@@ -198,7 +275,15 @@ def _visits(recording: Recording, topomap: TopoMap) -> None:
         (*MAP, "last junction"),
         rr.Points2D.from_fields(colors=palette.TRAIL, draw_order=15.0),
     )
-    log = sorted([*_pass_lines(topomap), *map(_closure_line, _standing(topomap))])
+    kinds = [topomap.kind[v].replace("_", " ") for v in vertex.tolist()]
+    log = [
+        (t, "INFO", f"{kind} {v}, visit {visit}")
+        for t, kind, v, visit in zip(
+            time_ns.tolist(), kinds, vertex.tolist(), known.visit.tolist(), strict=True
+        )
+    ]
+    log += [(q.closure.time_b_ns, "INFO" if q.closure.accepted else "WARN", q.told) for q in asked]
+    log.sort()
     recording.over_time(
         ("events",),
         np.array([t for t, _, _ in log], np.int64),
@@ -206,39 +291,41 @@ def _visits(recording: Recording, topomap: TopoMap) -> None:
     )
 
 
-def _standing(topomap: TopoMap) -> list[Closure]:
-    """Answers that no later round replaced."""
-    return [c for c in topomap.closures if not c.revised]
+def _lane(recording: Recording, lane: Lane) -> None:
+    path = ("health", lane.name)
+    states = list(HEALTH_COLOURS)
+    colours = [HEALTH_COLOURS[state] for state in states]
+    recording.static(path, rr.StateConfiguration(values=states, labels=states, colors=colours))
+    recording.over_time(path, lane.time_ns, rr.StateChange.columns(state=list(lane.states)))
 
 
-def _pass_lines(topomap: TopoMap) -> list[tuple[int, str, str]]:
-    visits = np.zeros(len(topomap), np.int64)
-    lines = []
-    for time_ns, vertex in zip(
-        topomap.observation_time_ns.tolist(), topomap.observation_vertex.tolist(), strict=True
+def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
+    """How far the recorded odometry is from the map, with what is known of the map's own error."""
+    times = topomap.observation_time_ns
+    sigma = np.full(len(times), topomap.measured.centre_m)
+    if topomap.position_sigma is not None:
+        sigma = np.hypot(sigma, topomap.position_sigma[topomap.observation_vertex])
+    series = {
+        "drift": (track.drift_m, palette.UNEXPLORED, "recorded odometry off the map [m]", 2.0),
+        "plus sigma": (track.drift_m + sigma, palette.DIM, "+1 sigma [m]", 1.0),
+        "minus sigma": (np.maximum(track.drift_m - sigma, 0.0), palette.DIM, "-1 sigma [m]", 1.0),
+    }
+    for name, (values, colour, label, width) in series.items():
+        path = ("drift", name)
+        recording.over_time(path, times, rr.Scalars.columns(scalars=values))
+        recording.static(path, rr.SeriesLines(colors=colour, names=label, widths=width))
+
+
+def _track(recording: Recording, track: RobotTrack) -> None:
+    for name, lines, colour, order in (
+        ("recorded", track.stretches, palette.RAW, 2.0),
+        ("corrected", track.bent_stretches, palette.TRACK, 3.0),
     ):
-        visits[vertex] += 1
-        kind = topomap.kind[vertex].replace("_", " ")
-        lines.append((time_ns, "INFO", f"{kind} {vertex}, visit {visits[vertex]}"))
-    return lines
-
-
-def _closure_line(closure: Closure) -> tuple[int, str, str]:
-    word, level = ("recognised", "INFO") if closure.accepted else ("refused", "WARN")
-    return closure.time_b_ns, level, f"loop {word} ({closure.bits:+.1f} bits): {closure.reason}"
-
-
-def _track(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
-    if track.stretches:
-        recording.static(
-            (*MAP, "raw odometry"),
-            rr.LineStrips2D(
-                track.stretches,
-                radii=rr.Radius.ui_points(0.75),
-                colors=palette.RAW,
-                draw_order=2.0,
-            ),
-        )
+        if lines:
+            strips = rr.LineStrips2D(
+                lines, radii=rr.Radius.ui_points(0.75), colors=colour, draw_order=order
+            )
+            recording.static((*MAP, "odometry", name), strips)
     xy = track.bent[:, :2]
     recording.over_time((*MAP, "robot"), track.time_ns, rr.Points2D.columns(positions=xy))
     robot = rr.Points2D.from_fields(
@@ -250,14 +337,9 @@ def _track(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
         radii=rr.Radius.ui_points(2.5), colors=palette.TRAIL, draw_order=30.0
     )
     recording.static((*MAP, "trail"), trail)
-    drift = rr.Scalars.columns(scalars=track.drift_m)
-    recording.over_time(("drift",), topomap.observation_time_ns, drift)
-    recording.static(
-        ("drift",), rr.SeriesLines(colors=palette.UNEXPLORED, names="raw odometry to map, m")
-    )
 
 
-def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
+def _blueprint(topomap: TopoMap, track: RobotTrack | None, health: Sequence[Lane]) -> rrb.Blueprint:
     views: list[rrb.View] = [_map_view(topomap, track)]
     if 0 < len(topomap) <= MOST_NODES:
         low, high = bounds([_on_graph(topomap)], margin=0.05)
@@ -266,34 +348,43 @@ def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
     pages: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
     if len(topomap.observation_time_ns):
         pages.append(rrb.TextLogView(origin="/events", name="Events", columns=_event_columns()))
+    side: list[rrb.View | rrb.Container] = [rrb.Tabs(*pages, active_tab=0, name="Details")]
     if track is not None:
-        pages.append(_drift_view(track))
+        side.append(_drift_view(track))
+    if health:
+        whole = rrb.TimeAxis(view_range=_ALL_TIMES)
+        side.append(
+            rrb.StateTimelineView(origin="/health", name="Odometry, health", time_view=whole)
+        )
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Tabs(*views, active_tab=0, name="Maps"),
-            rrb.Tabs(*pages, active_tab=0, name="Details"),
+            rrb.Vertical(*side, row_shares=[5, 2, 2][: len(side)], name="Run"),
             column_shares=[3, 1],
             name="Map of one run",
         ),
-        rrb.BlueprintPanel(state="expanded"),
+        rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=CLOCKS[0], play_state="paused"),
+        # Following shows the end, where the whole map is known, until somebody moves the cursor.
+        rrb.TimePanel(state="collapsed", timeline=CLOCKS[0], play_state="following"),
         auto_layout=False,
         auto_views=False,
     )
 
 
+_ALL_TIMES = rr.TimeRange(
+    start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+)
+
+
 def _drift_view(track: RobotTrack) -> rrb.TimeSeriesView:
-    """How far the raw odometry is from the map, over the whole run."""
-    all_times = rr.TimeRange(
-        start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
-    )
+    """How far the recorded odometry is from the map, over the whole run."""
     return rrb.TimeSeriesView(
         origin="/drift",
-        name="Drift",
-        axis_x=rrb.TimeAxis(view_range=all_times),
-        axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * max(float(track.drift_m.max()), 0.1))),
-        plot_legend=rrb.PlotLegend(visible=False),
+        name="Drift [m]",
+        axis_x=rrb.TimeAxis(view_range=_ALL_TIMES),
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.8 * max(float(track.drift_m.max()), 0.1))),
+        plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
     )
 
 
@@ -309,12 +400,27 @@ def _event_columns() -> rrb.TextLogColumns:
 
 def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
     shown: list[NDArray[np.float64]] = [topomap.xy, *topomap.paths]
-    low, high = bounds([*shown, *(track.stretches if track is not None else [])], margin=0.05)
+    low, high = bounds(shown, margin=0.05)
+    if track is not None:
+        wide_low, wide_high = bounds([*shown, *track.stretches], margin=0.05)
+        if np.all(wide_high - wide_low <= WIDEST * (high - low)):
+            low, high = wide_low, wide_high
     hidden = rrb.EntityBehavior(visible=False)
     overrides: dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges] = {
-        entity((*MAP, name)): hidden for name in ("branches driven", "loops refused")
+        entity((*MAP, "branches driven")): hidden,
+        entity((*MAP, "closures", "refused")): hidden,
     }
     if track is not None:
+        overrides[entity((*MAP, "detection"))] = rrb.VisibleTimeRanges(
+            [
+                rrb.VisibleTimeRange(
+                    clock,
+                    start=rr.TimeRangeBoundary.cursor_relative(seconds=-DETECTION_S),
+                    end=rr.TimeRangeBoundary.cursor_relative(),
+                )
+                for clock in CLOCKS
+            ]
+        )
         trail = rrb.VisibleTimeRanges(
             [
                 rrb.VisibleTimeRange(

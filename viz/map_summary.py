@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
-from ..topology.topomap import Closure, TopoMap
+from ..topology.topomap import TopoMap
 from .drawing import driven_branches
+from .history import Question
 
 MOST_LINES = 40
 """Longer lists are cut: the document has them all."""
 
 
-def map_summary(topomap: TopoMap) -> str:
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a recording holds besides the map: nothing else is spoken of."""
+
+    odometry: bool = False
+    detections: bool = False
+    accepted: bool = False
+    refused: bool = False
+    health: bool = False
+
+
+def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: Shown) -> str:
     """A page of markdown about one map: counts, loops, noise, warnings, how to read the picture."""
     parts = [
         f"# {plain(topomap.run)}",
         _counts(topomap),
-        _legend(topomap),
-        _closures(topomap.closures),
+        _legend(topomap, shown),
+        _closures(asked),
         _warnings(topomap),
         _source(topomap),
         _noise(topomap),
@@ -86,32 +99,60 @@ def _span(topomap: TopoMap) -> str:
     return f" in {minutes(last - first)}, from {clock(first)} UTC"
 
 
-def _legend(topomap: TopoMap) -> str:
+_COLOURS = ("", "dead ends **red**", "bends **grey**", "three **blue**", "four **green**")
+
+
+def _legend(topomap: TopoMap, shown: Shown) -> str:
     if len(topomap) == 0:
         return "The map is empty: no junction was found in this run."
-    return (
-        "Junctions are coloured by their branches: dead ends **red**, bends **grey**, three "
-        "**blue**, four **green**, more **violet**. **Amber** arrows: branches never driven. "
-        "The thin **grey** track: the raw odometry. Corridors are brighter the more often they "
-        "were driven.\n\n"
-        "Point at a junction or a corridor for what is known about it, or select it and open the "
-        "panel on the right; the eye symbols on the left show and hide layers (some start "
-        "hidden); the time line below moves the robot."
-    )
+    degrees = np.unique(np.minimum(topomap.degree, len(_COLOURS)))
+    named = [_COLOURS[d] if d < len(_COLOURS) else "more **violet**" for d in degrees.tolist() if d]
+    lines = [f"Junctions are coloured by their branches: {', '.join(named)}."] if named else []
+    if (~driven_branches(topomap)).any():
+        lines.append("**Amber** arrows: branches never driven.")
+    if len(topomap.traversals) and topomap.traversals.max() > 1:
+        lines.append("Corridors are brighter the more often they were driven.")
+    if shown.odometry:
+        lines.append(
+            "Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**)."
+        )
+    if shown.detections:
+        lines.append(
+            "**Violet** dots: raw detections; those at the cursor are stars, a ray for each branch."
+        )
+    if shown.accepted:
+        lines.append("**Green** rings: closures; one for each time that it was recognised.")
+    if shown.refused:
+        lines.append("**Red** lines (hidden at first): two junctions that were not taken for one.")
+    reading = [
+        "Drag the time line below: the map grows as it was driven."
+        if len(topomap.observation_time_ns)
+        else "",
+        "Point at a junction, a corridor or a closure for what is known about it, or select it "
+        "and open the panels at the top right; the left one shows and hides layers.",
+    ]
+    if shown.odometry:
+        reading.append(
+            "**Drift**: how far the recorded odometry is off the map, in metres, with 1 sigma of "
+            "the map."
+        )
+    if shown.health:
+        reading.append("**Health**: gaps, jumps and breaks of the odometry; standing; new ground.")
+    return " ".join(lines) + "\n\n" + " ".join(filter(None, reading))
 
 
-def _closures(closures: tuple[Closure, ...]) -> str:
-    if not closures:
+def _closures(asked: Sequence[Question]) -> str:
+    if not asked:
         return ""
     # What was only put off, and answered later, is told by its last answer.
-    refused = [c for c in closures if not c.accepted and not c.revised]
-    head = f"## Loops\n\n{several(sum(c.accepted for c in closures), 'visit')} recognised"
+    refused = [q for q in asked if not q.closure.accepted]
+    accepted = len(asked) - len(refused)
+    head = f"## Loops\n\n{several(accepted, 'visit')} recognised"
     if not refused:
         return f"{head}, none refused."
     lines = (
-        f"{clock(c.time_a_ns)[-8:]} and {clock(c.time_b_ns)[-8:]} ({c.bits:+.1f} bits): "
-        f"{plain(c.reason)}"
-        for c in sorted(refused, key=lambda c: (-c.bits, c.time_b_ns, c.time_a_ns))
+        plain(q.told)
+        for q in sorted(refused, key=lambda q: (-q.closure.bits, q.closure.time_b_ns, q.told))
     )
     return f"{head}, **{len(refused)}** refused:\n\n{bulleted(lines)}"
 

@@ -12,22 +12,31 @@ from ..merge.result import MergeResult
 from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import bounds
-from .fused_layers import AGREEMENT, FUSED, RUNS, lay_out, write_fused_layers
+from .fused_layers import (
+    AGREEMENT,
+    FUSED,
+    LEGEND,
+    RUNS,
+    write_fused_contradictions,
+    write_fused_layers,
+    write_legend,
+)
 from .pair_layers import (
     MATRIX,
-    STEPS,
-    STORY,
+    MOST_DOTS,
+    MOST_NUMBERS,
     UNDECIDED,
     matrix_bounds,
     undecided,
     write_matrix,
-    write_steps,
     write_undecided,
 )
+from .parts import colours_of, lay_out
 from .recording import JOIN, Recording, map_view, markdown, write_recording
 from .sheet import Cell
 from .steps import joining_steps
-from .verdicts import merge_summary, pairs_told, runs_in_order
+from .story import STORY, write_story
+from .verdicts import Shown, merge_summary, pairs_told, runs_in_order
 
 RECORDING_ID = "merged"
 
@@ -36,29 +45,41 @@ def write(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
     """Write the recording of a merge; see `topobatch.viz.write_merged_recording`."""
     by_name = _by_name(result, maps)
     runs = runs_in_order(result)
-    colours = palette.of_runs(runs)
+    colours = colours_of(result)
+    steps = joining_steps(result)
+    pairs = undecided(result)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         parts = lay_out(result)
         sheet = [part.cell for part in parts]
-        write_fused_layers(recording, result, by_name, parts, colours)
+        write_fused_layers(recording, result, by_name, parts, colours=colours, steps=steps)
+        contradicted = write_fused_contradictions(recording, result, by_name, parts)
         views = [
             _view(FUSED, "Map", sheet),
             _view(AGREEMENT, "Agreement", sheet),
             _view(RUNS, "Runs", sheet),
         ]
-        steps = joining_steps(result)
-        if steps:
-            cells = write_steps(recording, steps, parts, by_name, colours)
-            views.append(_view(STEPS, "Step by step", cells))
-        pairs = undecided(result)
         if pairs:
-            cells = write_undecided(recording, pairs, by_name, colours)
+            cells = write_undecided(recording, pairs, by_name)
             views.append(_view(UNDECIDED, "Undecided", cells))
-        write_matrix(recording, result, runs)
-        recording.static(("summary",), markdown(merge_summary(result)))
+        names = write_legend(recording, parts, colours)
+        if names:
+            views.append(_view(LEGEND, "Legend", names))
+        if steps:
+            write_story(recording, FUSED, steps, parts, by_name)
+        write_matrix(recording, result, runs, colours)
+        shown = Shown(
+            story=bool(steps),
+            undecided=bool(pairs),
+            contradictions=contradicted,
+            legend=bool(names),
+            numbers=len(runs) <= MOST_NUMBERS,
+            dots=len(runs) <= MOST_DOTS,
+        )
+        recording.static(("summary",), markdown(merge_summary(result, shown)))
         recording.static(("pairs",), markdown(pairs_told(result)))
-        return _blueprint(views, runs, told=bool(steps))
+        matrix = _matrix_view(result, runs) if len(runs) > 1 else None
+        return _blueprint(views, matrix, told=bool(steps))
 
     write_recording(path, RECORDING_ID, fill)
 
@@ -80,8 +101,8 @@ def _view(root: str, name: str, cells: list[Cell]) -> rrb.Spatial2DView:
     return map_view(root, name, low, high)
 
 
-def _matrix_view(runs: list[str]) -> rrb.Spatial2DView:
-    low, high = matrix_bounds(runs)
+def _matrix_view(result: MergeResult, runs: list[str]) -> rrb.Spatial2DView:
+    low, high = matrix_bounds(result, runs)
     return rrb.Spatial2DView(
         origin=f"/{MATRIX}",
         name="Verdicts",
@@ -90,7 +111,9 @@ def _matrix_view(runs: list[str]) -> rrb.Spatial2DView:
     )
 
 
-def _blueprint(views: list[rrb.Spatial2DView], runs: list[str], *, told: bool) -> rrb.Blueprint:
+def _blueprint(
+    views: list[rrb.Spatial2DView], matrix: rrb.Spatial2DView | None, *, told: bool
+) -> rrb.Blueprint:
     pages: list[rrb.View] = [
         rrb.TextDocumentView(origin="/summary", name="Summary"),
         rrb.TextDocumentView(origin="/pairs", name="Pairs"),
@@ -98,18 +121,19 @@ def _blueprint(views: list[rrb.Spatial2DView], runs: list[str], *, told: bool) -
     if told:
         pages.append(rrb.TextDocumentView(origin=f"/{STORY}", name="Story"))
     side: list[rrb.View | rrb.Container] = [rrb.Tabs(*pages, active_tab=0, name="Details")]
-    if len(runs) > 1:
-        side.append(_matrix_view(runs))
+    if matrix is not None:
+        side.append(matrix)
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Tabs(*views, active_tab=0, name="Maps"),
-            rrb.Vertical(*side, row_shares=[3, 2][: len(side)], name="Verdicts"),
-            column_shares=[3, 1],
+            rrb.Vertical(*side, row_shares=[1, 1][: len(side)], name="Verdicts"),
+            column_shares=[5, 2],
             name="Merged map",
         ),
-        rrb.BlueprintPanel(state="expanded"),
+        rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=JOIN, play_state="paused", fps=1.0),
+        # Following shows the last step, the whole map, until somebody moves the cursor.
+        rrb.TimePanel(state="collapsed", timeline=JOIN, play_state="following", fps=1.0),
         auto_layout=False,
         auto_views=False,
     )

@@ -1,23 +1,23 @@
-"""What a merge says of pairs of runs, as layers of a recording: matrix, placements, story."""
+"""What a merge says of pairs of runs, as layers of a recording: matrix, placements."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import product
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from ..merge.result import MergeResult, PairVerdict, shown_bits
-from ..topology.se2 import apply, compose
+from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
+from .contradictions import write_contradictions
 from .drawing import pen_m
-from .fused_layers import Part, pose_on_sheet, write_cards, write_own_map
-from .recording import JOIN, UP, PathParts, Recording, placed
-from .sheet import ASPECT, Cell, arrange, sheet_margin_m, upright_rad
-from .steps import Step
+from .fused_layers import write_cards, write_own_map
+from .placements import contradiction_spots
+from .recording import UP, PathParts, Recording, placed
+from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .verdicts import (
     AMBIGUOUS,
     DIAGONAL,
@@ -25,13 +25,12 @@ from .verdicts import (
     MERGED,
     NOT_ACCEPTED,
     UNRELATED,
-    joining_told,
     strongest,
     verdict_class,
     verdict_matrix,
 )
 
-MATRIX, UNDECIDED, STEPS, STORY = "verdicts", "undecided", "steps", "story"
+MATRIX, UNDECIDED = "verdicts", "undecided"
 """Roots of the pictures of the pairs."""
 
 MOST_PLACEMENTS = 24
@@ -46,7 +45,10 @@ MOST_NUMBERS = 8
 NAMES_ABOVE = 34
 """Names stand above the columns if all columns as wide as the longest take fewer letters."""
 
-MOST_DOTS = 200
+MOST_BLOCKS, LEAST_BLOCK = 8, 0.05
+"""Components named beside a matrix of many runs: the largest, of this share of the runs each."""
+
+MOST_DOTS = 300
 """Above this many runs the matrix is drawn without dots."""
 
 LABEL_RISE = 0.12
@@ -65,8 +67,14 @@ _CLASSES = (
 )
 
 
-def write_matrix(recording: Recording, result: MergeResult, runs: list[str]) -> None:
-    """The verdict of every pair as an image, its evidence as a dot, names on the diagonal."""
+def write_matrix(
+    recording: Recording,
+    result: MergeResult,
+    runs: list[str],
+    colours: Mapping[str, tuple[int, int, int]],
+) -> None:
+    """The verdict of every pair as an image and its evidence as a dot; names at the left, of every
+    run or, where they are too many, of the components, and of each run where one points."""
     if not runs:
         return
     recording.static((MATRIX,), rr.AnnotationContext(_CLASSES))
@@ -74,22 +82,82 @@ def write_matrix(recording: Recording, result: MergeResult, runs: list[str]) -> 
     recording.static((MATRIX, "pairs"), rr.SegmentationImage(matrix, opacity=1.0))
     if len(runs) <= MOST_NAMES:
         _names(recording, runs)
+    else:
+        _block_names(recording, result, runs)
+        _rows(recording, runs, colours)
     if len(runs) <= MOST_DOTS:
         _evidence(recording, result, runs)
 
 
-def matrix_bounds(runs: list[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def matrix_bounds(
+    result: MergeResult, runs: list[str]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Low and high corner of the matrix and its names; a cell is one unit, y points down."""
+    high = np.array([1.01 * len(runs) + 0.2, 1.01 * len(runs) + 0.2])
     if len(runs) > MOST_NAMES:
-        return np.array([-0.5, -0.5]), np.array([len(runs) + 0.5, len(runs) + 0.5])
-    high = np.array([len(runs) + 0.2, len(runs) + 0.2])
-    return np.array([-_names_width(runs), -0.09 * len(runs) - 0.1]), high
+        names = [name for name, _, _ in _blocks(result, runs)]
+        return np.array([-_names_width(names, len(runs)), -0.02 * len(runs)]), high
+    return np.array([-_names_width(runs, len(runs)), -0.09 * len(runs) - 0.1]), high
 
 
-def _names_width(runs: list[str]) -> float:
+def _blocks(result: MergeResult, runs: list[str]) -> list[tuple[str, int, int]]:
+    """What stands together in the matrix: name, first row, number of rows. The largest components
+    and, as one, the runs that are alone."""
+    row = {run: i for i, run in enumerate(runs)}
+    several = [c for c in result.components if len(c.poses) > 1]
+    largest = sorted(several, key=lambda c: (-len(c.poses), c.id))[:MOST_BLOCKS]
+    out = [
+        (f"component {c.id}", min(row[run] for run in c.poses), len(c.poses))
+        for c in largest
+        if len(c.poses) >= LEAST_BLOCK * len(runs)
+    ]
+    alone = len(result.components) - len(several)
+    if alone >= LEAST_BLOCK * len(runs):
+        out.append(("alone", len(runs) - alone, alone))
+    return out
+
+
+def _block_names(recording: Recording, result: MergeResult, runs: list[str]) -> None:
+    blocks = _blocks(result, runs)
+    if not blocks:
+        return
+    frames = [
+        np.array([(k, k), (k + n, k), (k + n, k + n), (k, k + n), (k, k)], np.float64)
+        for _, k, n in blocks
+    ]
+    recording.static(
+        (MATRIX, "components"),
+        rr.LineStrips2D(
+            frames, radii=rr.Radius.ui_points(0.75), colors=palette.DIM, draw_order=15.0
+        ),
+    )
+    width = _names_width([name for name, _, _ in blocks], len(runs))
+    # The viewer writes below a point, whose place is in cells: the larger the matrix, the more.
+    rise = LABEL_RISE * len(runs) / MOST_NUMBERS
+    places = np.array([(-0.55 * width, k + n / 2 - rise) for _, k, n in blocks])
+    _labels(recording, "rows", places, [name for name, _, _ in blocks])
+
+
+def _rows(
+    recording: Recording, runs: list[str], colours: Mapping[str, tuple[int, int, int]]
+) -> None:
+    """A mark in its colour beside the row of each run, which tells its name when pointed at."""
+    at = np.arange(len(runs)) + 0.5
+    marks = rr.Points2D(
+        np.stack([np.full(len(runs), -0.012 * len(runs)), at], axis=-1),
+        radii=0.4,
+        colors=[colours[run] for run in runs],
+        labels=runs,
+        show_labels=False,
+        draw_order=25.0,
+    )
+    recording.static((MATRIX, "runs"), marks, rr.AnyValues(run=runs))
+
+
+def _names_width(names: list[str], cells: int) -> float:
     """Room for the names at the left, in cells: they take this share of a view of usual width."""
-    share = min(0.06 + 0.024 * max(map(len, runs)), 0.6)
-    return len(runs) * share / (1 - share)
+    share = min(0.06 + 0.024 * max(map(len, names), default=0), 0.6)
+    return cells * share / (1 - share)
 
 
 def _names(recording: Recording, runs: list[str]) -> None:
@@ -97,7 +165,10 @@ def _names(recording: Recording, runs: list[str]) -> None:
     numbers that stand before the names."""
     short = len(runs) * max(map(len, runs)) <= NAMES_ABOVE
     middle = np.arange(len(runs)) + 0.5
-    left, above = np.full(len(runs), -_names_width(runs) / 2), np.full(len(runs), -0.09 * len(runs))
+    left, above = (
+        np.full(len(runs), -_names_width(runs, len(runs)) / 2),
+        np.full(len(runs), -0.09 * len(runs)),
+    )
     rows = runs if short else [f"{i}  {run}" for i, run in enumerate(runs, start=1)]
     columns = runs if short else [str(i) for i in range(1, len(runs) + 1)]
     _labels(recording, "rows", np.stack([left, middle - LABEL_RISE], axis=-1), rows)
@@ -156,10 +227,7 @@ def undecided(result: MergeResult) -> list[PairVerdict]:
 
 
 def write_undecided(
-    recording: Recording,
-    pairs: list[PairVerdict],
-    maps: Mapping[str, TopoMap],
-    colours: Mapping[str, tuple[int, int, int]],
+    recording: Recording, pairs: list[PairVerdict], maps: Mapping[str, TopoMap]
 ) -> list[Cell]:
     """Both placements of every given pair, side by side: map a stays, map b is laid over it.
 
@@ -181,12 +249,14 @@ def write_undecided(
     pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
     for (pair, name, alignment), cell in zip(laid, cells, strict=True):
         here = (UNDECIDED, "pairs", pair.a, pair.b, name)
+        a, b = maps[pair.a], maps[pair.b]
         recording.static(here, placed(cell.T_sheet_map))
-        write_own_map(recording, (*here, "a", pair.a), maps[pair.a], colours[pair.a], pen)
+        write_own_map(recording, (*here, "a", pair.a), a, palette.of_rank(0), pen)
         recording.static((*here, "b"), placed(alignment.transform))
-        write_own_map(recording, (*here, "b", pair.b), maps[pair.b], colours[pair.b], pen)
-        matched = maps[pair.a].xy[alignment.matched[:, 0]]
-        _matched(recording, (*here, "matched"), matched, pen)
+        write_own_map(recording, (*here, "b", pair.b), b, palette.of_rank(1), pen)
+        _matched(recording, (*here, "matched"), a.xy[alignment.matched[:, 0]], pen)
+        spots = contradiction_spots(alignment, a.xy, apply(alignment.transform, b.xy))
+        write_contradictions(recording, (*here, "contradictions"), spots, pen)
     return cells
 
 
@@ -194,90 +264,3 @@ def _matched(recording: Recording, path: PathParts, xy: NDArray[np.float64], pen
     if len(xy):
         rings = rr.Points2D(xy, radii=2.2 * pen, colors=palette.WHITE, draw_order=8.0)
         recording.static(path, rings)
-
-
-def write_steps(
-    recording: Recording,
-    steps: list[Step],
-    parts: list[Part],
-    maps: Mapping[str, TopoMap],
-    colours: Mapping[str, tuple[int, int, int]],
-) -> list[Cell]:
-    """Runs that come to their component one after the other, on the timeline JOIN.
-
-    At step 0 every run that joins anything lies by itself, away from the components.
-    Returns all cells.
-    """
-    parted = {run: part for part in parts for run in part.component.poses}
-    moving = [run for step in steps for run in step.runs]
-    waiting = _waiting_room(parts, [maps[run] for run in moving])
-    recording.static((STEPS,), UP)
-    titles = [part.short_title for part in parts] + moving
-    cells = [part.cell for part in parts] + waiting
-    write_cards(recording, STEPS, cells, titles)
-    pen = pen_m(list(maps.values()))
-    for run, part in parted.items():
-        write_own_map(recording, (STEPS, "runs", run), maps[run], colours[run], pen)
-        if run not in moving:
-            recording.static((STEPS, "runs", run), placed(pose_on_sheet(part, run)))
-    alone = {run: cell.T_sheet_map for run, cell in zip(moving, waiting, strict=True)}
-    for number, step in enumerate(steps, start=1):
-        for run in step.runs:
-            _move(recording, run, number, alone[run], pose_on_sheet(parted[run], run))
-    _story(recording, steps)
-    return cells
-
-
-def _waiting_room(parts: list[Part], maps: list[TopoMap]) -> list[Cell]:
-    """A cell for each map by itself, beside the cells of the components or below them: where the
-    whole can be drawn larger."""
-    if not maps:
-        return []
-    points = [m.xy for m in maps]
-    turns = [upright_rad(m.paths) for m in maps]
-    low, high = _corners([part.cell for part in parts])
-    choices = []
-    for beside, share in product((True, False), (0.25, 0.4, 0.6, 0.9)):
-        aspect = ASPECT * share if beside else ASPECT / share
-        cells = arrange(points, turns, sheet_margin_m(points), aspect=aspect)
-        its_low, its_high = _corners(cells)
-        target = np.array([high[0], high[1]]) if beside else np.array([low[0], low[1]])
-        shift = target - np.array([its_low[0], its_high[1]])
-        width, height = np.maximum(high, its_high + shift) - np.minimum(low, its_low + shift)
-        choices.append(
-            (max(width / ASPECT, height), beside, share, [_moved(c, shift) for c in cells])
-        )
-    return min(choices, key=lambda choice: choice[:3])[3]
-
-
-def _corners(cells: list[Cell]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Low and high corner (2,) of all cells."""
-    return np.min([c.low for c in cells], axis=0), np.max([c.high for c in cells], axis=0)
-
-
-def _moved(cell: Cell, shift: NDArray[np.float64]) -> Cell:
-    pose = compose(np.array([*shift, 0.0]), cell.T_sheet_map)
-    return Cell(pose, cell.low + shift, cell.high + shift)
-
-
-def _move(
-    recording: Recording,
-    run: str,
-    number: int,
-    before: NDArray[np.float64],
-    after: NDArray[np.float64],
-) -> None:
-    poses = np.stack([before, after])
-    columns = rr.Transform3D.columns(
-        translation=np.column_stack([poses[:, :2], np.zeros(2)]),
-        rotation_axis_angle=[
-            rr.RotationAxisAngle([0, 0, 1], radians=float(t)) for t in poses[:, 2]
-        ],
-    )
-    recording.over_steps((STEPS, "runs", run), JOIN, [0, number], columns)
-
-
-def _story(recording: Recording, steps: list[Step]) -> None:
-    pages = joining_told(steps)
-    columns = rr.TextDocument.columns(text=pages, media_type=["text/markdown"] * len(pages))
-    recording.over_steps((STORY,), JOIN, np.arange(len(pages)), columns)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,11 @@ UNEXPLORED = (255, 178, 66)
 REFUSED = (235, 87, 87)
 ROBOT = (255, 255, 255)
 TRAIL = (120, 235, 190)
+CLOSED = (44, 128, 78)
+TRACK = (52, 108, 96)
+DETECTION = (196, 150, 235)
+PAST = (92, 98, 108)
+UNLIT = (31, 35, 42)
 
 MERGED = (72, 199, 116)
 AMBIGUOUS = (245, 166, 35)
@@ -72,23 +76,14 @@ def by_count(count: NDArray[np.int64]) -> Colours:
     return COUNTS[np.clip(count, 1, len(COUNTS)) - 1]
 
 
-def of_runs(runs: Iterable[str]) -> dict[str, tuple[int, int, int]]:
-    """A colour for each run, by its place among the sorted names.
+def of_rank(rank: int) -> tuple[int, int, int]:
+    """The colour of the first, second, … of a ranking, from 0.
 
     The first ten are picked by hand; later ones step round the hues by the golden angle.
     """
-    return {run: _run_colour(i) for i, run in enumerate(sorted(set(runs)))}
-
-
-def of_rank(rank: int) -> tuple[int, int, int]:
-    """The colour of the first, second, … of a ranking, from 0; told apart up to ten."""
-    return _run_colour(rank)
-
-
-def _run_colour(index: int) -> tuple[int, int, int]:
-    if index < len(_RUNS):
-        return _RUNS[index]
-    step = index - len(_RUNS)
+    if rank < len(_RUNS):
+        return _RUNS[rank]
+    step = rank - len(_RUNS)
     hue = (0.31 + 0.61803398875 * step) % 1.0
     red, green, blue = colorsys.hsv_to_rgb(hue, 0.45 + 0.15 * (step % 3), 0.95)
     return round(255 * red), round(255 * green), round(255 * blue)

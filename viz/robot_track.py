@@ -30,25 +30,45 @@ class RobotTrack:
     raw: (n, 3) odometry, every stretch moved rigidly to where it fits the map's vertices best;
     bent: (n, 3) the same rows, with every pass on its vertex; time_ns: (n,); starts: rows at which
     a new stretch begins because the odometry was broken or jumped there (never 0).
-    drift_m: (k,) how far the raw track is from the map's vertex at each observation of the map.
+    passed: (k, 2) where the raw track was at each observation of the map, NaN where that is not
+    known; drift_m: (k,) how far that is from the observation's vertex.
     """
 
     time_ns: NDArray[np.int64]
     raw: NDArray[np.float64]
     bent: NDArray[np.float64]
     starts: NDArray[np.int64]
+    passed: NDArray[np.float64]
     drift_m: NDArray[np.float64]
 
     @property
     def stretches(self) -> list[NDArray[np.float64]]:
         """The raw track as polylines of two points or more."""
-        parts = np.split(self.raw[:, :2], self.starts)
+        return self._polylines(self.raw)
+
+    @property
+    def bent_stretches(self) -> list[NDArray[np.float64]]:
+        """The bent track as polylines of two points or more."""
+        return self._polylines(self.bent)
+
+    def _polylines(self, pose: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        parts = np.split(pose[:, :2], self.starts)
         return [part for part in parts if len(part) > 1]
 
+    def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(m, 3) bent poses at any times, linear between the rows that are drawn."""
+        start = self.time_ns[0]
+        t, q = (self.time_ns - start).astype(np.float64), (time_ns - start).astype(np.float64)
+        theta = np.unwrap(self.bent[:, 2])
+        return np.stack([np.interp(q, t, c) for c in (*self.bent[:, :2].T, theta)], axis=-1)
 
-def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
+
+def robot_track(
+    topomap: TopoMap, odometry: Odometry, *, every_row: bool = False
+) -> RobotTrack | None:
     """The track of a run on its map; None without odometry or observations to place it by.
 
+    every_row: with all rows of the odometry, not thinned for drawing.
     Every unbroken stretch is placed by itself; one without observations is left out.
     O(n log k) for n poses and k observations.
     """
@@ -56,8 +76,9 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
         return None
     edges = pairwise([0, *odometry.cuts.tolist(), len(odometry)])
     chain = stretch_of(odometry, topomap.observation_time_ns)
-    spacing = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
-    drift_m = np.zeros(len(chain))
+    finest = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
+    spacing = 0.0 if every_row else finest
+    drift_m, passed = np.zeros(len(chain)), np.full((len(chain), 2), np.nan)
     parts = []
     for number, (a, b) in enumerate(edges):
         seen = np.flatnonzero(chain == number)
@@ -72,7 +93,7 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
                 jump_other=odometry.jump_other[:0],
             )
             parts.append(_placed(topomap, seen, stretch, spacing))
-            drift_m[seen] = parts[-1].drift_m
+            drift_m[seen], passed[seen] = parts[-1].drift_m, parts[-1].passed
     if not parts:
         return None
     return RobotTrack(
@@ -80,6 +101,7 @@ def robot_track(topomap: TopoMap, odometry: Odometry) -> RobotTrack | None:
         np.concatenate([part.raw for part in parts]),
         np.concatenate([part.bent for part in parts]),
         np.cumsum([len(part.time_ns) for part in parts])[:-1],
+        passed,
         drift_m,
     )
 
@@ -93,12 +115,13 @@ def _placed(
     seen_at = topomap.xy[vertices[first]]
     passed = stretch.at(time_ns)
     T_map_odom = fit_rigid(seen_at, passed[:, :2])
-    drift = apply(T_map_odom, stretch.at(times)[:, :2]) - topomap.xy[vertices]
+    passed_at = apply(T_map_odom, stretch.at(times)[:, :2])
+    drift = passed_at - topomap.xy[vertices]
     rows = thinned(stretch.pose[:, :2], spacing)
     raw = compose(T_map_odom, stretch.pose[rows])
     bent = _bent(stretch.time_ns[rows], raw, time_ns, compose(T_map_odom, passed), seen_at)
     drift_m = np.hypot(drift[:, 0], drift[:, 1])
-    return RobotTrack(stretch.time_ns[rows], raw, bent, stretch.breaks, drift_m)
+    return RobotTrack(stretch.time_ns[rows], raw, bent, stretch.breaks, passed_at, drift_m)
 
 
 def _bent(

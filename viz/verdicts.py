@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,10 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
     """(n, n) classes of all pairs, symmetric, rows and columns in the given order."""
     row = {run: i for i, run in enumerate(runs)}
     matrix = np.full((len(runs), len(runs)), UNRELATED, np.uint8)
+    if result.unlisted is not None:
+        for component in result.components:  # what is not listed is joined, or unrelated
+            rows = [row[run] for run in component.poses if run in row]
+            matrix[np.ix_(rows, rows)] = JOINED
     np.fill_diagonal(matrix, DIAGONAL)
     for pair in result.verdicts:
         if pair.a in row and pair.b in row:
@@ -54,9 +59,21 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
     return matrix
 
 
-def merge_summary(result: MergeResult) -> str:
-    """A page of markdown: counts, components, how to read the picture, warnings."""
-    count = Counter(verdict_class(pair) for pair in result.verdicts)
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a recording of a merge holds besides the map: nothing else is spoken of."""
+
+    story: bool = False
+    undecided: bool = False
+    contradictions: bool = False
+    legend: bool = False
+    numbers: bool = False
+    dots: bool = False
+
+
+def merge_summary(result: MergeResult, shown: Shown) -> str:
+    """A page of markdown: counts, how to read the picture, components, warnings."""
+    count = {kind: result.count(standing) for standing, kind in _CLASSES.items()}
     fused = result.fused
     shared = sum(len(members) > 1 for members in fused.members)
     runs = sum(len(c.poses) for c in result.components)
@@ -71,24 +88,70 @@ def merge_summary(result: MergeResult) -> str:
     ]
     if "method" in result.info:
         rows.append(f"method: {plain(result.info['method'])}")
-    need = next((p.threshold_bits for p in result.verdicts if p.threshold_bits is not None), None)
-    needed = "" if need is None else f" Merging needs {need:.1f}."
-    legend = f"{_LEGEND}{needed}"
-    parts = ["# Merged map", bulleted(rows), _components(result), legend, _notes(result)]
+    legend = "## How to read it\n\n" + "\n\n".join(_legend(result, shown))
+    parts = ["# Merged map", bulleted(rows), legend, _components(result), _notes(result)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-_LEGEND = """## How to read it
+_CLASS_NAMES = {
+    MERGED: "**green** merged",
+    JOINED: "**dark green** joined through other runs",
+    AMBIGUOUS: "**orange** ambiguous",
+    NOT_ACCEPTED: "**red** fitting, but kept out by a later check",
+    UNRELATED: "**grey** unrelated",
+}
 
-**Map**: every corridor is a ribbon with one strand for each run that drove it; junctions seen by \
-several runs are white, others grey. **Agreement**: the brighter, the more runs. **Runs**: each \
-run's own map, laid into its component. **Step by step**: move the *join* time line to see the \
-runs come together, strongest evidence first. **Undecided**, where there are any: both \
-placements of every pair that the evidence does not decide.
 
-Point at anything for what is known about it, or select it and open the panel on the right; the \
-eye symbols on the left show and hide runs. In the matrix green pairs are merged, dark green \
-ones joined through other runs, orange ones ambiguous; the numbers are bits of evidence."""
+def _legend(result: MergeResult, shown: Shown) -> list[str]:
+    shared = any(len(members) > 1 for members in result.fused.members)
+    seen = "; junctions seen by several runs are white, others grey" if shared else ""
+    where = " The names are in *Legend*." if shown.legend else ""
+    views = [
+        f"**Map**: every corridor is a ribbon with one strand for each run that drove "
+        f"it{seen}.{where}"
+        if len(result.fused)
+        else ""
+    ]
+    if shown.story:
+        views.append(
+            "Drag the *join* time line: runs light up in the order in which they were joined. A "
+            "white line ties the two runs that the step rests on; *Story* tells why."
+        )
+    if shown.contradictions:
+        views.append("**Red** dots: where joined runs contradict each other; point at one.")
+    if shared:
+        views.append("**Agreement**: the brighter, the more runs.")
+    if len(result.fused):
+        views.append("**Runs**: each run's own map, laid into its component.")
+    if shown.undecided:
+        views.append(
+            "**Undecided**: pairs that the evidence does not decide, with both placements; "
+            "matched junctions in white, contradictions in red."
+        )
+    matrix = _matrix_legend(result, shown)
+    pointing = (
+        "Point at anything for what is known about it, or select it and open the panels at the top "
+        "right; the left one shows and hides runs."
+    )
+    return [part for part in (" ".join(filter(None, views)), matrix, pointing) if part]
+
+
+def _matrix_legend(result: MergeResult, shown: Shown) -> str:
+    """What the matrix shows, and nothing that it does not."""
+    if not result.verdicts:
+        return ""
+    classes = {verdict_class(pair) for pair in result.verdicts}
+    named = ", ".join(name for kind, name in _CLASS_NAMES.items() if kind in classes)
+    lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
+    if shown.numbers:
+        lines.append("Numbers above the diagonal: bits of evidence.")
+    if shown.dots:
+        where = "below the diagonal" if shown.numbers else "in a square"
+        lines.append(f"A dot {where}: the larger, the more evidence; point at it for the reason.")
+    need = next((p.threshold_bits for p in result.verdicts if p.threshold_bits is not None), None)
+    if need is not None:
+        lines.append(f"Merging needs {need:.1f} bits.")
+    return " ".join(lines)
 
 
 def _components(result: MergeResult) -> str:
@@ -119,20 +182,24 @@ def _notes(result: MergeResult) -> str:
 def pairs_told(result: MergeResult) -> str:
     """Markdown with every pair's verdict, reason and evidence; the strongest of each kind first."""
     parts = ["# Pairs of runs"]
-    for kind, title in (
-        (AMBIGUOUS, "Ambiguous"),
-        (NOT_ACCEPTED, "Fitting, but kept out"),
-        (MERGED, "Merged"),
-        (JOINED, "Joined through others"),
-        (UNRELATED, "Unrelated"),
+    for standing, title in (
+        (Standing.AMBIGUOUS, "Ambiguous"),
+        (Standing.KEPT_OUT, "Fitting, but kept out"),
+        (Standing.MERGED, "Merged"),
+        (Standing.JOINED, "Joined through others"),
+        (Standing.UNRELATED, "Unrelated"),
     ):
+        kind = _CLASSES[standing]
         pairs = strongest(p for p in result.verdicts if verdict_class(p) == kind)
-        if pairs:
-            parts.append(f"## {title} ({len(pairs)})")
+        everyone = result.count(standing)
+        if everyone:
+            parts.append(f"## {title} ({everyone})")
             told = _in_short if kind in (JOINED, UNRELATED) else _in_full
             parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
             if len(pairs) > MOST_PAIRS:
                 parts.append(f"… and {len(pairs) - MOST_PAIRS} more, in `merged.json`")
+            if everyone > len(pairs):
+                parts.append(f"{everyone - len(pairs)} pairs that a large merge only counts")
     if len(parts) == 1:
         parts.append("There is no pair: fewer than two runs.")
     return "\n\n".join(parts) + "\n"
@@ -180,11 +247,7 @@ def joining_told(steps: Sequence[Step]) -> list[str]:
 
     A page shows STORY_BEFORE steps before its own and STORY_AFTER after it.
     """
-    lines = [
-        f"**{plain(' and '.join(step.runs))}** "
-        f"{'join' if len(step.runs) > 1 else 'joins'} component {step.component}"
-        for step in steps
-    ]
+    lines = [_step_told(step) for step in steps]
     reasons = [f"{plain(s.pair.a)} - {plain(s.pair.b)}: {plain(s.pair.reason)}" for s in steps]
     pages = []
     for now in range(len(steps) + 1):
@@ -194,3 +257,10 @@ def joining_told(steps: Sequence[Step]) -> list[str]:
         rest = [f"- {'→ ' if i + 1 == now else ''}{i + 1}: {lines[i]}" for i in shown]
         pages.append(head + "\n\n## Before and after\n\n" + "\n".join(rest) + "\n")
     return pages
+
+
+def _step_told(step: Step) -> str:
+    joins, into = (_listed(group, 4) for group in (step.joins, step.into))
+    if len(step.joins) == len(step.into) == 1:
+        return f"**{joins}** and **{into}** join"
+    return f"**{joins}** {'joins' if len(step.joins) == 1 else 'join'} **{into}**"

@@ -159,6 +159,7 @@ class _Walk:
             and self._findings.whole
             and self._chunks == len(self._index.chunk_starts)
             and self._tally.lacks(declared)
+            and not self._tally.moved(declared)
         ):
             # Nothing is damaged and no chunk is missing: it is the index that is wrong.
             self._findings.note("the index counts other numbers of messages than there are")
@@ -558,8 +559,7 @@ class _Walk:
         if len(conn) == 0:
             return
         conn = np.minimum(conn, NUMBERS - 1)
-        for unknown in self._tally.unknown(conn):
-            self._tally.adopt(unknown)
+        self._tally.adopt(conn)
         for sink, rows in self._tally.met(conn, time):
             at = size_at[rows]
             size = words(data, "<u4", at).astype(np.int64)
@@ -570,8 +570,10 @@ class _Walk:
         found = mended(data, self._heads.within(data))
         self._findings.unreadable_bytes += found.unreadable
         self._findings.repaired += found.repaired
-        for key in found.lost:
-            self._tally.lost(key, 1)
+        if not self._packed:
+            # What a broken stream gives may be records that were never written.
+            for key in found.lost:
+                self._tally.lost(key, 1)
         return found.data, found.where
 
     def _learn(self, data: Bytes, where: Ints) -> None:

@@ -29,8 +29,8 @@ from .bag_wire import (
 from .messages import SCHEMA_BYTES, Bytes, DamageError
 from .spelling import nearest
 
-HEAD_BYTES = 128
-"""So much of a record is looked at first, and tried bit by bit."""
+HEAD_BYTES = 256
+"""So much of a record is looked at first, and tried bit by bit: of most connections all lengths."""
 
 REPAIRS = 64
 """Heads of one file that are tried bit by bit; a file with more wrong bits is read by its rest."""
@@ -102,12 +102,15 @@ class BagHeads:
             fields = fields_of(head[4 : 4 + size])
             op = op_of(fields)
             record = Record(fields, op, position + 8 + size, U32(head, 4 + size)[0])
-            return record if op in self._kinds and self._fits(record) else None
+            return record if op in self._kinds and self._fits(record, head[8 + size :]) else None
         except DamageError:
             return None
 
-    def _fits(self, record: Record) -> bool:
-        """Whether a record has what its kind has; raises DamageError if it lacks a number."""
+    def _fits(self, record: Record, front: bytes) -> bool:
+        """Whether a record has what its kind has; raises DamageError if it lacks a number.
+
+        front: of its data, as far as it is known.
+        """
         fields = record.fields
         for name, size in _FIELDS[record.op].items():
             number(fields, name, size)
@@ -118,8 +121,12 @@ class BagHeads:
             named = b"compression" in fields or fields.keys() == {b"op", b"size"}
             return named and compression_of(fields) in COMPRESSIONS
         if record.op == CONNECTION and record.end <= self._size:
-            described = self._read(record.data_at, min(record.data_size, 2 * SCHEMA_BYTES))
-            return record.data_size > 2 * SCHEMA_BYTES or b"type" in fields_of(described)
+            if record.data_size > 2 * SCHEMA_BYTES:
+                return True
+            front = front[: record.data_size]
+            more = record.data_size - len(front)
+            described = front + self._read(record.data_at + len(front), more)
+            return b"type" in fields_of(described)
         return True
 
     def begins(self, position: int) -> bool:
@@ -136,22 +143,27 @@ class BagHeads:
         return self._file and (len(head) < 8 or U32(head)[0] + 8 > len(head))
 
     def repaired(self, position: int) -> bytes | None:
-        """The head of the record at `position` with one bit changed that makes it sound."""
+        """The head of the record at `position` with one bit changed that makes it sound, or None.
+
+        Of several the one that ends first: it takes least for its own.
+        """
         head = self._read(position, HEAD_BYTES)
         if self._repairs[0] <= 0 or len(head) < 8:
             return None
         self._repairs[0] -= 1
+        best: bytes | None = None
+        least = self._size + 1
         # The header is the longest part; where its own length is wrong, the fields tell.
         for bit in range(8 * len(head)):
             changed = bytearray(head)
             changed[bit // 8] ^= 1 << bit % 8
             patched = bytes(changed)
             record = self.record(position, patched)
-            if record is None or record.end > self._size:
+            if record is None or record.end >= least or not _named(record.fields):
                 continue
             if record.end == self._size or self.record(record.end) is not None:
-                return patched
-        return None
+                best, least = patched, record.end
+        return best
 
     def following(self, position: int, packed: bool = False) -> int | None:
         """Place of the next sound record at or behind `position`, None if there is none.
@@ -173,6 +185,11 @@ class BagHeads:
             position += slab
             slab = min(4 * slab, 1 << 20)
         return None
+
+
+def _named(fields: Fields) -> bool:
+    """Whether the fields of a header have names; a wrong length takes in what is behind it."""
+    return all(name.isascii() and name.decode().isidentifier() for name in fields)
 
 
 def compression_of(fields: Fields) -> bytes:

@@ -66,20 +66,24 @@ def _poses(number: int, part: int, row: Row) -> Poses:
 
 def protobuf_rows(raw: bytes, frames: Frames) -> list[Row]:
     """The poses of a foxglove.PoseInFrame or PosesInFrame; raises DamageError."""
-    seconds = nanoseconds = 0
-    frame = ""
+    stamp, frame = 0, ""
     poses: list[tuple[float, ...]] = []
-    for field, value in _fields(raw):
+    for field, value in protobuf_fields(raw):
         if field == 1 and isinstance(value, bytes):
-            stamp = {n: v for n, v in _fields(value) if isinstance(v, int)}
-            seconds, nanoseconds = stamp.get(1, 0), stamp.get(2, 0)
+            stamp = protobuf_time(value)
         elif field == 2 and isinstance(value, bytes):
             frame = text(value)
         elif field == 3 and isinstance(value, bytes):
-            poses.append(_pose(value))
+            poses.append(protobuf_pose(value))
     if len(poses) > POSES:
         raise DamageError("implausibly many poses")
-    return [(_bounded(seconds * 10**9 + nanoseconds), frames.number(frame), poses)]
+    return [(stamp, frames.number(frame), poses)]
+
+
+def protobuf_time(raw: bytes) -> int:
+    """Nanoseconds of a google.protobuf.Timestamp {1: seconds, 2: nanos}; raises DamageError."""
+    parts = {n: v for n, v in protobuf_fields(raw) if isinstance(v, int)}
+    return _bounded(parts.get(1, 0) * 10**9 + parts.get(2, 0))
 
 
 # foxglove.FrameTransform {1: timestamp, 2: parent_frame_id, 3: child_frame_id, 4: translation,
@@ -88,28 +92,31 @@ def protobuf_rows(raw: bytes, frames: Frames) -> list[Row]:
 
 def protobuf_transform(raw: bytes, frames: Frames) -> list[Row]:
     """The transform of a foxglove.FrameTransform; raises DamageError."""
-    parts = {n: v for n, v in _fields(raw) if isinstance(v, bytes)}
+    parts = {n: v for n, v in protobuf_fields(raw) if isinstance(v, bytes)}
     pair = frames.number(text(parts.get(2, b"")), text(parts.get(3, b"")))
     return [(0, pair, [_doubles(parts.get(4, b""), 3) + _doubles(parts.get(5, b""), 4)])]
 
 
 def protobuf_transforms(raw: bytes, frames: Frames) -> list[Row]:
     """The transforms of a foxglove.FrameTransforms; raises DamageError."""
-    each = [value for number, value in _fields(raw) if number == 1 and isinstance(value, bytes)]
+    each = [
+        value for number, value in protobuf_fields(raw) if number == 1 and isinstance(value, bytes)
+    ]
     return [row for value in each[:POSES] for row in protobuf_transform(value, frames)]
 
 
-def _pose(raw: bytes) -> tuple[float, ...]:
-    parts = {n: v for n, v in _fields(raw) if isinstance(v, bytes)}
+def protobuf_pose(raw: bytes) -> tuple[float, ...]:
+    """The seven numbers of a foxglove.Pose; raises DamageError."""
+    parts = {n: v for n, v in protobuf_fields(raw) if isinstance(v, bytes)}
     return _doubles(parts.get(1, b""), 3) + _doubles(parts.get(2, b""), 4)
 
 
 def _doubles(raw: bytes, count: int) -> tuple[float, ...]:
-    found = {n: v for n, v in _fields(raw) if isinstance(v, float)}
+    found = {n: v for n, v in protobuf_fields(raw) if isinstance(v, float)}
     return tuple(found.get(n + 1, 0.0) for n in range(count))
 
 
-def _fields(raw: bytes) -> Iterator[tuple[int, int | float | bytes]]:
+def protobuf_fields(raw: bytes) -> Iterator[tuple[int, int | float | bytes]]:
     """Numbers and values of a protobuf message's fields."""
     position = 0
     while position < len(raw):

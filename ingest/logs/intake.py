@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
 from .columns import Growing, words
+from .doubted import DoubtedDecoder
 from .foxglove import (
     RowDecoder,
     json_rows,
@@ -61,7 +62,10 @@ def decoder_for(channel: Channel) -> PoseDecoder:
                 raise
             # The type's name is known; as in a log without definitions it is taken at its word.
             return WireDecoder(kind, channel.encoding == "ros1")
-        return RowDecoder(lambda raw, frames: object_rows(decode(raw), frames))
+        by_definition = RowDecoder(lambda raw, frames: object_rows(decode(raw), frames))
+        if kind is None:
+            return by_definition
+        return DoubtedDecoder(by_definition, WireDecoder(kind, channel.encoding == "ros1"))
     if channel.encoding == "json":
         return RowDecoder(json_rows)
     if channel.encoding == "protobuf" and channel.type_name in PROTOBUF:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .ahead import Ahead
 from .checksum import agrees, crc32
@@ -35,6 +36,7 @@ from .mcap_wire import (
     CHUNK,
     DATA_END,
     FOOTER,
+    HEADER,
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
@@ -184,6 +186,8 @@ class _Walk:
         self._allowance = Allowance()
         self._small_run = 0
         self._packed = False
+        self._chunked = False
+        self._ended = False
         self._patience = PATIENCE
         # What is not described there may be described in a chunk of nothing but images.
         self._index_serves = summary is not None and summary.checked and summary.describes_all
@@ -213,6 +217,8 @@ class _Walk:
             if end is None or end > window.size:
                 position = yield from self._around_damage(position, end)
                 continue
+            if head[0] == MESSAGE:
+                head = self._told_apart(position, head)
             if head[0] == FOOTER and end + len(MAGIC) == window.size:
                 if self._summary is None and Cursor(window.view(position + RECORD_HEAD, 8)).u64():
                     self._findings.note("the summary is damaged")
@@ -229,7 +235,23 @@ class _Walk:
         number = head[RECORD_HEAD : RECORD_HEAD + 2]
         alike = behind[:1] == head[:1] and behind[RECORD_HEAD:] == number
         whole = alike or self._heads.begins(position + RECORD_HEAD + _HEAD(head)[1])
-        return whole and self._tally.adopt(int.from_bytes(number, "little"))
+        return whole and self._tally.adopt(np.frombuffer(number * (1 + alike), "<u2"))
+
+    def _told_apart(self, position: int, head: bytes) -> bytes:
+        """The head of what looks like a message, and may be another record but for one bit.
+
+        Any bytes are a message. But where there are chunks there are indexes, and in front is the
+        header.
+        """
+        ops = (MESSAGE_INDEX,) if self._chunked else ()
+        if position == len(MAGIC):
+            ops = (HEADER,)
+        for op in ops:
+            other = bytes([op]) + head[1:]
+            if self._heads.end(position, other) is not None:
+                self._findings.repaired += 1
+                return other
+        return head
 
     def _record(self, position: int, head: bytes, end: int) -> Walking:
         """Take in a sound record outside chunks, or several; returns where to go on."""
@@ -245,6 +267,7 @@ class _Walk:
         elif op == DATA_END:
             yield from self._caught_up(everything=True)
             self._check_data(position)
+            self._ended = True
         return end
 
     # Records outside chunks
@@ -376,6 +399,7 @@ class _Walk:
             head = head._replace(size=head.data_size)
             self._findings.repaired += 1
         self._packed |= head.compression != ""
+        self._chunked = True
         small = max(head.size, head.data_size) <= SMALL_BYTES
         self._small_run = self._small_run + 1 if small else 0
         if self._small_run > RUN:
@@ -528,8 +552,12 @@ class _Walk:
             self._findings.lost_at_least = True
         found = mended(data, self._heads.within(data), self._define_more)
         where = found.where[found.data[found.where] == MESSAGE]
+        first = self._tally.first(words(found.data, "<u2", where + RECORD_HEAD))
+        size = words(found.data, "<i8", where + 1) - MESSAGE_HEAD
+        where = where[self._without_descriptions(found.data, where, size, first)]
         numbers = words(found.data, "<u2", where + RECORD_HEAD).tolist() + found.lost
-        return {n: c for n, c in Counter(numbers).items() if self._known(n)}
+        counts = Counter(numbers).items()
+        return {n: c for n, c in counts if not head.compression or self._known(n)}
 
     def _large(self, chunk: _Chunk) -> Iterator[Block]:
         """The messages of a chunk too large for the memory; it is checked before any is used."""
@@ -581,12 +609,36 @@ class _Walk:
         if len(positions) == 0:
             return
         number = words(data, "<u2", positions + RECORD_HEAD)
-        for unknown in self._tally.unknown(number):
-            self._tally.adopt(unknown)
+        first = self._tally.first(number, again=self._ended)
+        if first:
+            kept = self._without_descriptions(data, positions, size, first)
+            self._findings.repaired += int((~kept).sum())
+            number, positions, size = (a[kept] for a in (number, positions, size))
+        self._tally.adopt(number)
+        if len(number) == 0:
+            return
         log_time = words(data, "<i8", positions + LOG_TIME_AT)
         start = positions + (RECORD_HEAD + MESSAGE_HEAD)
         for sink, rows in self._tally.met(number, log_time):
             yield Block(data, sink, log_time[rows], start[rows], size[rows])
+
+    def _without_descriptions(
+        self, data: Bytes, positions: Ints, size: Ints, asked: Sequence[int]
+    ) -> NDArray[np.bool_]:
+        """Which messages are none that describe their channel but for one bit, which are taken in.
+
+        asked: which may be; descriptions stand in front of the first message, and behind the data.
+        """
+        heads, kept = self._heads.within(data), np.ones(len(positions), bool)
+        for k in asked:
+            place = int(positions[k])
+            channel = bytes([CHANNEL]) + heads.head(place)[1:]
+            if heads.end(place, channel) is not None:
+                kept[k] = False
+                record = data[place : place + RECORD_HEAD + MESSAGE_HEAD + int(size[k])].copy()
+                record[0] = CHANNEL
+                self._define(record, np.zeros(1, np.int64))
+        return kept
 
     def _walked(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Bytes, Ints]:
         """The places of the records in `data`, which is mended first where it is broken.
@@ -594,18 +646,23 @@ class _Walk:
         Schemas and channels met are taken in.
         """
         where = mcap_listed(data, np.concatenate(offsets)) if offsets else None
-        if where is not None:
-            self._define(data, where)
-            return data, where
-        where, stop = mcap_records(data, NOT_IN_CHUNKS)
-        self._define(data, where)
+        stop = len(data)
+        if where is None:
+            where, stop = mcap_records(data, NOT_IN_CHUNKS)
+        messages = self._define(data, where)
         if stop == len(data):
+            if messages:
+                self._findings.repaired += len(messages)
+                data = data.copy()
+                data[messages] = MESSAGE
             return data, where
         found = mended(data, self._heads.within(data), self._define)
         self._findings.unreadable_bytes += found.unreadable
         self._findings.repaired += found.repaired
-        for number in found.lost:
-            self._tally.lost(number, 1)
+        if not self._packed:
+            # What a broken stream gives may be records that were never written.
+            for number in found.lost:
+                self._tally.lost(number, 1)
         return found.data, found.where
 
     def _sizes(self, data: Bytes, where: Ints) -> tuple[Ints, Ints]:
@@ -622,15 +679,19 @@ class _Walk:
             where, size = where[size >= 0], size[size >= 0]
         return where, size
 
-    def _define_more(self, data: Bytes, where: Ints) -> None:
+    def _define_more(self, data: Bytes, where: Ints) -> list[int]:
         """Take in channels that no sound bytes described so far."""
-        self._define(data, where, more=True)
+        return self._define(data, where, more=True)
 
-    def _define(self, data: Bytes, where: Ints, more: bool = False) -> None:
-        """Take in the schemas and channels among records; more: only new ones."""
+    def _define(self, data: Bytes, where: Ints, more: bool = False) -> list[int]:
+        """Take in the schemas and channels among records; more: only new ones.
+
+        Returns the places of those that are messages but for one bit.
+        """
         op = data[where]
+        messages: list[int] = []
         if (op == MESSAGE).all():
-            return
+            return messages
         for place in where[(op == SCHEMA) | (op == CHANNEL)].tolist():
             kind, length = _HEAD(data.data, place)
             record = data[place : place + RECORD_HEAD + length].tobytes()
@@ -638,9 +699,12 @@ class _Walk:
                 continue
             heads = self._heads.within(data)
             head = None if heads.end(place) is not None else heads.repaired(place)
+            if head is not None and head[0] == MESSAGE:
+                messages.append(place)
+                continue
             if head is not None:
                 # One of the lengths in it was wrong.
-                self._findings.repaired += 1
+                self._findings.repaired += not more
                 record = head[: len(record)] + record[len(head) :]
             try:
                 found = self._definitions.take(record[0], record[RECORD_HEAD:])
@@ -649,6 +713,7 @@ class _Walk:
                 continue
             if found is not None and not (more and self._known(found[0])):
                 self._tally.describe(*found)
+        return messages
 
 
 _NO_HEAD = ChunkHead(0, 0, 0, 0, "", 0, 0)

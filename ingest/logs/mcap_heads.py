@@ -128,6 +128,10 @@ class Heads:
         heads._repairs = self._repairs
         return heads
 
+    def head(self, position: int) -> bytes:
+        """The first HEAD_BYTES of a record."""
+        return self._read(position, HEAD_BYTES)
+
     def known(self, numbers: NDArray[Any]) -> list[bool]:
         """Whether the channels of messages are described."""
         return [self._known(number) for number in numbers.tolist()]
@@ -195,21 +199,28 @@ class Heads:
         return self.end(position) is not None
 
     def repaired(self, position: int) -> bytes | None:
-        """The head of the record at `position` with one change that makes it sound, or None."""
+        """The head of the record at `position` with one change that makes it sound, or None.
+
+        Of several the one that ends first: it takes least for its own.
+        """
         head = self._read(position, HEAD_BYTES)
         if self._repairs[0] <= 0 or len(head) < RECORD_HEAD:
             return None
         self._repairs[0] -= 1
+        best: bytes | None = None
+        least = self._size + 1
         for patched in _changed(head):
+            if best is not None and patched[0] == MESSAGE != head[0]:
+                break
             end = self.end(position, patched)
-            if end is None or end > self._size:
+            if end is None or end >= least:
                 continue
             # Closer than `begins`: where a log was cut, some change of a length hits the cut.
             if self._begins_behind(patched, end) and (
                 end + RECORD_HEAD <= self._size or (end == self._size and not self._file)
             ):
-                return patched
-        return None
+                best, least = patched, end
+        return best
 
     def following(self, position: int, packed: bool = False) -> int | None:
         """Place of the next sound record at or behind `position`, None if there is none.
@@ -247,18 +258,11 @@ class Heads:
 
 
 def _changed(head: bytes) -> Iterator[bytes]:
-    """A head with what may have been damaged set right: the size of a chunk, or any one bit.
+    """A head with what may have been damaged set right: any one bit, or the size of a chunk.
 
     The number of a message's channel is left alone: several would do. What becomes a message by it
     comes last, since any length is that of a message.
     """
-    size_at = _data_size_at(head)
-    if head[0] == CHUNK and size_at:
-        length, size = _HEAD(head)[1], _U64(head, size_at)[0]
-        by_record = struct.pack("<Q", (RECORD_HEAD + length - size_at - 8) % (1 << 64))
-        yield head[:size_at] + by_record + head[size_at + 8 :]
-        by_data = struct.pack("<Q", (size_at + 8 + size - RECORD_HEAD) % (1 << 64))
-        yield head[:1] + by_data + head[RECORD_HEAD:]
     messages = []
     for bit in range(8 * len(head)):
         changed = bytearray(head)
@@ -269,6 +273,13 @@ def _changed(head: bytes) -> Iterator[bytes]:
             messages.append(bytes(changed))
         elif changed[0] != CHUNK or _data_size_at(changed):
             yield bytes(changed)
+    size_at = _data_size_at(head)
+    if head[0] == CHUNK and size_at:
+        length, size = _HEAD(head)[1], _U64(head, size_at)[0]
+        by_record = struct.pack("<Q", (RECORD_HEAD + length - size_at - 8) % (1 << 64))
+        yield head[:size_at] + by_record + head[size_at + 8 :]
+        by_data = struct.pack("<Q", (size_at + 8 + size - RECORD_HEAD) % (1 << 64))
+        yield head[:1] + by_data + head[RECORD_HEAD:]
     yield from messages
 
 

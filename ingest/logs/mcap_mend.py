@@ -22,10 +22,11 @@ _NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
 _PRIVATE = 0x80
 
 
-def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], None]) -> Mended:
+def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], list[int]]) -> Mended:
     """All records of damaged data that can still be found. heads: of the data.
 
-    define: is told of further records, so that the channels among them are known.
+    define: is told of further records, so that the channels among them are known; gives the places
+    of those that are messages after all.
     """
     data = data.copy()
     heads = heads.within(data)
@@ -34,7 +35,9 @@ def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], None]) -> 
     position = unreadable = repaired = 0
     while position < len(data):
         where, stop = mcap_records(data[position:], _NOT_IN_CHUNKS)
-        define(data[position:], where)
+        messages = define(data[position:], where)
+        data[position:][messages] = MESSAGE
+        repaired += len(messages)
         if position + stop == len(data):
             parts.append(where + position)
             break

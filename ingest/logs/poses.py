@@ -73,14 +73,19 @@ class Heads(NamedTuple):
 
 
 class PoseDecoder(Protocol):
-    """Turns payloads into poses; what cannot be decoded is left out and counted in `failed`.
+    """Turns payloads into poses; what cannot be decoded is left out and counted in `failed`."""
 
-    reason: why the first of them could not be decoded.
-    """
+    @property
+    def frames(self) -> Frames:
+        """Numbers of the frames met."""
 
-    frames: Frames
-    failed: int
-    reason: str
+    @property
+    def failed(self) -> int:
+        """Messages that could not be decoded."""
+
+    @property
+    def reason(self) -> str:
+        """Why the first of them could not be."""
 
     def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
         """What is needed of the messages, if all have one shape that was met before; else None."""

@@ -20,6 +20,7 @@ from .mcap_file import McapFile
 from .mcap_wire import MAGIC as MCAP_MAGIC
 from .messages import UNWANTED, Container, Findings, printable
 from .metadata import BAG_INFORMATION, METADATA_BYTES, Metadata, parse_metadata
+from .saved_map import is_saved_map, saved_map_files
 from .spelling import one_bit_apart
 from .sqlite_file import MAGIC as SQLITE_MAGIC
 from .sqlite_file import SqliteFile
@@ -27,7 +28,7 @@ from .sqlite_file import SqliteFile
 METADATA = "metadata.yaml"
 NOTES = 12
 """So many missing or unexpected files are named."""
-_SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst))+$", re.IGNORECASE)
+_SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst|ya?ml))+$", re.IGNORECASE)
 _NAMED = re.compile(r"\.(mcap|bag|db3|bag\.active)(\.(zstd|zst))?$", re.IGNORECASE)
 _PART = re.compile(r"^(?P<stem>.*?)_?(\d{4}(-\d\d){5})?_(?P<number>\d+)$")
 """Name of a part; ROS 1 puts the time at which it was begun in front of its number."""
@@ -105,9 +106,12 @@ def recording_at(path: Path) -> Recording:
         path.open("rb").close()
     except OSError as error:
         raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
+    if is_saved_map(path):
+        return Recording(path, saved_map_files(path))
     if sniff(path) is None:
         raise LogError(
-            f"{path}: is no log; an MCAP file, a ROS 1 bag (format 2.0) or a ROS 2 bag is needed"
+            f"{path}: is no log; an MCAP file, a ROS 1 bag (format 2.0), a ROS 2 bag or a saved "
+            "map (map.yaml) is needed"
         )
     return Recording(path, (path,))
 
@@ -173,7 +177,9 @@ def find_logs(paths: Sequence[Path]) -> list[Path]:
             continue
         below = list(_below(path))
         if not below:
-            raise LogError(f"{path}: no log in this folder (MCAP, ROS 1 bag or ROS 2 bag)")
+            raise LogError(
+                f"{path}: no log in this folder (MCAP, ROS 1 bag, ROS 2 bag or map.yaml)"
+            )
         found |= dict.fromkeys(below)
     return sorted(found)
 
@@ -222,7 +228,7 @@ def _is_log(path: Path) -> bool:
     named = _NAMED.search(path.name)
     if kind in ("sqlite3", "zstd"):
         return named is not None
-    return kind is not None or named is not None
+    return kind is not None or named is not None or is_saved_map(path)
 
 
 def _is_split(files: Sequence[Path]) -> bool:

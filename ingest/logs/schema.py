@@ -25,6 +25,8 @@ largest in use have some hundreds; types that double level by level have 2 to th
 _TIME = ["int32", "uint32"]
 _HEADER = [*_TIME, "string"]
 _POSE = ["float64"] * 7
+_LASER = ["float32"] * 7
+_ECHOES = ["[", "[", "float32", "]", "]"]
 
 _SHORT = {"Header": "std_msgs/Header", "time": "time", "duration": "duration"}
 _PRIMITIVE = frozenset(
@@ -40,6 +42,13 @@ EXPECTED = {
     "transforms": ["[", *_HEADER, "string", *_POSE, "]"],
     "foxglove_pose": [*_HEADER, *_POSE],
     "foxglove_poses": [*_HEADER, "[", *_POSE, "]"],
+    "laser_scan": [*_HEADER, *_LASER, "[", "float32", "]"],
+    "multi_echo": [*_HEADER, *_LASER, *_ECHOES, *_ECHOES],
+    "cloud": [
+        *(*_HEADER, "uint32", "uint32", "[", "string", "uint32", "uint8", "uint32", "]"),
+        *("bool", "uint32", "uint32", "[", "uint8", "]"),
+    ],
+    "grid": [*_HEADER, *_TIME, "float32", "uint32", "uint32", *_POSE, "[", "int8", "]"],
 }
 """Leading primitive fields of each kind of message that is decoded by columns."""
 

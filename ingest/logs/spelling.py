@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from typing import TypeVar
 
 from .messages import Channel
@@ -28,9 +28,11 @@ def one_bit_apart(name: Name, other: Name) -> bool:
     return (x ^ y).bit_count() == 1 or (isinstance(name, str) and x == ord("?"))
 
 
-def nearest(name: Name, known: Iterable[Name]) -> Name:
+def nearest(name: Name, known: Collection[Name]) -> Name:
     """The one known name that is a bit away, or the name itself."""
-    found = [other for other in known if other == name or one_bit_apart(name, other)]
+    if name in known:
+        return name
+    found = [other for other in known if one_bit_apart(name, other)]
     return found[0] if len(found) == 1 else name
 
 

@@ -26,6 +26,8 @@ class Tally:
         self._sink = np.full(NUMBERS, UNKNOWN, np.int64)
         self._met = np.zeros(NUMBERS, np.int64)
         self._lost: dict[int, int] = {}
+        self._adopted: set[int] = set()
+        self._undelivered = 0
         for number, channel in channels.items():
             self.describe(number, channel)
 
@@ -33,9 +35,12 @@ class Tally:
         """Take in what a channel is; the last description counts.
 
         A wanted one stays what it is: a number means one thing in a file, and an index that was
-        checked describes it first.
+        checked describes it first. What no number in use has is left out.
         """
-        if number < NUMBERS and self._sink[number] < 0 and self._channels.get(number) != channel:
+        number, more = number % NUMBERS, number // NUMBERS
+        if more.bit_count() > 1 or (more and self._sink[number] != UNKNOWN):
+            return
+        if self._sink[number] < 0 and self._channels.get(number) != channel:
             self._channels[number] = channel
             self._sink[number] = self._want(channel)
 
@@ -44,18 +49,41 @@ class Tally:
         strange = number[self._sink[number] == UNKNOWN]
         return np.bincount(strange).nonzero()[0].tolist() if len(strange) else []
 
-    def adopt(self, number: int) -> bool:
-        """Take a number that is described nowhere for the one it can only have been.
+    def first(self, number: NDArray[Any], again: bool = False) -> list[int]:
+        """Where among these messages the first one of each channel is that had none yet.
 
-        That is the only channel whose number is a bit away, if none of its messages were met.
+        again: also of those that had.
         """
-        if number >= NUMBERS or self._sink[number] != UNKNOWN:
-            return False
-        near = [n for n in self._channels if one_bit_apart(n, number)]
-        if len(near) != 1 or self._met[near[0]]:
-            return False
-        self.describe(number, self._channels[near[0]])
-        return True
+        fresh = np.arange(len(number)) if again else (self._met[number] == 0).nonzero()[0]
+        # The last one written of a number is the first one met.
+        place = dict(zip(number[fresh[::-1]].tolist(), fresh[::-1].tolist(), strict=True))
+        return list(place.values())
+
+    def adopt(self, number: NDArray[Any]) -> bool:
+        """Take numbers that are described nowhere for those that they can only have been.
+
+        number: of messages that were met together. Where a description names a wrong number, no
+        message has that one, and all of the channel's messages have one that is a bit away. A
+        single message may as well be that of another channel a bit away. Whether any was taken.
+        """
+        taken = False
+        for strange in self.unknown(number):
+            near = [n for n in self._channels if one_bit_apart(n, strange)]
+            free = [
+                n
+                for n in near
+                if not self._met[n] and n not in self._adopted and not (number == n).any()
+            ]
+            if len(free) != 1:
+                continue
+            if len(near) == 1 or self._met[strange] + int((number == strange).sum()) > 1:
+                # Those met before were not delivered.
+                self._undelivered += int(self._met[strange])
+                self._met[strange] = 0
+                self.describe(strange, self._channels[free[0]])
+                self._adopted.add(free[0])
+                taken = True
+        return taken
 
     def sink(self, number: int) -> int:
         """Sink number of a channel: wanted from 0 on, UNWANTED, or UNKNOWN."""
@@ -88,25 +116,48 @@ class Tally:
         """Count messages known to be lost in a damaged place."""
         self._lost[number] = self._lost.get(number, 0) + count
 
+    def _fold(self, declared: Mapping[int, int]) -> None:
+        """Count what was met of a channel under a wrong number for the number that is declared."""
+        own = {self._channels[n]: n for n in declared if n in self._channels}
+        for number in np.flatnonzero(self._met).tolist() if own else ():
+            channel = self._channels.get(number)
+            if number not in declared and channel in own:
+                self._met[own[channel]] += self._met[number]
+                self._met[number] = 0
+
+    def moved(self, declared: Mapping[int, int]) -> bool:
+        """Whether as many messages were met as are declared, if of other channels."""
+        return int(self._met.sum()) == sum(declared.values())
+
     def lacks(self, declared: Mapping[int, int]) -> bool:
         """Whether fewer messages were met than are declared."""
+        self._fold(declared)
         return any(c > (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items())
 
     def finish(self, declared: Mapping[int, int]) -> None:
         """Turn the counts into findings.
 
-        declared: messages per number by the file's own index; what is missing of them is lost.
-        Empty where there is none: then the losses counted on the way are reported.
+        declared: messages per number by the file's own index; what is missing of them is lost, be
+        it that it was met under a wrong number. Empty where there is none: then the losses counted
+        on the way are reported.
         """
+        strange = self._undelivered
+        self._fold(declared)
         for number in np.flatnonzero(self._met).tolist():
-            channel = self._channels.get(number)
-            if channel is None:
-                self._findings.unknown += int(self._met[number])
+            channel, count = self._channels.get(number), int(self._met[number])
+            if channel is not None:
+                self._findings.seen(channel, count)
+                if number in declared and count > declared[number]:
+                    self._findings.note(f"the index counts too few messages of {channel.topic}")
+            elif number in declared:
+                self._findings.unknown += count
             else:
-                self._findings.seen(channel, int(self._met[number]))
+                strange += count
         lost = dict(self._lost)
         if declared:
             lost = {n: c - (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items()}
+            strange -= min(strange, sum(count for count in lost.values() if count > 0))
+        self._findings.unknown += strange
         for number, count in lost.items():
             if count > 0:
                 channel = self._channels.get(number)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ...topology.errors import LogError, UsageError
+from .laser_wire import LaserKind
 from .messages import Channel
 from .wire import Kind
 
@@ -31,6 +32,9 @@ JUNCTION_KINDS: Mapping[str, Kind] = {
     "foxglove_msgs/msg/PosesInFrame": "foxglove_poses",
 }
 
+PARTICLES = ("/particlecloud", "/particle_cloud")
+"""Names of topics that hold many poses of the robot, none of a junction."""
+
 TRANSFORM_KINDS: Mapping[str, Kind | None] = {
     "tf2_msgs/msg/TFMessage": "transforms",
     "tf/msg/tfMessage": "transforms",
@@ -41,8 +45,23 @@ TRANSFORM_KINDS: Mapping[str, Kind | None] = {
 }
 """Types that tell how frames lie to each other; None: they are decoded message by message."""
 
+SCAN_KINDS: Mapping[str, LaserKind | None] = {
+    "sensor_msgs/msg/LaserScan": "laser_scan",
+    "sensor_msgs/msg/MultiEchoLaserScan": "multi_echo",
+    "foxglove.LaserScan": None,
+    "foxglove_msgs/msg/LaserScan": None,
+}
+"""Types of planar scans; None: they are decoded message by message."""
+
+CLOUD_KINDS: Mapping[str, None] = {"sensor_msgs/msg/PointCloud2": None}
+
+GRID_KINDS: Mapping[str, None] = {"nav_msgs/msg/OccupancyGrid": None}
+
 ODOMETRY_TYPES = "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped or foxglove.PoseInFrame"
 JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
+SCAN_TYPES = "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan"
+CLOUD_TYPES = "sensor_msgs/PointCloud2"
+GRID_TYPES = "nav_msgs/OccupancyGrid"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +131,44 @@ def choose_junctions(
             return Choice("/junctions", every["/junctions"], "default name")
         raise UsageError(f"{log}: --junction-fields needs --junction-topic; {listing(counts)}")
     topics = _of_types(counts, set(JUNCTION_KINDS))
+    # What a particle filter believes of the robot's own pose.
+    topics = {name: kind for name, kind in topics.items() if not name.endswith(PARTICLES)}
     if not topics:
         raise LogError(
             f"{log}: no junction detections found ({JUNCTION_TYPES}); {listing(counts)}; if one of "
             "them holds junctions, name it by --junction-topic and its fields by --junction-fields"
         )
     return _single(topics, "/junctions", "--junction-topic", "the junction detections", log)
+
+
+def choose_sensors(
+    counts: Mapping[Channel, int],
+    named: str | None,
+    kinds: Iterable[str],
+    *,
+    usual: str,
+    types: str,
+    log: str,
+) -> list[Choice]:
+    """The topics of scans, clouds or grids: the usual one first, then those of most messages.
+
+    Raises LogError if there is none. Cost maps are what a planner makes of a map: taken only when
+    named.
+    """
+    if named is not None:
+        return [_named(counts, named, kinds=kinds, flag="--scan-topic", types=types, log=log)]
+    topics = _of_types(counts, kinds)
+    topics = {name: kind for name, kind in topics.items() if "costmap" not in name}
+    if not topics:
+        raise LogError(f"{log}: nothing found to detect junctions in ({types}); {listing(counts)}")
+    if len(topics) == 1:
+        return [_single(topics, usual, "--scan-topic", "what junctions are to be found in", log)]
+    messages = {name: sum(n for c, n in counts.items() if c.topic == name) for name in topics}
+    ranked = sorted(topics, key=lambda name: (name != usual, -messages[name], name))
+    why = "default name" if ranked[0] == usual else "most messages"
+    return [Choice(ranked[0], topics[ranked[0]], f"{why}, out of several topics of its type")] + [
+        Choice(name, topics[name], "one of several topics of its type") for name in ranked[1:]
+    ]
 
 
 def _of_types(

@@ -61,7 +61,7 @@ class Template(NamedTuple):
         return Poses(message, np.zeros_like(message), stamp_ns, frame, value.reshape(-1, 7))
 
 
-class _Parser:
+class WireParser:
     """Goes through one message and notes what a template needs."""
 
     def __init__(self, raw: bytes, ros1: bool) -> None:
@@ -81,12 +81,14 @@ class _Parser:
         self._base = self.position = 4
         self.fixed.append((0, 2))
 
-    def _align(self, width: int) -> None:
+    def align(self, width: int) -> None:
+        """Go on to where a number of this width may stand."""
         if not self.ros1:
             width = min(width, self._widest)
             self.position += -(self.position - self._base) % width
 
-    def _advance(self, length: int) -> int:
+    def advance(self, length: int) -> int:
+        """Go over so many bytes; where they begin. Raises DamageError at the message's end."""
         at = self.position
         if at + length > len(self._raw):
             raise DamageError("a message ends too early")
@@ -95,40 +97,40 @@ class _Parser:
 
     def count(self) -> int:
         """A length that belongs to the shape."""
-        self._align(4)
-        at = self._advance(4)
+        self.align(4)
+        at = self.advance(4)
         self.fixed.append((at, at + 4))
         return int(struct.unpack_from(f"{self.order}I", self._raw, at)[0])
 
     def string(self) -> str:
         """A string that belongs to the shape."""
         length = self.count()
-        at = self._advance(length)
+        at = self.advance(length)
         if length:
             self.fixed.append((at, at + length))
         return text(self._raw[at : at + length].rstrip(b"\0"))
 
     def stamp(self) -> int:
         """Place of a time."""
-        self._align(4)
-        return self._advance(8)
+        self.align(4)
+        return self.advance(8)
 
     def header(self) -> tuple[int, str]:
         """Place of the stamp and the frame of a std_msgs/Header."""
         if self.ros1:
-            self._advance(4)
+            self.advance(4)
         return self.stamp(), self.string()
 
     def poses(self, count: int) -> int:
         """Place of `count` poses one behind the other."""
         if count:
-            self._align(8)
-        return self._advance(POSE_BYTES * count)
+            self.align(8)
+        return self.advance(POSE_BYTES * count)
 
 
 def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
     """The template of one message; raises DamageError if it cannot be a message of this kind."""
-    parser = _Parser(raw, ros1)
+    parser = WireParser(raw, ros1)
     runs: list[_Run] = []
     if kind == "transforms":
         for _ in range(min(parser.count(), len(raw) // POSE_BYTES + 1)):

@@ -1,16 +1,20 @@
 """Trusted merging: evidence in bits, three verdicts, no false merges."""
 
 from .alignment import Candidate, match
+from .batch import match_shard
 from .decide import decide
+from .pairing import Means
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, RobustSettings
 
 __all__ = [
     "DEFAULT_ROBUST",
     "Candidate",
+    "Means",
     "Prepared",
     "RobustSettings",
     "decide",
     "match",
+    "match_shard",
     "prepare",
 ]

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ...topology.se2 import compose, inverse, wrap
 from .alignment import Candidate
-from .prepare import Prepared
+from .prepare import ComplexArray, Prepared
 
 Pair = tuple[int, int]
 
@@ -19,6 +20,10 @@ CYCLE_PER_M = 0.06
 CYCLE_RAD = 0.4
 """Two ways to place a run agree within this much, plus drift per metre between the maps' middles:
 chained rigid transforms of maps that drift cannot agree better."""
+
+
+FEWEST_SHARED = 3
+"""Junctions that two runs must have near each other to be worth a match that others suggest."""
 
 
 class Components:
@@ -79,6 +84,12 @@ class Refusal:
     advice: str | None = None
 
 
+ELSEWHERE = Refusal(
+    "other runs, matched with more evidence or locked, place the two differently: this match is "
+    "set aside"
+)
+
+
 def agrees(candidate: Candidate, T_a_b: NDArray[np.float64], b: Prepared) -> bool:
     """Does an alignment place b as T_a_b does, within what drift makes of chained transforms?"""
     middle = complex(b.z[candidate.b].mean())
@@ -106,10 +117,7 @@ def join_all(
         alignment = best[i, j]
         if components.together(i, j):
             if not agrees(alignment, components.relative(i, j), prepared[j]):
-                refused[i, j] = Refusal(
-                    "other runs, matched with more evidence or locked, place the two differently: "
-                    "this match is set aside"
-                )
+                refused[i, j] = ELSEWHERE
             continue
         kept_apart = components.forbidden(i, j)
         if kept_apart is not None:
@@ -121,3 +129,27 @@ def join_all(
             continue
         components.join(i, j, alignment.transform)
     return refused
+
+
+def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[Pair]:
+    """Pairs i < j of one component that have FEWEST_SHARED junctions near each other as their
+    component places them. places: of every run its junctions (x + iy)."""
+    out: list[Pair] = []
+    for members in components.members.values():
+        if len(members) < 2:
+            continue
+        runs = sorted(members)
+        laid = [_laid(components.pose[k], places[k]) for k in runs]
+        owner = np.arange(len(runs)).repeat([len(z) for z in laid])
+        near = cKDTree(np.concatenate(laid).view(np.float64).reshape(-1, 2)).query_pairs(
+            CYCLE_M, output_type="ndarray"
+        )
+        both = np.sort(owner[near], axis=1)
+        pair, shared = np.unique(both[both[:, 0] < both[:, 1]], axis=0, return_counts=True)
+        out += [(runs[i], runs[j]) for i, j in pair[shared >= FEWEST_SHARED].tolist()]
+    return sorted(out)
+
+
+def _laid(pose: NDArray[np.float64], z: ComplexArray) -> ComplexArray:
+    x, y, theta = pose.tolist()
+    return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))

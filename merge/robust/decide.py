@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +10,16 @@ import numpy as np
 from ...topology.digits import BITS, rounded
 from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
+from ..discards import REASON, Names
 from ..locks import Lock, lock_table
-from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
+from ..result import AcceptedBy, Alignment, PairVerdict, Verdict, pairs_of
 from .advice import advice
 from .alignment import Candidate, match, same_placement, self_matches
+from .batch import Batch, wanted_pairs
 from .components import Components, Refusal, agrees, join_all
 from .forced import forced_alignment
-from .mirror import doubt_mirrored
-from .pairing import Candidates, Pair, match_all
+from .mirror import doubt_mirrored, mirrored
+from .pairing import Means, Pair, Pairwise
 from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
@@ -29,16 +30,15 @@ from .verdict import (
     Opinion,
     PairCount,
     bar,
-    beyond_chance_bits,
     counted_bits,
-    needed_bits,
     opinion,
     repetition_level,
 )
 from .wording import contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
-"""The repetition of a batch is that of the map at this quantile: most maps repeat, or few do."""
+"""A batch repeats itself as its map at this quantile does: most maps repeat, or few do. Pairs are
+many more than maps, and meet larger copies than the two maps show by themselves."""
 
 
 def decide(
@@ -46,42 +46,52 @@ def decide(
     settings: RobustSettings = DEFAULT_ROBUST,
     *,
     locks: Sequence[Lock] = (),
-    on_pair: Callable[[int, int], None] | None = None,
-    executor: Executor | None = None,
+    discarded: Collection[Names] = (),
+    means: Means | None = None,
 ) -> tuple[PairVerdict, ...]:
-    """A verdict for every pair of runs, sorted by (a, b); `maps` are sorted by run.
+    """Verdicts on pairs of runs, sorted by (a, b); `maps` are sorted by run.
+
+    Of a small batch on every pair. Of a large one on those that were matched: the others have no
+    chance (`index`) and are unrelated, as far as no other runs join them.
 
     1. Every map is prepared, and matched with itself: how much does the building repeat itself?
-    2. Every pair is matched: candidate alignments with evidence against chance and for sameness.
+    2. Every pair with a chance is matched: candidate alignments with evidence against chance and
+       for sameness.
     3. Each pair by itself is merged, ambiguous or unrelated; "merged" must fit better than its
        mirror image.
     4. Merged pairs are joined, strongest first, locks honoured, cycles checked.
     5. The merged maps of components are matched again: evidence adds up over their runs. They, too,
        must fit better than their mirror images.
-    6. What the joined runs say of the pairs that stayed open is taken over.
+    6. What the joined runs say of the pairs that stayed open is taken over; pairs that now lie over
+       each other are matched after all.
 
-    Locks of runs that are not among the maps are left alone. Raises UsageError on locks that
+    Locks of runs that are not among the maps are left alone. Discarded matches, by the names of
+    their runs in order, are as if they had not been found. Raises UsageError on locks that
     contradict each other or name a vertex that does not exist.
     """
-    prepared = [prepare(m) for m in maps]
     runs = [m.run for m in maps]
+    matcher = Pairwise(maps, settings, means)
+    prepared = matcher.prepared
     locked = _locked_pairs(runs, prepared, locks)
-    level = bars(prepared, settings)
-    candidates = match_all(prepared, settings, on_pair, executor)
-    count = _count(candidates, settings)
-    levels = {pair: level(pair, count) for pair in candidates}
-    opinions = {
-        (i, j): opinion(prepared[i], prepared[j], found, levels[i, j])
-        for (i, j), found in candidates.items()
-    }
-    opinions = doubt_mirrored(opinions, maps, prepared, settings)
-    forced = _forced(prepared, candidates, locked, settings)
+    batch = Batch(matcher, bars(prepared, settings, matcher.with_themselves()))
+    row = {run: k for k, run in enumerate(runs)}
+    gone = [(row[a], row[b]) for a, b in sorted(discarded) if a in row and b in row]
+    wanted = wanted_pairs(matcher, [*locked, *gone])
+    matcher.means.say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
+    batch.look_at(wanted, gone)
+    opinions = batch.opinions
+    forced = _forced(prepared, locked, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     best, order = _strongest_first(opinions, forced, locked)
     refused = join_all(components, order, best, prepared, runs)
     kept = {pair: c for pair, c in best.items() if pair not in refused}
-    reunions = Rematcher(maps, prepared, components, opinions, levels, settings).run(kept)
+    rematcher = Rematcher(
+        maps, prepared, components, opinions, batch.level, settings, frozenset(gone)
+    )
+    reunions = rematcher.run(kept)
+    matcher.means.say(f"{len(kept)} pairs join, {len(reunions)} by what components say together")
+    refused |= batch.look_again(components, reunions)
     return tuple(
         _verdict(
             prepared[i],
@@ -92,11 +102,11 @@ def decide(
                 lock=locked.get((i, j)),
                 refused=refused.get((i, j)),
                 reunion=reunions.get((i, j)),
-                seconded=_seconded((i, j), candidates[i, j], components, prepared),
+                seconded=_seconded((i, j), batch.found[i, j].candidates, components, prepared),
                 together=components.together(i, j),
             ),
         )
-        for i, j in sorted(candidates)
+        for i, j in sorted(opinions)
     )
 
 
@@ -129,7 +139,12 @@ def assess(
     level = bars(prepared, settings)(pair, count)
     found = match(prepared[i], prepared[j], settings)
     view = opinion(prepared[i], prepared[j], found, level)
-    view = doubt_mirrored({pair: view}, maps, prepared, settings)[pair]
+
+    def image_bits(pairs: list[Pair]) -> dict[Pair, float]:
+        best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}
+        return {p: c[0].bits if c else -np.inf for p, c in best.items()}
+
+    view = doubt_mirrored({pair: view}, image_bits, settings)[pair]
     return Assessment(prepared[i], prepared[j], found, level, view)
 
 
@@ -166,44 +181,46 @@ def _locked_pairs(
     return out
 
 
-def _count(candidates: Candidates, settings: RobustSettings) -> PairCount:
-    """How many pairs may be merged wrongly, by chance or for copies."""
-    need = needed_bits(len(candidates), settings)
-    beyond = (beyond_chance_bits(found, settings) >= need for found in candidates.values())
-    return PairCount(len(candidates), sum(beyond))
-
-
 def bars(
-    prepared: Sequence[Prepared], settings: RobustSettings
+    prepared: Sequence[Prepared],
+    settings: RobustSettings,
+    with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
 ) -> Callable[[Pair, PairCount], Bar]:
-    """What each pair must reach in a batch of so many pairs."""
-    copies, repetition, copied = _repetition(prepared, settings)
+    """What each pair must reach in a batch of so many pairs. with_themselves: matches of each map
+    with other parts of itself, if they are known."""
+    own = with_themselves or [self_matches(m, settings) for m in prepared]
+    copies, repetition, copied = _repetition(prepared, own, settings)
 
     def level(pair: Pair, count: PairCount) -> Bar:
         repeats, largest = (max(values[k] for k in pair) for values in (repetition, copied))
-        return bar(count, repeats, copies, settings, copied=int(largest))
+        return bar(count, repeats, copies, settings, copied=largest)
 
     return level
 
 
 def _repetition(
-    prepared: Sequence[Prepared], settings: RobustSettings
-) -> tuple[CopyModel, list[float], list[int]]:
+    prepared: Sequence[Prepared],
+    found: Sequence[tuple[Candidate, ...]],
+    settings: RobustSettings,
+) -> tuple[CopyModel, list[float], list[float]]:
     """How copies differ in these buildings; 0 … 1 for every map: does it repeat itself? And the
     junctions of its largest copy of a part of itself."""
-    found = [self_matches(m, settings) for m in prepared]
-    levels = [repetition_level(own) for own in found]
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]
-    fleet = float(np.quantile(levels, FLEET_SHARE)) if levels else 0.0
+    levels = [repetition_level(own) for own in found]
     copied = [max((len(c) for c in own if c.bits > ODD_BITS), default=0) for own in found]
-    return copy_model(samples, settings), [max(level, fleet) for level in levels], copied
+    return copy_model(samples, settings), _at_least_most(levels), _at_least_most(copied)
+
+
+def _at_least_most(values: Sequence[float]) -> list[float]:
+    """Values of maps, none less than that of the batch."""
+    batch = float(np.quantile(values, FLEET_SHARE)) if values else 0.0
+    return [max(value, batch) for value in values]
 
 
 def _forced(
     prepared: Sequence[Prepared],
-    candidates: Candidates,
     locked: dict[Pair, Lock],
     settings: RobustSettings,
 ) -> dict[Pair, Candidate]:
@@ -211,7 +228,8 @@ def _forced(
     out = {}
     for (i, j), lock in sorted(locked.items()):
         if lock.decision == "same":
-            found = forced_alignment(prepared[i], prepared[j], candidates[i, j], lock, settings)
+            candidates = match(prepared[i], prepared[j], settings)
+            found = forced_alignment(prepared[i], prepared[j], candidates, lock, settings)
             if found is not None:
                 out[i, j] = found
     return out
@@ -269,8 +287,10 @@ def _verdict(a: Prepared, b: Prepared, case: _Case) -> PairVerdict:
 
 def _says(view: Opinion) -> str:
     """What the two maps say by themselves, as a clause."""
+    if view.discarded:
+        return REASON
     if view.best is None:
-        return nothing(view.faint, view.bits, view.need_bits)
+        return nothing(view.faint, view.need_bits)
     return summary(view.best, view.bits, view.need_bits, view.margin)
 
 
@@ -390,11 +410,13 @@ def _extra(case: _Case) -> dict[str, float]:
 
 def _alignment(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:
     order = np.argsort(c.a, kind="stable")
+    against = contradictions(c, a, b)
     return Alignment(
         transform=c.transform,
         evidence_bits=bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
-        contradictions=contradictions(c, a, b),
+        contradictions=tuple(told for told, _, _ in against),
+        contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
     )

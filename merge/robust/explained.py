@@ -15,14 +15,17 @@ import numpy as np
 from ...topology.se2 import between
 from ...topology.topomap import TopoMap
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
+from ..discards import REASON
 from ..locks import Lock, lock_table
-from ..result import Alignment, PairVerdict, shown_bits
+from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
+from ..through import joined_through
 from ..wording import counted, told_bits
 from .alignment import CHANCE_BITS, Candidate, best_seed, same_placement
 from .conflicts import CONFLICT_BITS
 from .decide import Assessment, assess, bars
 from .forced import forced_alignment
 from .growth import FEWEST, LEAST_SHARE, given_up
+from .index import beyond_chance
 from .prepare import FloatArray, IntArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
@@ -55,12 +58,16 @@ class Batch:
     def count(self) -> PairCount:
         """The pairs that shared the false-merge rate; what earlier versions did not tell is taken
         to be beyond chance."""
-        pairs = len(self.said) or len(self.maps) * (len(self.maps) - 1) // 2
+        pairs = pairs_of(len(self.poses)) or len(self.said) or pairs_of(len(self.maps))
         told = [v.extra.get("against_chance_bits", 0.0) for v in self.said.values()]
         if not any(told):
             return PairCount(pairs, pairs)
         need = needed_bits(pairs, self.settings)
-        return PairCount(pairs, sum(bits >= need for bits in told))
+        return PairCount(pairs, beyond_chance(sum(bits >= need for bits in told), pairs))
+
+    def unlisted(self, a: str, b: str) -> bool:
+        """Is a pair one of those that a large merge only counted?"""
+        return (a, b) not in self.said and a in self.poses and b in self.poses
 
 
 def explain(batch: Batch, a: str, b: str) -> Decision:
@@ -68,20 +75,48 @@ def explain(batch: Batch, a: str, b: str) -> Decision:
     pair = (a, b)
     own = assess(batch.maps, (batch.row[a], batch.row[b]), batch.settings, count=batch.count)
     alone = own.alone()
-    told = batch.said.get(pair, alone)
+    unlisted = batch.unlisted(a, b)
+    told = _unlisted(batch, alone) if unlisted else batch.said.get(pair, alone)
     shown, start = _shown(batch, own, told)
     placements = tuple(placement for placement, _ in shown)
     return Decision(
         said=told,
-        merged=pair in batch.said,
+        merged=unlisted or pair in batch.said,
         requirement=_requirement(batch, own.level, shown[0][1] if shown else None),
         placements=placements,
         start=start,
         by_others=_by_others(batch, told),
         why="" if told.accepted else own.view.why,
-        notes=(*_lock_notes(batch, told), *_changed(told, alone, placements))
-        if pair in batch.said
-        else (),
+        notes=_notes(batch, told, alone, placements) if pair in batch.said else (),
+    )
+
+
+def _notes(
+    batch: Batch, told: PairVerdict, alone: PairVerdict, placements: Sequence[Placement]
+) -> tuple[str, ...]:
+    """What else is to be said of a pair of the last merge."""
+    if REASON in told.reason:
+        return (f"{REASON}: what is shown does not count (topobatch discard A:B --undo)",)
+    return (*_lock_notes(batch, told), *_changed(told, alone, placements))
+
+
+def _unlisted(batch: Batch, alone: PairVerdict) -> PairVerdict:
+    """The verdict on a pair that the merge did not list: nothing of its own, and through which runs
+    others join the two, if they do."""
+    pair = (alone.a, alone.b)
+    known = [*batch.said.values(), replace(alone, accepted=False)]
+    through = joined_through(known).get(pair, ())
+    if alone.verdict is Verdict.UNRELATED:
+        return replace(alone, through=through)
+    return PairVerdict(
+        *pair,
+        Verdict.UNRELATED,
+        False,
+        alone.evidence_bits,
+        f"not matched among so many runs, as no corridors that hang together look alike enough; "
+        f"matched now: {alone.reason}",
+        threshold_bits=alone.threshold_bits,
+        through=through,
     )
 
 

@@ -6,7 +6,7 @@ that, and nothing there contradicts. What gives it away is that the mirror image
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +16,11 @@ from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
 from ..result import Verdict
 from .alignment import Candidate, match
-from .pairing import Pair
-from .prepare import IntArray, Prepared, prepare
+from .prepare import IntArray, Prepared
 from .settings import RobustSettings
 from .verdict import Opinion
+
+Pair = tuple[int, int]
 
 WHY = "its mirror image fits better: this may be a copy built the other way round"
 
@@ -48,21 +49,20 @@ def mirrored(m: TopoMap) -> TopoMap:
 
 def doubt_mirrored(
     opinions: Mapping[Pair, Opinion],
-    maps: Sequence[TopoMap],
-    prepared: Sequence[Prepared],
+    image_bits: Callable[[list[Pair]], Mapping[Pair, float]],
     settings: RobustSettings,
 ) -> dict[Pair, Opinion]:
     """The opinions, with "merged" made "ambiguous" where the second map's mirror image fits the
-    first one clearly better than the map itself does."""
-    images: dict[int, Prepared] = {}
+    first one clearly better than the map itself does.
+
+    image_bits: the evidence of the best alignments with mirror images, of some pairs.
+    """
+    merged = [pair for pair, view in opinions.items() if view.verdict is Verdict.MERGED]
     out = dict(opinions)
-    for (i, j), view in opinions.items():
-        if view.verdict is not Verdict.MERGED or view.best is None:
-            continue
-        if j not in images:
-            images[j] = prepare(mirrored(maps[j]))
-        if image_fits_better(prepared[i], images[j], view.best, settings):
-            out[i, j] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
+    for pair, bits in image_bits(merged).items():
+        view = opinions[pair]
+        if view.best is not None and bits > view.best.bits + settings.lead_bits:
+            out[pair] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
     return out
 
 

@@ -1,62 +1,346 @@
-"""All pairs of a batch: matched here, or in blocks on an executor."""
+"""The pairwise stage: what is known already is looked up, the rest matched, here or by workers.
+
+A task names maps by run and content; who does it reads them. Results come back as packs, whoever
+made them, so that one process, many, and a cache give the same numbers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, as_completed
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Protocol
 
-from .alignment import Candidate, match
-from .prepare import Prepared
-from .settings import RobustSettings
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ...topology.errors import DataError
+from ...topology.topomap import TopoMap
+from ..packs import DIGEST, Pack, PackWriter, digest_of
+from ..workers import Workers
+from .alignment import Candidate, match, self_matches
+from .mirror import mirrored
+from .prepare import Prepared, prepare
+from .records import Found, from_bytes, in_short, to_bytes
+from .settings import DEFAULT_ROBUST, RobustSettings
+from .verdict import Faint
 
 Pair = tuple[int, int]
-Candidates = dict[Pair, tuple[Candidate, ...]]
+IntArray = NDArray[np.int64]
+Ready = Callable[[bytes, bool], Prepared]
+"""The prepared map of a digest, or its mirror image."""
 
-BLOCK = 12
-"""Maps per side of a block: a block travels once and yields up to BLOCK² pairs."""
+TILE = 32
+"""Maps per side of the tiles in which pairs are taken: a map that is read serves a row of them."""
+
+TASK_PAIRS = 1000
+"""Pairs of a task at most: a second of work, against which asking for it does not count."""
+
+FEWEST_TASKS = 32
+"""Into so many tasks even few pairs are divided, for the sake of several workers."""
+
+MOST_READY = 256
+"""Prepared maps that a worker remembers, some 100 kB each."""
 
 
-def match_all(
-    prepared: Sequence[Prepared],
-    settings: RobustSettings,
-    on_pair: Callable[[int, int], None] | None,
-    executor: Executor | None,
-) -> Candidates:
-    """Candidate alignments of every pair i < j."""
-    n = len(prepared)
-    total, done = n * (n - 1) // 2, 0
-    found: Candidates = {}
+class Kind(IntEnum):
+    """What a record of a pack tells of its two maps."""
 
-    def keep(part: Candidates) -> None:
-        nonlocal done
-        for pair, candidates in part.items():
-            found[pair] = candidates
-            done += 1
-            if on_pair is not None:
-                on_pair(done, total)
+    PAIR = 0
+    ITSELF = 1
+    IMAGE = 2
+    """The first map against the mirror image of the second."""
 
-    if executor is None:
-        for i in range(n):
-            for j in range(i + 1, n):
-                keep({(i, j): match(prepared[i], prepared[j], settings)})
-        return found
-    starts = range(0, n, BLOCK)
-    jobs = []
-    for p in starts:
-        for q in starts[p // BLOCK :]:
-            rows = {i: prepared[i] for i in range(p, min(p + BLOCK, n))}
-            columns = {j: prepared[j] for j in range(q, min(q + BLOCK, n))}
-            jobs.append(executor.submit(_match_block, rows, columns, settings))
-    for job in as_completed(jobs):
-        keep(job.result())
+    @property
+    def told(self) -> str:
+        """What is matched, in words."""
+        return ("pairs of maps", "maps with themselves", "mirror images")[self]
+
+
+class Maps(Protocol):
+    """Where workers find the maps of runs."""
+
+    def read_map(self, run: str) -> TopoMap:
+        """The map of a run."""
+        ...
+
+
+class PairStore(Protocol):
+    """Where results are kept from merge to merge."""
+
+    def packs(self, era: bytes, digests: Sequence[bytes]) -> list[Pack]:
+        """What is known about maps of such content."""
+        ...
+
+    def keep(self, pack: Pack) -> None:
+        """Add results."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """How the pairs of a batch are matched, which changes no result. workers: who does it, this
+    process if None; maps: where they find the maps, None to send them along; store: what is known
+    already; on_pair(done, total): told of progress; tell: told what happens, a line at a time."""
+
+    workers: Workers | None = None
+    maps: Maps | None = None
+    store: PairStore | None = None
+    on_pair: Callable[[int, int], None] | None = None
+    tell: Callable[[str], None] | None = None
+
+    def say(self, text: str) -> None:
+        """Tell what happens, if anybody listens."""
+        if self.tell is not None:
+            self.tell(text)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchTask:
+    """Pairs to be matched. runs: name and digest of each map; pairs: (k, 2) rows of them; maps:
+    where they are; sent: they themselves, by digest, where they are nowhere."""
+
+    kind: Kind
+    runs: tuple[tuple[str, bytes], ...]
+    pairs: IntArray
+    settings: RobustSettings
+    maps: Maps | None = None
+    sent: Mapping[bytes, TopoMap] = field(default_factory=dict)
+
+
+def era_of(settings: RobustSettings) -> bytes:
+    """Changes whenever results may: with the program, the libraries, the settings of matching."""
+    told = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
+    parts = [_program(), np.__version__, scipy.__version__, told]
+    text = json.dumps(parts, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=DIGEST).digest()
+
+
+@cache
+def _program() -> str:
+    """Digest of all code that matching can reach. A version number would have to be thought of."""
+    root = Path(__file__).parents[2]
+    out = hashlib.blake2b(digest_size=DIGEST)
+    for folder in ("topology", "merge"):
+        for path in sorted((root / folder).rglob("*.py")):
+            out.update(path.relative_to(root).as_posix().encode())
+            out.update(path.read_bytes())
+    return out.hexdigest()
+
+
+class Pairwise:
+    """The maps of a batch, sorted by run, ready to be matched with each other."""
+
+    def __init__(
+        self, maps: Sequence[TopoMap], settings: RobustSettings, means: Means | None = None
+    ) -> None:
+        self.maps = maps
+        self.settings = settings
+        self.means = means or Means()
+        self.prepared = [prepare(m) for m in maps]
+        self._digests = [digest_of(m) for m in maps]
+        self._row = {digest: k for k, digest in enumerate(self._digests)}
+        self._images: dict[int, Prepared] = {}
+        self._packs: list[Pack] = []
+        if self.means.store is not None:
+            self._packs = self.means.store.packs(era_of(settings), self._digests)
+
+    def pairs(self, wanted: IntArray) -> dict[Pair, Found]:
+        """What matching each of (k, 2) pairs finds."""
+        return dict(self._all(Kind.PAIR, wanted, told=True))
+
+    def with_themselves(self) -> list[tuple[Candidate, ...]]:
+        """Matches of every map with other parts of itself."""
+        rows = np.arange(len(self.maps)).repeat(2).reshape(-1, 2)
+        return [found.candidates for _, found in self._all(Kind.ITSELF, rows)]
+
+    def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
+        """The evidence of the best alignment with the mirror image of each pair's second map."""
+        found = self._all(Kind.IMAGE, wanted)
+        return {pair: f.faint.bits if f.faint else -np.inf for pair, f in found}
+
+    def _all(self, kind: Kind, wanted: IntArray, *, told: bool = False) -> list[tuple[Pair, Found]]:
+        """Results in the order of the pairs."""
+        out: list[Found | None] = [None] * len(wanted)
+        done = 0
+
+        def tell(more: int) -> None:
+            nonlocal done
+            done += more
+            if told and more and self.means.on_pair is not None:
+                self.means.on_pair(done, len(wanted))
+
+        for pack, rows, places in self._known(kind, wanted):
+            for row, place in zip(rows, places, strict=True):
+                out[place] = out[place] or self._decoded(kind, pack, row, wanted[place])
+        tell(sum(found is not None for found in out))
+        missing = np.array([k for k, found in enumerate(out) if found is None], np.int64)
+        known = len(wanted) - len(missing)
+        self.means.say(f"{kind.told}: {len(wanted)}, of which {known} are known already")
+        for chosen, pack in self._matched(kind, wanted, missing):
+            for row, place in enumerate(chosen.tolist()):
+                out[place] = self._decoded(kind, pack, row, wanted[place])
+            tell(len(chosen))
+        return [((i, j), _made(f)) for (i, j), f in zip(wanted.tolist(), out, strict=True)]
+
+    def _known(self, kind: Kind, wanted: IntArray) -> Iterator[tuple[Pack, list[int], list[int]]]:
+        """Records for some of the pairs: of each pack its rows, and the places of the pairs."""
+        if not self._packs or not len(wanted):
+            return
+        number = {digest: k for k, digest in enumerate(dict.fromkeys(self._digests))}
+        mine = np.array([number[digest] for digest in self._digests])
+        key = mine[wanted[:, 0]] * len(number) + mine[wanted[:, 1]]
+        for pack in self._packs:
+            to = np.array([number.get(d, -1) for d in pack.digests], np.int64)
+            a, b = to[pack.rows["a"]], to[pack.rows["b"]]
+            rows = np.flatnonzero((a >= 0) & (b >= 0) & (pack.rows["kind"] == kind))
+            theirs = a[rows] * len(number) + b[rows]
+            order = np.argsort(theirs, kind="stable")
+            at = np.minimum(np.searchsorted(theirs[order], key), max(len(order) - 1, 0))
+            if len(order):
+                places = np.flatnonzero(theirs[order][at] == key)
+                yield pack, rows[order][at[places]].tolist(), places.tolist()
+
+    def _decoded(self, kind: Kind, pack: Pack, row: int, pair: IntArray) -> Found | None:
+        """What a record says; None if it cannot be of this pair."""
+        record = pack.rows[row]
+        if not record["size"]:
+            numbers = (float(record["bits"]), float(record["beyond"]))
+            junctions = int(record["junctions"])
+            return Found(faint=Faint(junctions, *numbers) if junctions else None)
+        payload = pack.payload(row)
+        if payload is None or kind is Kind.IMAGE:
+            return None
+        a, b = (self.prepared[k] for k in pair.tolist())
+        candidates = from_bytes(payload, a, b)
+        return None if candidates is None else Found(candidates)
+
+    def _matched(
+        self, kind: Kind, wanted: IntArray, missing: IntArray
+    ) -> Iterator[tuple[IntArray, Pack]]:
+        """Results that are not known: the places of pairs, and a pack with a record for each."""
+        tasks = list(self._tasks(kind, wanted, missing))
+        for k, pack in self._done([task for _, task in tasks]):
+            if self.means.store is not None:
+                self.means.store.keep(pack)
+            yield tasks[k][0], pack
+
+    def _done(self, tasks: list[MatchTask]) -> Iterator[tuple[int, Pack]]:
+        if self.means.workers is None or len(tasks) < 2:
+            yield from ((k, _match_all(task, self._ready)) for k, task in enumerate(tasks))
+            return
+        era = era_of(self.settings)
+        for k, data in self.means.workers.results(matched, tasks):
+            pack = Pack.from_bytes(data)
+            if pack.era != era:
+                raise DataError(
+                    "a worker runs another version of topobatch, numpy or scipy than this "
+                    "process: install the same on all machines"
+                )
+            yield k, pack
+
+    def _ready(self, digest: bytes, image: bool) -> Prepared:
+        k = self._row[digest]
+        if not image:
+            return self.prepared[k]
+        if k not in self._images:
+            self._images[k] = prepare(mirrored(self.maps[k]))
+        return self._images[k]
+
+    def _tasks(
+        self, kind: Kind, wanted: IntArray, missing: IntArray
+    ) -> Iterator[tuple[IntArray, MatchTask]]:
+        """The missing pairs tile by tile, with their places."""
+        order = missing[tile_order(wanted[missing])]
+        size = min(TASK_PAIRS, max(-(-len(order) // FEWEST_TASKS), 1))
+        for start in range(0, len(order), size):
+            places = order[start : start + size]
+            maps, rows = np.unique(wanted[places], return_inverse=True)
+            yield (
+                places,
+                MatchTask(
+                    kind=kind,
+                    runs=tuple((self.maps[k].run, self._digests[k]) for k in maps.tolist()),
+                    pairs=rows.reshape(-1, 2),
+                    settings=self.settings,
+                    maps=self.means.maps,
+                    sent={}
+                    if self.means.maps is not None or self.means.workers is None
+                    else {self._digests[k]: self.maps[k] for k in maps.tolist()},
+                ),
+            )
+
+
+def tile_order(pairs: IntArray) -> IntArray:
+    """The order in which (k, 2) pairs are taken, tile by tile."""
+    tile = pairs // TILE
+    return np.lexsort((tile[:, 1], tile[:, 0]))
+
+
+def in_tiles(pairs: IntArray) -> IntArray:
+    """The pairs in that order."""
+    return pairs[tile_order(pairs)]
+
+
+def _made(found: Found | None) -> Found:
+    if found is None:
+        raise DataError("a worker sent results that cannot be of the maps that it was given")
     return found
 
 
-def _match_block(
-    rows: dict[int, Prepared],
-    columns: dict[int, Prepared],
-    settings: RobustSettings,
-) -> Candidates:
-    return {
-        (i, j): match(a, b, settings) for i, a in rows.items() for j, b in columns.items() if i < j
-    }
+def matched(task: MatchTask) -> bytes:
+    """Do a task, wherever this is: a pack of a record for each pair, in their order."""
+    run_of = {digest: run for run, digest in task.runs}
+
+    def ready(digest: bytes, image: bool) -> Prepared:
+        found = _ready.get((digest, image))
+        if found is None:
+            if len(_ready) >= MOST_READY:
+                _ready.clear()
+            topomap = task.sent.get(digest) or _read(task.maps, run_of[digest], digest)
+            found = prepare(mirrored(topomap) if image else topomap)
+            _ready[digest, image] = found
+        return found
+
+    return _match_all(task, ready).to_bytes()
+
+
+_ready: dict[tuple[bytes, bool], Prepared] = {}  # in a worker: maps that the last tasks asked for
+
+
+def _read(maps: Maps | None, run: str, digest: bytes) -> TopoMap:
+    found = None if maps is None else maps.read_map(run)
+    if found is None or digest_of(found) != digest:
+        raise DataError(f"the map of run {run!r} changed while it was merged; merge again")
+    return found
+
+
+def _match_all(task: MatchTask, ready: Ready) -> Pack:
+    """The records of a task."""
+    out = PackWriter(era_of(task.settings))
+    digests = [digest for _, digest in task.runs]
+    for i, j in task.pairs.tolist():
+        pair = digests[i], digests[j]
+        a, b = ready(pair[0], False), ready(pair[1], task.kind is Kind.IMAGE)
+        if task.kind is Kind.ITSELF:
+            out.add(pair, task.kind, payload=to_bytes(self_matches(a, task.settings)))
+            continue
+        found = match(a, b, task.settings)
+        kept = in_short(found, task.settings)
+        if task.kind is Kind.IMAGE:
+            kept = Found(faint=Faint(len(found[0]), found[0].bits) if found else None)
+        faint = kept.faint or Faint(0, 0.0)
+        out.add(
+            pair,
+            task.kind,
+            junctions=faint.junctions,
+            bits=faint.bits,
+            beyond=faint.against_chance,
+            payload=to_bytes(kept.candidates),
+        )
+    return out.pack()

@@ -10,7 +10,7 @@ the other. A group is as sure as its weakest cut; where that fails, it falls int
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -105,10 +105,16 @@ class Rematcher:
     prepared: Sequence[Prepared]
     components: Components
     opinions: Mapping[Pair, Opinion]
-    levels: Mapping[Pair, Bar]
+    level: Callable[[Pair], Bar]
     settings: RobustSettings
+    discarded: frozenset[Pair] = frozenset()
     _cache: dict[Known, _Fused] = field(default_factory=dict)
     _failed: set[tuple[Runs, Runs]] = field(default_factory=set)
+    _undecided: list[Pair] = field(init=False)
+
+    def __post_init__(self) -> None:
+        views = self.opinions.items()
+        self._undecided = [p for p, v in views if v.bits > OPEN_BITS and v.best is not None]
 
     def run(self, joined: Mapping[Pair, Candidate]) -> dict[Pair, Reunion]:
         """The pairs that components say belong together; `joined` are those that already do."""
@@ -199,8 +205,8 @@ class Rematcher:
         trial: Components,
     ) -> _Cut | None:
         """What the two sides of a cut say of each other, if that joins them as in `trial`."""
-        sides = tuple(tuple(sorted(i for part in side for i in part)) for side in (x, y))
-        found = self._reunion(*sides, accepted)
+        first, second = (tuple(sorted(i for part in side for i in part)) for side in (x, y))
+        found = self._reunion(first, second, accepted)
         if found is None:
             return None
         one, two, view = found
@@ -229,8 +235,10 @@ class Rematcher:
     ) -> tuple[_Fused, _Fused, Opinion] | None:
         if self.components.forbidden(x[0], y[0]) is not None:
             return None
+        if any((min(i, j), max(i, j)) in self.discarded for i in x for j in y):
+            return None  # what was taken back would be found again
         one, two = (_fused(runs, self.maps, accepted, self._cache) for runs in (x, y))
-        across = [self.levels[min(i, j), max(i, j)] for i in x for j in y]
+        across = [self.level((min(i, j), max(i, j))) for i in x for j in y]
         level = max(across, key=lambda bar: (bar.need_bits, bar.repetition, bar.copied))
         candidates = match(one.prepared, two.prepared, self.settings)
         view = opinion(one.prepared, two.prepared, candidates, level)
@@ -243,8 +251,8 @@ class Rematcher:
     def _open(self) -> list[tuple[Runs, Runs]]:
         """Pairs of components, not both single runs, with an undecided pair across them."""
         pairs = set()
-        for (i, j), view in self.opinions.items():
-            if self.components.together(i, j) or view.bits <= OPEN_BITS or view.best is None:
+        for i, j in self._undecided:
+            if self.components.together(i, j):
                 continue
             heads = (self.components.head[i], self.components.head[j])
             x, y = sorted(tuple(sorted(self.components.members[h])) for h in heads)

@@ -66,13 +66,13 @@ class PairCount:
 class Bar:
     """What a pair must reach. need_bits: against chance; need_copy_bits: against copies, in a
     building that repeats itself throughout; repetition: 0 (it does not repeat itself) to 1; copied:
-    junctions of the largest part of either map that lies on another part of it; copies: how copies
+    junctions of the largest part of a map that lies on another part of it; copies: how copies
     differ there."""
 
     need_bits: float
     need_copy_bits: float
     repetition: float
-    copied: int
+    copied: float
     copies: CopyModel
     settings: RobustSettings
 
@@ -116,6 +116,24 @@ class Answers:
         return self.same_place + self.need - self.need_same
 
 
+@dataclass(frozen=True, slots=True)
+class Faint:
+    """An alignment that chance offers as well: of how many junctions, and its evidence;
+    against_chance: `beyond_chance_bits` of all that there were."""
+
+    junctions: int
+    bits: float
+    against_chance: float = 0.0
+
+
+def faint_of(candidates: Sequence[Candidate], settings: RobustSettings) -> Faint | None:
+    """The best of some candidates in short; None if there is none."""
+    if not candidates:
+        return None
+    best = candidates[0]
+    return Faint(len(best), counted_bits(best), beyond_chance_bits(candidates, settings))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Opinion:
     """A verdict on two maps, alone.
@@ -123,7 +141,8 @@ class Opinion:
     need_bits: the evidence that merging needs. ranked: placements beyond chance, best first, each
     with its evidence; best, runner_up, bits and margin are read off it; answers: how the evidence
     of each follows. why: what was missing, "" where merged; faint: the best alignment where none is
-    beyond chance; against_chance: `beyond_chance_bits`.
+    beyond chance; against_chance: `beyond_chance_bits`; discarded: a person took back whatever was
+    found.
     """
 
     verdict: Verdict
@@ -131,8 +150,9 @@ class Opinion:
     ranked: tuple[tuple[Candidate, float], ...] = ()
     answers: tuple[Answers, ...] = ()
     why: str = ""
-    faint: Candidate | None = None
+    faint: Faint | None = None
     against_chance: float = 0.0
+    discarded: bool = False
 
     @property
     def best(self) -> Candidate | None:
@@ -144,7 +164,7 @@ class Opinion:
         """The evidence for the best placement; 0 if no placement was found at all."""
         if self.ranked:
             return self.ranked[0][1]
-        return 0.0 if self.faint is None else counted_bits(self.faint)
+        return 0.0 if self.faint is None else self.faint.bits
 
     @property
     def same_bits(self) -> float | None:
@@ -173,7 +193,7 @@ def bar(
     copies: CopyModel,
     settings: RobustSettings,
     *,
-    copied: int = 0,
+    copied: float = 0.0,
 ) -> Bar:
     """The bar for a batch of so many pairs: each may err at its share of the false-merge rate, at
     either question."""
@@ -256,8 +276,9 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     """
     odd = _beyond_chance(candidates, level)
     if not odd:
-        faint = candidates[0] if candidates else None
-        return Opinion(Verdict.UNRELATED, level.need_bits, faint=faint)
+        return Opinion(
+            Verdict.UNRELATED, level.need_bits, faint=faint_of(candidates, level.settings)
+        )
     regular = regularity(a, b)
     thinness = _thinness(odd[0])
     rivals = any(c.bits > RIVAL_SHARE * level.need_bits for c in odd[1:])

@@ -7,6 +7,7 @@ from ..result import shown_bits
 from ..wording import counted, told_bits
 from .alignment import Candidate
 from .prepare import Prepared
+from .verdict import Faint
 
 
 def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
@@ -24,33 +25,43 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     return f"{text}; next best alignment {lead} bits behind"
 
 
-def nothing(best: Candidate | None, bits: float, need_bits: float) -> str:
+def nothing(best: Faint | None, need_bits: float) -> str:
     """Why two maps without an alignment beyond chance are unrelated."""
     if best is None:
         return "nothing that chance would not offer: no alignment holds"
-    agree = f"{counted(len(best), 'junction')} {'agrees' if len(best) == 1 else 'agree'}"
-    return f"nothing that chance would not offer: {agree}, {told_bits(bits, need_bits)}"
+    agree = f"{counted(best.junctions, 'junction')} {'agrees' if best.junctions == 1 else 'agree'}"
+    return f"nothing that chance would not offer: {agree}, {told_bits(best.bits, need_bits)}"
 
 
-def contradictions(best: Candidate, a: Prepared, b: Prepared) -> tuple[str, ...]:
-    """One sentence per contradiction of an alignment."""
+Ends = tuple[int, ...]
+
+
+def contradictions(best: Candidate, a: Prepared, b: Prepared) -> list[tuple[str, Ends, Ends]]:
+    """For every contradiction of an alignment a sentence, and the vertices of a and of b that it
+    speaks of: one, or the two ends of a corridor."""
     c = best.conflicts
-    said = []
+    said: list[tuple[str, Ends, Ends]] = []
     for vertex, row in zip(c.extra_b.tolist(), c.extra_b_in.tolist(), strict=True):
-        said.append(_unseen(vertex, b.run, row, a))
+        said.append((_unseen(vertex, b.run, row, a), _ends(a, row), (vertex,)))
     for vertex, row in zip(c.extra_a.tolist(), c.extra_a_in.tolist(), strict=True):
-        said.append(_unseen(vertex, a.run, row, b))
+        said.append((_unseen(vertex, a.run, row, b), (vertex,), _ends(b, row)))
     for row_a, row_b in c.crossing.tolist():
-        said.append(
+        told = (
             f"corridor {_name(a, row_a)} of {a.run} crosses corridor {_name(b, row_b)} of {b.run} "
             "where neither run saw a junction"
         )
+        said.append((told, _ends(a, row_a), _ends(b, row_b)))
     for row_a, row_b in c.elsewhere.tolist():
-        said.append(
+        told = (
             f"corridor {_name(a, row_a)} of {a.run} and corridor {_name(b, row_b)} of {b.run} "
             "leave the same junction by the same branch and lead to different ones"
         )
-    return tuple(said)
+        said.append((told, _ends(a, row_a), _ends(b, row_b)))
+    return said
+
+
+def _ends(m: Prepared, row: int) -> tuple[int, int]:
+    return int(m.tail[row]), int(m.head[row])
 
 
 def _unseen(vertex: int, run: str, row: int, other: Prepared) -> str:

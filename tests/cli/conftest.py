@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import pytest
 from topobatch.cli.main import main
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.simulation.writing import write_run
+from topobatch.topology.document import write_map
 from topobatch.topology.se2 import compose, inverse
 
 
@@ -82,3 +84,22 @@ def reset_logs(tmp_path_factory) -> dict[str, Path]:
             simulated = replace(simulated, run=run)
         out[name] = write_run(folder / name, simulated)
     return out
+
+
+@pytest.fixture(scope="session")
+def fleet_maps():
+    """fleet_maps(folder, runs): write the maps of runs in buildings of six; keep: only so many."""
+    path = Path(__file__).parents[2] / "benchmarks" / "fleet.py"
+    spec = importlib.util.spec_from_file_location("topobatch_fleet", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent))
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(path.parent))
+
+    def write(folder, runs, keep=None):
+        for topomap, _ in module.fleet_of(runs, per_site=6, world=70, size=24)[:keep]:
+            write_map(folder / f"{topomap.run}.json", topomap)
+
+    return write

@@ -7,12 +7,17 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from topobatch.cli.ingest_worker import IngestJob, outcomes_of
+from topobatch.cli.workspace import Workspace
+from topobatch.ingest.mapping import MappingSettings
+from topobatch.ingest.reading import ReadSettings
 from topobatch.topology.document import read_map
 
 
@@ -70,6 +75,7 @@ def test_a_folder_of_logs_then_merge(topobatch, logs, tmp_path):
     assert [(m["a"], m["b"]) for m in document["merges"]] == [("first", "second")]
     assert sorted(p.name for p in workspace.iterdir() if not p.name.startswith(".")) == [
         "cache",
+        "history.jsonl",
         "maps",
         "merged.json",
         "merged.rrd",
@@ -305,6 +311,44 @@ def test_info_of_a_damaged_or_unusable_log_fails(topobatch, logs, tmp_path):
     assert "problem: " in done.out
 
 
+def test_info_does_not_pass_what_ingest_refuses(topobatch, tmp_path, monkeypatch):
+    """By its index the log is sound, but its messages hold nothing."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, name in (("/odom", "Odometry"), ("/junctions", "PoseArray")):
+            package = "nav_msgs" if name == "Odometry" else "geometry_msgs"
+            schema = writer.register_schema(f"{package}/msg/{name}", "ros2msg", b"")
+            channel = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channel, 10**9, b"nothing", 10**9)
+        writer.finish()
+    done = topobatch("info", path)
+    assert done.code == 1
+    assert "problem: " in done.out
+    assert topobatch("ingest", path, "-w", tmp_path / "ws").code == 1
+    monkeypatch.setattr("topobatch.cli.info.WHOLE_BYTES", 10)
+    done = topobatch("info", path)
+    assert done.code == 0
+    assert "not read whole" in done.out
+
+
+def test_a_run_is_not_called_like_a_merge(topobatch, logs, tmp_path):
+    ws = tmp_path / "ws"
+    for name in ("merged", "Merged"):
+        done = topobatch("ingest", logs["mcap"], "-w", ws, "--name", name)
+        assert "cannot name a run" in done.error(2)
+    assert topobatch("ingest", logs["mcap"], "-w", ws, "--name", "a").code == 0
+    assert topobatch("merge", "a", "--output", "both", "-w", ws).code == 0
+    done = topobatch("ingest", logs["other"], "-w", ws, "--name", "both")
+    assert "a merge is called so" in done.error(2)
+
+
+def test_the_size_of_jumps_goes_with_their_number(topobatch, tmp_path):
+    for option in ("--jump-m", "--jump-deg"):
+        assert "--jumps" in topobatch("simulate", tmp_path / "out", option, "1").error(2)
+
+
 def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
     """It starts at 0, which is a time like any other."""
     path = tmp_path / "run.mcap"
@@ -353,3 +397,58 @@ def test_folders_deeper_than_the_stack(topobatch, logs, tmp_path, monkeypatch):
     # What removes folders is not as patient.
     os.rename(tmp_path / "d", tmp_path / "left")
     subprocess.run(["rm", "-rf", str(tmp_path / "left")], check=True)
+
+
+class Deadly:
+    """In place of a path: whoever unpickles it is killed, if told so only the first time."""
+
+    def __init__(self, path, mark=None):
+        self.path, self.mark = path, mark
+
+    def __reduce__(self):
+        kill = "__import__('os').kill(__import__('os').getpid(), 9)"
+        mark = f"__import__('pathlib').Path({str(self.mark)!r})"
+        path = f"__import__('pathlib').Path({str(self.path)!r})"
+        once = f"({mark}.exists() or [{mark}.touch(), {kill}]) and {path}"
+        return eval, (once if self.mark else kill,)
+
+    def __getattr__(self, name):
+        return getattr(self.path, name)
+
+    def __fspath__(self):
+        return str(self.path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
+@pytest.mark.parametrize("again", [True, False])
+def test_a_process_that_dies_costs_no_other_log(logs, tmp_path, again):
+    kinds = ("mcap", "bag", "other")
+    place = Workspace(tmp_path / "ws")
+    jobs = [
+        IngestJob(logs[k], k, place, ReadSettings(), MappingSettings(), force=False) for k in kinds
+    ]
+    deadly = Deadly(logs["bag"], None if again else tmp_path / "mark")
+    jobs[1] = replace(jobs[1], log=deadly)
+    found = {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)}
+    assert found == {"mcap": "done", "bag": "failed" if again else "done", "other": "done"}
+
+
+def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"junk")
+    new = tmp_path / "a" / "b"
+    assert topobatch("ingest", junk, "-w", new).code == 1
+    assert not (tmp_path / "a").exists()
+    new.mkdir(parents=True)  # one that was there stays
+    assert topobatch("ingest", junk, "-w", new).code == 1
+    assert new.is_dir()
+
+
+def test_an_ingest_that_fails_takes_nothing_away(topobatch, logs, tmp_path):
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"junk")
+    place = tmp_path / "ws"
+    assert topobatch("ingest", junk, logs["mcap"], "-w", place).code == 1
+    assert len(list((place / "maps").glob("*.json"))) == 1
+    assert topobatch("ingest", junk, "-w", place).code == 1
+    assert len(list((place / "maps").glob("*.json"))) == 1

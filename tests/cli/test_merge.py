@@ -86,7 +86,10 @@ def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
     assert other.read_text() == '{"my": "notes"}'
 
 
-@pytest.mark.parametrize("name", ["merged", "Locks", "../x", ".hidden", "", "run1", "x" * 300])
+@pytest.mark.parametrize(
+    "name",
+    ["merged", "Locks", "maps", "explain", "cache", "../x", ".hidden", "", "run1", "x" * 300],
+)
 def test_names_that_cannot_be_a_merges(topobatch, workspace, name):
     assert (workspace / "maps" / "run1.json").exists()
     error = topobatch("merge", "--all", "--output", name, "-w", workspace).error(2)
@@ -161,7 +164,7 @@ def test_locks_that_make_no_sense(topobatch, workspace, arguments, word):
 
 def test_a_lock_on_a_junction_that_is_not_there(topobatch, workspace):
     a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
-    error = topobatch("lock", a, b, "--same", "--at", "0,999", "-w", workspace).error(1)
+    error = topobatch("lock", a, b, "--same", "--at", "0,999", "-w", workspace).error(2)
     assert "not 999" in error
 
 
@@ -192,7 +195,7 @@ def test_processes_stop_at_an_interrupt():
     futures = []
 
     def interrupted():
-        with _executor(2, 100) as pool:
+        with _executor(2) as pool:
             futures.extend(pool.submit(time.sleep, 20) for _ in range(4))
             raise KeyboardInterrupt
 

@@ -48,5 +48,5 @@ def test_names_of_files_and_runs_are_shown_escaped(topobatch, logs, tmp_path):
 def test_wrong_calls_are_shown_escaped(topobatch):
     done = topobatch("ingest", "--\x1b[31mred")
     assert done.code == 2
-    assert r"No such option: --\x1b[31mred" in done.err
+    assert r"no such option: --\x1b[31mred" in done.err
     assert "\x1b" not in done.err

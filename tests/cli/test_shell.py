@@ -36,7 +36,11 @@ def test_help_and_version():
     assert run("--version").stdout.startswith("topobatch 0.")
     shown = run("--help")
     assert shown.returncode == 0
-    for command in ("ingest", "merge", "view", "info", "explain", "lock", "simulate", "schema"):
+    commands = (
+        "ingest merge view draw report list info explain export transfer changes lock discard "
+        "rename history simulate schema"
+    )
+    for command in commands.split():
         assert f"  {command} " in shown.stdout
         help_text = run(command, "--help")
         assert help_text.returncode == 0
@@ -52,9 +56,8 @@ def test_schema_is_published(name, model):
     "arguments", [["ingest"], ["merge", "--method", "guess"], ["schema", "x"], ["nonsense"]]
 )
 def test_wrong_calls_exit_with_2(arguments, tmp_path):
-    done = run(*arguments, TOPOBATCH_WORKSPACE=str(tmp_path))
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
+    error = one_line_error(run(*arguments, TOPOBATCH_WORKSPACE=str(tmp_path)), 2)
+    assert "--help`" in error
 
 
 def test_merge_of_an_empty_workspace(tmp_path):
@@ -65,7 +68,10 @@ def test_merge_of_an_empty_workspace(tmp_path):
 
 def test_view_without_a_recording(tmp_path):
     assert "merge --all" in one_line_error(run("view", "-w", tmp_path), 1)
-    assert "runs with a map: none" in one_line_error(run("view", "r1", "-w", tmp_path), 1)
+    assert "runs with a map: none" in one_line_error(run("view", "r1", "-w", tmp_path), 2)
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "r1.json").write_text("{}")
+    assert "ingest the log" in one_line_error(run("view", "r1", "-w", tmp_path), 1)
 
 
 def test_view_without_a_display_says_how(tmp_path):
@@ -87,7 +93,7 @@ def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
     error = one_line_error(done, 1)
     assert str(tmp_path / "ws" / "maps") in error
     assert ".rrd: File too large" in error
-    assert list((tmp_path / "ws" / "maps").iterdir()) == []  # half a run is none
+    assert not (tmp_path / "ws").exists()  # half a run is none
 
 
 def test_an_output_without_arrows_is_no_error(logs, tmp_path):
@@ -132,7 +138,7 @@ def test_workers(before, after, code):
 MATCHERS = """
 import os, signal
 from topobatch.cli.merge import _executor
-with _executor(2, 2) as pool:
+with _executor(2) as pool:
     print(pool.submit(abs, -7).result(), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """

@@ -74,11 +74,21 @@ def _front(folder: Path, chunked: bool = True) -> bytes:
 _TAIL = _record(15, bytes(4)) + _record(2, bytes(20)) + b"\x89MCAP0\r\n"
 
 
-def _mcap(make: Callable[[random.Random], bytes], note: str, chunked: bool = True) -> Generator:
+def _mcap(
+    make: Callable[[random.Random], bytes],
+    note: str,
+    *,
+    chunked: bool = True,
+    lost: int | Callable[[bytes], int] | None = None,
+) -> Generator:
+    """lost: messages of the wanted topics that cannot be used; None where what a bomb holds is no
+    message that anybody wrote, but may be taken for one that is lost."""
+
     def write(rng: random.Random, folder: Path) -> Case:
         path = folder / "run.mcap"
-        path.write_bytes(_front(folder, chunked) + make(rng) + _TAIL)
-        return Case(path, SOUND, 0, note)
+        made = make(rng)
+        path.write_bytes(_front(folder, chunked) + made + _TAIL)
+        return Case(path, SOUND, lost(made) if callable(lost) else lost, note)
 
     return write
 
@@ -174,8 +184,12 @@ def _small_chunks(rng: random.Random) -> bytes:
     return _chunk(_channel(7, b"/noise")) + chunk * count
 
 
+_BROKEN = _chunk(_message(1, bytes(8)), b"", crc=3)
+"""A chunk of one odometry message whose checksum is wrong."""
+
+
 def _broken_small_chunks(rng: random.Random) -> bytes:
-    return _chunk(_message(1, bytes(8)), b"", crc=3) * _share(rng, 10**5)
+    return _BROKEN * _share(rng, 10**5)
 
 
 def _false_heads(rng: random.Random) -> bytes:
@@ -267,7 +281,7 @@ def _bag_message(conn: int, payload: bytes) -> bytes:
     return _bag_record(fields, payload)
 
 
-def _bag(make: Callable[[random.Random], bytes], note: str) -> Generator:
+def _bag(make: Callable[[random.Random], bytes], note: str, lost: int | None = None) -> Generator:
     def write(rng: random.Random, folder: Path) -> Case:
         logs = writers()
         path = logs.bag(folder / "run.bag", logs.drive(ODOMETRY))
@@ -275,7 +289,7 @@ def _bag(make: Callable[[random.Random], bytes], note: str) -> Generator:
         index = struct.unpack_from("<Q", raw, raw.index(b"index_pos=") + 10)[0]
         raw = raw[:index].replace(struct.pack("<Q", index), bytes(8), 1)
         path.write_bytes(raw + make(rng))
-        return Case(path, SOUND, 0, note)
+        return Case(path, SOUND, lost, note)
 
     return write
 
@@ -322,7 +336,7 @@ def _bag_large_message(rng: random.Random, folder: Path) -> Case:
     with case.log.open("r+b") as file:
         # A hole: it takes no room on the disk.
         file.truncate(case.log.stat().st_size + size)
-    return Case(case.log, SOUND, 0, f"one message of {size >> 20} MiB")
+    return Case(case.log, SOUND, 1, f"one message of {size >> 20} MiB")
 
 
 # sqlite
@@ -439,19 +453,25 @@ CASES: dict[str, Generator] = {
     "mcap-511-mib-chunks": _mcap(_large_chunks, "chunks of 511 MiB of zeros"),
     "mcap-511-mib-of-messages": _mcap(_chunk_of_messages, "chunks of 511 MiB of messages"),
     "mcap-declared-sizes": _mcap(_declared, "sizes that the data do not reach"),
-    "mcap-large-message": _mcap(_one_large_message, "one odometry message of up to 448 MiB"),
-    "mcap-channels": _mcap(_channels, "up to 10^6 channel records"),
+    "mcap-large-message": _mcap(
+        _one_large_message, "one odometry message of up to 448 MiB", lost=1
+    ),
+    "mcap-channels": _mcap(_channels, "up to 10^6 channel records", lost=0),
     "mcap-wanted-channels": _mcap(_wanted_channels, "up to 60,000 odometry channels"),
-    "mcap-small-chunks": _mcap(_small_chunks, "up to 10^6 chunks of one message"),
-    "mcap-broken-chunks": _mcap(_broken_small_chunks, "up to 10^5 chunks with wrong checksums"),
+    "mcap-small-chunks": _mcap(_small_chunks, "up to 10^6 chunks of one message", lost=0),
+    "mcap-broken-chunks": _mcap(
+        _broken_small_chunks,
+        "up to 10^5 chunks with wrong checksums",
+        lost=lambda made: len(made) // len(_BROKEN),
+    ),
     "mcap-false-heads": _mcap(_false_heads, "megabytes of false heads"),
     "mcap-false-heads-unchunked": _mcap(_false_heads, "megabytes of false heads", chunked=False),
-    "mcap-strange-records": _mcap(_strange_records, "megabytes of empty records"),
+    "mcap-strange-records": _mcap(_strange_records, "megabytes of empty records", lost=0),
     "mcap-nested-types": _nested_alone,
     "mcap-far": _far,
     "bag-511-mib-chunks": _bag(_bag_large, "chunks of 511 MiB of zeros"),
     "bag-declared-sizes": _bag(_bag_declared, "sizes that the data do not reach"),
-    "bag-small-chunks": _bag(_bag_small, "up to 10^6 chunks of one message"),
+    "bag-small-chunks": _bag(_bag_small, "up to 10^6 chunks of one message", lost=0),
     "bag-false-marks": _bag(_bag_marks, "megabytes of chunk marks"),
     "bag-large-message": _bag_large_message,
     "db3-wal-of-images": _wal_of_images,

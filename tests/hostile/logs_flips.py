@@ -12,12 +12,20 @@ from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from case import Case, Generator, writers
 
 ODOMETRY = 600
 EVERY = 10
+
+HEAD = 48
+"""So many bytes in front of a message's payload: its length, its number, its times."""
+
+
+def recorded() -> list[Any]:
+    """The messages of every log."""
+    return list(writers().drive(ODOMETRY, EVERY))
 
 
 class Span(NamedTuple):
@@ -50,7 +58,7 @@ def _bare() -> dict[str, object]:
 
 def _mcap(compression: str, *, bare: bool = False, crc: bool = True, chunked: bool = True) -> Sound:
     logs = writers()
-    messages = logs.drive(ODOMETRY, EVERY)
+    messages = recorded()
     options = _bare() if bare else {}
     with TemporaryDirectory() as folder:
         path = logs.mcap(
@@ -110,7 +118,7 @@ def _bag(compression: str, *, indexed: bool = True) -> Sound:
     from rosbags.rosbag1 import Reader
 
     logs = writers()
-    messages = logs.drive(ODOMETRY, EVERY)
+    messages = recorded()
     with TemporaryDirectory() as folder:
         path = logs.bag(Path(folder) / "run.bag", messages, compression, chunk=4096)
         raw = path.read_bytes()
@@ -146,7 +154,7 @@ def _bag_records(raw: bytes, position: int, end: int) -> list[Span]:
 
 def _db3() -> Sound:
     logs = writers()
-    messages = logs.drive(ODOMETRY, EVERY)
+    messages = recorded()
     with TemporaryDirectory() as folder:
         made = logs.ros2_folder(Path(folder) / "run", messages)
         raw = (made / "run.db3").read_bytes()
@@ -198,7 +206,7 @@ def flipped(log: Sound, bit: int) -> tuple[bytes, int]:
     return bytes(raw), lost
 
 
-def _places(log: Sound) -> list[Span]:
+def places(log: Sound) -> list[Span]:
     """The stretches of a log that hold no message: heads, indexes, the summary."""
     out, at = [], 0
     for span in sorted(log.spans):
@@ -211,11 +219,14 @@ def _places(log: Sound) -> list[Span]:
 
 
 def one_bit(name: str, rng: random.Random, folder: Path) -> Case:
-    """Half of the flips hit what holds the log together: it is little, but it can cost most."""
-    log = sound(name)
-    if rng.random() < 0.5:
-        place = rng.choice(_places(log))
+    """Two thirds of the flips hit what holds the log together: it is little, but can cost most."""
+    log, where = sound(name), rng.randrange(6)
+    if where < 3:
+        place = rng.choice(places(log))
         at = rng.randrange(place.begin, place.end)
+    elif where == 3:
+        head = rng.choice(log.spans)
+        at = rng.randrange(head.begin, min(head.begin + HEAD, head.end))
     else:
         at = rng.randrange(len(log.raw))
     bit = 8 * at + rng.randrange(8)

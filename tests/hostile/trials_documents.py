@@ -18,6 +18,7 @@ BUDGET = Budget(cpu_s=20, memory_mb=300)
 EVIL = "\x1b]0;evil\x07\x1b[2J\nerror: \u202e\x9b"
 TEXTS = ("", "..", "../../victim/x", "/etc/passwd", "a\0b", "\ud800", EVIL, "x" * 100_000, "#2")
 NUMBERS = (0, -1, 1e-300, 1e308, -1e9, 2**31, 2**63, 2**64, 10**30, 0.5, 999e3)
+FORMATS = ("nav2", "lif", "rmf", "tmap2", "graphml", "g2o", "tum", "csv")
 OTHERS = (None, True, False, [], {}, [[]], {"": None})
 
 
@@ -136,7 +137,14 @@ def _calls(workspace: Path, ground: Ground, rng: random.Random) -> tuple[str, Ca
             ("merge", merge(workspace)),
             ("explain", command(["explain", "a", "b", "-w", workspace])),
             ("lock", command(["lock", "-w", workspace])),
+            ("list", command(["list", "-w", workspace])),
+            ("history", command(["history", "-w", workspace])),
+            ("discard", command(["discard", "a", "-w", workspace])),
+            ("rename", command(["rename", "a", "z", "-w", workspace])),
             ("ingest", ingest(workspace, ground.logs)),
+            ("export", command(["export", "merged", "-f", rng.choice(FORMATS), "-w", workspace])),
+            ("export", command(["export", "a", "-f", rng.choice(FORMATS), "-w", workspace])),
+            ("changes", command(["changes", "--all", "-w", workspace])),
         ]
     )
 
@@ -147,10 +155,16 @@ def document(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     (workspace / "locks.json").write_text(
         '{"schema":"topobatch.locks/1","locks":[{"a":"b","b":"c","decision":"same","at":[0,0]}]}'
     )
+    (workspace / "discards.json").write_text(
+        '{"schema":"topobatch.discards/1","discarded":[{"a":"a","b":"c"}]}'
+    )
+    (workspace / "history.jsonl").write_text('{"time":"now","what":"merge","text":"a"}\n')
     places = [workspace / "maps" / "a.json"] * 3 + [
         workspace / "merged.json",
         workspace / "locks.json",
         workspace / "cache" / "ingest" / "a.json",
+        workspace / "discards.json",
+        workspace / "history.jsonl",
     ]
     place = rng.choice(places)
     how = _written(place, rng)
@@ -182,6 +196,7 @@ def record(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     doc = json.loads((cache / "a.json").read_bytes())
     doc["key"] = "changed"
     names = ["../../victim/x", "../victim/x", str(folder / "victim" / "x"), "b", "c", *TEXTS]
+    doc["renamed"] = rng.choice(names)
     doc["runs"] = ["a", *rng.sample(names, rng.randrange(1, len(names)))]
     for name in ("a", "b", "c"):
         (cache / f"{name}.json").write_text(json.dumps(doc))
@@ -221,6 +236,8 @@ def not_a_file(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     names = (
         *("maps/a.json", "maps/a.rrd", "maps/bad.json", "maps", "merged.json", "merged.rrd"),
         *("locks.json", "cache", "cache/ingest", "cache/ingest/a.json", ".lock", "explain"),
+        *("cache/pairs", f"cache/pairs/{'0' * 32}.pack", "discards.json", "history.jsonl"),
+        *("exports", "exports/a.geojson", "exports/merged.geojson"),
         *("maps/.topobatch-abcdefgh.tmp", ".x.tmp", "explain/a+b.rrd"),
     )
     notes = []

@@ -32,3 +32,9 @@ def logs() -> ModuleType:
 def fuzz() -> ModuleType:
     """The fuzzing harness."""
     return _beside("fuzz_logs")
+
+
+@pytest.fixture(scope="session")
+def sensors() -> ModuleType:
+    """Messages of lasers, clouds and grids."""
+    return _beside("scan_logs")

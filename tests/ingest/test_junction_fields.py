@@ -155,7 +155,7 @@ def test_a_path_that_leads_nowhere_is_named(of_both_kinds, monkeypatch, fields, 
     folder = of_both_kinds[ros1]
     problems = inspect_log(folder, settings(fields)).problems
     assert any(WRONG[fields] in problem for problem in problems), problems
-    monkeypatch.setattr("topobatch.ingest.reading._walk", None)  # nothing is read
+    monkeypatch.setattr("topobatch.ingest.reading.walk", None)  # nothing is read
     with pytest.raises(UsageError) as caught:
         read_run(folder, settings(fields))
     assert WRONG[fields] in str(caught.value)
@@ -177,7 +177,7 @@ def test_what_only_messages_tell_is_tried_on_the_first(logs, tmp_path, monkeypat
     wrong = settings("center=at.pose.positon,branches=ways")
     told = "/seen: --junction-fields: center=at.pose.positon: the message has position"
     assert any(told in text for text in inspect_log(folder, wrong).problems)
-    monkeypatch.setattr("topobatch.ingest.reading._walk", None)
+    monkeypatch.setattr("topobatch.ingest.reading.walk", None)
     with pytest.raises(UsageError, match="the message has position"):
         read_run(folder, wrong)
 

@@ -205,7 +205,9 @@ def test_what_scans_show_becomes_passes_like_others():
     assert np.allclose(passes.centre, [(5.0, 0.3), (15.0, -0.2)])
     for row, given in enumerate(headings):
         assert np.allclose(passes.branches[row], np.sort(given))
-        assert np.allclose(passes.support[row], np.linspace(0.6, 1.0, len(given))[np.argsort(given)])
+        assert np.allclose(
+            passes.support[row], np.linspace(0.6, 1.0, len(given))[np.argsort(given)]
+        )
         came, went = passes.branches[row][[passes.entry[row], passes.exit[row]]]
         assert abs(wrap(came - np.pi)) < 0.2
         assert abs(went) < 0.2

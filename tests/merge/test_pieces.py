@@ -113,3 +113,21 @@ def test_maps_in_pieces_are_not_merged_as_if_they_had_one_frame(halves):
 
 def test_a_map_in_one_piece_stays_as_it_is(halves):
     assert joined_pieces(halves[0]) == (halves[0],)
+
+
+def test_joined_pieces_know_when_their_corridors_were_driven(halves, other_maze, see):
+    """Each corridor of each piece once, at 1 m/s."""
+    elsewhere = see(other_maze, list(range(len(other_maze.xy))), 5, "elsewhere")
+    for parts in (halves, (halves[0], elsewhere)):
+        broken = in_pieces(*parts)
+        at = np.round(broken.length * 1e9).astype(np.int64)
+        begin = np.arange(len(at)) * HOUR_NS
+        timed = replace(
+            broken, traversal_ns=tuple(np.stack([begin, begin + at], axis=1).reshape(-1, 1, 2))
+        )
+        maps = joined_pieces(timed)
+        driven = np.concatenate([t for m in maps for t in m.traversal_ns])
+        assert sorted(driven.min(axis=1).tolist()) == begin.tolist()
+        for m in maps:
+            for length, times in zip(m.length, m.traversal_ns, strict=True):
+                assert np.allclose(np.abs(np.diff(times)) / 1e9, length, atol=0.5)

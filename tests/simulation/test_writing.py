@@ -16,11 +16,15 @@ from hypothesis import strategies as st
 from topobatch.ingest.reading import read_run
 from topobatch.simulation import (
     FORMATS,
+    LaserSettings,
     MotionSettings,
+    RunSettings,
     Scenario,
     ScenarioSettings,
     SimulatedRun,
+    make_world,
     read_truth,
+    simulate_run,
     simulate_scenario,
     write_run,
     write_scenario,
@@ -30,6 +34,8 @@ from topobatch.simulation.messages import (
     DIGESTS,
     ODOMETRY_TYPE,
     POSES_TYPE,
+    SCAN_TYPE,
+    TRANSFORMS_TYPE,
     definition,
     topics_of,
 )
@@ -99,11 +105,21 @@ def test_lz4_compresses_records_that_are_alike() -> None:
 # --- message definitions -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("type_name", [ODOMETRY_TYPE, POSES_TYPE])
-def test_definitions_and_hashes_are_those_of_ros(type_name: str) -> None:
-    from rosbags.typesys import Stores, get_typestore
+def _stores() -> tuple[Any, Any]:
+    """Those of ROS 1 and 2, with the transforms that rosbags does not bundle for ROS 1."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     ros1, ros2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+    for store in (ros1, ros2):
+        if TRANSFORMS_TYPE not in store.types:
+            text = "geometry_msgs/TransformStamped[] transforms"
+            store.register(get_types_from_msg(text, TRANSFORMS_TYPE))
+    return ros1, ros2
+
+
+@pytest.mark.parametrize("type_name", [ODOMETRY_TYPE, POSES_TYPE, SCAN_TYPE, TRANSFORMS_TYPE])
+def test_definitions_and_hashes_are_those_of_ros(type_name: str) -> None:
+    ros1, ros2 = _stores()
     text, digest = ros1.generate_msgdef(type_name, ros_version=1)
     assert (text, digest) == (definition(type_name, "ros1"), DIGESTS["ros1", type_name])
     assert ros2.generate_msgdef(type_name, ros_version=2)[0] == definition(type_name, "ros2")
@@ -111,11 +127,15 @@ def test_definitions_and_hashes_are_those_of_ros(type_name: str) -> None:
 
 
 @pytest.mark.parametrize("ros", ["ros1", "ros2"])
-def test_payloads_are_those_of_rosbags(simulated: SimulatedRun, ros: str) -> None:
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if ros == "ros1" else Stores.ROS2_HUMBLE)
-    for topic in topics_of(simulated, ros):
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_payloads_are_those_of_rosbags(ros: str, upside_down: bool) -> None:
+    laser = LaserSettings(beams=50, upside_down=upside_down, mount=(0.1, 0.2, 0.3))
+    run = RunSettings(motion=MotionSettings(1.2, 1.4), laser=laser)
+    simulated = simulate_run(make_world("maze", 6, 2), settings=run)
+    store = _stores()[0 if ros == "ros1" else 1]
+    topics = topics_of(simulated, ros)
+    assert [topic.name for topic in topics] == ["/odom", "/junctions", "/scan", "/tf_static"]
+    for topic in topics:
         for payload in topic.payloads[::37]:
             if ros == "ros1":
                 message: Any = store.deserialize_ros1(payload, topic.type_name)
@@ -124,6 +144,9 @@ def test_payloads_are_those_of_rosbags(simulated: SimulatedRun, ros: str) -> Non
                 message = store.deserialize_cdr(payload, topic.type_name)
                 again = store.serialize_cdr(message, topic.type_name)
             assert bytes(again) == payload
+    assert simulated.scans is not None
+    transform = message.transforms[0].transform
+    assert (transform.translation.x, transform.translation.y) == (0.1, 0.2)
 
 
 # --- containers --------------------------------------------------------------------------------

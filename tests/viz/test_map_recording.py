@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from topobatch.topology.odometry import Odometry
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import write_map_recording
+from topobatch.viz import palette, write_map_recording
+from topobatch.viz.history import history
 from topobatch.viz.recording import Recording
 
 from .readback import Readback
@@ -20,10 +23,54 @@ Make = Callable[..., TopoMap]
 Drive = Callable[[TopoMap], Odometry]
 
 
+def seen_on(odometry: Odometry) -> Detections:
+    """A detection with three branches at every hundredth pose, a metre ahead of the robot."""
+    times = odometry.time_ns[::100]
+    ahead = np.tile([1.0, 0.0], (len(times), 1))
+    return Detections(times, ahead, Ragged.from_rows([[0.0, 1.5, -1.5]] * len(times)))
+
+
+def test_the_map_grows_as_it_was_driven(tmp_path: Path, make_map: Make, drive: Drive) -> None:
+    topomap = make_map("run1")
+    odometry = drive(topomap)
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry)
+    got = Readback(tmp_path / "a.rrd")
+    dim = palette.UNLIT[0] << 24 | palette.UNLIT[1] << 16 | palette.UNLIT[2] << 8 | 255
+    known = history(topomap)
+    for entity, archetype, when in (
+        ("/map/junctions", "Points2D", known.vertex_ns),
+        ("/map/corridors", "LineStrips2D", known.corridor_ns),
+    ):
+        rows = got.rows(entity, f"{archetype}:colors")
+        times = got.times(entity, "message_log_time")
+        assert times[0] == odometry.time_ns[0]
+        for time_ns, row in zip(times.tolist(), rows, strict=True):
+            assert [colour != dim for colour in row] == (when <= time_ns).tolist()
+
+
+def test_detections_lie_where_the_corrected_odometry_puts_them(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1", (2.0, 1.0, 0.5))
+    odometry = drive(topomap)
+    detections = seen_on(odometry)
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, detections=detections)
+    got = Readback(tmp_path / "a.rrd")
+    at = np.array(got.value("/map/detections", "Points2D:positions"))
+    assert len(at) == len(detections)
+    pose = odometry.at(detections.time_ns)
+    wanted = pose[:, :2] + np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+    inner = slice(1, -1)
+    assert at[inner] == pytest.approx(wanted[inner], abs=0.15)
+    rows = got.rows("/map/detection", "LineStrips2D:strips")
+    assert [len(row) for row in rows] == [3] * len(detections)
+
+
 def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: Drive) -> None:
     topomap = make_map("run1", (2.0, 1.0, 0.5))
     path = tmp_path / "maps" / "run1.rrd"
-    write_map_recording(path, topomap, odometry=drive(topomap))
+    odometry = drive(topomap)
+    write_map_recording(path, topomap, odometry=odometry, detections=seen_on(odometry))
     got = Readback(path)
     assert got.identity == ("topobatch", "run1")
     assert got.blueprints == 1
@@ -33,13 +80,22 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
         "/map/junctions",
         "/map/branches\\ driven",
         "/map/branches\\ never\\ driven",
-        "/map/loops\\ refused",
-        "/map/raw\\ odometry",
+        "/map/closures/accepted",
+        "/map/closures/refused",
+        "/map/odometry/recorded",
+        "/map/odometry/corrected",
+        "/map/detections",
+        "/map/detection",
         "/map/robot",
         "/map/trail",
         "/map/last\\ junction",
         "/events",
-        "/drift",
+        "/drift/drift",
+        "/drift/plus\\ sigma",
+        "/drift/minus\\ sigma",
+        "/health/odometry",
+        "/health/motion",
+        "/health/ground",
         "/graph",
         "/summary",
     } == got.entities
@@ -48,7 +104,12 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
     assert got.value("/map/junctions", "Points2D:labels") == ["0", "1", "2", "3", "4"]
     assert got.value("/map/junctions", "passes") == [2, 2, 2, 1, 1]
     assert len(got.value("/map/corridors", "LineStrips2D:strips")) == 5
-    assert got.value("/map/loops\\ refused", "reason") == ["2 | 1 have *other* branches"]
+    refused, accepted = "/map/closures/refused", "/map/closures/accepted"
+    assert got.value(refused, "reason") == ["2 | 1 have *other* branches"]
+    assert got.value(refused, "junctions") == ["2, 1"]
+    assert got.value(accepted, "junctions") == ["0"]
+    told = "junction 0: visit 2 recognised as visit 1, +21.5 bits: the square closes"
+    assert got.value(accepted, "closure") == [told]
     assert len(got.value("/graph", "GraphEdges:edges")) == 5
     assert "# run1" in got.value("/summary", "TextDocument:text")[0]
 
@@ -61,11 +122,12 @@ def test_times_stand_on_the_clocks_of_the_raw_log(
     got = Readback(tmp_path / "a.rrd")
     assert got.timelines == {"message_log_time", "ros2_timestamp"}
     for clock in got.timelines:
-        assert np.array_equal(got.times("/drift", clock), topomap.observation_time_ns)
+        assert np.array_equal(got.times("/drift/drift", clock), topomap.observation_time_ns)
     texts = [row[0] for row in got.rows("/events", "TextLog:text")]
     assert len(texts) == 10
     assert "junction 0, visit 2" in texts
-    assert "loop recognised (+21.5 bits): the square closes" in texts
+    told = "junction 0: visit 2 recognised as visit 1, +21.5 bits: the square closes"
+    assert told in texts
 
 
 def test_without_odometry_the_map_alone_is_written(tmp_path: Path, make_map: Make) -> None:

@@ -1,10 +1,11 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from topobatch.merge.result import Alignment, Component, MergeResult, PairVerdict, Verdict
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.steps import joining_steps
+from topobatch.viz.steps import first_steps, joining_steps
 
 Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
 
@@ -19,18 +20,51 @@ def with_evidence(result: MergeResult, bits: dict[tuple[str, str], float]) -> Me
     return MergeResult(result.components, result.fused, tuple(pairs))
 
 
-def test_every_run_joins_once_by_its_strongest_link(merge_of: Merge) -> None:
+def groups(result: MergeResult) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+    return [(step.joins, step.into) for step in joining_steps(result)]
+
+
+def test_the_strongest_pair_joins_first(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b", "c", "d"]])
-    bits = {("a", "b"): 10.0, ("c", "d"): 50.0, ("b", "c"): 20.0, ("a", "d"): 15.0}
+    bits = {("a", "b"): 30.0, ("c", "d"): 50.0, ("b", "c"): 20.0, ("a", "d"): 15.0}
+    result = with_evidence(result, bits)
+    assert groups(result) == [
+        (("c",), ("d",)),
+        (("a",), ("b",)),
+        (("a", "b"), ("c", "d")),
+    ]
+    assert [step.pair.evidence_bits for step in joining_steps(result)] == [50.0, 30.0, 20.0]
+    assert first_steps(joining_steps(result)) == {"c": 1, "d": 1, "a": 2, "b": 2}
+
+
+def test_components_are_told_in_one_order(merge_of: Merge) -> None:
+    result, _ = merge_of([["a", "d"], ["b", "c", "x"], ["e"]])
+    bits = {("a", "d"): 5.0, ("b", "c"): 9.0, ("b", "x"): 3.0}
     steps = joining_steps(with_evidence(result, bits))
-    assert [step.runs for step in steps] == [("c", "d"), ("b",), ("a",)]
-    assert [step.pair.evidence_bits for step in steps] == [50.0, 20.0, 15.0]
+    assert [(step.component, step.joins, step.into) for step in steps] == [
+        (1, ("b",), ("c",)),
+        (0, ("a",), ("d",)),
+        (1, ("x",), ("b", "c")),
+    ]
 
 
-def test_components_are_told_one_after_the_other(merge_of: Merge) -> None:
-    result, _ = merge_of([["a", "d"], ["b", "c"], ["e"]])
-    steps = joining_steps(with_evidence(result, {("a", "d"): 5.0, ("b", "c"): 9.0}))
-    assert [(step.component, step.runs) for step in steps] == [(0, ("a", "d")), (1, ("b", "c"))]
+def test_locks_come_first_and_what_groups_say_together_last(merge_of: Merge) -> None:
+    result, _ = merge_of([["a", "b", "c", "d", "e"]])
+    bits = {("a", "b"): 10.0, ("c", "d"): 5.0, ("a", "c"): 90.0, ("a", "e"): 70.0}
+    pairs = {(p.a, p.b): p for p in with_evidence(result, bits).verdicts}
+    pairs["c", "d"] = replace(pairs["c", "d"], accepted_by="lock")
+    sides = {("a", "c"): (("a", "b"), ("c", "d", "e")), ("a", "e"): (("c", "d"), ("e",))}
+    for pair, together in sides.items():
+        a, b = pair if pair != ("a", "e") else ("d", "e")
+        pairs[pair] = replace(pairs[pair], a=a, b=b, accepted_by="components", together=together)
+    result = replace(result, verdicts=tuple(pairs.values()))
+    # The stronger one speaks of a group that the weaker one makes.
+    assert groups(result) == [
+        (("c",), ("d",)),
+        (("a",), ("b",)),
+        (("e",), ("c", "d")),
+        (("a", "b"), ("c", "d", "e")),
+    ]
 
 
 def test_runs_alone_take_no_step() -> None:

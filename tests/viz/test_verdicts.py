@@ -5,6 +5,8 @@ import numpy as np
 
 from topobatch.merge.result import FusedMap, MergeResult
 from topobatch.topology.topomap import TopoMap
+from topobatch.viz import map_summary as map_summary_module
+from topobatch.viz.history import history, questions
 from topobatch.viz.map_summary import bulleted, clock, map_summary, plain
 from topobatch.viz.steps import joining_steps
 from topobatch.viz.verdicts import (
@@ -13,6 +15,7 @@ from topobatch.viz.verdicts import (
     JOINED,
     MERGED,
     UNRELATED,
+    Shown,
     joining_told,
     merge_summary,
     pairs_told,
@@ -48,7 +51,7 @@ def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
 
 def test_summaries_count(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
-    told = merge_summary(result)
+    told = merge_summary(result, Shown())
     assert "**3** runs in **2** components" in told
     assert "**10** junctions, 5 of them seen by several runs" in told
     assert "**1** merged, **0** ambiguous, **2** unrelated" in told
@@ -60,20 +63,22 @@ def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -
     joined = tuple(replace(v, through=("b",)) if v.b == "c" else v for v in result.verdicts)
     result = replace(result, verdicts=joined)
     assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == JOINED
-    assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(result)
+    assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(
+        result, Shown()
+    )
     assert "Joined through others (2)" in pairs_told(result)
 
 
 def test_the_threshold_is_told_with_the_matrix(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"]])
-    assert "Merging needs" not in merge_summary(result)
+    assert "Merging needs" not in merge_summary(result, Shown())
     needing = tuple(replace(v, threshold_bits=12.55) for v in result.verdicts)
-    assert "Merging needs 12.6." in merge_summary(replace(result, verdicts=needing))
+    assert "Merging needs 12.6 bits." in merge_summary(replace(result, verdicts=needing), Shown())
 
 
 def test_a_merge_of_nothing_is_told(no_fused: FusedMap) -> None:
     nothing = MergeResult((), no_fused, ())
-    assert "**0** runs" in merge_summary(nothing)
+    assert "**0** runs" in merge_summary(nothing, Shown())
     assert "no pair" in pairs_told(nothing)
 
 
@@ -82,23 +87,28 @@ def test_the_story_has_a_page_for_every_step(merge_of: Merge) -> None:
     pages = joining_told(joining_steps(result))
     assert len(pages) == 3
     assert "by itself" in pages[0]
-    assert "a and b" in pages[1]
+    assert "**a** and **b** join" in pages[1]
+    assert "**c** joins **a, b**" in pages[2]
     assert "all fits" in pages[2]
 
 
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
-    told = map_summary(make_map("lab_2*"))
+    topomap = make_map("lab_2*")
+    asked = questions(topomap, history(topomap).visit)
+    told = map_summary(topomap, asked, map_summary_module.Shown(refused=True))
     assert "# lab\\_2\\*" in told
     assert "**5** vertices (2 bends, 1 dead end, 2 junctions)" in told
     assert "**1** branch seen and never driven" in told
     assert "**1** visit recognised, **1** refused" in told
     assert "2 \\| 1 have \\*other\\* branches" in told
+    assert "junction 1 (visit 2) not taken for junction 2 (visit 1), -3.0 bits" in told
+    assert "**Red** lines" in told
     assert "2 messages were empty" in told
     assert "- odometry: /odom, 140 messages\n- time: header" in told
 
 
 def test_an_empty_map_is_told(empty_map: TopoMap) -> None:
-    assert "The map is empty" in map_summary(empty_map)
+    assert "The map is empty" in map_summary(empty_map, [], map_summary_module.Shown())
 
 
 def test_text_stays_on_its_line() -> None:
@@ -114,3 +124,20 @@ def test_times_beyond_the_calendar_are_told() -> None:
     assert clock(0) == "1970-01-01 00:00:00"
     assert clock(2**62) == "2116-02-20 23:53:38"
     assert clock(10**29) == f"{10**29} ns"
+
+
+def test_nothing_is_spoken_of_that_is_not_there(merge_of: Merge, one_vertex: TopoMap) -> None:
+    alone = merge_summary(merge_of([["a"]])[0], Shown())
+    for word in ("Agreement", "Undecided", "Story", "Legend", "Verdicts", "Red", "dot"):
+        assert word not in alone, word
+    shown = Shown(story=True, undecided=True, contradictions=True, legend=True, numbers=True)
+    told = merge_summary(merge_of([["a", "b"], ["c"]], [("a", "c")])[0], shown)
+    for word in ("Agreement", "Undecided", "Story", "Legend", "**Red** dots", "above the diagonal"):
+        assert word in told, word
+    for word in ("kept out", "joined through", "A dot"):
+        assert word not in told, word
+    one = map_summary(one_vertex, [], map_summary_module.Shown())
+    for word in ("Drift", "Health", "grey** tracks", "detections", "rings", "Red", "more often"):
+        assert word not in one, word
+    assert "bends **grey**" in one
+    assert "three **blue**" not in one

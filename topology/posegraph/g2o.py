@@ -74,8 +74,17 @@ def read_g2o(path: Path | str) -> G2oGraph:
 def write_g2o(path: Path | str, graph: PoseGraph, ids: NDArray[np.int64] | None = None) -> None:
     """Write poses, edges and wholly held poses (FIX); what `read_g2o` reads back unchanged.
 
-    ids: (n,) names of the poses, 0, 1, … where left out. Raises ValueError on a graph that the
-    format cannot hold: kernels, priors, shared errors, poses held in part.
+    Takes and raises what `g2o_text` does; OSError if the file cannot be written.
+    """
+    Path(path).write_text(g2o_text(graph, ids), encoding="utf-8")
+
+
+def g2o_text(graph: PoseGraph, ids: NDArray[np.int64] | None = None) -> str:
+    """A pose graph as the text of a file: poses, edges and wholly held poses (FIX).
+
+    ids: (n,) names of the poses, 0, 1, … where left out. There are no comments: GTSAM (4.3) reads
+    no edges from a file with any. Raises ValueError on a graph that the format cannot hold:
+    kernels, priors, shared errors, poses held in part.
     """
     names = np.arange(len(graph)) if ids is None else np.asarray(ids, np.int64)
     partly = graph.held.any(axis=1) & ~graph.held.all(axis=1)
@@ -92,7 +101,7 @@ def write_g2o(path: Path | str, graph: PoseGraph, ids: NDArray[np.int64] | None 
         f"EDGE_SE2 {i} {j} {_joined(measured)} {_joined(row)}"
         for (i, j), measured, row in zip(ends, graph.measurement.tolist(), upper, strict=True)
     ]
-    Path(path).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _joined(values: list[float]) -> str:

@@ -11,8 +11,9 @@ from topobatch.merge.document import merged_to_document
 from topobatch.merge.locks import Lock
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Verdict
-from topobatch.merge.robust import RobustSettings, decide, match, prepare
+from topobatch.merge.robust import Means, RobustSettings, decide, match, prepare
 from topobatch.merge.robust.mirror import mirrored
+from topobatch.merge.workers import Workers
 from topobatch.simulation import make_world
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply, compose, wrap
@@ -97,7 +98,8 @@ def test_an_executor_changes_nothing_but_the_time(halves, other_maze, see):
     maps = sorted([*halves, see(other_maze, list(range(40)), 6, "other")], key=lambda m: m.run)
     heard = []
     with ThreadPoolExecutor(2) as executor:
-        there = decide(maps, executor=executor, on_pair=lambda done, of: heard.append((done, of)))
+        means = Means(Workers.of(executor), on_pair=lambda done, of: heard.append((done, of)))
+        there = decide(maps, means=means)
     here = decide(maps)
     assert [(v.a, v.b, v.verdict, v.evidence_bits) for v in here] == [
         (v.a, v.b, v.verdict, v.evidence_bits) for v in there

@@ -27,8 +27,7 @@ def rematched(maps, need_copy_bits):
         for i, j in pairs
     }
     parts = Components(len(maps), ())
-    levels = dict.fromkeys(pairs, level)
-    return views, parts, Rematcher(maps, ready, parts, views, levels, SETTINGS).run({})
+    return views, parts, Rematcher(maps, ready, parts, views, lambda _: level, SETTINGS).run({})
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +69,7 @@ def test_runs_kept_apart_stay_apart_in_groups(three):
     level = Bar(15.0, 1e6, 1.0, 0, default_copies(SETTINGS), SETTINGS)
     parts = Components(3, [(0, 2)])
     ready = [prepare(m) for m in three]
-    Rematcher(three, ready, parts, views, dict.fromkeys(views, level), SETTINGS).run({})
+    Rematcher(three, ready, parts, views, lambda _: level, SETTINGS).run({})
     assert not parts.together(0, 2)
 
 

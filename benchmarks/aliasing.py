@@ -1,0 +1,117 @@
+"""Worlds that repeat themselves and one another: python benchmarks/aliasing.py [--worlds N]
+[--first S] [--without RULE]
+
+For every kind of world N worlds of RUNS runs each, judged in one batch, world by world, and two
+runs at a time. Right: pairs with at least FEWEST common junctions that end in one component, by the
+share of the smaller map that both have; wrong: pairs merged otherwise than they lie, or of two
+worlds. Promised: so many of these the false-merge rate allows. --without leaves one rule out, to
+see what it is there for.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from importlib import import_module
+from itertools import combinations
+
+import numpy as np
+from observed import Seeing, scattered_maps
+
+from topobatch.merge.fusion.fuse import components_of
+from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, rematching, repetition, verdict
+from topobatch.simulation import make_world
+
+DECIDE = import_module("topobatch.merge.robust.decide")
+KINDS = {"tiles": 90, "office": 120, "rows": 70, "maze": 110, "organic": 90, "city": 90}
+"""Junctions of a world of each kind."""
+RUNS, SIZE, FEWEST = 5, 36, 5
+SEEING = Seeing(missed=0.03, branch_fault=0.04, bend_m=0.3)
+SHARES = (0.25, 0.5, 1.01)
+
+
+def batch(kind, worlds, first):
+    """Maps of all runs of all worlds; `info` says which vertices of which world they show."""
+    out = []
+    for w in range(worlds):
+        world = make_world(kind, KINDS[kind], first + w)
+        for m, _ in scattered_maps(world, RUNS, SIZE, first + w, SEEING):
+            truth = {"world": w, "truth": m.info["truth"]}
+            out.append(replace(m, run=f"w{w:02d}-{m.run}", info=truth))
+    return sorted(out, key=lambda m: m.run)
+
+
+def score(maps):
+    """Counts over the pairs of one batch: right and possible (3,) by share, wrong, pairs."""
+    by_run = {m.run: m for m in maps}
+    told = DECIDE.decide(maps)
+    accepted = [v for v in told if v.accepted]
+    together = {run: k for k, part in enumerate(components_of(by_run, accepted)) for run in part}
+    right, possible, wrong = np.zeros(3, int), np.zeros(3, int), 0
+    for v in told:
+        a, b = by_run[v.a], by_run[v.b]
+        same = a.info["world"] == b.info["world"]
+        common = len(set(a.info["truth"]) & set(b.info["truth"])) if same else 0
+        if v.accepted and not (same and _fits(v, a, b)):
+            wrong += 1
+        elif common >= FEWEST:
+            k = np.searchsorted(SHARES, common / min(len(a), len(b)), side="right")
+            possible[k] += 1
+            right[k] += together[v.a] == together[v.b]
+    return right, possible, wrong, len(told)
+
+
+def _fits(v, a, b):
+    """Whether most matched junctions are the same ones."""
+    at_a, at_b = (np.array(m.info["truth"])[v.best.matched[:, k]] for k, m in enumerate((a, b)))
+    return np.mean(at_a == at_b) >= 0.5
+
+
+def added(scores):
+    """Scores of several batches as one."""
+    return [sum(values) for values in zip(*scores, strict=True)]
+
+
+def rows(kind, worlds, first):
+    """(name, score) of the three ways to judge the same maps."""
+    maps = batch(kind, worlds, first)
+    yield "one batch", score(maps)
+    alone = [[m for m in maps if m.info["world"] == w] for w in range(worlds)]
+    yield "by world", added(score(part) for part in alone)
+    yield "two runs", added(score(list(pair)) for pair in combinations(maps, 2))
+
+
+def leave_out(rule):
+    """Take a rule out of the matcher."""
+    if rule == "elsewhere":
+        conflicts._with_elsewhere = lambda a, b, match, found: found
+    elif rule == "small copies":
+        verdict.Bar.may_be_copy = lambda self, best: 0.0
+    elif rule == "learned copies":
+        DECIDE.copy_model = lambda samples, settings: repetition.default_copies(settings)
+    elif rule == "groups":
+        rematching.Rematcher._join_groups = lambda self, accepted, reunions: False
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--worlds", type=int, default=8)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first world")
+    parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=list(KINDS))
+    rules = ("elsewhere", "small copies", "learned copies", "groups")
+    parser.add_argument("--without", choices=rules)
+    options = parser.parse_args()
+    leave_out(options.without)
+    shares = ("< 25 %", "25-50 %", "> 50 %")
+    print(f"| world | judged | {' | '.join(f'right at {s}' for s in shares)} | wrong | promised |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for kind in options.kinds:
+        for name, (right, possible, wrong, pairs) in rows(kind, options.worlds, options.first):
+            cells = " | ".join(f"{r} of {p}" for r, p in zip(right, possible, strict=True))
+            batches = {"one batch": 1, "by world": options.worlds}.get(name, pairs)
+            promise = batches * DEFAULT_ROBUST.false_merge_rate
+            print(f"| {kind} | {name} | {cells} | {wrong} of {pairs} | {promise:.3g} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""`topobatch changes`: what is there in some runs and not in others."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..topology.errors import DataError, DocumentError, UsageError
+from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import count, say, say_lines
+from .workspace import Workspace, shortened
+
+if TYPE_CHECKING:
+    from ..merge.changes import Change, Witness
+
+
+def changes(
+    component: Annotated[
+        int | None, typer.Option(min=0, help="Only this component of the merged map.")
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also differences that chance may have made.")
+    ] = False,
+    merge: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="The merge to ask, by its --output NAME."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+) -> None:
+    """Tell what changed between the runs that were merged.
+
+    Corridors and junctions that one run passed and another, which had to meet them (it passed the
+    corridor's ends, or drove through where the junction is), did not: gone, new, or now and then.
+    With who says so, how often and when, and the evidence in bits: how unlikely it is that the
+    others only overlooked it.
+    """
+    from ..merge.changes import change_to_document
+    from ..merge.changes import changes as changes_of
+    from ..merge.component_map import stale_runs
+
+    place = Workspace(workspace) if merge is None else Workspace(workspace, merge)
+    document = place.read_merged()
+    entries = {c.id: c for c in document.graph.components}
+    if component is not None and component not in entries:
+        raise UsageError(f"{place.merged_json}: there is no component {component}")
+    found: list[Change] = []
+    several = 0
+    for number, entry in entries.items():
+        if len(entry.runs) < 2 or component not in (None, number):
+            continue
+        several += 1
+        maps = {run: place.read_map(run) for run in entry.runs}
+        stale = stale_runs(document, number, maps)
+        if stale:
+            raise DataError(
+                f"{place.maps}: not all maps are those that were merged "
+                f"({shortened([f'{run} {why}' for run, why in stale.items()], 3)}); merge again"
+            )
+        try:
+            found += changes_of(document, number, maps)
+        except ValueError as error:
+            raise DocumentError(f"{place.merged_json}: component {number}: {error}") from error
+    shown = [c for c in found if everything or c.sure]
+    if as_json:
+        say_lines(json.dumps([change_to_document(c) for c in shown]))
+        return
+    for change in shown:
+        for line in _lines(change):
+            say(line)
+    unsure = sum(not c.sure for c in found)
+    told = f", and {count(unsure, 'difference')} that chance may have made" if unsure else ""
+    hint = " (--all shows them)" if unsure and not everything else ""
+    say(
+        f"{count(len(found) - unsure, 'change')}{told}{hint}"
+        if several
+        else "no two runs were merged: nothing to compare"
+    )
+
+
+def _lines(change: Change) -> list[str]:
+    """What a change is, who says so, and how sure that is."""
+    x, y = change.xy
+    at = f"at ({x:.1f}, {y:.1f}) m in component {change.component}"
+    if change.thing == "corridor":
+        u, v = change.junctions
+        what = f"corridor of {change.length:.1f} m between junctions {u} and {v}, {at}"
+    else:
+        what = f"junction {change.junctions[0]}, {at}"
+    verb = {"gone": "gone", "new": "new", "differs": "now and then"}[str(change.kind)]
+    sure = "" if change.sure else "perhaps "
+    needed = "needed" if change.sure else "would be needed"
+    return [
+        f"{sure}{verb}: {what}",
+        *(f"  passed by {_told(w)}" for w in change.there),
+        *(f"  not there for {_told(w)}" for w in change.missing),
+        f"  evidence {change.bits:.1f} bits, {change.needed:.1f} {needed}",
+    ]
+
+
+def _told(witness: Witness) -> str:
+    """Who, how often, when (UTC)."""
+    from datetime import UTC, datetime
+
+    def date(time_ns: int) -> str:
+        return datetime.fromtimestamp(time_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M")
+
+    first, last = date(witness.first_ns), date(witness.last_ns)
+    when = first if first == last else f"{first} to {last}"
+    return f"{witness.run}, {count(witness.passes, 'pass', 'passes')}, {when}"

@@ -1,0 +1,43 @@
+"""A Dask cluster to match on: `--cluster tcp://…`, of the extra `topobatch[cluster]`.
+
+Its workers need the same topobatch, and the workspace under the same path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+
+from ..topology.errors import DataError, UsageError
+
+CONNECT_S = 20
+"""How long a scheduler may take to answer."""
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """The executor of a running cluster. UsageError where Dask is not installed or the address is
+    none, DataError where nobody answers there or its workers keep dying."""
+    try:
+        from distributed import Client
+        from distributed.scheduler import KilledWorker
+    except ImportError as error:
+        raise UsageError(
+            "--cluster needs Dask: python -m pip install 'topobatch[cluster]'"
+        ) from error
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except ValueError as error:
+        raise UsageError(f"--cluster {address}: {error}") from error
+    except OSError as error:
+        raise DataError(f"--cluster {address}: no scheduler answers there") from error
+    with client:
+        try:
+            # Tasks are not told apart by hashing them again: their order says which is which.
+            yield client.get_executor(pure=False)
+        except KilledWorker as error:
+            raise DataError(
+                f"--cluster {address}: the workers that match die again and again (out of "
+                "memory?); what they had done is kept: call again"
+            ) from error

@@ -1,0 +1,115 @@
+"""`topobatch discard`: a run, or the match of two, as if it had never been (§4.1)."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ..topology.errors import UsageError
+from .journal import note
+from .merge import merge_again
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
+from .output import Screen
+from .workspace import Workspace, shortened
+
+
+def discard(
+    what: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[RUN | A:B]...",
+            help="Runs, or matches of two runs.",
+            autocompletion=complete_run,
+        ),
+    ] = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Let the matches A:B count again.")] = False,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    quiet: QuietOption = False,
+) -> None:
+    """Take back runs, or matches of two runs, and what depends on them.
+
+    RUN: its map, recordings and locks are removed; its log, ingested again, makes it anew. A:B:
+    what was found between the two is not counted any more, in this merge and in later ones; other
+    runs may still join them (to keep them apart whatever is found: topobatch lock A B --never). The
+    last merge is made anew without it. Without arguments, the matches that were taken back.
+    """
+    place, screen = Workspace(workspace), Screen(quiet)
+    if not what:
+        if undo:
+            raise UsageError("--undo: name the matches, A:B")
+        for a, b in sorted(place.discards()):
+            screen.line(f"{a}:{b}")
+        return
+    with place.held(screen.warn, make=False):
+        runs, pairs = _sorted_out(place, what, undo)
+        _discard_pairs(place, pairs, undo)
+        for run in runs:
+            _discard_run(place, run)
+        names = [*runs, *(f"{a}:{b}" for a, b in pairs)]
+        verb = "counted again" if undo else "discarded"
+        note(place, "discard", f"{verb}: {shortened(names)}", screen.warn)
+        screen.line(f"{verb}: {shortened(names)}")
+        merge_again(place, {*runs, *(run for pair in pairs for run in pair)}, screen)
+
+
+def _sorted_out(
+    place: Workspace, what: list[str], undo: bool
+) -> tuple[list[str], list[tuple[str, str]]]:
+    """The runs and the pairs that are named. UsageError where there are none of that name."""
+    known = set(place.runs())
+    runs, pairs = [], []
+    for name in dict.fromkeys(what):
+        if name in known and not undo:
+            runs.append(name)
+            continue
+        cuts = (k for k, letter in enumerate(name) if letter == ":")
+        found = [p for k in cuts if known >= set(p := (name[:k], name[k + 1 :]))]
+        if len(found) != 1 or found[0][0] == found[0][1]:
+            wanted = "two runs A:B" if ":" in name or undo else "a run, or two as A:B"
+            shown = shortened(sorted(known)) or "none"
+            raise UsageError(f"{name!r} does not name {wanted}; there are: {shown}")
+        a, b = sorted(found[0])
+        pairs.append((a, b))
+    _check_locks(place, pairs, undo)
+    return runs, pairs
+
+
+def _check_locks(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> None:
+    """UsageError where a person said that two runs are the same, or nothing is to be undone."""
+    if undo:
+        kept = place.discards()
+        for a, b in pairs:
+            if (a, b) not in kept:
+                raise UsageError(f"the match {a}:{b} was not discarded")
+        return
+    same = {(lock.a, lock.b) for lock in place.locks() if lock.decision == "same"}
+    for a, b in pairs:
+        if (a, b) in same:
+            raise UsageError(
+                f"{a} and {b} are locked as the same; first: topobatch lock {a} {b} --clear"
+            )
+
+
+def _discard_pairs(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> None:
+    if pairs:
+        before = place.discards()
+        place.write_discards(before - set(pairs) if undo else before | set(pairs))
+
+
+def _discard_run(place: Workspace, run: str) -> None:
+    """Remove what is about a run: last its map, so that a second call finishes a first one."""
+    locks = place.locks()
+    left = tuple(lock for lock in locks if run not in (lock.a, lock.b))
+    if len(left) < len(locks):
+        place.write_locks(left)
+    discards = place.discards()
+    kept = frozenset(pair for pair in discards if run not in pair)
+    if len(kept) < len(discards):
+        place.write_discards(kept)
+    for other in place.runs():
+        for method in ("robust", "paper"):
+            a, b = sorted((run, other))
+            place.explain_rrd(a, b, method=method).unlink(missing_ok=True)
+    for path in (place.ingest_record(run), place.map_rrd(run), place.map_json(run)):
+        path.unlink(missing_ok=True)

@@ -1,0 +1,134 @@
+"""`topobatch draw`: a map, a merge or a decision as a picture on paper."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ..topology.errors import DataError, DocumentError, UsageError
+from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import say
+from .workspace import MERGED, Workspace, shortened
+
+if TYPE_CHECKING:
+    from ..merge.result import MergeResult
+    from ..viz.canvas import Canvas, Format
+    from ..viz.theme import Theme
+
+
+def draw(
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="RUN|merged|A:B",
+            help="A run, for its map; merged, or the --output NAME of a merge; or two runs, for "
+            "why they were merged or not.",
+        ),
+    ],
+    out: Annotated[Path, typer.Argument(metavar="OUT.svg|OUT.png", help="The picture to write.")],
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    theme: Annotated[
+        Literal["light", "dark"], typer.Option(help="For light paper or a dark screen.")
+    ] = "light",
+) -> None:
+    """Draw a map, the merged map, or the decision on a pair of runs.
+
+    Needs no viewer and no display; the same map gives the same bytes. In an SVG, pointing at a
+    corridor or a junction tells its number, its length, its sigma.
+
+    A run's map: junctions coloured by their branches, corridors wider the more often they were
+    driven. The merged map: every corridor a ribbon with a strand for each run that drove it. A
+    pair: one map laid over the other with the matched junctions tied; of an ambiguous pair both
+    placements side by side.
+
+    \b
+      topobatch draw run1 run1.svg
+      topobatch draw merged merged.png --theme dark
+      topobatch draw run1:run2 why.svg
+    """
+    form = format_of(out)
+    quiet_fonts()
+    from ..topology.document import write_atomically
+    from ..viz.theme import DARK, LIGHT
+
+    canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
+    data = canvas.as_bytes(form)
+    write_atomically(out, lambda temporary: temporary.write_bytes(data))
+    say(f"{out}")
+
+
+def quiet_fonts() -> None:
+    """Keep to itself what matplotlib logs of its caches: where a home cannot be written, say."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+
+
+def format_of(out: Path) -> Format:
+    """What a picture's name asks for."""
+    suffix = out.suffix.lower()
+    if suffix == ".svg":
+        return "svg"
+    if suffix == ".png":
+        return "png"
+    raise UsageError(f"{out}: a picture's name ends in .svg or .png")
+
+
+def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
+    """The picture of a run, of a merge or of a pair."""
+    from ..viz import draw as drawings
+
+    runs = place.runs()
+    if what in runs and what != MERGED:
+        return drawings.draw_map(place.read_map(what), theme)
+    pair = _pair(what, runs)
+    if pair is not None:
+        from .explain import decided
+
+        maps = {run: place.read_map(run) for run in pair}
+        decision = decided(place, pair, maps)
+        return drawings.draw_decision(maps[pair[0]], maps[pair[1]], decision, theme)
+    return drawings.draw_merged(read_result(_merge_of(place, what, runs)), theme)
+
+
+def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
+    """The two runs that "A:B" names, in the order of their names; names may hold colons."""
+    known = set(runs)
+    cuts = [k for k, letter in enumerate(what) if letter == ":"]
+    for cut in cuts:
+        a, b = what[:cut], what[cut + 1 :]
+        if a in known and b in known:
+            if a == b:
+                raise UsageError(f"two runs are needed, got {a!r} twice")
+            return (a, b) if a < b else (b, a)
+    return None
+
+
+def _merge_of(place: Workspace, what: str, runs: list[str]) -> Workspace:
+    """The workspace with the merge that is named, or a message that says what there is."""
+    if what == MERGED:
+        if place.merged_json.is_file():
+            return place
+        raise DataError(
+            f"{place.merged_json}: is not there yet; make it with `topobatch merge --all`"
+        )
+    if ":" not in what and Workspace(place.root, what).merged_json.is_file():
+        return Workspace(place.root, what)
+    if not runs:
+        raise place.no_maps()
+    raise UsageError(
+        f"{what!r} is no run, merge or pair A:B of {place.root}; runs: {shortened(runs)}"
+    )
+
+
+def read_result(place: Workspace) -> MergeResult:
+    """The merge of a workspace, as its document tells it; DocumentError if it cannot be read."""
+    from ..merge.document import read_merged
+    from ..merge.stored import result_from_document
+
+    document = read_merged(place.merged_json)
+    try:
+        return result_from_document(document)
+    except ValueError as error:
+        raise DocumentError(f"{place.merged_json}: {error}") from error

@@ -1,0 +1,284 @@
+"""`topobatch export`: maps in the formats of others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..topology.errors import DataError, DocumentError, UsageError
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .output import Screen, count, say_text
+from .workspace import MERGED, Workspace, shortened
+
+if TYPE_CHECKING:
+    from ..merge.document import MergedDocument
+    from ..topology.odometry import Odometry
+    from ..topology.topomap import TopoMap
+
+STDOUT = Path("-")
+
+
+class Format(StrEnum):
+    """What can be written."""
+
+    NAV2 = "nav2"
+    LIF = "lif"
+    RMF = "rmf"
+    TMAP2 = "tmap2"
+    GRAPHML = "graphml"
+    G2O = "g2o"
+    TUM = "tum"
+    CSV = "csv"
+
+
+def export(
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="RUN|merged",
+            help="A run, or the merged map (merged, or the --output NAME of a merge).",
+        ),
+    ],
+    form: Annotated[
+        Format,
+        typer.Option(
+            "--format",
+            "-f",
+            help="nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
+            "navigation graph; tmap2: LCAS topological map; graphml; g2o: pose graph; "
+            "tum: trajectories; csv: two tables.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="File to write, - for the standard output; default: in the workspace's exports/.",
+        ),
+    ] = None,
+    component: Annotated[
+        int | None,
+        typer.Option(min=0, help="Only this component of the merged map; default: a file each."),
+    ] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            min=0.001,
+            max=10.0,
+            help="How far in metres a corridor may lie from its straight pieces (nav2, lif, rmf, "
+            "tmap2).",
+        ),
+    ] = 0.05,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG",
+            help="Where the log of the run is, for tum; default: where ingest read it.",
+        ),
+    ] = None,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a run's map, or the merged map, in a format that others load.
+
+    The merged map has components that share no frame: each becomes a file of its own, numbered like
+    the components of topobatch merge. Trajectories (tum) are read from the run's log again.
+    """
+    place, screen = Workspace(workspace), Screen(quiet)
+    sources = _sources(place, what, component, screen)
+    texts: dict[str, str] = {}
+    for source in sources:
+        for ending, text in _texts(place, source, form, tolerance, log).items():
+            texts[f"{source.name}{ending}"] = text
+    if output == STDOUT:
+        _to_stdout(texts, sources)
+        return
+    for path, text in _paths(place, output, texts, sources).items():
+        _write(path, text)
+        screen.line(str(path))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """A map to write: of a run or, with the document it stands in, of a component."""
+
+    name: str
+    topomap: TopoMap
+    maps: dict[str, TopoMap]
+    document: MergedDocument | None = None
+    component: int = 0
+
+
+def _sources(place: Workspace, what: str, component: int | None, screen: Screen) -> list[_Source]:
+    """The maps that are meant: one of a run, one for each component of a merge."""
+    merged = _merge_named(place, what)
+    if merged is None:
+        if component is not None:
+            raise UsageError(f"--component goes with the merged map; {what!r} is a run")
+        (run,) = place.chosen_runs([what], False)
+        topomap = place.read_map(run)
+        return [_Source(run, topomap, {run: topomap})]
+    document = merged.read_merged()
+    ids = [c.id for c in document.graph.components]
+    if component is not None and component not in ids:
+        raise UsageError(
+            f"{merged.merged_json}: there is no component {component}; there are {ids}"
+        )
+    chosen = ids if component is None else [component]
+    several = len(ids) > 1
+    if several and component is None:
+        screen.warn(
+            f"{count(len(ids), 'component')} that share no frame: a file each; "
+            "choose one by --component"
+        )
+    stem = merged.merge
+    return [
+        _component(merged, document, c, f"{stem}-{c}" if several else stem, screen) for c in chosen
+    ]
+
+
+def _merge_named(place: Workspace, what: str) -> Workspace | None:
+    """The workspace with the merge that is called so; None where a run is."""
+    if what == MERGED:
+        return place
+    named = Workspace(place.root, what)
+    return named if what not in place.runs() and named.merged_json.is_file() else None
+
+
+def _component(
+    place: Workspace, document: MergedDocument, component: int, name: str, screen: Screen
+) -> _Source:
+    from ..merge.component_map import component_map, stale_runs
+
+    runs = next(sorted(c.runs) for c in document.graph.components if c.id == component)
+    maps = {}
+    for run in runs:
+        try:
+            maps[run] = place.read_map(run)
+        except DocumentError as error:
+            screen.warn(f"{error}; exported without it")
+    stale = stale_runs(document, component, maps)
+    if stale:
+        told = ", ".join(f"{run} {why}" for run, why in list(stale.items())[:3])
+        screen.warn(
+            f"component {component}: times are left out: not all maps are those that were merged "
+            f"({told}); merge again"
+        )
+    try:
+        topomap = component_map(document, component, name, maps)
+    except ValueError as error:
+        raise DocumentError(f"{place.merged_json}: component {component}: {error}") from error
+    kept = {run: m for run, m in maps.items() if run not in stale}
+    return _Source(name, topomap, kept, document, component)
+
+
+def _texts(
+    place: Workspace, source: _Source, form: Format, tolerance: float, log: Path | None
+) -> dict[str, str]:
+    """What to write, by the ending of its file's name."""
+    from ..viz.exports import MAP_FORMATS
+
+    if form is Format.TUM:
+        return _trajectories(place, source, log)
+    if log is not None:
+        raise UsageError("--log goes with --format tum")
+    if form is Format.G2O:
+        return {".g2o": _pose_graph(source)}
+    writers = MAP_FORMATS[form]
+    return {ending: text_of(source.topomap, tolerance) for ending, text_of in writers.items()}
+
+
+def _pose_graph(source: _Source) -> str:
+    from ..merge.component_map import component_pose_graph
+    from ..topology.embedding import map_pose_graph
+    from ..viz.exports import pose_graph_g2o
+
+    if source.document is None:
+        return pose_graph_g2o(map_pose_graph(source.topomap))
+    runs = next(c.runs for c in source.document.graph.components if c.id == source.component)
+    gone = sorted(set(runs) - set(source.maps))
+    if gone:
+        raise DataError(
+            f"{source.name}: the joint pose graph needs the maps that were merged; "
+            f"{shortened(gone, 3)} {'is' if len(gone) == 1 else 'are'} not among them: merge again"
+        )
+    return pose_graph_g2o(component_pose_graph(source.document, source.component, source.maps))
+
+
+def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[str, str]:
+    """The odometry of every run, as recorded and corrected; read from its log."""
+    from ..merge.document import poses_from_document
+    from ..viz.exports import corrected_tum, recorded_tum
+
+    if log is not None and len(source.maps) != 1:
+        raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
+    poses = {} if source.document is None else poses_from_document(source.document)
+    out = {}
+    for run, topomap in sorted(source.maps.items()):
+        odometry = _odometry(place, run, log)
+        corrected = corrected_tum(topomap, odometry, poses.get(run))
+        if corrected is None:
+            raise DataError(
+                f"run {run}: no junction pass of its map lies within the odometry of its log"
+            )
+        stem = "" if source.document is None else f".{run}"
+        out[f"{stem}.recorded.tum"] = recorded_tum(odometry)
+        out[f"{stem}.corrected.tum"] = corrected
+    return out
+
+
+def _odometry(place: Workspace, run: str, log: Path | None) -> Odometry:
+    """The odometry of a run from its log: as it was read for the map, if that is recorded."""
+    from ..ingest.reading import ReadSettings, read_run
+    from .ingest_worker import READ_OPTIONS, ingest_record
+
+    record = ingest_record(place, run)
+    if log is None:
+        found = record.get("log")
+        if not isinstance(found, str):
+            raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
+        log = Path(found)
+        if not log.exists():
+            raise DataError(f"{log}: the log of run {run} is not there any more; use --log")
+    told = record.get("read")
+    how: dict[str, Any] = told if isinstance(told, dict) else {}
+    known = {name: how[name] for name in READ_OPTIONS if isinstance(how.get(name), str)}
+    return read_run(log, ReadSettings(**known)).odometry
+
+
+def _to_stdout(texts: dict[str, str], sources: list[_Source]) -> None:
+    if len(texts) > 1:
+        why = "choose one by --component" if len(sources) > 1 else "write them to files"
+        raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
+    for text in texts.values():
+        say_text(text)
+
+
+def _paths(
+    place: Workspace, output: Path | None, texts: dict[str, str], sources: list[_Source]
+) -> dict[Path, str]:
+    """Where each text goes. Of an --output for several files, each file's own part is put before
+    the suffix: out.csv becomes out.junctions.csv and out.corridors.csv."""
+    if output is None:
+        return {place.exports / name: text for name, text in texts.items()}
+    if len(texts) == 1:
+        return dict(zip([output], texts.values(), strict=True))
+    # The names differ in what follows the beginning that they share.
+    shared = sources[0].name if len(sources) == 1 else sources[0].name.rpartition("-")[0]
+    out = {}
+    for name, text in texts.items():
+        own = name.removeprefix(shared).removesuffix(output.suffix)
+        out[output.with_name(f"{output.stem}{own}{output.suffix}")] = text
+    return out
+
+
+def _write(path: Path, text: str) -> None:
+    from ..topology.document import write_atomically
+
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -1,0 +1,78 @@
+"""What was done to a workspace, line by line: `history.jsonl`, and `topobatch history`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+import typer
+
+from ..topology.errors import DataError
+from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import say, table
+from .workspace import Workspace
+
+MOST_BYTES = 4 << 20
+"""Of a longer journal the older half is dropped: some 40,000 lines."""
+
+
+def note(place: Workspace, what: str, text: str, say: Callable[[str], None]) -> None:
+    """Add a line; the workspace is held. A journal that cannot be written is told of, no more."""
+    from ..topology.document import write_atomically
+
+    line = json.dumps({"time": _now(), "what": what, "text": text}, ensure_ascii=True)
+    try:
+        lines = [*_lines(place), line]
+        if sum(map(len, lines)) > MOST_BYTES:
+            lines = lines[len(lines) // 2 :]
+        content = "".join(f"{each}\n" for each in lines)
+        write_atomically(place.history, lambda temporary: temporary.write_text(content))
+    except (OSError, DataError) as error:
+        say(f"{place.history}: {error}; not noted")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _lines(place: Workspace) -> list[str]:
+    from ..topology.document import read_bytes
+
+    if not os.path.lexists(place.history):
+        return []
+    return read_bytes(place.history).decode("utf-8", "replace").splitlines()
+
+
+def _entry(line: str) -> dict[str, Any] | None:
+    """A line as it was written, None if it was not written here."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    names = ("time", "what", "text")
+    good = isinstance(found, dict) and all(isinstance(found.get(name), str) for name in names)
+    return {name: found[name] for name in names} if good else None
+
+
+def history(
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    most: Annotated[int, typer.Option("--last", "-n", min=1, help="How many, the last ones.")] = 20,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show what was done to the workspace: ingested, merged, locked, discarded, renamed."""
+    lines = _lines(Workspace(workspace))
+    entries = [entry for line in lines if (entry := _entry(line)) is not None][-most:]
+    if as_json:
+        say(json.dumps(entries))
+        return
+    if not entries:
+        say("nothing was done here yet")
+        return
+    rows = [(entry["time"], entry["what"], entry["text"]) for entry in entries]
+    for line in table(("when", "what", ""), rows):
+        say(line)
+    if len(entries) < len(lines):
+        say(f"  ({len(lines) - len(entries)} more: --last {len(lines)})")

@@ -1,0 +1,195 @@
+"""What `import topobatch` offers: the steps of the command, as functions of values.
+
+Nothing here prints, exits, or writes a file. Everything raised on purpose is a TopobatchError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from .workspace import Workspace
+
+if TYPE_CHECKING:
+    from ..merge.locks import Lock
+    from ..merge.result import MergeResult
+    from ..topology.topomap import TopoMap
+
+__all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
+
+
+def ingest(
+    log: str | Path,
+    *,
+    name: str | None = None,
+    odometry_topic: str | None = None,
+    junction_topic: str | None = None,
+    junction_fields: str | None = None,
+    base_frame: str | None = None,
+    time: Literal["header", "log"] = "header",
+    strict: bool = False,
+) -> tuple[TopoMap, ...]:
+    """Turn one log into its topological map.
+
+    Parameters
+    ----------
+    log
+        An MCAP file, a ROS 1 bag, or a ROS 2 bag folder.
+    name
+        What to call the run; after the log by default.
+    odometry_topic, junction_topic, junction_fields, base_frame, time, strict
+        As the options of ``topobatch ingest``; by default the log tells them.
+
+    Returns
+    -------
+    tuple of TopoMap
+        One map; more only where the odometry broke and nothing ties its pieces together.
+
+    Raises
+    ------
+    LogError
+        The log cannot be read, or holds nothing that can be used.
+    DataError
+        What it holds makes no map: no junction was passed, or the odometry does not move.
+    UsageError
+        The log has several topics to choose from, or an option makes no sense.
+
+    Examples
+    --------
+    >>> import topobatch
+    >>> (maze,) = topobatch.ingest("sample_logs/maze-1.mcap")
+    >>> len(maze), len(maze.source)
+    (26, 29)
+    """
+    from ..ingest.mapping import build_map
+    from ..ingest.reading import ReadSettings, read_run
+    from ..merge.pieces import joined_pieces
+    from .workspace import checked_run_name
+
+    settings = ReadSettings(
+        odometry_topic=odometry_topic,
+        junction_topic=junction_topic,
+        junction_fields=junction_fields,
+        base_frame=base_frame,
+        time=time,
+        strict=strict,
+    )
+    run = read_run(Path(log), settings)
+    if name is not None:
+        run = replace(run, name=checked_run_name(name))
+    return joined_pieces(build_map(run))
+
+
+def read_map(path: str | Path) -> TopoMap:
+    """Read the map of a run, ``maps/RUN.json`` of a workspace.
+
+    Parameters
+    ----------
+    path
+        The document.
+
+    Returns
+    -------
+    TopoMap
+        Its arrays are read-only; their shapes and units stand in its docstring.
+
+    Raises
+    ------
+    DocumentError
+        It cannot be read, or is no such document; the message names the place of the first fault.
+
+    Examples
+    --------
+    >>> import topobatch
+    >>> topomap = topobatch.read_map("topobatch-workspace/maps/maze-1.json")  # doctest: +SKIP
+    """
+    from ..topology.document import read_map as read
+
+    return read(Path(path))
+
+
+def merge(
+    maps: Sequence[TopoMap],
+    *,
+    false_merge_rate: float | None = None,
+    locks: Sequence[Lock] = (),
+) -> MergeResult:
+    """Merge the maps of many runs, where the evidence says that they overlap.
+
+    Parameters
+    ----------
+    maps
+        In any order; every run once.
+    false_merge_rate
+        Share of batches that may hold any false merge, between 0 and 0.5; 0.001 by default.
+    locks
+        What a person knows: ``topobatch.merge.locks.Lock(a, b, "same" or "never")``.
+
+    Returns
+    -------
+    MergeResult
+        A verdict for every pair of runs, the components, and the fused map of each.
+
+    Raises
+    ------
+    DataError
+        Two maps are of the same run.
+    UsageError
+        The rate makes no sense.
+
+    Examples
+    --------
+    >>> import topobatch
+    >>> logs = ("maze-1.mcap", "maze-2.bag")
+    >>> maps = [m for log in logs for m in topobatch.ingest(f"sample_logs/{log}")]
+    >>> (pair,) = topobatch.merge(maps).verdicts
+    >>> str(pair.verdict), len(pair.best.matched)
+    ('merged', 12)
+    """
+    from ..merge.merging import MergeSettings, merge_maps
+    from ..topology.errors import UsageError
+
+    settings = MergeSettings()
+    if false_merge_rate is not None:
+        if not 0 < false_merge_rate <= 0.5:
+            raise UsageError(f"false_merge_rate must lie in 0 … 0.5, not {false_merge_rate}")
+        robust = replace(settings.robust, false_merge_rate=false_merge_rate)
+        settings = replace(settings, robust=robust)
+    return merge_maps(maps, settings, locks=locks)
+
+
+def to_networkx(graph: TopoMap | MergeResult) -> Any:
+    """A map, or the fused maps of a merge, as a graph of networkx.
+
+    Parameters
+    ----------
+    graph
+        A map, or the result of a merge.
+
+    Returns
+    -------
+    networkx.MultiGraph
+        Nodes and edges with the attributes of the documents (``topobatch schema``): ``x``, ``y``,
+        ``branches``, ``observations``; ``length``, ``path``, ``traversals``. Of a merge it has the
+        components apart, each node with its ``component`` and ``members``.
+
+    Examples
+    --------
+    >>> import topobatch
+    >>> (maze,) = topobatch.ingest("sample_logs/maze-1.mcap")
+    >>> graph = topobatch.to_networkx(maze)
+    >>> graph.number_of_nodes(), graph.graph["run"]
+    (26, 'maze-1')
+    """
+    import networkx as nx
+
+    from ..merge.document import merged_to_document
+    from ..merge.result import MergeResult
+    from ..topology.document import map_to_document
+
+    if isinstance(graph, MergeResult):
+        return nx.node_link_graph(merged_to_document(graph), edges="edges")
+    document = map_to_document(graph)
+    return nx.node_link_graph(document, edges="edges")

@@ -1,0 +1,155 @@
+"""`topobatch list`: the runs of a workspace."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+import typer
+
+from .. import __version__
+from ..topology.errors import DataError, UsageError
+from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import count, say, say_lines, table
+from .workspace import Workspace
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A run. health: "ok", warnings, or why its map cannot be read; component, with: number of its
+    component in the last merge and how many runs it has; recorded, ingested: in UTC; stale: what
+    changed since."""
+
+    run: str
+    junctions: int | None
+    corridors: int | None
+    length_m: float | None
+    health: str
+    component: int | None
+    runs: int | None
+    recorded: str | None
+    ingested: str
+    stale: tuple[str, ...]
+
+
+def list_runs(
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """List the runs of the workspace.
+
+    How large each map is and what is wrong with it, its component in the last merge, when it was
+    recorded, and what is stale: maps that changed since the merge, logs that changed or were read
+    by another version.
+    """
+    place = Workspace(workspace)
+    home, merged_ns = _merge(place)
+    rows = [_listed(place, run, home, merged_ns) for run in place.runs()]
+    if not rows:
+        raise DataError(f"{place.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
+    if as_json:
+        say_lines(json.dumps([asdict(row) for row in rows]))
+        return
+    head = ("run", "junctions", "corridors", "metres", "component", "recorded", "health", "stale")
+    for line in table(head, [_row(row) for row in rows], indent=""):
+        say(line)
+    gone = sorted(set(home) - {row.run for row in rows})
+    if gone:
+        say(f"in the last merge, but not here any more: {count(len(gone), 'run')}")
+    stale = sum(bool(row.stale) for row in rows)
+    say(f"{count(len(rows), 'run')}{f', {stale} stale' if stale else ''}")
+
+
+def _row(row: Listed) -> tuple[str, ...]:
+    home = "-" if row.component is None else f"{row.component} ({count(row.runs or 1, 'run')})"
+    numbers = ("?" if n is None else f"{n:,.0f}" for n in (row.junctions, row.corridors))
+    length = "?" if row.length_m is None else f"{row.length_m:,.0f}"
+    recorded = (row.recorded or "?")[:16].replace("T", " ")
+    return (row.run, *numbers, length, home, recorded, row.health, "; ".join(row.stale))
+
+
+def _merge(place: Workspace) -> tuple[Mapping[str, tuple[int, int]], int | None]:
+    """Component and its size of every run of the last merge, and when that was [ns]."""
+    from ..merge.document import read_merged
+
+    try:
+        components = read_merged(place.merged_json).graph.components
+        when = os.stat(place.merged_json).st_mtime_ns
+    except (DataError, OSError):
+        return {}, None
+    return {run: (c.id, len(c.runs)) for c in components for run in c.runs}, when
+
+
+def _listed(
+    place: Workspace, run: str, home: Mapping[str, tuple[int, int]], merged_ns: int | None
+) -> Listed:
+    path = place.maps / f"{run}.json"
+    made_ns = os.lstat(path).st_mtime_ns
+    old = []
+    if merged_ns is not None and run not in home:
+        old.append("not merged")
+    elif merged_ns is not None and made_ns > merged_ns:
+        old.append("map changed since the merge")
+    component, runs = home.get(run, (None, None))
+    try:
+        m = place.read_map(run)
+    except (DataError, OSError) as error:
+        return Listed(
+            run, None, None, None, f"unreadable: {error}", component, runs, None,
+            _utc(made_ns), tuple(old),
+        )  # fmt: skip
+    last = int(m.observation_time_ns.max(initial=0))
+    warnings = m.info.get("warnings")
+    told = len(warnings) if isinstance(warnings, list) else 0
+    return Listed(
+        run=run,
+        junctions=len(m),
+        corridors=len(m.source),
+        length_m=round(float(m.length.sum()), 1),
+        health=count(told, "warning") if told else "ok",
+        component=component,
+        runs=runs,
+        recorded=_utc(last) if last > 0 else None,
+        ingested=_utc(made_ns),
+        stale=(*old, *_log_changes(place, run)),
+    )
+
+
+def _log_changes(place: Workspace, run: str) -> list[str]:
+    """What became of the log of a run since it was read, as far as its record tells."""
+    from ..topology.document import read_json
+
+    try:
+        record: Any = read_json(place.ingest_record(run))
+    except (DataError, UsageError):
+        return []
+    if not isinstance(record, dict):
+        return []
+    out = []
+    if record.get("version", __version__) != __version__:
+        out.append("made by another version")
+    log, size = record.get("log"), record.get("bytes")
+    if isinstance(log, str) and isinstance(size, int) and not _still_there(log, size):
+        out.append("log changed, or gone")
+    return out
+
+
+def _still_there(log: str, size: int) -> bool:
+    """Is there a file of such a size, or a folder? It is not opened: a record can name anything."""
+    try:
+        found = os.stat(log)
+    except (OSError, ValueError):
+        return False
+    return not stat.S_ISREG(found.st_mode) or found.st_size == size
+
+
+def _utc(time_ns: int) -> str:
+    try:
+        return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).isoformat()
+    except (OverflowError, ValueError, OSError):
+        return f"second {time_ns // 1_000_000_000}"  # a clock far outside of any calendar

@@ -1,0 +1,96 @@
+"""Tables of named places: `name,x,y` or `name,x,y,theta`, metres and radians, as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+from ..topology.document import FARTHEST_M
+from ..topology.errors import DataError
+
+MOST_BYTES = 64 << 20
+OWN = ("name", "x", "y", "theta")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A named place in a map; more: what else its row says, by column."""
+
+    line: int
+    name: str
+    x: float
+    y: float
+    theta: float | None
+    more: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """The rows of a table; columns: those that are not a place's own, in their order."""
+
+    rows: tuple[Place, ...]
+    columns: tuple[str, ...]
+    headings: bool
+
+
+def read_places(path: Path) -> Places:
+    """The places of a CSV file; DataError, with the line, on what is no such table."""
+    if path.stat().st_size > MOST_BYTES:
+        raise DataError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; not a table of places")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: is no UTF-8 text ({error.reason})") from error
+    reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    try:
+        names = [name.strip() for name in reader.fieldnames or ()]
+        reader.fieldnames = names
+        missing = [name for name in OWN[:3] if name not in names]
+        if missing or len(set(names)) < len(names):
+            wrong = f"has no column {missing[0]!r}" if missing else "has a column twice"
+            raise DataError(f"{path}:1: {wrong}; the first line must be name,x,y or name,x,y,theta")
+        rows = tuple(_place(path, reader.line_num, row) for row in reader)
+    except csv.Error as error:
+        raise DataError(f"{path}:{reader.line_num}: is not CSV: {error}") from error
+    if not rows:
+        raise DataError(f"{path}: holds no place")
+    columns = tuple(name for name in names if name not in OWN)
+    return Places(rows, columns, "theta" in names)
+
+
+def _place(path: Path, line: int, row: Mapping[str | None, str | None]) -> Place:
+    if None in row or None in row.values():
+        raise DataError(f"{path}:{line}: has more or fewer values than the first line")
+    values = {str(key): str(value) for key, value in row.items()}
+    theta = values.get("theta", "").strip()
+    return Place(
+        line=line,
+        name=values["name"],
+        x=_number(path, line, "x", values["x"]),
+        y=_number(path, line, "y", values["y"]),
+        theta=_number(path, line, "theta", theta) if theta else None,
+        more={key: value for key, value in values.items() if key not in OWN},
+    )
+
+
+def _number(path: Path, line: int, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, not a number") from None
+    if not isfinite(value) or abs(value) > FARTHEST_M:
+        raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, which is nowhere")
+    return value
+
+
+def places_text(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> str:
+    """A table as CSV."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(header), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()

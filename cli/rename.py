@@ -1,0 +1,102 @@
+"""`topobatch rename`: a run by another name."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+
+from ..topology.errors import DocumentError, UsageError
+from .journal import note
+from .merge import merge_again
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
+from .output import Screen
+from .workspace import Workspace, checked_run_name
+
+PIECE = re.compile(r"#[0-9]{1,9}")
+
+
+def rename(
+    old: Annotated[str, typer.Argument(help="A run.", autocompletion=complete_run)],
+    new: Annotated[str, typer.Argument(help="Its new name.")],
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    quiet: QuietOption = False,
+) -> None:
+    """Give a run another name, in its map, in locks and in the last merge.
+
+    Its pieces (RUN#2 and so on) are renamed with it. Its log, ingested again, goes by the new name.
+    The recording of its map shows the old name until then.
+    """
+    place, screen = Workspace(workspace), Screen(quiet)
+    checked_run_name(new)
+    with place.held(screen.warn, make=False):
+        names = _names(place, old, new)
+        for before, after in names.items():
+            _rename(place, before, after)
+        _in_decisions(place, names)
+        note(place, "rename", f"{old} → {new}", screen.warn)
+        screen.line(f"{old} is {new} now")
+        merge_again(place, names, screen, names)
+
+
+def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
+    """New names by old ones, of a run and its pieces."""
+    known = place.runs()
+    if old not in known:
+        place.chosen_runs([old], False)
+    if "#" in new or PIECE.search(old):
+        raise UsageError("pieces of a run are named after it (RUN#2): rename RUN, without any #")
+    pieces = (run for run in known if run.startswith(old) and PIECE.fullmatch(run[len(old) :]))
+    names = {run: f"{new}{run[len(old) :]}" for run in (old, *pieces)}
+    taken = sorted(set(names.values()) & set(known))
+    if taken:
+        raise UsageError(f"there is a run {taken[0]!r} already")
+    for name in names.values():
+        checked_run_name(name)
+        place.check_run(name)
+    return names
+
+
+def _rename(place: Workspace, old: str, new: str) -> None:
+    """The files of a run; the new ones are there before the old ones go."""
+    from ..topology.document import map_to_document, read_json, write_json, write_together
+
+    topomap = place.read_map(old)
+    doc = map_to_document(replace(topomap, run=new))
+    writes: dict[Any, Any] = {}
+    if place.map_rrd(old).is_file() and not place.map_rrd(old).is_symlink():
+        content = place.map_rrd(old).read_bytes()
+        writes[place.map_rrd(new)] = lambda path: path.write_bytes(content)
+    writes[place.map_json(new)] = partial(write_json, doc=doc)
+    write_together(writes)
+    try:
+        record = read_json(place.ingest_record(old))
+    except DocumentError:
+        record = None
+    if isinstance(record, dict):
+        listed = record.get("runs")
+        runs = [r for r in listed if isinstance(r, str)] if isinstance(listed, list) else []
+        moved = record | {"runs": [f"{new}{r[len(old) :]}" for r in runs if r.startswith(old)]}
+        write_json(place.ingest_record(new), moved)
+        # Told by its old name, the log is known to be this run (`ingest_worker`).
+        write_json(place.ingest_record(old), {"renamed": new})
+    for path in (place.map_rrd(old), place.map_json(old)):
+        path.unlink(missing_ok=True)
+
+
+def _in_decisions(place: Workspace, names: dict[str, str]) -> None:
+    """Locks and discarded matches by the new names."""
+    from ..merge.locks import Lock
+
+    locks = place.locks()
+    if any(run in names for lock in locks for run in (lock.a, lock.b)):
+        place.write_locks(
+            [Lock(names.get(k.a, k.a), names.get(k.b, k.b), k.decision, k.at) for k in locks]
+        )
+    discards = place.discards()
+    if any(run in names for pair in discards for run in pair):
+        renamed = (sorted(names.get(run, run) for run in pair) for pair in discards)
+        place.write_discards((a, b) for a, b in renamed)

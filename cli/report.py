@@ -1,0 +1,91 @@
+"""`topobatch report`: everything about a workspace on one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .. import __version__
+from ..topology.errors import DocumentError, UsageError
+from .draw import quiet_fonts, read_result
+from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .output import complain, say
+from .workspace import MERGED, Workspace
+
+if TYPE_CHECKING:
+    from ..topology.topomap import TopoMap
+
+STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "matplotlib", "rerun-sdk")
+
+
+def report(
+    out: Annotated[
+        Path | None,
+        typer.Argument(metavar="[OUT.html]", help="The page; default: report.html there."),
+    ] = None,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    merge: Annotated[
+        str, typer.Option(metavar="NAME", help="The merge to tell of, by its --output NAME.")
+    ] = MERGED,
+) -> None:
+    """Write a page about all runs and their merge, for a browser.
+
+    One HTML file that needs nothing else and no network: how many runs belong together, the map,
+    undecided pairs with both placements, the verdict of every pair with its reason, how well each
+    run was measured, settings and versions. Light or dark, as the browser asks.
+
+    \b
+      topobatch report
+      topobatch report site.html --workspace ws
+    """
+    place = Workspace(workspace, merge)
+    page = place.root / "report.html" if out is None else out
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"{page}: a report's name ends in .html")
+    if merge != MERGED and not place.merged_json.is_file():
+        raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
+    if not place.runs():
+        raise place.no_maps()
+    quiet_fonts()
+    from ..topology.document import write_atomically
+    from ..viz.report import Report, report_page
+
+    maps, unread = _maps(place)
+    result = None
+    if place.merged_json.is_file():
+        result = read_result(place)
+    html = report_page(Report(maps, result, unread, _locks(place), _versions()))
+    write_atomically(page, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    say(f"{page}")
+    if unread:
+        raise typer.Exit(1)
+
+
+def _maps(place: Workspace) -> tuple[dict[str, TopoMap], list[str]]:
+    """The maps that can be read, by run, and what is wrong with the others."""
+    maps, unread = {}, []
+    for run in place.runs():
+        try:
+            maps[run] = place.read_map(run)
+        except DocumentError as error:
+            complain(f"{error}; left out (ingest its log again with --force)")
+            unread.append(f"The map of {run} cannot be read and is left out: {error}")
+    return maps, unread
+
+
+def _locks(place: Workspace) -> list[str]:
+    return [
+        f"{lock.a} + {lock.b}: {lock.decision}"
+        + (f", junction {lock.at[0]} = junction {lock.at[1]}" if lock.at else "")
+        for lock in place.locks()
+    ]
+
+
+def _versions() -> list[tuple[str, str]]:
+    from importlib.metadata import version
+    from platform import python_version
+
+    found = [(name, version(name)) for name in STANDS_ON]
+    return [("topobatch", __version__), ("Python", python_version()), *found]

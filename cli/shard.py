@@ -1,0 +1,63 @@
+"""`topobatch merge --shard I/N`: a share of the pairs, for the cache."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import typer
+
+from ..topology.errors import UsageError
+from .merge import read_maps
+from .output import Screen, count
+from .workspace import Workspace
+
+if TYPE_CHECKING:
+    from ..merge.merging import MergeSettings
+    from ..merge.workers import Workers
+
+
+def share_of(text: str) -> tuple[int, int]:
+    """(i, n) of "i/n", i from 1 to n."""
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise UsageError(f'--shard is {text!r}; "2/8" is the second of eight shares')
+    return int(found[1]), int(found[2])
+
+
+def match_share(
+    place: Workspace,
+    settings: MergeSettings,
+    share: tuple[int, int],
+    workers: Callable[[int], Workers | None],
+    screen: Screen,
+) -> None:
+    """Match a share of all pairs, for the cache. Others may do other shares meanwhile: the
+    workspace is held only to write."""
+    from ..merge.cache import PairCache
+    from ..merge.robust import Means, match_shard
+
+    maps, broken = read_maps(place, place.chosen_runs([], True), screen)
+    store = PairCache(place.pairs, screen.warn, partial(place.held, lambda _: None, make=False))
+    pairs = len(maps) * (len(maps) - 1) // 2 // share[1]
+    with screen.progress("matching", pairs, "pairs") as advance:
+        means = Means(
+            workers=workers(pairs),
+            maps=replace(place, root=place.root.resolve()),
+            store=store,
+            on_pair=lambda done, _: advance(done),
+            tell=screen.detail,
+        )
+        try:
+            done = match_shard(maps, settings.robust, share, means)
+        finally:
+            store.flush()
+    screen.line(
+        f"share {share[0]} of {share[1]}: {count(done, 'pair')} in {place.pairs}; "
+        "when all shares are done: topobatch merge --all"
+    )
+    if broken:
+        raise typer.Exit(1)

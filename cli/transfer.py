@@ -1,0 +1,188 @@
+"""`topobatch transfer`: places that people named in one map, carried to another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..topology.errors import DataError, DocumentError, UsageError
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .output import Screen, count, say_text
+from .workspace import MERGED, Workspace
+
+if TYPE_CHECKING:
+    from ..merge.document import MergedDocument
+    from ..merge.transfer import MatchedJunctions, Transferred
+    from ..topology.topomap import TopoMap
+    from .places_file import Place, Places
+
+MOST_LINES = 20
+
+
+def transfer(
+    places: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PLACES.csv", exists=True, dir_okay=False, help="Table name,x,y[,theta]."
+        ),
+    ],
+    source: Annotated[
+        str, typer.Option("--from", metavar="RUN", help="The run in whose map the places are.")
+    ],
+    target: Annotated[
+        str,
+        typer.Option("--to", metavar="RUN|merged", help="The run, or merged, to carry them to."),
+    ],
+    within: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            help="Metres: a place of which 95 % of the errors may be larger is not carried.",
+        ),
+    ] = 0.5,
+    merge: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="The merge to go by, by its --output NAME."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="File to write; default: - (shown)."),
+    ] = None,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    quiet: QuietOption = False,
+) -> None:
+    """Carry named places from one run's map to another run's, or to the merged map.
+
+    Each place goes through the matched junctions nearest to it, for maps bend. Writes the table
+    again with the places' new coordinates (metres, radians), sigma_m (1 sigma of each coordinate),
+    sigma_rad, nearest_m (to the nearest matched junction); what could not be carried keeps its row,
+    without coordinates, and note says why. The exit code is then 1.
+    """
+    from .places_file import places_text, read_places
+
+    screen = Screen(quiet)
+    place = Workspace(workspace) if merge is None else Workspace(workspace, merge)
+    table = read_places(places)
+    found, why = _carried(place, table, source, target)
+    rows = [
+        _row(p, table, None if found is None else (found, k), within, why)
+        for k, p in enumerate(table.rows)
+    ]
+    text = places_text(_header(table), rows)
+    if output is None or str(output) == "-":
+        say_text(text)
+    else:
+        from ..topology.document import write_atomically
+
+        write_atomically(output, lambda file: file.write_text(text, encoding="utf-8"))
+        screen.line(str(output))
+    left = [(p, row["note"]) for p, row in zip(table.rows, rows, strict=True) if row["note"]]
+    for p, note in left[:MOST_LINES]:
+        screen.complain(f"{places}:{p.line}: {p.name}: not carried: {note}")
+    if len(left) > MOST_LINES:
+        screen.complain(f"… and {len(left) - MOST_LINES} more places, by their notes")
+    if left:
+        raise typer.Exit(1)
+
+
+def _header(table: Places) -> list[str]:
+    theta, sigma = (["theta"], ["sigma_rad"]) if table.headings else ([], [])
+    own = ["name", "x", "y", *theta, "sigma_m", *sigma, "nearest_m"]
+    return [*own, *(c for c in table.columns if c not in (*own, "note")), "note"]
+
+
+def _row(
+    place: Place,
+    table: Places,
+    found: tuple[Transferred, int] | None,
+    within: float,
+    why: str,
+) -> dict[str, str]:
+    """The row of a place: carried, or with a note."""
+    from ..merge.transfer import WITHIN_SIGMAS
+    from ..topology.se2 import wrap
+
+    row = dict.fromkeys(_header(table), "") | dict(place.more) | {"name": place.name}
+    row["note"] = why
+    if found is None:
+        return row
+    all_of, k = found
+    reach = WITHIN_SIGMAS * float(all_of.sigma_m[k])
+    row["nearest_m"] = f"{all_of.nearest_m[k]:.2f}"
+    row["sigma_m"] = f"{all_of.sigma_m[k]:.3f}"
+    if reach > within:
+        row["note"] = (
+            f"the nearest matched junction is {all_of.nearest_m[k]:.1f} m away: it would be "
+            f"right to {reach:.2f} m (95 %), not to {within:g} m"
+        )
+        return row
+    row["x"], row["y"] = (f"{v:.3f}" for v in all_of.xy[k].tolist())
+    if place.theta is not None:
+        row["theta"] = f"{float(wrap(place.theta + all_of.turn[k])):.4f}"
+        row["sigma_rad"] = f"{all_of.sigma_rad[k]:.4f}"
+    return row
+
+
+def _carried(
+    place: Workspace, table: Places, source: str, target: str
+) -> tuple[Transferred | None, str]:
+    """The carried places, or why none can be."""
+    import numpy as np
+
+    from ..merge.transfer import transfer as carry
+
+    matched, why = _matched(place, source, target)
+    if matched is None or len(matched) == 0:
+        return None, why or f"no junction of {source} is matched to one of {target}"
+    return carry(np.array([(p.x, p.y) for p in table.rows]), matched), ""
+
+
+def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctions | None, str]:
+    """The junctions that source and target have in common, or why there are none."""
+    from ..merge.transfer import junctions_of_merged, junctions_of_runs
+
+    if source == target:
+        raise UsageError(f"the places are in {source} already")
+    document = place.read_merged()
+    home = {run: c.id for c in document.graph.components for run in c.runs}
+    named = [source] if target in (MERGED, place.merge) else [source, target]
+    for run in named:
+        if run not in home:
+            raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
+    if len({home[run] for run in named}) > 1:
+        return None, f"{source} and {target} are not merged: {_verdict(document, source, target)}"
+    maps = _maps(place, document, home[source], named)
+    if len(named) == 2:
+        return junctions_of_runs(document, maps, source, target), ""
+    from ..merge.component_map import component_map
+
+    try:
+        fused = component_map(document, home[source], MERGED)
+    except ValueError as error:
+        raise DocumentError(f"{place.merged_json}: {error}") from error
+    return junctions_of_merged(document, maps[source], fused, home[source]), ""
+
+
+def _verdict(document: MergedDocument, a: str, b: str) -> str:
+    pair = tuple(sorted((a, b)))
+    entry = next((e for e in document.merges if (e.a, e.b) == pair), None)
+    return "nothing is said of them" if entry is None else f"{entry.verdict}, {entry.reason}"
+
+
+def _maps(
+    place: Workspace, document: MergedDocument, component: int, runs: list[str]
+) -> dict[str, TopoMap]:
+    """The maps of runs, as they were merged; DataError where one has changed."""
+    from ..merge.component_map import stale_runs
+
+    maps = {run: place.read_map(run) for run in runs}
+    stale = stale_runs(document, component, maps)
+    changed = [run for run in runs if run in stale]
+    if changed:
+        raise DataError(
+            f"{place.map_json(changed[0])}: {stale[changed[0]]}, as it was merged; merge again "
+            f"({count(len(changed), 'map')})"
+        )
+    return maps

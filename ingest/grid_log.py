@@ -1,0 +1,19 @@
+"""A grid as a log or a file holds it, in place of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .logs.saved_map import Grid
+
+
+@dataclass(frozen=True, slots=True)
+class GridLog:
+    """A grid as it was saved or recorded; name, source, warnings: as of a run."""
+
+    name: str
+    grid: Grid
+    source: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()

@@ -1,0 +1,132 @@
+"""What a log holds, and what reading it would use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..topology.errors import LogError, UsageError
+from .channels import check_mapping
+from .junction_source import JunctionSource, junction_source, sensor_topics
+from .logs.intake import Intake
+from .logs.messages import Channel
+from .logs.recording import Recording, recording_at, run_name, sniff
+from .logs.saved_map import is_saved_map, read_saved_map
+from .logs.topics import choose_odometry
+from .read_settings import DEFAULT_READ, ReadSettings, Way
+from .survey import Index, surveyed, walk
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a log: `use` is "odometry", "junctions", "scans", "clouds", "grid" or "", `why`
+    the reason; of what could be used but is not, it says so."""
+
+    topic: str
+    type_name: str
+    messages: int
+    use: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LogInfo:
+    """What a log holds. `problems`: one sentence each, empty for a whole, usable log."""
+
+    path: Path
+    name: str
+    format: str
+    bytes: int
+    start_ns: int
+    duration_s: float
+    topics: tuple[TopicInfo, ...]
+    problems: tuple[str, ...]
+
+
+def inspect_log(path: Path, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
+    """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
+    recording = recording_at(Path(path))
+    if is_saved_map(recording.path):
+        return _of_saved_map(recording)
+    recording, survey = surveyed(recording, exact=True)
+    problems = list(recording.notes)
+    if survey is None:
+        findings = walk(recording, Intake(lambda _: False), None)
+        problems += findings.damage
+        survey = Index(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
+    uses = _uses(recording, survey.counts, settings, problems)
+    topics: dict[tuple[str, str], int] = {}
+    for channel, count in survey.counts.items():
+        key = channel.topic, channel.type_name
+        topics[key] = topics.get(key, 0) + count
+    return LogInfo(
+        recording.path,
+        run_name(recording.path),
+        "+".join(sorted({sniff(file) or "" for file in recording.files})),
+        recording.bytes,
+        survey.start_ns,
+        (survey.end_ns - survey.start_ns) / 1e9,
+        tuple(
+            TopicInfo(topic, type_name, count, *uses.get(topic, ("", "")))
+            for (topic, type_name), count in sorted(topics.items())
+        ),
+        tuple(problems),
+    )
+
+
+def _of_saved_map(recording: Recording) -> LogInfo:
+    """A saved map, as a log with one message."""
+    problems: tuple[str, ...] = ()
+    why = ""
+    try:
+        grid = read_saved_map(recording.path)
+        height, width = grid.free.shape
+        why = f"{width} x {height} cells of {grid.resolution_m:g} m"
+    except LogError as error:
+        problems = (str(error),)
+    image = TopicInfo(recording.files[1].name, "map_server", 1, "grid", why)
+    name = run_name(recording.path)
+    return LogInfo(recording.path, name, "saved map", recording.bytes, 0, 0.0, (image,), problems)
+
+
+def _uses(
+    recording: Recording,
+    counts: Mapping[Channel, int],
+    settings: ReadSettings,
+    problems: list[str],
+) -> dict[str, tuple[str, str]]:
+    """Per topic what it would be used for and why; what is missing becomes a problem."""
+    log = str(recording.path)
+    uses: dict[str, tuple[str, str]] = {}
+    source: JunctionSource | None = None
+    missing: list[str] = []
+    try:
+        source = junction_source(counts, settings, log)
+        if source.way == "topic":
+            check_mapping(recording, counts, settings, log)
+    except (LogError, UsageError) as error:
+        missing.append(str(error))
+    try:
+        for rank, choice in enumerate(choose_odometry(counts, settings.odometry_topic, log)):
+            why = choice.why if rank == 0 else f"{choice.why}, if no better one serves"
+            uses[choice.topic] = ("odometry", why)
+    except (LogError, UsageError) as error:
+        # A grid needs no odometry, scans can do without.
+        if source is None or source.way == "topic" or isinstance(error, UsageError):
+            problems.append(str(error))
+    problems += missing
+    for topic, way in sensor_topics(counts):
+        uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
+    if source is not None:
+        for choice in (source.choice, *(source.beside if source.way == "scan" else ())):
+            uses[choice.topic] = (NAMES[source.way], choice.why)
+    return uses
+
+
+NAMES: Mapping[Way, str] = {
+    "topic": "junctions",
+    "scan": "scans",
+    "cloud": "clouds",
+    "grid": "grid",
+}

@@ -1,0 +1,121 @@
+"""Where the junctions of a run come from: a topic of detections, scans, clouds, or a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from ..topology.errors import LogError
+from .logs.messages import Channel
+from .logs.topics import (
+    CLOUD_KINDS,
+    CLOUD_TYPES,
+    GRID_KINDS,
+    GRID_TYPES,
+    JUNCTION_KINDS,
+    JUNCTION_TYPES,
+    SCAN_KINDS,
+    SCAN_TYPES,
+    Choice,
+    choose_junctions,
+    choose_sensors,
+    listing,
+)
+from .read_settings import ReadSettings, Way
+
+SENSORS: Mapping[Way, tuple[Iterable[str], str, str]] = MappingProxyType(
+    {
+        "scan": (SCAN_KINDS, SCAN_TYPES, "/scan"),
+        "cloud": (CLOUD_KINDS, CLOUD_TYPES, "/points"),
+        "grid": (GRID_KINDS, GRID_TYPES, "/map"),
+    }
+)
+"""Types, their names for people and the usual topic, of every way but detections."""
+
+
+@dataclass(frozen=True, slots=True)
+class JunctionSource:
+    """The way that junctions come, its topic, and topics of other ways that were passed over.
+
+    beside: further topics of the same way, of other lasers perhaps.
+    """
+
+    way: Way
+    choice: Choice
+    passed_over: tuple[str, ...] = ()
+    beside: tuple[Choice, ...] = ()
+
+
+def junction_source(
+    counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> JunctionSource:
+    """The first way that the log has anything for: detections, scans, clouds, grids.
+
+    A way that is asked for is the only one tried. Raises LogError if there is none, UsageError if
+    a topic must be named.
+    """
+    asked = _asked(counts, settings)
+    for way in asked:
+        try:
+            choice, *beside = _choices(way, counts, settings, log)
+        except LogError:
+            if len(asked) == 1:
+                raise
+            continue
+        return JunctionSource(way, choice, _others(way, counts), tuple(beside))
+    raise LogError(
+        f"{log}: no junction detections found ({JUNCTION_TYPES}), and nothing to find them "
+        f"in: no scans ({SCAN_TYPES}), no clouds ({CLOUD_TYPES}), no grid ({GRID_TYPES}); "
+        f"{listing(counts)}; if one of them holds junctions, name it by --junction-topic and its "
+        "fields by --junction-fields"
+    )
+
+
+def _asked(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple[Way, ...]:
+    if settings.junctions_from is not None:
+        return (settings.junctions_from,)
+    if settings.junction_topic is not None or settings.junction_fields is not None:
+        return ("topic",)
+    if settings.scan_topic is not None:
+        named = "/" + settings.scan_topic.strip("/")
+        types = {channel.type_name for channel in counts if channel.topic == named}
+        return tuple(way for way, (kinds, _, _) in SENSORS.items() if types & set(kinds)) or (
+            "scan",
+        )
+    return ("topic", *SENSORS)
+
+
+def _choices(
+    way: Way, counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> list[Choice]:
+    if way == "topic":
+        return [junction_choice(counts, settings, log)]
+    kinds, types, usual = SENSORS[way]
+    return choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
+
+
+def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:
+    """Every topic that junctions can be found in, and how."""
+    return sorted(
+        {
+            (channel.topic, way)
+            for channel, count in counts.items()
+            for way, (kinds, _, _) in SENSORS.items()
+            if count and channel.type_name in set(kinds)
+        }
+    )
+
+
+def _others(way: Way, counts: Mapping[Channel, int]) -> tuple[str, ...]:
+    """Topics that could have shown junctions as well."""
+    if way not in ("topic", "scan"):
+        return ()
+    types = {*SCAN_KINDS} if way == "topic" else {*JUNCTION_KINDS}
+    return tuple(sorted({c.topic for c, n in counts.items() if n and c.type_name in types}))
+
+
+def junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
+    """The topic of the junction detections; raises LogError or UsageError if there is none."""
+    any_type = settings.junction_fields is not None
+    return choose_junctions(counts, settings.junction_topic, any_type, log)

@@ -1,0 +1,66 @@
+"""Messages of a known type whose embedded definition is another one: which of the two is right."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .foxglove import RowDecoder
+from .messages import Bytes, Ints
+from .poses import Frames, Heads, PoseDecoder, Poses
+from .wire import WireDecoder
+
+UNIT = 1e-3
+"""Recorded orientations are unit quaternions up to rounding; other bytes are not by this much."""
+
+
+class DoubtedDecoder:
+    """Decodes by the embedded definition; or, where that serves for no message, by the known one.
+
+    A wrong bit in a definition can join two of its lines. The known one is only believed if all
+    messages it is tried on have it, with unit quaternions.
+    """
+
+    def __init__(self, embedded: RowDecoder, known: WireDecoder) -> None:
+        self._embedded = embedded
+        self._known = known
+        self._chosen: PoseDecoder | None = None
+
+    @property
+    def frames(self) -> Frames:
+        """Those of the definition that serves."""
+        return (self._chosen or self._embedded).frames
+
+    @property
+    def failed(self) -> int:
+        """Messages that could not be decoded."""
+        chosen = self._known.failed if self._chosen is self._known else 0
+        return self._embedded.failed + chosen
+
+    @property
+    def reason(self) -> str:
+        """Why the first of them could not be decoded."""
+        return self._embedded.reason or (self._chosen.reason if self._chosen else "")
+
+    def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
+        """What is needed of the messages, once the known definition has proved right."""
+        return self._known.heads(data, start, size) if self._chosen is self._known else None
+
+    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+        """The poses of a batch of messages."""
+        if self._chosen is not None:
+            return self._chosen.decode(data, start, size)
+        before = self._embedded.failed
+        poses = self._embedded.decode(data, start, size)
+        if self._embedded.failed - before < len(start):
+            self._chosen = self._embedded
+            return poses
+        found = self._known.decode(data, start, size)
+        rotation = found.value[:, 3:]
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = np.abs(np.einsum("ij,ij->i", rotation, rotation) - 1)
+        if self._known.failed or len(off) == 0 or not (off < UNIT).all():
+            self._known.failed = 0
+            return poses
+        self._chosen = self._known
+        self._embedded.failed = before
+        return found

@@ -1,0 +1,136 @@
+"""Scans out of the blocks of a container, a bounded number of bytes at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from .clouds import Cloud, object_cloud, wire_cloud
+from .columns import words
+from .inflate import ZSTD_MAGIC, inflate_message
+from .laser_wire import LaserDecoder
+from .messages import LATEST_NS, Block, Bytes, Channel, DamageError, Ints
+from .scan_objects import ObjectScanDecoder, json_scan, object_scan, protobuf_scan
+from .scan_rows import RawScans, ScanDecoder
+from .schema import UnreadableError, as_expected, object_decoder
+from .topics import CLOUD_KINDS, SCAN_KINDS
+
+SLICE_BYTES = 1 << 22
+"""So much of a block is decoded at once: blocks may be large, and decoding takes a few copies."""
+
+_MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
+
+Slicer = Callable[[Cloud], RawScans]
+
+
+def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
+    """The decoder for a channel of scans or clouds; raises DamageError if there is none.
+
+    slicer: makes a scan of a cloud.
+    """
+    if channel.type_name in CLOUD_KINDS:
+        return _cloud_decoder(channel, slicer)
+    kind = SCAN_KINDS.get(channel.type_name)
+    ros1 = channel.encoding == "ros1"
+    if channel.encoding in ("cdr", "ros1"):
+        if kind is not None and as_expected(channel, kind):
+            return LaserDecoder(kind, ros1)
+        try:
+            decode = object_decoder(channel)
+        except UnreadableError:
+            if kind is None:
+                raise
+            # The type's name is known; as in a log without definitions it is taken at its word.
+            return LaserDecoder(kind, ros1)
+        return ObjectScanDecoder(lambda raw: object_scan(decode(raw)))
+    if channel.encoding == "json":
+        return ObjectScanDecoder(json_scan)
+    if channel.encoding == "protobuf" and channel.type_name == "foxglove.LaserScan":
+        return ObjectScanDecoder(protobuf_scan)
+    raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
+
+
+def _cloud_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
+    ros1 = channel.encoding == "ros1"
+    if channel.encoding not in ("cdr", "ros1"):
+        raise DamageError(f"clouds encoded as {channel.encoding[:40]!r} are not read")
+    if as_expected(channel, "cloud"):
+        return ObjectScanDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
+    try:
+        decode = object_decoder(channel)
+    except UnreadableError:
+        return ObjectScanDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
+    return ObjectScanDecoder(lambda raw: slicer(object_cloud(decode(raw))))
+
+
+class TimedScans(NamedTuple):
+    """Scans with the time at which each reached the log: log_ns: (n,)."""
+
+    scans: RawScans
+    log_ns: Ints
+
+
+class ScanIntake:
+    """Decodes the blocks of one channel; messages: taken in, failed: that could not be decoded."""
+
+    def __init__(self, channel: Channel, slicer: Slicer) -> None:
+        self._decoder = scan_decoder(channel, slicer)
+        self._cdr = channel.encoding == "cdr"
+        self._unpacked = 0
+        self.messages = 0
+
+    @property
+    def failed(self) -> int:
+        """Messages that could not be decoded."""
+        return self._decoder.failed + self._unpacked
+
+    @property
+    def reason(self) -> str:
+        """Why the first of them could not be decoded."""
+        return self._decoder.reason
+
+    def take(self, block: Block) -> Iterator[TimedScans]:
+        """The scans of a block, in its order."""
+        data, _, log_ns, start, size = block
+        self.messages += len(start)
+        log_ns = np.clip(log_ns, 0, LATEST_NS - 1)
+        # Cut where the bytes so far fill another slice.
+        filled = (np.cumsum(size) - size) // SLICE_BYTES
+        for part in np.split(np.arange(len(start)), np.flatnonzero(np.diff(filled)) + 1):
+            yield from self._decoded(data, log_ns[part], start[part], size[part])
+
+    def _decoded(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> Iterator[TimedScans]:
+        if self._cdr and (size >= 9).all() and (words(data, "<u4", start) == _MAGIC).any():
+            for inflated in self._inflated(data, start, size):
+                yield from self._of(*inflated[1:], log_ns[inflated[0]])
+        else:
+            yield from self._of(data, start, size, log_ns)
+
+    def _of(self, data: Bytes, start: Ints, size: Ints, log_ns: Ints) -> Iterator[TimedScans]:
+        for scans in self._decoder.decode(data, start, size):
+            yield TimedScans(scans, log_ns[scans.message])
+
+    def _inflated(
+        self, data: Bytes, start: Ints, size: Ints
+    ) -> Iterator[tuple[Ints, Bytes, Ints, Ints]]:
+        """Messages that are zstd streams, inflated: their numbers, a buffer, begins and sizes."""
+        out: dict[int, bytes] = {}
+        for k, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+            payload = data[at : at + length].tobytes()
+            try:
+                out[k] = inflate_message(payload) if payload[:4] == ZSTD_MAGIC else payload
+            except DamageError:
+                self._unpacked += 1
+            if sum(map(len, out.values())) > SLICE_BYTES:
+                yield _buffer(out)
+                out = {}
+        if out:
+            yield _buffer(out)
+
+
+def _buffer(payloads: dict[int, bytes]) -> tuple[Ints, Bytes, Ints, Ints]:
+    sizes = np.array([len(payload) for payload in payloads.values()], np.int64)
+    whole = np.frombuffer(b"".join(payloads.values()), np.uint8)
+    return np.array(list(payloads), np.int64), whole, np.cumsum(sizes) - sizes, sizes

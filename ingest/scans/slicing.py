@@ -1,0 +1,88 @@
+"""Clouds of points sliced at a band of heights, as if a laser had scanned there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.errors import UsageError
+from ..frames import NOWHERE_ELSE
+from ..logs.clouds import Cloud
+from ..logs.scan_rows import Geometry, RawScans
+
+FloatArray = NDArray[np.float64]
+
+BEAMS = 360
+"""Directions of a slice, 1 degree each: as coarse as the beams of the laser scanners in use."""
+
+OPTICAL = np.array([0.0, 0.0, 0.0, -0.5, 0.5, -0.5, 0.5])
+"""A camera looks along z with y downwards: its frame, in one that looks along x with z upwards."""
+
+
+@dataclass(frozen=True, slots=True)
+class SliceSettings:
+    """Which points of a cloud are walls.
+
+    band_m: lowest and highest z in the robot's frame; None: `half_m` below and above the sensor,
+    but not the floor, for which everything below floor_m above the robot's origin is taken, if the
+    sensor is higher. nearest_m: what is nearer is the robot itself.
+    """
+
+    band_m: tuple[float, float] | None = None
+    half_m: float = 0.2
+    floor_m: float = 0.1
+    nearest_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        if self.band_m is not None and not self.band_m[0] < self.band_m[1]:
+            raise UsageError(f"a band of heights is needed, lowest first, not {self.band_m}")
+
+    def band(self, sensor_z_m: float) -> tuple[float, float]:
+        """Lowest and highest z for a sensor at a height."""
+        if self.band_m is not None:
+            return self.band_m
+        low, high = sensor_z_m - self.half_m, sensor_z_m + self.half_m
+        return (max(low, self.floor_m) if sensor_z_m > self.floor_m else low), high
+
+
+DEFAULT_SLICES = SliceSettings()
+
+
+def mount_of_camera(frame: str) -> FloatArray:
+    """(7,) how a sensor looks whose mounting nobody knows: ahead, if it is a camera's."""
+    optical = frame.endswith("optical_frame")
+    return OPTICAL.copy() if optical else np.array(NOWHERE_ELSE)
+
+
+def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> RawScans:
+    """The nearest point of the band in each of BEAMS directions, seen from the sensor.
+
+    T_body_sensor: (7,) pose of the cloud's frame. Directions in which nothing is seen tell nothing.
+    O(points).
+    """
+    from scipy.spatial.transform import Rotation
+
+    xyz = cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]
+    place = T_body_sensor[:3]
+    level = Rotation.from_quat(T_body_sensor[3:]).apply(xyz)
+    low, high = settings.band(float(place[2]))
+    height = level[:, 2] + place[2]
+    x, y = level[(height >= low) & (height <= high), :2].T
+    way = np.hypot(x, y)
+    far = way >= settings.nearest_m
+    turn = np.arctan2(y[far], x[far])
+    beam = np.floor((turn + np.pi) / (2 * np.pi) * BEAMS).astype(np.int64) % BEAMS
+    ranges = np.full(BEAMS, np.inf)
+    np.minimum.at(ranges, beam, way[far])
+    ranges[np.isinf(ranges)] = np.nan
+    step = 2 * np.pi / BEAMS
+    geometry = Geometry(cloud.frame, -np.pi + step / 2, step, level=True)
+    return RawScans(
+        np.zeros(1, np.int64),
+        np.array([cloud.stamp_ns], np.int64),
+        ranges[None].astype(np.float32),
+        geometry,
+        blind=True,
+    )

@@ -1,0 +1,333 @@
+"""The scans of a log as a stream of batches: checked, mounted on the robot, in order of time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.se2 import compose, yaw_from_quaternion
+from ..frames import NOWHERE_ELSE
+from ..logs.clouds import Cloud
+from ..logs.messages import LATEST_NS, Channel, Findings, Ints
+from ..logs.recording import Recording, opened, sniff
+from ..logs.scan_intake import ScanIntake, TimedScans
+from ..logs.scan_rows import Geometry, RawScans
+from .scan import ScanBatch
+from .slicing import DEFAULT_SLICES, SliceSettings, sliced
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Stamp = Literal["begin", "middle", "end"]
+
+FARTHEST_M = 1000.0
+"""Ranges beyond that are broken numbers: the longest scanners measure some hundred metres."""
+
+MOST_FREE_M = 50.0
+"""As far as a beam without an echo is believed to be free."""
+
+BLIND_SHARE = 0.02
+"""A scan of which more beams hold no number at all tells nothing by those without an echo."""
+
+LONGEST_SWEEP_S = 1.0
+"""Scanners turn at 5 Hz or faster; what claims a longer sweep does not know."""
+
+UNMOUNTED = np.array(NOWHERE_ELSE)
+
+LEVEL = 0.97
+"""Cosine of how far a laser may be tilted, 14 degrees: beyond, walls and floors look alike."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """Where the sensors are on the robot.
+
+    known: (7,) T_body_sensor by frame; otherwise: for frames that are not in it, from their name;
+    None: scans in such frames are left out.
+    """
+
+    known: Mapping[str, FloatArray] = field(default_factory=dict)
+    otherwise: Callable[[str], FloatArray] | None = None
+
+    def of(self, frame: str) -> FloatArray | None:
+        """(7,) T_body_sensor, None if it is not known."""
+        found = self.known.get(frame)
+        return self.otherwise(frame) if found is None and self.otherwise is not None else found
+
+
+@dataclass(slots=True)
+class Tally:
+    """What a stream met: scans given out, and how many were left out or mended, by reason."""
+
+    messages: int = 0
+    scans: int = 0
+    failed: int = 0
+    reason: str = ""
+    left_out: Counter[str] = field(default_factory=Counter)
+    mended: Counter[str] = field(default_factory=Counter)
+
+    def warnings(self, topic: str) -> list[str]:
+        """One sentence per thing found wrong, with a count."""
+        because = f" ({self.reason})" if self.reason else ""
+        out = []
+        if self.failed:
+            out.append(f"{topic}: {self.failed} messages could not be decoded{because}; left out")
+        out += [f"{topic}: {n} scans {why}; left out" for why, n in sorted(self.left_out.items())]
+        return out + [f"{topic}: {n} scans {why}" for why, n in sorted(self.mended.items())]
+
+
+MOST_REASONS = 20
+"""So many reasons are told apart; the names of frames are the log's, and may be any number."""
+
+
+class _UnusableError(Exception):
+    """Scans of which nothing can be made; its text says why. Never leaves this module."""
+
+
+class ScanStream:
+    """The scans of one topic, read anew from the log by every iteration.
+
+    topic: of scans or clouds; clock: header or log time; stamp: which beam a scan's time is of;
+    log time is always that of a finished sweep. `tally` tells of the last iteration. Memory follows
+    the largest chunk of the log, not its length.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        topic: str,
+        mounting: Mounting,
+        *,
+        clock: Literal["header", "log"] = "header",
+        stamp: Stamp = "begin",
+        slices: SliceSettings = DEFAULT_SLICES,
+        on_bytes: Callable[[int], None] | None = None,
+    ) -> None:
+        self._recording, self.topic, self._mounting = recording, topic, mounting
+        self._clock, self._stamp, self._slices = clock, stamp, slices
+        self._on_bytes = on_bytes
+        self.tally = Tally()
+
+    def __iter__(self) -> Iterator[ScanBatch]:
+        self.tally = tally = Tally()
+        last_ns = -1
+        for timed in self._decoded():
+            batch = self._batch(timed, last_ns)
+            if batch is not None:
+                last_ns = int(batch.times_ns[-1])
+                tally.scans += len(batch)
+                yield batch
+
+    def raw(self) -> Iterator[TimedScans]:
+        """The scans as decoded, unchecked."""
+        self.tally = Tally()
+        yield from self._decoded()
+
+    def _decoded(self) -> Iterator[TimedScans]:
+        intakes: list[ScanIntake] = []
+        numbers: dict[Channel, int] = {}
+
+        def want(channel: Channel) -> int:
+            if channel.topic != self.topic:
+                return -1
+            if channel not in numbers:
+                numbers[channel] = len(intakes)
+                intakes.append(ScanIntake(channel, self._slice))
+            return numbers[channel]
+
+        for file in self._recording.files:
+            progress = None if sniff(file) == "zstd" else self._on_bytes
+            with opened(file) as log:
+                for block in log.blocks(want, Findings(), progress):
+                    yield from intakes[block.sink].take(block)
+        tally = self.tally
+        tally.messages = sum(intake.messages for intake in intakes)
+        tally.failed = sum(intake.failed for intake in intakes)
+        tally.reason = next((i.reason for i in intakes if i.reason), "")
+
+    def _slice(self, cloud: Cloud) -> RawScans:
+        mount = self._mounting.of(cloud.frame)
+        return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
+
+    def _batch(self, timed: TimedScans, after_ns: int) -> ScanBatch | None:
+        """The scans that can be used, None if none can."""
+        raw, tally = timed.scans, self.tally
+        try:
+            T_body_laser, angles, backwards = self._placed(raw)
+        except _UnusableError as why:
+            tally.left_out[str(why)] += len(raw.message)
+            return None
+        sweep_s = _sweep_s(raw.geometry, len(angles))
+        times_ns = self._times(timed, sweep_s)
+        good = _usable_times(raw.stamp_ns, times_ns, after_ns, self._clock, tally)
+        if not good.any():
+            return None
+        order = np.flatnonzero(good)[np.argsort(times_ns[good], kind="stable")]
+        ranges, free_m = _measured(raw, order, tally)
+        return ScanBatch(
+            times_ns[order],
+            ranges[:, ::-1] if backwards else ranges,
+            free_m,
+            angles,
+            T_body_laser,
+            -sweep_s if backwards else sweep_s,
+        )
+
+    def _placed(self, raw: RawScans) -> tuple[FloatArray, FloatArray, bool]:
+        """T_body_laser, ascending beam directions (m,), and whether the beams are in reverse order.
+
+        Raises _UnusableError where there is no such thing.
+        """
+        geometry = raw.geometry
+        mount = self._mounting.of(geometry.frame)
+        if mount is None:
+            named = repr(geometry.frame[:100])
+            few = len(self.tally.left_out) < MOST_REASONS
+            raise _UnusableError(
+                f"are in frame {named if few else '…'}, of which the log does not say where it is"
+            )
+        angles = _angles(raw, self.tally)
+        if geometry.level:
+            return np.array([mount[0], mount[1], 0.0]), angles, False
+        upright = _upright(mount)
+        if abs(upright) < LEVEL:
+            raise _UnusableError("are of a laser that is tilted by more than 14 degrees")
+        sign = 1.0 if upright > 0 else -1.0
+        mounted = np.array([mount[0], mount[1], yaw_from_quaternion(*mount[3:])])
+        # Seen from above, everything in the frame of a laser upside down is a mirror image.
+        T_body_laser = compose(mounted, np.array(geometry.pose) * np.array([1.0, sign, sign]))
+        seen = sign * angles
+        return T_body_laser, *((seen[::-1], True) if seen[0] > seen[-1] else (seen, False))
+
+    def _times(self, timed: TimedScans, sweep_s: float) -> Ints:
+        """(n,) times [ns] of the middle beams."""
+        half = round(0.5e9 * sweep_s)
+        if self._clock == "log":
+            return timed.log_ns - half
+        shift = {"begin": half, "middle": 0, "end": -half}[self._stamp]
+        return timed.scans.stamp_ns + shift
+
+
+def _angles(raw: RawScans, tally: Tally) -> FloatArray:
+    """(m,) directions of the beams in the laser's frame; raises _UnusableError."""
+    geometry, beams = raw.geometry, raw.ranges_m.shape[1]
+    first, step = geometry.angle_min, geometry.angle_increment
+    told = first, step, *geometry.pose
+    if not np.isfinite(told).all() or max(map(abs, told)) > FARTHEST_M:
+        raise _UnusableError("have angles that are no numbers")
+    if beams < 2:
+        raise _UnusableError("have fewer than two ranges")
+    if step == 0 or abs(step) * (beams - 1) > 2.1 * np.pi:
+        raise _UnusableError("have angles that make no turn, or more than a whole one")
+    if abs((geometry.angle_max - first) / step - (beams - 1)) > 1.5:
+        tally.mended[
+            "hold more or fewer ranges than from angle_min to angle_max; taken by number"
+        ] += len(raw.message)
+    return np.asarray(first + step * np.arange(beams), np.float64)
+
+
+def _upright(mount: FloatArray) -> float:
+    """Cosine between the z axes of a sensor and of the robot."""
+    x, y = mount[3:5] / np.linalg.norm(mount[3:])
+    return float(1 - 2 * (x * x + y * y))
+
+
+def _sweep_s(geometry: Geometry, beams: int) -> float:
+    """Time from the first to the last beam, 0 if it is not told."""
+    sweep = geometry.time_increment * (beams - 1)
+    return float(sweep) if 0 <= sweep <= LONGEST_SWEEP_S else 0.0
+
+
+def _usable_times(
+    stamp_ns: Ints, times_ns: Ints, after_ns: int, clock: Literal["header", "log"], tally: Tally
+) -> BoolArray:
+    """(n,) which scans have a time that goes on from the last one."""
+    good = np.ones(len(times_ns), bool)
+    if clock == "header":
+        good = (stamp_ns > 0) & (stamp_ns < LATEST_NS)
+        _count(tally, ~good, "carry no header time")
+    late = good & (times_ns < after_ns)
+    _count(tally, late, "go back in time")
+    return good & ~late
+
+
+def _count(tally: Tally, which: BoolArray, why: str) -> None:
+    if which.any():
+        tally.left_out[why] += int(which.sum())
+
+
+def _measured(raw: RawScans, rows: Ints, tally: Tally) -> tuple[NDArray[np.float32], FloatArray]:
+    """(n, m) ranges, NaN where nothing was returned; (n,) way that such a beam is free.
+
+    At or beyond range_max, and where a range is infinite, nothing came back. NaN, 0 and what lies
+    below range_min says nothing; a scan with many of these may mean either by them.
+    """
+    ranges, g = raw.ranges_m[rows], raw.geometry
+    limit = (
+        g.range_max if np.isfinite(g.range_max) and g.range_max > max(g.range_min, 0) else np.inf
+    )
+    with np.errstate(invalid="ignore"):
+        no_echo = ranges >= limit
+        seen = (ranges > 0) & (ranges >= g.range_min) & ~no_echo & (ranges < FARTHEST_M)
+    blind = ~seen & ~no_echo
+    trusted = blind.mean(axis=1) <= BLIND_SHARE
+    free_m = np.where(trusted & (not raw.blind), min(limit, MOST_FREE_M), 0.0)
+    if np.isinf(limit):
+        free_m[:] = 0.0
+    empty = ~seen.any(axis=1)
+    if empty.any():
+        tally.mended["hold no usable range"] += int(empty.sum())
+    return np.where(seen, ranges, np.float32(np.nan)), free_m
+
+
+class InterleavedScans:
+    """The scans of several lasers in the order of time.
+
+    Every laser's stream walks through the log by itself, so that none waits for another.
+    """
+
+    def __init__(self, streams: Sequence[ScanStream]) -> None:
+        self._streams = tuple(streams)
+
+    @property
+    def warnings(self) -> list[str]:
+        """One sentence per thing found wrong by the last iteration, with a count."""
+        return [line for stream in self._streams for line in stream.tally.warnings(stream.topic)]
+
+    @property
+    def messages(self) -> int:
+        """Messages of all lasers."""
+        return sum(stream.tally.messages for stream in self._streams)
+
+    def __iter__(self) -> Iterator[ScanBatch]:
+        if len(self._streams) == 1:
+            yield from self._streams[0]
+            return
+        sources = [iter(stream) for stream in self._streams]
+        heads = {k: batch for k, source in enumerate(sources) if (batch := next(source, None))}
+        while heads:
+            first, *others = sorted(heads, key=lambda k: (int(heads[k].times_ns[0]), k))
+            batch, end = heads[first], len(heads[first])
+            if others:
+                until = heads[others[0]].times_ns[0]
+                end = max(1, int(np.searchsorted(batch.times_ns, until, side="right")))
+            yield _part(batch, slice(0, end))
+            rest = _part(batch, slice(end, None)) if end < len(batch) else None
+            following = rest or next(sources[first], None)
+            if following is None:
+                del heads[first]
+            else:
+                heads[first] = following
+
+
+def _part(batch: ScanBatch, rows: slice) -> ScanBatch:
+    return replace(
+        batch,
+        times_ns=batch.times_ns[rows],
+        ranges_m=batch.ranges_m[rows],
+        free_m=np.asarray(batch.free_m)[rows],
+    )

@@ -1,0 +1,90 @@
+"""What the indexes of a recording say, and the walk through all of its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from .logs.intake import Intake
+from .logs.messages import Channel, Findings, Survey
+from .logs.recording import Recording, opened, run_name, sniff
+from .read_settings import ReadSettings
+
+OnBytes = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """What the indexes of all files say together."""
+
+    counts: dict[Channel, int]
+    start_ns: int
+    end_ns: int
+
+
+def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Index | None]:
+    """The files by their start, and what their indexes say; None if some file has none.
+
+    A file that is compressed as a whole is only unpacked for exactness.
+    """
+    surveys: list[Survey] = []
+    for file in recording.files:
+        if sniff(file) == "zstd" and not exact:
+            return recording, None
+        with opened(file) as log:
+            survey = log.survey(exact)
+        if survey is None:
+            return recording, None
+        surveys.append(survey)
+    order = sorted(range(len(surveys)), key=lambda k: (surveys[k].start_ns, k))
+    counts: dict[Channel, int] = {}
+    for survey in surveys:
+        for channel, count in survey.counts.items():
+            counts[channel] = counts.get(channel, 0) + count
+    filled = [survey for survey in surveys if any(survey.counts.values())]
+    start = min((survey.start_ns for survey in filled), default=0)
+    end = max((survey.end_ns for survey in filled), default=0)
+    by_start = replace(recording, files=tuple(recording.files[k] for k in order))
+    return by_start, Index(counts, start, end)
+
+
+def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Findings:
+    """Read all files; on_bytes is told exactly the size of the recording in the end."""
+    findings = Findings()
+    for file in recording.files:
+        told = 0
+
+        def progress(count: int) -> None:
+            nonlocal told
+            told += count
+            if on_bytes is not None:
+                on_bytes(count)
+
+        packed = sniff(file) == "zstd"
+        with opened(file) as log:
+            for block in log.blocks(intake.want, findings, None if packed else progress):
+                intake.take(block)
+        if file.stat().st_size > told:
+            progress(file.stat().st_size - told)
+    return findings
+
+
+@dataclass(frozen=True, slots=True)
+class LogRead:
+    """What one walk through a log has brought to light; warnings: what is damaged."""
+
+    recording: Recording
+    intake: Intake
+    counts: Mapping[Channel, int]
+    settings: ReadSettings
+    warnings: tuple[str, ...]
+
+    @property
+    def log(self) -> str:
+        """The path, for messages."""
+        return str(self.recording.path)
+
+    @property
+    def run(self) -> str:
+        """The run's name."""
+        return run_name(self.recording.path)

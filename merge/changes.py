@@ -1,0 +1,327 @@
+"""What changed between the runs of a component: corridors and junctions that some runs passed and
+others, which had to meet them, did not.
+
+Asked is every corridor that a run drove, of every run that passed an end of it and did not drive
+it: did it see the branch? What it did not see was overlooked, or was not there. Overlooking has a
+probability, which is the run's own rate of wrong branches; however often the robot passed, one
+junction counts once, for a detector that is wrong about a place is so each time. What is left after
+as many questions as were asked is called a change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.digits import BITS, METRES, rounded
+from ..topology.matching.structure import padded_branches
+from ..topology.polyline import way_of
+from ..topology.se2 import wrap
+from ..topology.topomap import TopoMap
+from .component_map import component_map
+from .document import MergedDocument, poses_from_document
+from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class ChangeKind(StrEnum):
+    """What the times of those who passed it and those who did not meet it say."""
+
+    GONE = "gone"
+    NEW = "new"
+    DIFFERS = "differs"
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeSettings:
+    """When a difference is called a change."""
+
+    false_rate: float = 0.05
+    """Share of reports that may hold any change that is none."""
+    least_fault_rate: float = 0.01
+    """No detector is wrong about fewer branches, and misses fewer junctions, than this: a run of a
+    hundred passes cannot tell."""
+
+
+DEFAULT_CHANGES = ChangeSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Witness:
+    """What one run says of a thing: how often it passed there, and when first and last."""
+
+    run: str
+    passes: int
+    first_ns: int
+    last_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """A corridor or a junction that is there for some runs and not for others.
+
+    thing: "corridor" or "junction"; junctions: its ends, or itself, as ids of the merged document;
+    xy: (2,) its middle, and length [m], None of a junction; there, missing: who passed it, and who
+    had to meet it and did not, by time; bits: -log2 of the chance that those who did not meet it
+    overlooked it (or that it was invented); needed: what so many questions ask of it.
+    """
+
+    thing: str
+    kind: ChangeKind
+    component: int
+    junctions: tuple[int, ...]
+    xy: tuple[float, float]
+    length: float | None
+    there: tuple[Witness, ...]
+    missing: tuple[Witness, ...]
+    bits: float
+    needed: float
+
+    @property
+    def sure(self) -> bool:
+        """Is it more than chance offers?"""
+        return self.bits >= self.needed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Doubt:
+    """A thing that some runs passed and others did not, before it is weighed."""
+
+    thing: str
+    junctions: tuple[int, ...]
+    xy: FloatArray
+    length: float | None
+    there: tuple[Witness, ...]
+    missing: tuple[tuple[Witness, float], ...]
+    """Who did not meet it, and how likely each of them overlooked it."""
+    invented: float = 0.0
+    """How likely it never was."""
+
+
+def changes(
+    document: MergedDocument,
+    component: int,
+    maps: Mapping[str, TopoMap],
+    settings: ChangeSettings = DEFAULT_CHANGES,
+) -> tuple[Change, ...]:
+    """What changed between the runs of a component, the surest first; also what is not `sure`.
+
+    maps: of all its runs, as they were merged (`stale_runs`). O(corridors · runs).
+    """
+    ids = [node.id for node in document.nodes if node.component == component]
+    merged = component_map(document, component, "merged", maps)
+    poses = poses_from_document(document)
+    seen = _Seen(merged, dict(sorted(maps.items())), poses)
+    corridors, asked = _corridors(seen, settings)
+    junctions, more = _junctions(seen, settings)
+    # Either kind may have half of the false ones.
+    found = [
+        _weighed(doubt, component, ids, float(np.log2(2 * max(count, 1) / settings.false_rate)))
+        for doubts, count in ((corridors, asked), (junctions, more))
+        for doubt in doubts
+    ]
+    return tuple(sorted(found, key=lambda c: (-c.bits, c.thing, c.junctions)))
+
+
+class _Seen:
+    """A component's fused map with what every run saw of its vertices."""
+
+    def __init__(
+        self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
+    ) -> None:
+        self.merged, self.maps = merged, maps
+        self.nodes: list[dict[str, list[int]]] = merged.info["members"]["nodes"]
+        self.edges: list[dict[str, list[int]]] = merged.info["members"]["edges"]
+        self.passes = {
+            run: [np.sort(m.observation_time_ns[m.observation_vertex == v]) for v in range(len(m))]
+            for run, m in maps.items()
+        }
+        self._headings = {run: padded_branches(m) for run, m in maps.items()}
+        self._fused = padded_branches(merged)
+        self._turn = {run: float(poses[run][2]) for run in maps}
+
+    def times(self, run: str, node: int) -> IntArray:
+        """When a run passed a fused vertex."""
+        rows = [self.passes[run][v] for v in self.nodes[node].get(run, ())]
+        return np.sort(np.concatenate([np.zeros(0, np.int64), *rows]))
+
+    def saw(self, run: str, node: int, heading: float) -> bool:
+        """Did a run see a branch of a fused vertex? heading: in the component's frame."""
+        for v in self.nodes[node].get(run, ()):
+            own = self._headings[run][v]
+            gate = DEFAULT_JOINT.branch_gate_rad
+            turn, count = measured_turn(
+                self._fused[node][None], own[None], np.array([self._turn[run]]), gate
+            )
+            local = own + (turn[0] if count[0] else self._turn[run])
+            if np.any(np.abs(wrap(local[~np.isnan(local)] - heading)) <= gate):
+                return True
+        return False
+
+    def heading(self, edge: int, end: int) -> float:
+        """Direction in which a fused edge leaves its source (end 0) or its target (1)."""
+        m = self.merged
+        node = int((m.source, m.target)[end][edge])
+        branch = int((m.source_branch, m.target_branch)[end][edge])
+        if branch >= 0:
+            return float(m.branches[node][branch])
+        path = m.paths[edge]
+        step = path[1] - path[0] if end == 0 else path[-2] - path[-1]
+        return float(np.arctan2(step[1], step[0]))
+
+
+def _fault_rate(rate: float, settings: ChangeSettings) -> float:
+    return min(max(rate, settings.least_fault_rate), 0.5)
+
+
+def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int]:
+    """Corridors that runs passed the ends of without seeing their branches; and how often it was
+    asked."""
+    out, asked, m = [], 0, seen.merged
+    for e, members in enumerate(seen.edges):
+        missing = []
+        ends = [int(m.source[e]), int(m.target[e])]
+        headings = [seen.heading(e, k) for k in (0, 1)]
+        for run, topomap in seen.maps.items():
+            passed = [k for k in (0, 1) if run in seen.nodes[ends[k]]]
+            if run in members or not passed:
+                continue
+            asked += 1
+            if any(seen.saw(run, ends[k], headings[k]) for k in passed):
+                continue
+            rate = _fault_rate(topomap.measured.branch_fault_rate, settings)
+            at = {ends[k] for k in passed}
+            times = np.sort(np.concatenate([seen.times(run, node) for node in at]))
+            missing.append((_witness(run, times), rate ** len(at)))
+        if missing:
+            there = tuple(_drove(seen, run, ids) for run, ids in sorted(members.items()))
+            middle = _middle(m.paths[e])
+            out.append(
+                _Doubt("corridor", (*ends,), middle, float(m.length[e]), there, tuple(missing))
+            )
+    return out, asked
+
+
+def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int]:
+    """Junctions that runs drove through without seeing them; and how often that could have been:
+    every junction that several runs passed could have been overlooked by each, and one could have
+    been invented in every corridor that several drove."""
+    out, m = [], seen.merged
+    asked = sum(len(members) for members in seen.nodes if len(members) > 1)
+    asked += sum(len(members) > 1 for members in seen.edges)
+    at: list[list[int]] = [[] for _ in seen.nodes]
+    for e, ends in enumerate(zip(m.source.tolist(), m.target.tolist(), strict=True)):
+        for node in {*ends}:
+            at[node].append(e)
+    for node, members in enumerate(seen.nodes):
+        missing = []
+        for run, topomap in seen.maps.items():
+            if run in members:
+                continue
+            driven = [k for e in at[node] for k in seen.edges[e].get(run, ())]
+            through = sorted({k for k in driven if driven.count(k) > 1})
+            if not through:
+                continue
+            asked += 1
+            witness = _drove(seen, run, through)
+            rate = _fault_rate(topomap.measured.miss_rate, settings)
+            floor = _fault_rate(topomap.measured.branch_fault_rate, settings) ** 2
+            missing.append((witness, max(rate ** max(witness.passes, 1), floor)))
+        if missing:
+            there = [_witness(run, seen.times(run, node)) for run in sorted(members)]
+            sides = {(e, int(m.source[e]) == node) for e in at[node]}
+            invented = 1.0
+            for w in there:
+                rate = _fault_rate(seen.maps[w.run].measured.phantom_rate, settings)
+                invented *= rate**w.passes
+            if len(sides) > 2:
+                invented = 0.0  # who turned off there knows
+            doubt = _Doubt(
+                "junction", (node,), m.xy[node], None, tuple(there), tuple(missing), invented
+            )
+            out.append(doubt)
+    return out, asked
+
+
+def _middle(path: FloatArray) -> FloatArray:
+    way = way_of(path)
+    return np.array([np.interp(way[-1] / 2, way, path[:, k]) for k in (0, 1)])
+
+
+def _witness(run: str, times: IntArray) -> Witness:
+    first, last = (int(times[0]), int(times[-1])) if len(times) else (0, 0)
+    return Witness(run, len(times), first, last)
+
+
+def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
+    """What a run says of corridors of its own map that it drove."""
+    m = seen.maps[run]
+    if m.traversal_ns is not None:
+        return _witness(
+            run, np.sort(np.concatenate([m.traversal_ns[k].max(axis=1) for k in edges]))
+        )
+    # Without times of the corridors, those of their ends.
+    ends = {int(v) for k in edges for v in (m.source[k], m.target[k])}
+    times = np.sort(np.concatenate([seen.passes[run][v] for v in ends]))
+    told = _witness(run, times)
+    return Witness(run, int(m.traversals[list(edges)].sum()), told.first_ns, told.last_ns)
+
+
+def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -> Change:
+    """A doubt by what those say that did not meet the thing after the last who did, or before the
+    first; by all of them where both are there."""
+    first = min(w.first_ns for w in doubt.there)
+    last = max(w.last_ns for w in doubt.there)
+    after = [(w, p) for w, p in doubt.missing if w.first_ns > last]
+    before = [(w, p) for w, p in doubt.missing if w.last_ns < first]
+    kind, said = ChangeKind.DIFFERS, list(doubt.missing)
+    if len(after) == len(said):
+        kind = ChangeKind.GONE
+    elif len(before) == len(said):
+        kind = ChangeKind.NEW
+    chance = float(np.prod([p for _, p in said])) + doubt.invented
+    x, y = rounded(doubt.xy, METRES)
+    return Change(
+        thing=doubt.thing,
+        kind=kind,
+        component=component,
+        junctions=tuple(ids[k] for k in doubt.junctions),
+        xy=(x, y),
+        length=None if doubt.length is None else float(rounded(doubt.length, METRES)),
+        there=tuple(sorted(doubt.there, key=lambda w: (w.first_ns, w.run))),
+        missing=tuple(sorted((w for w, _ in said), key=lambda w: (w.first_ns, w.run))),
+        bits=max(0.0, -float(np.log2(min(chance, 1.0)))),
+        needed=needed,
+    )
+
+
+def change_to_document(change: Change) -> dict[str, Any]:
+    """A change as JSON values."""
+
+    def witnesses(of: Sequence[Witness]) -> list[dict[str, Any]]:
+        return [
+            {"run": w.run, "passes": w.passes, "first_ns": w.first_ns, "last_ns": w.last_ns}
+            for w in of
+        ]
+
+    return {
+        "thing": change.thing,
+        "kind": str(change.kind),
+        "component": change.component,
+        "junctions": list(change.junctions),
+        "x": change.xy[0],
+        "y": change.xy[1],
+        "length": change.length,
+        "there": witnesses(change.there),
+        "missing": witnesses(change.missing),
+        "bits": rounded(change.bits, BITS),
+        "needed_bits": rounded(change.needed, BITS),
+        "sure": change.sure,
+    }

@@ -1,0 +1,162 @@
+"""One component of a merged document as a map: what everything that takes a map can take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.document import FARTHEST_M
+from ..topology.embedding import map_pose_graph
+from ..topology.passes import NO_BRANCH
+from ..topology.posegraph.graph import PoseGraph
+from ..topology.ragged import Ragged
+from ..topology.topomap import TopoMap
+from .document import MergedDocument, MergedEdge, MergedNode, poses_from_document
+from .fusion.joint_graph import settle
+from .fusion.vertex_partition import Pool
+from .member_times import member_times
+
+IntArray = NDArray[np.int64]
+
+
+def component_map(
+    document: MergedDocument,
+    component: int,
+    name: str,
+    maps: Mapping[str, TopoMap] | None = None,
+) -> TopoMap:
+    """The fused map of one component, as the map of a run called `name` in a frame called `name`.
+
+    maps: the maps of its runs, by name; with all of them, as they were when they were merged, the
+    result knows when its corridors were driven. `info["members"]` says for every vertex and every
+    edge which vertices and edges of which runs it was fused from. Observations are those of all
+    runs, by time. Raises ValueError where the component is not there or contradicts itself.
+    """
+    chosen = [node for node in document.nodes if node.component == component]
+    number = {node.id: k for k, node in enumerate(chosen)}
+    if not chosen and component not in {c.id for c in document.graph.components}:
+        raise ValueError(f"there is no component {component}")
+    edges = [e for e in document.edges if e.source in number]
+    runs = {run for c in document.graph.components if c.id == component for run in c.runs}
+    named = {run for n in chosen for run in n.members} | {run for e in edges for run in e.members}
+    strange = named - runs
+    if strange:
+        raise ValueError(f"run {min(strange)!r} is a member of what is not its component")
+    if any(max(abs(node.x), abs(node.y)) > FARTHEST_M for node in chosen):
+        raise ValueError(f"a vertex lies farther away than {FARTHEST_M:.0e} m")
+    if any(e.target not in number for e in edges):
+        raise ValueError("a corridor joins two components")
+    seen = sorted((o.time_ns, number[node.id]) for node in chosen for o in node.observations)
+    length = np.array([e.length for e in edges], np.float64)
+    source = np.array([number[e.source] for e in edges], np.int64)
+    target = np.array([number[e.target] for e in edges], np.int64)
+    times = None
+    if maps is not None and not stale_runs(document, component, maps):
+        times = member_times(
+            maps,
+            [[(run, k) for run, ids in sorted(e.members.items()) for k in ids] for e in edges],
+            fused_of=_fused_of(chosen),
+            source=source,
+            target=target,
+            length=length,
+        )
+    return TopoMap(
+        run=name,
+        frame=name,
+        xy=np.array([(node.x, node.y) for node in chosen], np.float64).reshape(-1, 2),
+        branches=Ragged.from_rows(node.branches for node in chosen),
+        kind=tuple(_kind(node) for node in chosen),
+        source=source,
+        target=target,
+        source_branch=_branches(edges, "source_branch"),
+        target_branch=_branches(edges, "target_branch"),
+        length=length,
+        length_sigma=np.array([e.length_sigma for e in edges], np.float64),
+        traversals=np.array([e.traversals for e in edges], np.int64),
+        paths=tuple(np.array(e.path, np.float64) for e in edges),
+        observation_vertex=np.array([v for _, v in seen], np.int64),
+        observation_time_ns=np.array([t for t, _ in seen], np.int64),
+        traversal_ns=times,
+        info={
+            "members": {
+                "nodes": [node.members for node in chosen],
+                "edges": [e.members for e in edges],
+            }
+        },
+    )
+
+
+def stale_runs(
+    document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
+) -> dict[str, str]:
+    """Runs of a component whose maps are not those that were merged, and why: "is not there", "has
+    changed since" (a fused vertex or corridor is not in it, or its passes are others)."""
+    runs = next((c.runs for c in document.graph.components if c.id == component), {})
+    nodes = [node for node in document.nodes if node.component == component]
+    own = {node.id for node in nodes}
+    edges = [e for e in document.edges if e.source in own]
+    out = {}
+    for run in sorted(runs):
+        if run not in maps:
+            out[run] = "is not there"
+            continue
+        topomap = maps[run]
+        times = sorted(o.time_ns for node in nodes for o in node.observations if o.run == run)
+        same = (
+            times == sorted(topomap.observation_time_ns.tolist())
+            and sorted(v for node in nodes for v in node.members.get(run, ()))
+            == list(range(len(topomap)))
+            and all(k < len(topomap.source) for e in edges for k in e.members.get(run, ()))
+        )
+        if not same:
+            out[run] = "has changed since"
+    return out
+
+
+def _fused_of(nodes: list[MergedNode]) -> dict[tuple[str, int], int]:
+    return {
+        (run, v): k
+        for k, node in enumerate(nodes)
+        for run, ids in node.members.items()
+        for v in ids
+    }
+
+
+def _kind(node: MergedNode) -> str:
+    found: Any = (node.model_extra or {}).get("kind", "junction")
+    return found if isinstance(found, str) else "junction"
+
+
+def _branches(edges: list[MergedEdge], name: str) -> IntArray:
+    found = (getattr(e, name) for e in edges)
+    return np.array([NO_BRANCH if b is None else b for b in found], np.int64)
+
+
+def component_pose_graph(
+    document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
+) -> PoseGraph:
+    """The joint pose graph of a component, solved.
+
+    Poses are the vertices of all its maps, run by run in the order of their names. maps: of all its
+    runs, as they were merged. Identities are plain edges: kernels, headings of a
+    grid and scales of odometries, which the solution also kept to, are left out of the graph.
+    """
+    runs = next(c.runs for c in document.graph.components if c.id == component)
+    pool = Pool.of([maps[run] for run in runs])
+    where = zip(pool.run, pool.vertex.tolist(), strict=True)
+    fused = _fused_of([node for node in document.nodes if node.component == component])
+    label = np.array([fused[pool.maps[r].run, v] for r, v in where], np.int64)
+    joint = settle(pool, label, poses_from_document(document))
+    if joint.graph is None:
+        return map_pose_graph(pool.maps[0])
+    graph = joint.graph
+    return PoseGraph(
+        pose=joint.pose,
+        source=graph.source,
+        target=graph.target,
+        measurement=graph.measurement,
+        information=graph.information,
+    )

@@ -1,0 +1,213 @@
+"""Packs: results of matching pairs of maps as bytes, found again by the content of the maps.
+
+A pack is what one batch of pairs gave; workers send packs, the cache of a workspace keeps them.
+Nothing in it is believed: damage shows in its checksums, and what does not is looked through by
+whoever reads a payload.
+
+    "TOPOPACK"  era  maps  records  payload bytes  checksum of the next two
+    (maps, 16)  digests of maps
+    (records,)  RECORD: which two maps, what kind of result, a short one in place or its payload
+    payloads
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.topomap import TopoMap
+
+MAGIC = b"TOPOPACK"
+DIGEST = 16
+HEAD = struct.Struct(f"<8s{DIGEST}sIIQ{DIGEST}s")
+
+RECORD = np.dtype(
+    [
+        ("a", "<u4"),
+        ("b", "<u4"),
+        ("kind", "<u4"),
+        ("junctions", "<u4"),
+        ("bits", "<f8"),
+        ("beyond", "<f8"),
+        ("start", "<u8"),
+        ("size", "<u8"),
+        ("check", "<u8"),
+    ]
+)
+"""a, b: rows of the maps' digests; kind: of the result, up to who matches; junctions, bits,
+beyond: all there is to say where size is 0; start, size, check: bytes of the payload and their
+checksum."""
+
+LARGEST = 1e9
+"""No number of a result is larger: metres, bits."""
+
+NOT_CONTENT = frozenset({"run", "frame", "closures", "info"})
+"""What a map says about itself and matching never asks."""
+
+Rows = NDArray[np.void]
+
+
+class DamagedPackError(ValueError):
+    """Bytes that are no pack, or none that is whole."""
+
+
+def digest_of(topomap: TopoMap) -> bytes:
+    """16 bytes that are the same for maps of the same content, whatever the run is called."""
+    out = hashlib.blake2b(digest_size=DIGEST)
+    for name in TopoMap.__dataclass_fields__:
+        if name not in NOT_CONTENT:
+            out.update(f"{name}:".encode())
+            _feed(out, getattr(topomap, name))
+    return out.digest()
+
+
+def _feed(out: hashlib.blake2b, value: object) -> None:
+    if isinstance(value, np.ndarray):
+        out.update(f"{value.dtype.str}{value.shape}".encode())
+        out.update(np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
+        out.update(str([len(part) for part in value]).encode())
+        out.update(np.concatenate(value).tobytes())
+    elif hasattr(value, "offsets"):
+        _feed(out, value.offsets)
+        _feed(out, np.asarray(value.values))  # type: ignore[attr-defined]
+    else:
+        out.update(repr(value).encode())
+
+
+def checksum(payload: bytes) -> int:
+    """Of a payload, as RECORD holds it."""
+    return int.from_bytes(hashlib.blake2b(payload, digest_size=8).digest(), "little")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pack:
+    """Results of pairs of some maps. era: what else they depend on (the program, its settings)."""
+
+    era: bytes
+    digests: tuple[bytes, ...]
+    rows: Rows
+    payloads: bytes
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def payload(self, row: int) -> bytes | None:
+        """The payload of a record; None where it is damaged."""
+        start, size = int(self.rows["start"][row]), int(self.rows["size"][row])
+        found = self.payloads[start : start + size]
+        return found if checksum(found) == int(self.rows["check"][row]) else None
+
+    def whole(self) -> NDArray[np.bool_]:
+        """(records,) whether the payload is undamaged."""
+        sizes = self.rows["size"].tolist()
+        found = [not size or self.payload(row) is not None for row, size in enumerate(sizes)]
+        return np.array(found, np.bool_)
+
+    def to_bytes(self) -> bytes:
+        """The pack as it is kept and sent."""
+        body = b"".join(self.digests) + self.rows.tobytes()
+        sizes = (len(self.digests), len(self.rows), len(self.payloads))
+        head = HEAD.pack(MAGIC, self.era, *sizes, _body_checksum(body))
+        return head + body + self.payloads
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Pack:
+        """Raises DamagedPackError. Payloads are checked one by one, when they are wanted."""
+        if len(data) < HEAD.size:
+            raise DamagedPackError("too short")
+        magic, era, maps, records, payload, check = HEAD.unpack_from(data)
+        body_end = HEAD.size + maps * DIGEST + records * RECORD.itemsize
+        if magic != MAGIC or len(data) != body_end + payload:
+            raise DamagedPackError("no pack, or cut off")
+        body = data[HEAD.size : body_end]
+        if _body_checksum(body) != check:
+            raise DamagedPackError("its checksum is another one")
+        table = body[: maps * DIGEST]
+        digests = tuple(table[k : k + DIGEST] for k in range(0, len(table), DIGEST))
+        rows = np.frombuffer(body, RECORD, records, len(table))
+        beyond = (
+            rows["start"] > payload,
+            rows["size"] > payload - np.minimum(rows["start"], payload),
+        )
+        strange = (rows["a"] >= maps) | (rows["b"] >= maps) | beyond[0] | beyond[1]
+        numbers = np.stack([rows["bits"], rows["beyond"]])
+        if strange.any() or not (np.abs(numbers) <= LARGEST).all():
+            raise DamagedPackError("its records point outside of it")
+        return cls(era, digests, rows, data[body_end:])
+
+
+def _body_checksum(body: bytes) -> bytes:
+    return hashlib.blake2b(body, digest_size=DIGEST).digest()
+
+
+class PackWriter:
+    """Collects results into a pack."""
+
+    def __init__(self, era: bytes) -> None:
+        self.era = era
+        self._number: dict[bytes, int] = {}
+        self._rows: list[tuple[int, int, int, int, float, float, int, int, int]] = []
+        self._payloads: list[bytes] = []
+        self._end = 0
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def add(
+        self,
+        pair: tuple[bytes, bytes],
+        kind: int,
+        *,
+        junctions: int = 0,
+        bits: float = 0.0,
+        beyond: float = 0.0,
+        payload: bytes = b"",
+    ) -> None:
+        """One result, by the digests of its maps."""
+        a, b = (self._number.setdefault(d, len(self._number)) for d in pair)
+        check = checksum(payload) if payload else 0
+        self._rows.append((a, b, kind, junctions, bits, beyond, self._end, len(payload), check))
+        self._payloads.append(payload)
+        self._end += len(payload)
+
+    def pack(self) -> Pack:
+        """All that was added."""
+        rows = np.array(self._rows, RECORD)
+        return Pack(self.era, tuple(self._number), rows, b"".join(self._payloads))
+
+
+def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = None) -> Pack:
+    """One pack with the records of several, without damaged ones and those of maps that are not
+    wanted. Of two records for one thing the first is kept."""
+    number: dict[bytes, int] = {}
+    parts, payloads, end = [], [], 0
+    for pack in packs:
+        new = [
+            number.setdefault(d, len(number)) if wanted is None or d in wanted else -1
+            for d in pack.digests
+        ]
+        to = np.array(new or [-1], np.int64)
+        a, b = to[pack.rows["a"]], to[pack.rows["b"]]
+        chosen = np.flatnonzero((a >= 0) & (b >= 0) & pack.whole())
+        rows = pack.rows[chosen].copy()
+        rows["a"], rows["b"] = a[chosen], b[chosen]
+        starts, sizes = rows["start"].tolist(), rows["size"].tolist()
+        ends = end + np.cumsum([0, *sizes])
+        rows["start"] = ends[:-1]
+        payloads += [pack.payloads[s : s + n] for s, n in zip(starts, sizes, strict=True)]
+        parts.append(rows)
+        end = int(ends[-1])
+    rows = np.concatenate(parts) if parts else np.zeros(0, RECORD)
+    keys = np.stack([rows["a"], rows["b"], rows["kind"]], axis=1)
+    first = np.sort(np.unique(keys, axis=0, return_index=True)[1])
+    if len(first) < len(rows):
+        payloads = [payloads[k] for k in first.tolist()]
+        rows = rows[first]
+        rows["start"] = np.cumsum([0, *rows["size"].tolist()])[:-1]
+    return Pack(era, tuple(number), rows, b"".join(payloads))

@@ -1,0 +1,197 @@
+"""An index of all maps' corridors, to tell which pairs of maps have any chance of being merged.
+
+Matching begins with links: corridors of two maps as long, as bent and with the same branches at
+their ends. A right alignment has many that hang together. All of that can be looked up for one map
+in all others at once, a hundred times faster than the maps can be matched; what is not found there
+would not have been merged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from ...topology.se2 import wrap
+from ..result import pairs_of
+from .links import LENGTH_SIGMAS, SAG_M, TURN_RAD, length_bits, windows
+from .prepare import LENGTH_SCALE, FloatArray, IntArray, Prepared
+from .settings import RobustSettings
+from .verdict import needed_bits
+
+MOST_PAIRS = 5000
+"""Of more pairs only those are matched that have a chance: 100 runs take some seconds without."""
+
+BLOCK = 500
+"""Maps that are looked through at once: what a map has in common with them fits the memory."""
+
+SHARE = 0.6
+"""Links that hang together must have this share of the bits that merging needs. With 0.75 still
+nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py
+--recall 400 --first 5000`).
+"""
+
+UNSEEN = 1.1
+"""For one pair beyond chance that was matched so many are counted: of 692 such pairs, nearly all
+copies in offices, the index gives 29 no chance (`benchmarks/fleet.py --beyond 160 --first 5000`).
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corridors:
+    """The directed corridors of some maps, sorted by pattern of branches, then length.
+
+    key: (k,) pattern and length as in `Prepared.probe_key`; the rest by row of the same order.
+    owner: which map; tail, head: vertices, numbered through all maps. length_step, worst: the
+    largest variance of corridors up to this long.
+    """
+
+    maps: int
+    vertices: int
+    key: FloatArray
+    owner: IntArray
+    tail: IntArray
+    head: IntArray
+    length: FloatArray
+    variance: FloatArray
+    sag: FloatArray
+    angle: FloatArray
+    rarity: FloatArray
+    surprise: FloatArray
+    length_step: FloatArray
+    worst: FloatArray
+
+    @classmethod
+    def of(cls, maps: Sequence[Prepared]) -> Corridors:
+        """Index some maps. O(k log k)."""
+        first = np.cumsum([0, *(len(m) for m in maps)])
+        rows = [m.probe_row for m in maps]
+
+        def gathered(name: str) -> FloatArray:
+            parts = [getattr(m, name)[r] for m, r in zip(maps, rows, strict=True)]
+            return np.concatenate([*parts, np.zeros(0)])[order]
+
+        key = np.concatenate([*(m.probe_key for m in maps), np.zeros(0)])
+        order = np.argsort(key, kind="stable")
+        owner = np.arange(len(maps)).repeat([len(r) for r in rows])[order]
+        length, variance = gathered("length"), gathered("variance")
+        by_length = np.argsort(length, kind="stable")
+        return cls(
+            maps=len(maps),
+            vertices=int(first[-1]),
+            key=key[order],
+            owner=owner,
+            tail=first[owner] + gathered("tail").astype(np.int64),
+            head=first[owner] + gathered("head").astype(np.int64),
+            length=length,
+            variance=variance,
+            sag=gathered("sag"),
+            angle=gathered("angle"),
+            rarity=gathered("rarity"),
+            surprise=gathered("end_surprise"),
+            length_step=length[by_length],
+            worst=np.maximum.accumulate(variance[by_length]),
+        )
+
+    def worst_variance(self, length: FloatArray) -> FloatArray:
+        """The largest variance of corridors that could be as long as these."""
+        if not len(self.worst):
+            return np.zeros(len(length))
+        at = np.searchsorted(self.length_step, 1.25 * length + 1.0, side="right") - 1
+        return np.asarray(self.worst[np.maximum(at, 0)])
+
+    def chances(self, a: Prepared, least: float, after: int = -1) -> FloatArray:
+        """(maps,) bits of the links with a map that hang together best, less those of having so
+        many to choose from; -inf where all links together have less than the least that counts,
+        and of maps that do not come after the given number."""
+        best = np.full(self.maps, -np.inf)
+        row, other = self._links(a, after)
+        if not len(row):
+            return best
+        d = a.length[row] - self.length[other]
+        bits = length_bits(d, a.variance[row] + self.variance[other])
+        bits += np.minimum(a.rarity[row], self.rarity[other])
+        ends = np.minimum(a.end_surprise[row], self.surprise[other])
+        bits = np.minimum(bits, 6.0) + 0.5 * ends
+        owner = self.owner[other]
+        choice = np.log2(np.bincount(owner, minlength=self.maps) + 1.0)
+        together = np.bincount(owner, np.maximum(bits, 0.0), self.maps)
+        hope = np.flatnonzero((together - choice >= least)[owner])
+        if not len(hope):
+            return best
+        row, other, bits, owner = row[hope], other[hope], bits[hope], owner[hope]
+        theta = np.asarray(wrap(a.angle[row] - self.angle[other]))
+        label = self._hanging_together(a, row, other, theta)
+        total = np.bincount(label, bits)
+        np.maximum.at(best, owner, total[label])
+        return np.asarray(best - choice)
+
+    def _links(self, a: Prepared, after: int) -> tuple[IntArray, IntArray]:
+        """Corridors of a map, in one direction, and rows here that could be the same one."""
+        half = len(a.tail) // 2
+        length = a.length[:half]
+        reach = LENGTH_SIGMAS * np.sqrt(a.variance[:half] + self.worst_variance(length))
+        key = a.pattern[:half] * LENGTH_SCALE + length
+        row, other = windows(self.key.searchsorted(key - reach), self.key.searchsorted(key + reach))
+        late = np.flatnonzero(self.owner[other] > after)
+        row, other = row[late], other[late]
+        d = a.length[row] - self.length[other]
+        fits = d * d < LENGTH_SIGMAS**2 * (a.variance[row] + self.variance[other])
+        ok = np.flatnonzero(fits & (np.abs(a.sag[row] - self.sag[other]) < SAG_M))
+        return row[ok], other[ok]
+
+    def _hanging_together(
+        self, a: Prepared, row: IntArray, other: IntArray, theta: FloatArray
+    ) -> IntArray:
+        """(k,) component of every link: links meet where they share both vertices and the rotation
+        (as in `links.seeds`)."""
+        k = len(row)
+        pair = np.concatenate(
+            [
+                a.tail[row] * self.vertices + self.tail[other],
+                a.head[row] * self.vertices + self.head[other],
+            ]
+        )
+        key = pair * 8.0 + np.concatenate([theta, theta])
+        order = key.argsort()
+        fresh = np.zeros(2 * k, np.int64)
+        fresh[1:] = np.diff(key[order]) > TURN_RAD
+        node = np.empty(2 * k, np.int64)
+        node[order] = fresh.cumsum()
+        count = int(fresh.sum()) + 1
+        graph = csr_array((np.ones(k, np.int8), (node[:k], node[k:])), shape=(count, count))
+        return np.asarray(connected_components(graph, directed=False)[1][node[:k]], np.int64)
+
+
+def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArray:
+    """(k, 2) pairs i < j, sorted: all of a small batch, of a large one those with a chance."""
+    pairs = pairs_of(len(maps))
+    if pairs <= MOST_PAIRS:
+        return np.stack(np.triu_indices(len(maps), 1), axis=1)
+    return likely_pairs(maps, needed_bits(pairs, settings))
+
+
+def beyond_chance(seen: int, pairs: int) -> int:
+    """How many of all pairs are beyond chance, where so many of the matched ones are."""
+    return seen if pairs <= MOST_PAIRS else math.ceil(UNSEEN * seen)
+
+
+def likely_pairs(maps: Sequence[Prepared], need_bits: float) -> IntArray:
+    """(k, 2) pairs i < j that have a chance, sorted. O(links of all pairs).
+
+    Which of two maps is looked up makes no difference but for which of both directions of a
+    corridor is; the first one is.
+    """
+    least = SHARE * need_bits
+    found = []
+    for start in range(0, len(maps), BLOCK):
+        block = Corridors.of(maps[start : start + BLOCK])
+        for i in range(min(start + BLOCK, len(maps))):
+            other = start + np.flatnonzero(block.chances(maps[i], least, i - start) >= least)
+            found.append(np.stack([np.full(len(other), i), other], axis=1))
+    pairs = np.concatenate([*found, np.zeros((0, 2), np.int64)])
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

@@ -1,0 +1,147 @@
+"""What matching two maps found, as bytes and back, number by number.
+
+Read again it is the same to the last bit. What is read is checked against the two maps, so that
+no bytes whatever make a candidate that points outside of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..packs import LARGEST
+from .alignment import Candidate
+from .conflicts import Conflicts
+from .prepare import IntArray, Prepared
+from .settings import RobustSettings
+from .support import Support
+from .verdict import ODD_BITS, Faint, beyond_chance_bits, faint_of
+
+Number = TypeVar("Number", np.float64, np.int64)
+
+SCALARS = 8
+"""Numbers of a candidate that are no arrays: transform (3), tested, bits, rmse, support's bits,
+bits of a corridor that leads elsewhere."""
+
+SIZES = 7
+"""Matches, corridors, links, vertices of b and of a that contradict, crossings, corridors that lead
+elsewhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Candidate alignments of two maps, best first; where none of them is beyond chance, only what
+    the best of them comes to."""
+
+    candidates: tuple[Candidate, ...] = ()
+    faint: Faint | None = None
+
+    def against_chance(self, settings: RobustSettings) -> float:
+        """The most evidence against chance of any alignment that may be merged."""
+        if self.faint is not None:
+            return self.faint.against_chance
+        return beyond_chance_bits(self.candidates, settings)
+
+
+def in_short(candidates: tuple[Candidate, ...], settings: RobustSettings) -> Found:
+    """What is kept of the candidates of a pair: all, or next to nothing."""
+    if any(c.bits > ODD_BITS for c in candidates):
+        return Found(candidates)
+    return Found(faint=faint_of(candidates, settings))
+
+
+def to_bytes(candidates: tuple[Candidate, ...]) -> bytes:
+    """Candidates of a pair."""
+    return b"".join(_candidate_bytes(c) for c in candidates)
+
+
+def _candidate_bytes(c: Candidate) -> bytes:
+    s, x = c.support, c.conflicts
+    sizes = (len(c), len(s.corridors), len(s.links), len(x.extra_b), len(x.extra_a))
+    head = np.array([*sizes, len(x.crossing), len(x.elsewhere)], "<u4")
+    floats = np.concatenate(
+        [
+            c.transform,
+            [c.tested_bits, c.bits, c.rmse_m, s.bits, x.elsewhere_bits],
+            np.ascontiguousarray(c.turn).view(np.float64),
+            s.links,
+            s.branches,
+            x.extra_b_bits,
+            x.extra_a_bits,
+        ]
+    ).astype("<f8")
+    whole = [
+        *(c.a, c.b, s.corridors.ravel(), s.ends.ravel(), s.along),
+        *(x.extra_b, x.extra_b_in, x.extra_a, x.extra_a_in, x.crossing.ravel()),
+        x.elsewhere.ravel(),
+    ]
+    return head.tobytes() + floats.tobytes() + np.concatenate(whole).astype("<i4").tobytes()
+
+
+def from_bytes(data: bytes, a: Prepared, b: Prepared) -> tuple[Candidate, ...] | None:
+    """The candidates of two maps; None where they cannot be theirs."""
+    out, at = [], 0
+    while at < len(data):
+        found = _candidate(data, at, a, b)
+        if found is None:
+            return None
+        candidate, at = found
+        out.append(candidate)
+    return tuple(out)
+
+
+def _candidate(data: bytes, at: int, a: Prepared, b: Prepared) -> tuple[Candidate, int] | None:
+    """The candidate that begins at a byte, and where it ends."""
+    if len(data) - at < 4 * SIZES:
+        return None
+    k, c, m, eb, ea, cr, el = np.frombuffer(data, "<u4", SIZES, at).tolist()
+    reals = SCALARS + 3 * k + m + eb + ea
+    wholes = 2 * k + 2 * c + 3 * m + 2 * eb + 2 * ea + 2 * cr + 2 * el
+    at += 4 * SIZES
+    end = at + 8 * reals + 4 * wholes
+    if end > len(data) or k < 1:
+        return None
+    f = np.frombuffer(data, "<f8", reals, at).copy()  # aligned, like those of a match
+    i = np.frombuffer(data, "<i4", wholes, at + 8 * reals).astype(np.int64)
+    if not (np.abs(f) <= LARGEST).all():
+        return None
+    turn, links, branches, b_bits, a_bits = _split(f[SCALARS:], (2 * k, m, k, eb, ea))
+    (va, vb, rows, ends, along, extra_b, b_in, extra_a, a_in, crossing, astray) = _split(
+        i, (k, k, 2 * c, 2 * m, m, eb, eb, ea, ea, 2 * cr, 2 * el)
+    )
+    corridors, crossed, elsewhere = (x.reshape(-1, 2) for x in (rows, crossing, astray))
+    n_a, n_b, rows_a, rows_b = len(a), len(b), len(a.tail), len(b.tail)
+    bounds = (
+        (va, n_a), (vb, n_b), (corridors[:, 0], rows_a), (corridors[:, 1], rows_b),
+        (ends, k), (along + 1, c + 1), (extra_b, n_b), (b_in, rows_a), (extra_a, n_a),
+        (a_in, rows_b), (crossed[:, 0], rows_a), (crossed[:, 1], rows_b),
+        (elsewhere[:, 0], rows_a), (elsewhere[:, 1], rows_b),
+    )  # fmt: skip
+    if not all(_within(values, limit) for values, limit in bounds):
+        return None
+    candidate = Candidate(
+        transform=f[:3],
+        a=va,
+        b=vb,
+        turn=turn.view(np.complex128),
+        support=Support(corridors, ends.reshape(-1, 2), along, links, branches, float(f[6])),
+        conflicts=Conflicts(
+            extra_b, b_in, b_bits, extra_a, a_in, a_bits, crossed, elsewhere, float(f[7])
+        ),
+        tested_bits=float(f[3]),
+        bits=float(f[4]),
+        rmse_m=float(f[5]),
+    )
+    return candidate, end
+
+
+def _split(values: NDArray[Number], sizes: tuple[int, ...]) -> list[NDArray[Number]]:
+    stops = np.cumsum(sizes).tolist()
+    return [values[stop - size : stop] for size, stop in zip(sizes, stops, strict=True)]
+
+
+def _within(values: IntArray, limit: int) -> bool:
+    return len(values) == 0 or (int(values.min()) >= 0 and int(values.max()) < limit)

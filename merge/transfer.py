@@ -1,0 +1,251 @@
+"""Points that people named in one map, carried to another through the junctions that both have.
+
+Maps bend, each in its own way, so one transform for all of a map is not good enough. A point is
+carried through every matched junction near it, each time rigidly, and what these say of it is
+combined by generalised least squares (universal kriging: Matheron, 1971; Cressie, *Statistics for
+Spatial Data*, 1993, 3.4). What two maps bend apart is taken for an intrinsic random process whose
+variogram grows with the distance; how fast, the matched junctions tell, each carried by the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..topology.frozen import frozen_array
+from ..topology.matching.structure import padded_branches
+from ..topology.se2 import fit_rigid, wrap
+from ..topology.topomap import TopoMap
+from .document import MergedDocument
+from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+WITHIN_SIGMAS = 2.448
+"""95 % of the errors of a point in the plane are no larger than so many sigmas of a coordinate
+(Rayleigh's distribution: √(-2 ln 0.05))."""
+
+
+@dataclass(frozen=True, slots=True)
+class TransferSettings:
+    """How points are carried."""
+
+    neighbours: int = 4
+    """Matched junctions that a point is carried through, the nearest ones. More tell no more, and
+    bring in what is bent farther away: of 3, 4, 6, 8, 16 and 32 the errors keep best to their
+    sigmas with 4 (`benchmarks/transfer.py`)."""
+    prior_log_sigma: float = 1.1
+    """The bending that the noise of both maps suggests is believed to within this (a factor of 3),
+    1 sigma of its natural logarithm; believing it wholly, or hardly, is worse by the same."""
+
+
+DEFAULT_TRANSFER = TransferSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedJunctions:
+    """The junctions that two maps have in common.
+
+    source, target: (k, 2) where either map has them [m]; sigma: (k,) 1 sigma [m] per axis of how
+    far the two may be apart by detection alone; turn: (k,) of the source map's frame there against
+    the target map's [rad], by their branches; turn_sigma: (k,) [rad], inf where no branch tells.
+    bending: variance per metre [m] and turning: per metre [rad²/m] that the noise of the two maps
+    suggests. Raises ValueError on shapes that do not fit.
+    """
+
+    source: FloatArray
+    target: FloatArray
+    sigma: FloatArray
+    turn: FloatArray
+    turn_sigma: FloatArray
+    bending: float
+    turning: float
+
+    def __post_init__(self) -> None:
+        k = len(self.source)
+        for name, shape in (("source", (k, 2)), ("target", (k, 2)), ("sigma", (k,))):
+            value = frozen_array(getattr(self, name), np.float64, shape, name)
+            object.__setattr__(self, name, value)
+        if len(self.turn) != k or len(self.turn_sigma) != k:
+            raise ValueError("one turn for every junction is needed")
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transferred:
+    """Carried points: xy: (p, 2) [m]; turn: (p,) to add to headings there [rad]; sigma_m: (p,)
+    1 sigma of each coordinate; sigma_rad: (p,); nearest_m: (p,) to the nearest matched junction."""
+
+    xy: FloatArray
+    turn: FloatArray
+    sigma_m: FloatArray
+    sigma_rad: FloatArray
+    nearest_m: FloatArray
+
+
+def junctions_of_runs(
+    document: MergedDocument, maps: Mapping[str, TopoMap], source: str, target: str
+) -> MatchedJunctions:
+    """The junctions that a merge found to be one in two runs, directly or through others.
+
+    maps: those of the two runs at least, as they were merged (`stale_runs`).
+    """
+    home = {run: c.id for c in document.graph.components for run in c.runs}
+    pairs = [
+        (node.members[source][0], node.members[target][0])
+        for node in document.nodes
+        if node.component == home[source] == home[target]
+        if node.members.get(source) and node.members.get(target)
+    ]
+    rows = np.array(pairs, np.int64).reshape(-1, 2)
+    return _matched(maps[source], maps[target], rows)
+
+
+def junctions_of_merged(
+    document: MergedDocument, source: TopoMap, merged: TopoMap, component: int
+) -> MatchedJunctions:
+    """The junctions of a run in the fused map of its component (`component_map`)."""
+    nodes = [node for node in document.nodes if node.component == component]
+    pairs = [
+        (vertex, k) for k, node in enumerate(nodes) for vertex in node.members.get(source.run, ())
+    ]
+    return _matched(source, merged, np.array(pairs, np.int64).reshape(-1, 2))
+
+
+def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
+    """pairs: (k, 2) vertices of a and of b. No two maps agree better on a junction than the joint
+    pose graph takes them to."""
+    u, v = pairs.T
+    share = np.stack([1 / _passes(a)[u], 1 / _passes(b)[v]])
+    noise = a.measured, b.measured
+    both = np.array([n.centre_m**2 for n in noise]) @ share
+    heading_b, heading_a = padded_branches(b)[v], padded_branches(a)[u]
+    start = fit_rigid(b.xy[v], a.xy[u])[2] if len(pairs) > 1 else 0.0
+    if len(pairs) == 1:
+        start = _likeliest_turn(heading_b[0], heading_a[0])
+    expected = np.full(len(pairs), start)
+    turn, count = measured_turn(heading_b, heading_a, expected, DEFAULT_JOINT.branch_gate_rad)
+    spread = np.array([n.branch_rad**2 for n in noise]) @ share / np.maximum(count, 1)
+    turning = sum(n.heading_rad_per_sqrt_m**2 for n in noise)
+    length = float(np.median(np.concatenate([a.length, b.length, [1.0]])))
+    # A corridor errs along by its own walk, across by what its heading walks: sigma² L² / 3.
+    bending = sum(n.along_m_per_sqrt_m**2 for n in noise) + turning * length**2 / 3
+    return MatchedJunctions(
+        source=a.xy[u],
+        target=b.xy[v],
+        sigma=np.sqrt(both + DEFAULT_JOINT.min_position_m**2),
+        turn=turn,
+        turn_sigma=np.where(count > 0, np.sqrt(spread + DEFAULT_JOINT.min_heading_rad**2), np.inf),
+        bending=bending,
+        turning=turning,
+    )
+
+
+def _passes(topomap: TopoMap) -> IntArray:
+    return np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
+
+
+def _likeliest_turn(heading_b: FloatArray, heading_a: FloatArray) -> float:
+    """The turn by which most branches of one junction fit those of its only counterpart best."""
+    b, a = heading_b[~np.isnan(heading_b)], heading_a[~np.isnan(heading_a)]
+    if not len(b) or not len(a):
+        return 0.0
+    turns = wrap(b[:, None] - a).ravel()
+    off = np.abs(wrap(b[:, None] - a[None, :] - turns[:, None, None])).min(axis=2).sum(axis=1)
+    return float(turns[off.argmin()])
+
+
+def transfer(
+    points: FloatArray, matched: MatchedJunctions, settings: TransferSettings = DEFAULT_TRANSFER
+) -> Transferred:
+    """Carry points (p, 2) of the source map to the target map.
+
+    Raises ValueError if there is no matched junction. O(p n³) for n neighbours.
+    """
+    if len(matched) == 0:
+        raise ValueError("the two maps have no junction in common")
+    points = np.asarray(points, np.float64).reshape(-1, 2)
+    bending = _bending(matched, settings)
+    count = min(settings.neighbours, len(matched))
+    tree = cKDTree(matched.source)
+    distance, rows = tree.query(points, k=count)
+    rows = np.asarray(rows, np.int64).reshape(len(points), count)
+    nearest = np.asarray(distance).reshape(len(points), count)[:, 0]
+    xy, variance, turn, turn_variance = _carried(points, matched, rows, bending)
+    return Transferred(xy, turn, np.sqrt(variance), np.sqrt(turn_variance), nearest)
+
+
+def _carried(
+    points: FloatArray,
+    matched: MatchedJunctions,
+    rows: IntArray,
+    bending: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Points (p, 2) through their junctions, rows: (p, n): where they are, with the mean variance
+    of the two coordinates, and the turn with its variance.
+
+    All points at once: (p, 2 n, 2 n) covariances of what the junctions say, one solve.
+    """
+    arm = matched.source[rows] - points[:, None]
+    away = np.hypot(arm[..., 0], arm[..., 1])
+    weight = 1 / (matched.turn_sigma[rows] ** 2 + matched.turning * away)
+    # A turn that no branch tells is anything.
+    total = np.maximum(weight.sum(axis=1), 1 / np.pi**2)
+    first = matched.turn[rows[:, :1]]
+    turn = first[:, 0] + (weight * wrap(matched.turn[rows] - first)).sum(axis=1) / total
+    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    turned = np.stack([c * arm[..., 0] - s * arm[..., 1], s * arm[..., 0] + c * arm[..., 1]], -1)
+    said = matched.target[rows] - turned
+    between = matched.source[rows][:, :, None] - matched.source[rows][:, None]
+    apart = np.hypot(between[..., 0], between[..., 1])
+    # A random walk seen from the point: what two junctions share of the way counts for both.
+    walk = 0.5 * bending * (away[:, :, None] + away[:, None] - apart)
+    own = matched.sigma[rows] ** 2
+    n = rows.shape[1]
+    walk = walk + own[:, :, None] * np.eye(n)
+    # Turning by too much moves what is said across the arm, all by one angle.
+    across = np.stack([-turned[..., 1], turned[..., 0]], axis=-1)
+    covariance = np.einsum("pij,ab->piajb", walk, np.eye(2))
+    covariance = covariance + np.einsum("pia,pjb,p->piajb", across, across, 1 / total)
+    flat = covariance.reshape(len(points), 2 * n, 2 * n)
+    design = np.broadcast_to(np.tile(np.eye(2), (n, 1)), (len(points), 2 * n, 2))
+    weighted = np.linalg.solve(flat, design)
+    normal = np.einsum("pka,pkb->pab", design, weighted)
+    right = np.einsum("pka,pk->pa", weighted, said.reshape(len(points), 2 * n))
+    inverse = np.linalg.inv(normal)
+    xy = np.einsum("pab,pb->pa", inverse, right)
+    variance = np.trace(inverse, axis1=1, axis2=2) / 2
+    return xy, variance, np.asarray(wrap(turn)), 1 / total
+
+
+def _bending(matched: MatchedJunctions, settings: TransferSettings) -> float:
+    """Variance per metre by which two maps bend apart: the most likely one, given how well every
+    matched junction is carried by the others and what the noise of the maps suggests."""
+    k = len(matched)
+    if k < 3:
+        return matched.bending
+    count = min(settings.neighbours, k - 1)
+    _, rows = cKDTree(matched.source).query(matched.source, k=count + 1)
+    rows = np.asarray(rows, np.int64)
+    own = rows == np.arange(k)[:, None]
+    own[~own.any(axis=1), -1] = True  # junctions in one spot: leave the farthest out instead
+    others = rows[~own].reshape(k, count)
+    best, best_score = matched.bending, -np.inf
+    for step in np.linspace(-4.0, 4.0, 33):
+        bending = float(matched.bending * np.exp(step))
+        xy, variance, *_ = _carried(matched.source, matched, others, bending)
+        spread = variance + matched.sigma**2
+        off = ((xy - matched.target) ** 2).sum(axis=1)
+        # Junctions carry one another, so what they say is not independent: half the likelihood.
+        score = -0.5 * float((off / (2 * spread) + np.log(spread)).sum())
+        score -= 0.5 * (step / settings.prior_log_sigma) ** 2
+        if score > best_score:
+            best, best_score = bending, score
+    return best

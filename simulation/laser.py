@@ -1,0 +1,242 @@
+"""The laser: scans of a world from where the robot truly is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..topology.errors import UsageError
+from ..topology.frozen import frozen_array
+from ..topology.se2 import compose
+from .chance import Chance, quantised
+from .motion import Drive
+from .raycast import NOTHING, cast_at_circles, cast_at_segments
+from .traffic import STEPS_ASIDE_M, Doors, People, hang_doors, walk_about
+from .walls import Segments, doorways, walls_of
+from .world import FloatArray, IntArray, World
+
+BoolArray = NDArray[np.bool_]
+
+SCANS_AT_ONCE = 8
+"""So many scans look for walls together: more meet more walls that only one of them sees."""
+
+PANEL_M = 2.0
+"""Walls are of one material for so long."""
+
+GLASS_SEEN = 0.97
+"""Cosine to the normal from which on glass throws a beam back."""
+
+PERSON_M = 0.2
+"""Radius of a person at the laser's height."""
+
+GRID_BITS = 8
+"""Ranges are multiples of 2^-8 m, 4 mm, as lasers give them: logs compress better."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaserSettings:
+    """The laser, what it is mounted on, and what stands and walks about."""
+
+    beams: int = 180
+    view_deg: float = 270.0
+    """Angle between the first and the last beam, half of it to each side."""
+    rate_hz: float = 5.0
+    sweep_s: float = 0.1
+    """Time between the first and the last beam of a scan: the robot drives on meanwhile."""
+    range_min_m: float = 0.1
+    range_max_m: float = 12.0
+    noise_m: float = 0.015
+    """Range, 1 sigma."""
+    lost_rate: float = 0.002
+    """Beams that come back from nowhere."""
+    mount: tuple[float, float, float] = (0.15, 0.0, 0.0)
+    """Place of the laser on the robot: x, y [m], yaw [rad]."""
+    upside_down: bool = False
+    corridor_m: float = 1.4
+    """Width of all corridors."""
+    door_share: float = 0.06
+    """Ends of corridors with a door that opens and closes."""
+    glass_share: float = 0.02
+    """Walls of glass: beams come back only where they meet it squarely."""
+    people_per_100_m: float = 0.7
+    """People walking, by the length of all corridors."""
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.beams <= 100_000:
+            raise UsageError(f"laser: beams must lie in 2 … 100000, not {self.beams}")
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, float) and not (np.isfinite(value) and value >= 0):
+                raise UsageError(f"laser: {each.name} cannot be {value}")
+        if not 1 <= self.rate_hz <= 1000 or self.sweep_s * self.rate_hz > 1:
+            raise UsageError("laser: rate_hz must lie in 1 … 1000, and leave time for a sweep")
+        if not 0 < self.view_deg < 360 or not self.range_min_m < self.range_max_m:
+            raise UsageError("laser: view_deg must lie in 0 … 360, range_min_m below range_max_m")
+        if not 0.5 <= self.corridor_m <= 2.2:
+            raise UsageError(
+                f"laser: corridor_m must lie in 0.5 … 2.2, not {self.corridor_m}: corridors of "
+                "these worlds lie 2.5 m apart"
+            )
+
+
+LASERS: Mapping[str, LaserSettings] = MappingProxyType(
+    {
+        "none": LaserSettings(door_share=0.0, glass_share=0.0, people_per_100_m=0.0, lost_rate=0.0),
+        "mild": LaserSettings(),
+        "harsh": LaserSettings(
+            noise_m=0.03, door_share=0.15, glass_share=0.06, people_per_100_m=2.0, lost_rate=0.01
+        ),
+    }
+)
+"""What surrounds the laser, by the levels of faults."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scans:
+    """Scans as recorded: time_s: (n,) of the first beam; ranges_m: (n, m) float32, inf where
+    nothing came back; angles_rad: (m,) ascending, in the laser's frame.
+
+    doors: those of the world and when they were shut, by true time.
+    """
+
+    time_s: FloatArray
+    ranges_m: NDArray[np.float32]
+    angles_rad: FloatArray
+    settings: LaserSettings
+    doors: Doors
+
+    def __post_init__(self) -> None:
+        time_s = frozen_array(self.time_s, np.float64, (None,), "time_s")
+        angles = frozen_array(self.angles_rad, np.float64, (None,), "angles_rad")
+        if self.ranges_m.shape != (len(time_s), len(angles)):
+            raise ValueError("one range per scan and beam is needed")
+        self.ranges_m.flags.writeable = False
+        object.__setattr__(self, "time_s", time_s)
+        object.__setattr__(self, "angles_rad", angles)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """All that beams can meet, and which wall is glass: panels of wall s begin at panel_at[s]."""
+
+    walls: Segments
+    glass: BoolArray
+    panel_at: IntArray
+    doors: Doors
+    people: People
+
+
+def scans(
+    world: World, drive: Drive, closed: set[int], settings: LaserSettings, chance: Chance
+) -> Scans:
+    """What the laser sees during a drive. O(scans × beams × walls in reach), vectorised."""
+    scene = _scene(world, drive, closed, settings, chance)
+    half = np.radians(0.5 * settings.view_deg)
+    angles: FloatArray = np.linspace(-half, half, settings.beams).round(9)
+    count = int((float(drive.time_s[-1]) - settings.sweep_s) * settings.rate_hz)
+    start = quantised((np.arange(count) + chance.uniform(0.0, 0.2, count)) / settings.rate_hz, 20)
+    beam_s = np.linspace(0.0, settings.sweep_s, settings.beams)
+    rows = [
+        _cast(
+            drive,
+            start[k : k + SCANS_AT_ONCE],
+            beam_s,
+            angles,
+            settings=settings,
+            scene=scene,
+        )
+        for k in range(0, count, SCANS_AT_ONCE)
+    ]
+    ranges = np.concatenate(rows) if rows else np.zeros((0, settings.beams))
+    seen = ranges + chance.normal(settings.noise_m, ranges.size).reshape(ranges.shape)
+    seen[chance.happens(settings.lost_rate, ranges.size).reshape(ranges.shape)] = np.inf
+    finite = np.isfinite(seen)
+    seen[finite] = quantised(np.maximum(seen[finite], settings.range_min_m), GRID_BITS)
+    # From range_max on, readers take a range for no echo.
+    seen[seen >= settings.range_max_m] = np.inf
+    return Scans(start, seen.astype(np.float32), angles, settings, scene.doors)
+
+
+def _scene(
+    world: World, drive: Drive, closed: set[int], settings: LaserSettings, chance: Chance
+) -> _Scene:
+    walls = walls_of(world, settings.corridor_m)
+    panels = np.floor(walls.length / PANEL_M).astype(np.int64) + 1
+    hinges = doorways(world, settings.corridor_m)
+    crowd = round(settings.people_per_100_m * float(world.length.sum()) / 100)
+    return _Scene(
+        walls,
+        chance.happens(settings.glass_share, int(panels.sum())),
+        np.cumsum(panels) - panels,
+        hang_doors(hinges, drive, closed, settings.door_share, chance),
+        walk_about(world, closed, crowd, float(drive.time_s[-1]) + 1.0, chance),
+    )
+
+
+def _cast(
+    drive: Drive,
+    start_s: FloatArray,
+    beam_s: FloatArray,
+    angles: FloatArray,
+    *,
+    settings: LaserSettings,
+    scene: _Scene,
+) -> FloatArray:
+    """(n, m) true ranges of a few scans that follow on one another, inf where nothing is met."""
+    time_s = (start_s[:, None] + beam_s).ravel()
+    robot = drive.at(time_s)
+    laser = compose(robot, np.array(settings.mount))
+    turn = -angles if settings.upside_down else angles
+    heading = laser[:, 2] + np.tile(turn, len(start_s))
+    direction = quantised(np.column_stack([np.cos(heading), np.sin(heading)]), 40)
+    origin = quantised(laser[:, :2], 26)
+    low = origin.min(axis=0) - settings.range_max_m
+    high = origin.max(axis=0) + settings.range_max_m
+    walls = _reached(scene.walls, low, high)
+    way, wall, at = cast_at_segments(origin, direction, _rows(scene.walls, walls))
+    way = np.where(_through_glass(direction, wall, at, walls, scene), np.inf, way)
+    doors = _reached(scene.doors.walls, low, high)
+    shut = np.repeat(scene.doors.shut(start_s)[:, doors], len(beam_s), axis=0)
+    to_door, _, _ = cast_at_segments(origin, direction, _rows(scene.doors.walls, doors), shut)
+    people = np.repeat(_people_seen(scene.people, start_s, drive), len(beam_s), axis=0)
+    to_person = cast_at_circles(origin, direction, people, PERSON_M)
+    return np.minimum(np.minimum(way, to_door), to_person).reshape(len(start_s), -1)
+
+
+def _reached(segments: Segments, low: FloatArray, high: FloatArray) -> IntArray:
+    """Numbers of the segments that may reach into a box."""
+    least, most = np.minimum(segments.a, segments.b), np.maximum(segments.a, segments.b)
+    return np.flatnonzero(((least <= high) & (most >= low)).all(axis=1)).astype(np.int64)
+
+
+def _rows(segments: Segments, which: IntArray) -> Segments:
+    return Segments(segments.a[which], segments.b[which])
+
+
+def _through_glass(
+    direction: FloatArray, wall: IntArray, at: FloatArray, numbers: IntArray, scene: _Scene
+) -> BoolArray:
+    """(r,) which beams meet glass and do not come back; wall, at: as met, among `numbers`."""
+    met = wall != NOTHING
+    lost = np.zeros(len(wall), np.bool_)
+    number = numbers[wall[met]]
+    panel = scene.panel_at[number] + np.floor(at[met] / PANEL_M).astype(np.int64)
+    along = (scene.walls.b - scene.walls.a)[number] / scene.walls.length[number, None]
+    squarely = np.abs(direction[met, 0] * along[:, 1] - direction[met, 1] * along[:, 0])
+    lost[met] = scene.glass[panel] & (squarely < GLASS_SEEN)
+    return lost
+
+
+def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray:
+    """(n, p, 2) where people are; who is in the robot's way is put where no beam goes."""
+    xy = people.at(time_s)
+    near = np.hypot(*np.moveaxis(xy - drive.at(time_s)[:, None, :2], -1, 0)) < STEPS_ASIDE_M
+    xy[near] = 1e9
+    return xy

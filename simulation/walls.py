@@ -1,0 +1,257 @@
+"""The walls of a world: corridors of one width, rooms at dead ends, doors in corridors' mouths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..topology.frozen import frozen_array
+from ..topology.se2 import wrap
+from .world import FloatArray, IntArray, World, polyline_at
+
+ROUND = 12
+"""Corners of the polygon that stands for the round of a junction: none has more."""
+
+BEND_M = 0.02
+"""A curved corridor is cut into straight pieces that stay this near to it."""
+
+LARGEST_ROOM_M = 1.5
+"""Half the side of a room at a dead end, where there is so much space."""
+
+THINNEST_WALL_M = 0.15
+
+INSIDE_M = 1e-6
+"""What lies this deep within another part of the free space is no wall."""
+
+SHORTEST_WALL_M = 1e-3
+
+DOORWAY_M = 0.25
+"""How far into its corridor a door hangs, from where the corridor leaves the junction's room."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Straight walls from a: (s, 2) to b: (s, 2) [m]."""
+
+    a: FloatArray
+    b: FloatArray
+
+    def __post_init__(self) -> None:
+        a = frozen_array(self.a, np.float64, (None, 2), "a")
+        object.__setattr__(self, "a", a)
+        object.__setattr__(self, "b", frozen_array(self.b, np.float64, (len(a), 2), "b"))
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    @property
+    def length(self) -> FloatArray:
+        """(s,) [m]."""
+        return np.asarray(np.hypot(*(self.b - self.a).T))
+
+
+def walls_of(world: World, corridor_m: float) -> Segments:
+    """The outline of the free space of a world whose corridors are so wide. O(n log n).
+
+    What of the corridors' sides and of the junctions' edges lies inside of no part of the free
+    space is wall.
+    """
+    half = 0.5 * corridor_m
+    parts = free_space(world, corridor_m)
+    rooms = parts[: len(world)]
+    sides = [
+        step
+        for path in world.paths
+        for side in _offset(_simplified(path), half)
+        for step in _steps(side)
+    ]
+    edges = np.array([*sides, *(step for room in rooms for step in _steps(_ring(room)))])
+    inside = _HalfPlanes.of(parts)
+    left_over = [_outside(start, end, inside) for start, end in edges]
+    a, b = np.concatenate(left_over).transpose(1, 0, 2)
+    return Segments(a, b)
+
+
+def free_space(world: World, corridor_m: float) -> list[FloatArray]:
+    """Convex polygons (k, 2), counter-clockwise, whose union is free: first one for every vertex.
+
+    About a junction it is a square where all corridors meet at right angles, about a dead end a
+    room as large as its neighbours leave it. The others are straight pieces of corridors.
+    """
+    half = 0.5 * corridor_m
+    parts = [_junction(world, vertex, half) for vertex in range(len(world))]
+    for path in world.paths:
+        left, right = _offset(_simplified(path), half)
+        parts += [
+            np.array([right[k], right[k + 1], left[k + 1], left[k]]) for k in range(len(left) - 1)
+        ]
+    return parts
+
+
+def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray, IntArray]:
+    """Where doors may hang: one across each end of every corridor; its corridor, and its vertex.
+
+    A door hangs where the corridor has left its junction's room for good.
+    """
+    half = 0.5 * corridor_m
+    a, b, edges, vertices = [], [], [], []
+    for edge in range(len(world.source)):
+        for vertex in (int(world.source[edge]), int(world.target[edge])):
+            if world.branches.counts[vertex] < 2:
+                continue
+            path = world.path_from(edge, vertex)
+            way = half / np.tan(0.5 * min(_to_neighbour(world, edge, vertex), np.pi / 2))
+            way = min(float(way) + DOORWAY_M, 0.4 * float(world.length[edge]))
+            at = polyline_at(path, np.array([way, way + 0.05]))
+            across = _left_of(at[1] - at[0])
+            a.append(at[0] - half * across)
+            b.append(at[0] + half * across)
+            edges.append(edge)
+            vertices.append(vertex)
+    doors = Segments(np.array(a).reshape(-1, 2), np.array(b).reshape(-1, 2))
+    return doors, np.array(edges, np.int64), np.array(vertices, np.int64)
+
+
+def _to_neighbour(world: World, edge: int, vertex: int) -> float:
+    """Angle [rad] between a corridor and the next one at its vertex."""
+    ends = world.ends(vertex)
+    own = next(heading for e, _, heading in ends if e == edge)
+    return min(abs(float(wrap(heading - own))) for e, _, heading in ends if e != edge)
+
+
+def _junction(world: World, vertex: int, half: float) -> FloatArray:
+    """(k, 2) convex polygon, counter-clockwise: the free space about a vertex."""
+    headings, xy = world.branches[vertex], world.xy[vertex]
+    if len(headings) == 1:
+        room = max(half, _room_for(world, vertex, half))
+        return _square(xy, room, float(headings[0]))
+    if _at_right_angles(headings):
+        return _square(xy, half, float(headings[0]))
+    return _round(xy, half)
+
+
+def _simplified(path: FloatArray) -> FloatArray:
+    """The points of a polyline that it needs to stay within BEND_M of itself (Douglas, Peucker)."""
+    if len(path) < 3:
+        return path
+    along = path[-1] - path[0]
+    off = np.abs((path - path[0]) @ _left_of(along))
+    far = int(off.argmax())
+    if off[far] <= BEND_M:
+        return path[[0, -1]]
+    return np.concatenate([_simplified(path[: far + 1])[:-1], _simplified(path[far:])])
+
+
+def _offset(path: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+    """The left and the right side of a corridor, mitred at its bends."""
+    normals = np.array([_left_of(step) for step in np.diff(path, axis=0)])
+    at_bends = normals[:-1] + normals[1:]
+    mitre = 2 * at_bends / np.sum(at_bends**2, axis=1)[:, None]
+    across = half * np.concatenate([normals[:1], mitre, normals[-1:]])
+    return path + across, path - across
+
+
+def _ring(polygon: FloatArray) -> FloatArray:
+    return np.concatenate([polygon, polygon[:1]])
+
+
+def _steps(line: FloatArray) -> list[FloatArray]:
+    """(2, 2) begin and end of every step of a polyline."""
+    return [line[k : k + 2] for k in range(len(line) - 1)]
+
+
+def _left_of(step: FloatArray) -> FloatArray:
+    """(2,) unit vector to the left of a step."""
+    return np.asarray(np.array([-step[1], step[0]]) / np.hypot(*step))
+
+
+def _round(centre: FloatArray, radius: float) -> FloatArray:
+    angle = 2 * np.pi * np.arange(ROUND) / ROUND
+    return centre + radius * np.round(np.column_stack([np.cos(angle), np.sin(angle)]), 12)
+
+
+def _square(centre: FloatArray, half: float, heading: float) -> FloatArray:
+    ahead = np.round(np.array([np.cos(heading), np.sin(heading)]), 12)
+    left = np.array([-ahead[1], ahead[0]])
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return np.array([centre + half * (u * ahead + v * left) for u, v in corners])
+
+
+def _at_right_angles(headings: FloatArray) -> bool:
+    quarter = np.asarray(wrap(4 * (headings - headings[0])))
+    return bool(np.all(np.abs(quarter) < 4e-3))
+
+
+def _room_for(world: World, vertex: int, half: float) -> float:
+    """Half the side of a room about a dead end that meets no other room and no corridor."""
+    here = world.xy[vertex]
+    others = [
+        float(np.min(np.hypot(*(polyline_at(path, _spaced(path)) - here).T)))
+        for edge, path in enumerate(world.paths)
+        if vertex not in (world.source[edge], world.target[edge])
+    ]
+    rooms = np.flatnonzero(world.branches.counts == 1)
+    away = np.hypot(*(world.xy[rooms[rooms != vertex]] - here).T)
+    own = float(world.length[world.branch_edge[world.branches.offsets[vertex]]])
+    to_corridor = min([*others, own]) - half - THINNEST_WALL_M
+    to_room = 0.5 * (float(away.min(initial=np.inf)) - THINNEST_WALL_M)
+    # A corner is farther out than a wall.
+    return min(LARGEST_ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
+
+
+def _spaced(path: FloatArray) -> FloatArray:
+    way = float(np.sum(np.hypot(*np.diff(path, axis=0).T)))
+    return np.linspace(0.0, way, int(way / 0.5) + 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _HalfPlanes:
+    """Convex polygons as outward normals (p, ROUND, 2) and offsets (p, ROUND), and their boxes.
+
+    A point is inside where n·x ≤ c for all; missing sides are 0·x ≤ 1.
+    """
+
+    normal: FloatArray
+    offset: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, polygons: list[FloatArray]) -> _HalfPlanes:
+        normal, offset = np.zeros((len(polygons), ROUND, 2)), np.ones((len(polygons), ROUND))
+        for k, polygon in enumerate(polygons):
+            side = np.roll(polygon, -1, axis=0) - polygon
+            outwards = np.column_stack([side[:, 1], -side[:, 0]]) / np.hypot(*side.T)[:, None]
+            normal[k, : len(polygon)] = outwards
+            offset[k, : len(polygon)] = np.sum(outwards * polygon, axis=1) - INSIDE_M
+        low, high = (np.array([f(p, axis=0) for p in polygons]) for f in (np.min, np.max))
+        return cls(normal, offset, low, high)
+
+
+def _outside(start: FloatArray, end: FloatArray, inside: _HalfPlanes) -> FloatArray:
+    """(k, 2, 2) the parts of a segment that lie inside of no polygon."""
+    least, most = np.minimum(start, end), np.maximum(start, end)
+    near = ((inside.low <= most) & (inside.high >= least)).all(axis=1)
+    normal = inside.normal[near]
+    depth = inside.offset[near] - normal @ start
+    rate = normal @ (end - start)
+    parallel = np.abs(rate) < 1e-12
+    t = depth / np.where(parallel, 1.0, rate)
+    t0 = np.max(np.where(~parallel & (rate < 0), t, 0.0), axis=1, initial=0.0)
+    t1 = np.min(np.where(~parallel & (rate > 0), t, 1.0), axis=1, initial=1.0)
+    hidden = (t0 < t1) & ~(parallel & (depth < 0)).any(axis=1)
+    ends = np.array(_left_open(t0[hidden].tolist(), t1[hidden].tolist())).reshape(-1, 2, 1)
+    parts: FloatArray = start + ends * (end - start)
+    long = np.hypot(*(parts[:, 1] - parts[:, 0]).T) > SHORTEST_WALL_M
+    return np.asarray(parts[long])
+
+
+def _left_open(begins: list[float], ends: list[float]) -> list[tuple[float, float]]:
+    """What the given intervals leave of 0 … 1."""
+    at, left = 0.0, []
+    for t0, t1 in sorted(zip(begins, ends, strict=True)):
+        if t0 > at:
+            left.append((at, t0))
+        at = max(at, t1)
+    return [*left, (at, 1.0)] if at < 1.0 else left

@@ -1,0 +1,176 @@
+"""`topobatch draw`, `topobatch report`: what is written, and what is said where nothing can be."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def ready(logs, tmp_path_factory):
+    """A workspace of two overlapping runs, not merged yet."""
+    place = tmp_path_factory.mktemp("ready")
+    code = "from topobatch.cli.main import main; main()"
+    call = [sys.executable, "-c", code, "ingest", logs["mcap"], logs["other"], "-w", place, "-q"]
+    subprocess.run(call, check=True)
+    return place
+
+
+@pytest.fixture
+def workspace(ready, tmp_path):
+    return shutil.copytree(ready, tmp_path / "ws")
+
+
+@pytest.fixture
+def merged(topobatch, workspace):
+    topobatch("merge", "--all", "-w", workspace, "-q")
+    return workspace
+
+
+def runs_of(workspace) -> list[str]:
+    return sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+
+
+def test_a_run_a_merge_and_a_pair_are_drawn(topobatch, merged, tmp_path) -> None:
+    a, b = runs_of(merged)
+    for what, name in ((a, "map.svg"), ("merged", "all.PNG"), (f"{b}:{a}", "pair.svg")):
+        done = topobatch("draw", what, tmp_path / "new" / name, "-w", merged)
+        assert done.code == 0, done
+        assert done.out.strip() == str(tmp_path / "new" / name)
+    assert (tmp_path / "new" / "all.PNG").read_bytes().startswith(b"\x89PNG")
+    assert f"{a} and {b}:" in (tmp_path / "new" / "pair.svg").read_text()
+    light = (tmp_path / "new" / "map.svg").read_bytes()
+    topobatch("draw", a, tmp_path / "again.svg", "-w", merged)
+    assert (tmp_path / "again.svg").read_bytes() == light
+    topobatch("draw", a, tmp_path / "dark.svg", "-w", merged, "--theme", "dark")
+    assert (tmp_path / "dark.svg").read_bytes() != light
+
+
+def test_a_merge_of_another_name_is_drawn(topobatch, merged, tmp_path) -> None:
+    a, _ = runs_of(merged)
+    topobatch("merge", a, "--output", "one", "-w", merged)
+    assert topobatch("draw", "one", tmp_path / "one.svg", "-w", merged).code == 0
+    assert "1 run in 1 component" in (tmp_path / "one.svg").read_text()
+
+
+def test_what_cannot_be_drawn_is_said(topobatch, workspace, tmp_path) -> None:
+    a, b = runs_of(workspace)
+    out = tmp_path / "x.svg"
+    assert "topobatch merge --all" in topobatch("draw", "merged", out, "-w", workspace).error(1)
+    error = topobatch("draw", "nobody", out, "-w", workspace).error(2)
+    assert "no run, merge or pair A:B" in error
+    assert a in error
+    assert b in error
+    assert "two runs" in topobatch("draw", f"{a}:{a}", out, "-w", workspace).error(2)
+    error = topobatch("draw", a, tmp_path / "x.pdf", "-w", workspace).error(2)
+    assert "ends in .svg or .png" in error
+    assert "topobatch ingest" in topobatch("draw", a, out, "-w", tmp_path / "none").error(1)
+    assert not out.exists()
+
+
+def test_a_pair_is_drawn_before_it_was_merged(topobatch, workspace, tmp_path) -> None:
+    a, b = runs_of(workspace)
+    assert topobatch("draw", f"{a}:{b}", tmp_path / "x.svg", "-w", workspace).code == 0
+
+
+def test_a_merge_that_names_what_it_lacks_is_refused(topobatch, merged, tmp_path) -> None:
+    path = merged / "merged.json"
+    document = json.loads(path.read_bytes())
+    for key, value in (("component", 77), ("x", 1e300)):
+        broken = json.loads(path.read_bytes())
+        broken["nodes"][0][key] = value
+        path.write_text(json.dumps(broken))
+        error = topobatch("draw", "merged", tmp_path / "x.svg", "-w", merged).error(1)
+        assert "merged.json" in error
+        assert topobatch("report", "-w", merged).code == 1
+        path.write_text(json.dumps(document))
+    broken["nodes"][0] = document["nodes"][0]
+    broken["edges"][0]["source"] = 10**6
+    path.write_text(json.dumps(broken))
+    assert "no node" in topobatch("draw", "merged", tmp_path / "x.svg", "-w", merged).error(1)
+
+
+def test_a_report_is_written_where_asked(topobatch, merged, tmp_path) -> None:
+    done = topobatch("report", "-w", merged)
+    assert done.code == 0
+    page = merged / "report.html"
+    assert done.out.strip() == str(page)
+    html = page.read_text()
+    for run in runs_of(merged):
+        assert run in html
+    topobatch("report", tmp_path / "r.html", "-w", merged)
+    assert (tmp_path / "r.html").read_bytes() == page.read_bytes()
+    assert "ends in .html" in topobatch("report", tmp_path / "r.txt", "-w", merged).error(2)
+    assert "--output" in topobatch("report", "--merge", "nix", "-w", merged).error(2)
+    assert "topobatch ingest" in topobatch("report", "-w", tmp_path / "none").error(1)
+
+
+def test_a_report_tells_of_a_broken_map_and_goes_on(topobatch, merged) -> None:
+    a, b = runs_of(merged)
+    (merged / "maps" / f"{a}.json").write_text("{")
+    done = topobatch("report", "-w", merged)
+    assert done.code == 1
+    assert f"{a}.json" in done.err
+    html = (merged / "report.html").read_text()
+    assert f"The map of {a} cannot be read" in html
+    assert b in html
+
+
+def test_a_report_before_the_first_merge(topobatch, workspace) -> None:
+    assert topobatch("report", "-w", workspace).code == 0
+    assert "not merged yet" in (workspace / "report.html").read_text()
+
+
+@pytest.mark.skipif(
+    sys.platform == "win32" or not hasattr(os, "geteuid") or os.geteuid() == 0,
+    reason="root may write everywhere",
+)
+def test_a_workspace_that_cannot_be_written_answers(topobatch, merged, tmp_path) -> None:
+    workspace = merged
+    a, b = runs_of(workspace)
+    folders = [workspace, *(p for p in workspace.rglob("*") if p.is_dir())]
+    for folder in folders:
+        folder.chmod(0o555)
+    try:
+        done = topobatch("explain", a, b, "-w", workspace)
+        assert done.code == 0
+        assert "bits of evidence" in done.out
+        assert "not written" in done.err
+        assert topobatch("view", a, "-w", workspace).code == 0
+        assert topobatch("draw", a, tmp_path / "a.svg", "-w", workspace).code == 0
+        assert topobatch("report", tmp_path / "r.html", "-w", workspace).code == 0
+        assert "Permission denied" in topobatch("report", "-w", workspace).error(1)
+    finally:
+        for folder in folders:
+            folder.chmod(0o755)
+
+
+def test_no_answer_takes_a_write(topobatch, merged, tmp_path, monkeypatch) -> None:
+    """As above for whoever runs the tests: nothing can be written into the workspace."""
+    import tempfile
+
+    a, b = runs_of(merged)
+    before = {p: p.stat().st_mtime_ns for p in merged.rglob("*")}
+    made = tempfile.mkstemp
+
+    def mkstemp(**how):
+        if str(how["dir"]).startswith(str(merged)):
+            raise PermissionError(13, "Permission denied", str(how["dir"]))
+        return made(**how)
+
+    monkeypatch.setattr(tempfile, "mkstemp", mkstemp)
+    shutil.rmtree(merged / "explain", ignore_errors=True)
+    done = topobatch("explain", a, b, "-w", merged)
+    assert done.code == 0
+    assert "bits of evidence" in done.out
+    assert "not written: Permission denied" in done.err
+    assert topobatch("draw", "merged", tmp_path / "m.svg", "-w", merged).code == 0
+    assert topobatch("report", tmp_path / "r.html", "-w", merged).code == 0
+    assert "Permission denied" in topobatch("report", "-w", merged).error(1)
+    after = {p: p.stat().st_mtime_ns for p in merged.rglob("*.json")}
+    assert after == {p: t for p, t in before.items() if p.suffix == ".json"}

@@ -1,0 +1,170 @@
+"""`topobatch export`: which files it writes, and what it says."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from topobatch.topology.document import read_json, write_json
+
+
+@pytest.fixture(scope="module")
+def filled(logs, tmp_path_factory):
+    """A workspace of two runs that share too little to be merged by so short drives, or enough."""
+    from topobatch.cli.ingest_worker import IngestJob, ingest_one
+    from topobatch.cli.workspace import Workspace
+    from topobatch.ingest.mapping import MappingSettings
+    from topobatch.ingest.reading import ReadSettings
+    from topobatch.merge.document import write_merged
+    from topobatch.merge.merging import merge_maps
+
+    place = Workspace(tmp_path_factory.mktemp("export") / "ws")
+    for log in (logs["mcap"], logs["other"]):
+        job = IngestJob(log, log.stem, place, ReadSettings(), MappingSettings(), False)
+        assert ingest_one(job, lambda more: None).status == "done"
+    write_merged(place.merged_json, merge_maps([place.read_map(run) for run in place.runs()]))
+    return place
+
+
+def run_of(place) -> str:
+    return place.runs()[0]
+
+
+@pytest.mark.parametrize(
+    ("form", "endings"),
+    [
+        ("nav2", [".geojson"]),
+        ("lif", [".lif.json"]),
+        ("rmf", [".rmf.yaml"]),
+        ("tmap2", [".tmap2.yaml"]),
+        ("graphml", [".graphml"]),
+        ("g2o", [".g2o"]),
+        ("tum", [".corrected.tum", ".recorded.tum"]),
+        ("csv", [".corridors.csv", ".junctions.csv"]),
+    ],
+)
+def test_a_run_goes_to_the_exports_of_its_workspace(topobatch, filled, form, endings) -> None:
+    run = run_of(filled)
+    shown = topobatch("export", run, "-f", form, "-w", filled.root)
+    assert (shown.code, shown.err) == (0, "")
+    paths = [filled.exports / f"{run}{ending}" for ending in endings]
+    assert sorted(shown.out.split()) == [str(path) for path in paths]
+    assert all(path.stat().st_size > 100 for path in paths)
+
+
+def test_components_go_to_files_of_their_own(topobatch, filled, tmp_path) -> None:
+    document = read_json(filled.merged_json)
+    ids = [c["id"] for c in document["graph"]["components"]]
+    out = tmp_path / "site.json"
+    shown = topobatch("export", "merged", "-f", "nav2", "-o", out, "-w", filled.root)
+    assert shown.code == 0
+    if len(ids) > 1:
+        assert "share no frame" in shown.err
+        expected = [tmp_path / f"site-{c}.json" for c in ids]
+    else:
+        expected = [out]
+    assert sorted(tmp_path.iterdir()) == expected
+    one = topobatch(
+        "export", "merged", "-f", "nav2", "-o", "-", "--component", ids[-1], "-w", filled.root
+    )
+    assert json.loads(one.out) == json.loads(expected[-1].read_text())
+    assert one.err == ""
+
+
+def test_the_calls_that_cannot_be(topobatch, filled, tmp_path) -> None:
+    run, w = run_of(filled), ("-w", filled.root)
+    for call, told in (
+        (["nobody", "-f", "nav2"], "no map of nobody"),
+        ([run, "-f", "nav2", "--component", "0"], "goes with the merged map"),
+        (["merged", "-f", "nav2", "--component", "77"], "there is no component 77"),
+        ([run, "-f", "csv", "-o", "-"], "do not go to the standard output"),
+        ([run, "-f", "nav2", "--log", "x.mcap"], "goes with --format tum"),
+    ):
+        assert told in topobatch("export", *call, *w).error(2)
+    told = topobatch("export", "merged", "-f", "nav2", "-w", tmp_path).error(1)
+    assert "topobatch merge --all" in told
+
+
+def test_a_log_that_is_gone_is_asked_for(topobatch, filled, logs, tmp_path) -> None:
+    run = run_of(filled)
+    record = filled.ingest_record(run)
+    kept = record.read_text()
+    try:
+        write_json(record, json.loads(kept) | {"log": str(tmp_path / "gone.mcap")})
+        told = topobatch("export", run, "-f", "tum", "-w", filled.root).error(1)
+        assert "gone.mcap" in told
+        assert "--log" in told
+        record.unlink()
+        assert "--log" in topobatch("export", run, "-f", "tum", "-w", filled.root).error(1)
+        log = next(log for log in logs.values() if log.stem == run)
+        fine = topobatch("export", run, "-f", "tum", "--log", log, "-w", filled.root)
+        assert fine.code == 0
+    finally:
+        record.write_text(kept)
+
+
+def test_maps_that_changed_since_the_merge_cost_the_times_only(topobatch, filled) -> None:
+    document = read_json(filled.merged_json)
+    component = document["graph"]["components"][0]
+    run = sorted(component["runs"])[0]
+    path = filled.map_json(run)
+    kept = path.read_text()
+    other = json.loads(kept)
+    other["nodes"][0]["observations"][0]["time_ns"] += 1
+    call = ("export", "merged", "-f", "nav2", "-o", "-", "--component", component["id"])
+    with_times = topobatch(*call, "-w", filled.root)
+    assert "abs_time_taken" in with_times.out
+    try:
+        path.write_text(json.dumps(other))
+        shown = topobatch(*call, "-w", filled.root)
+        assert shown.code == 0
+        assert f"{run} has changed since" in shown.err
+        assert "abs_time_taken" not in shown.out
+        refused = topobatch(
+            "export", "merged", "-f", "g2o", "--component", component["id"], "-w", filled.root
+        )
+        assert refused.code == 1
+        path.unlink()
+        assert f"{run}" in topobatch(*call, "-w", filled.root).err
+    finally:
+        path.write_text(kept)
+
+
+def test_the_page_lists_every_format() -> None:
+    from topobatch.cli.export import Format
+
+    page = (Path(__file__).parents[2] / "docs" / "exports.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \| `", page, re.MULTILINE)
+    assert rows == [form.value for form in Format]
+    for form in Format:
+        assert f"**{form.value}.**" in page
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (lambda d: d["nodes"][0].update(x=1e300), "farther away"),
+        (lambda d: d["edges"][0]["members"].update(ghost=[0]), "'ghost' is a member"),
+        (lambda d: d["edges"][0].update(source_branch=60), "does not have"),
+        (lambda d: d["edges"][0].update(target=9999), "joins two components"),
+    ],
+)
+@pytest.mark.parametrize("call", [["export", "merged", "-f", "nav2", "-o", "-"], ["changes"]])
+def test_merged_documents_that_contradict_themselves(  # noqa: PLR0917 - fixtures
+    topobatch, filled, tmp_path, fault, told, call
+) -> None:
+    document = read_json(filled.merged_json)
+    home = next(c for c in document["graph"]["components"] if len(c["runs"]) > 1)
+    assert document["nodes"][0]["component"] == home["id"]
+    fault(document)
+    kept = filled.merged_json.read_text()
+    try:
+        write_json(filled.merged_json, document)
+        shown = topobatch(*call, "--component", home["id"], "-w", filled.root)
+        assert shown.code == 1
+        assert told in shown.err
+    finally:
+        filled.merged_json.write_text(kept)

@@ -1,0 +1,184 @@
+"""Fleets: shares of a merge, processes and clusters that lose workers, caches that come and go."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+
+from topobatch.cli.cluster import cluster
+from topobatch.cli.workspace import Workspace
+from topobatch.merge.document import write_merged
+from topobatch.merge.merging import merge_maps
+from topobatch.merge.robust import Means
+from topobatch.merge.workers import Workers
+
+
+@pytest.fixture(scope="session")
+def fleet(tmp_path_factory, fleet_maps):
+    """A workspace with the maps of 18 runs in three buildings, and what merging them gives."""
+    root = tmp_path_factory.mktemp("fleet")
+    fleet_maps(root / "maps", 18)
+    place = Workspace(root)
+    write_merged(root / "expected", merge_maps([place.read_map(run) for run in place.runs()]))
+    return root
+
+
+@pytest.fixture
+def workspace(fleet, tmp_path):
+    shutil.copytree(fleet / "maps", tmp_path / "ws" / "maps")
+    return tmp_path / "ws"
+
+
+def same(workspace, fleet) -> bool:
+    return (workspace / "merged.json").read_bytes() == (fleet / "expected").read_bytes()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_jobs(topobatch, workspace, fleet, jobs):
+    for _ in range(2):
+        done = topobatch("merge", "--all", "-j", jobs, "-w", workspace)
+        assert done.code == 0, done
+        assert same(workspace, fleet)
+    assert "merged" in done.out
+
+
+def test_shares(topobatch, workspace, fleet):
+    pairs = 0
+    for k in (3, 1, 4, 2):
+        done = topobatch("merge", "--all", "--shard", f"{k}/4", "-j", 1, "-w", workspace)
+        assert done.code == 0, done
+        pairs += int(done.out.split(": ")[1].split()[0])
+    assert pairs == 18 * 17 // 2
+    assert not (workspace / "merged.json").exists()
+    topobatch("merge", "--all", "-j", 1, "-w", workspace)
+    assert same(workspace, fleet)
+
+
+@pytest.mark.parametrize("share", ["0/4", "5/4", "1", "a/b", "-1/2"])
+def test_shares_that_are_none(topobatch, workspace, share):
+    called = topobatch("merge", "--all", f"--shard={share}", "-w", workspace)
+    assert "--shard is" in called.error(2)
+
+
+def test_a_share_goes_with_all(topobatch, workspace):
+    assert "--all" in topobatch("merge", "--shard", "1/2", "-w", workspace).error(2)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
+def test_a_merge_that_is_killed_again_and_again(workspace, fleet):
+    """Whenever it dies, the documents are whole, and what it found in between is of use."""
+    rng = np.random.default_rng(7)
+    command = [sys.executable, "-m", "topobatch.cli", "merge", "--all", "-j", "1", "-q"]
+    for _ in range(6):
+        process = subprocess.Popen([*command, "-w", str(workspace)])
+        try:
+            process.wait(rng.uniform(0.3, 1.8))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        for path in workspace.glob("*.json"):
+            assert same(workspace, fleet), path
+    subprocess.run([*command, "-w", str(workspace)], check=True)
+    assert same(workspace, fleet)
+    assert not list(workspace.rglob("*.tmp"))
+
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        print(cluster.scheduler_address, *(w.pid for w in cluster.workers.values()), flush=True)
+        sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def dask(tmp_path):
+    """The address of a cluster of two processes, and their numbers."""
+    pytest.importorskip("distributed")
+    script = tmp_path / "cluster.py"
+    script.write_text(CLUSTER)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([sys.executable, str(script)], text=True, **pipes) as process:
+        address, *pids = process.stdout.readline().split()
+        yield address, [int(pid) for pid in pids]
+        process.stdin.close()
+
+
+def test_a_cluster_that_loses_a_worker(dask, workspace, fleet):
+    address, pids = dask
+    lost = []
+
+    def lose_one(done, of):
+        if not lost:
+            os.kill(pids[0], signal.SIGKILL)
+            lost.append((done, of))
+
+    place = Workspace(workspace)
+    maps = [place.read_map(run) for run in place.runs()]
+    means = Means(Workers(partial(cluster, address)), maps=place, on_pair=lose_one)
+    write_merged(workspace / "merged.json", merge_maps(maps, means=means))
+    assert same(workspace, fleet)
+    ((done, of),) = lost
+    assert done < of
+
+
+def test_a_cluster_by_the_command(dask, topobatch, workspace, fleet):
+    done = topobatch("merge", "--all", "--cluster", dask[0], "-w", workspace)
+    assert done.code == 0, done
+    assert same(workspace, fleet)
+
+
+def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("topobatch.cli.cluster.CONNECT_S", 1)
+    called = topobatch("merge", "--all", "--cluster", "tcp://127.0.0.1:1", "-w", workspace)
+    assert called.code == 1
+    assert "no scheduler answers" in called.err
+
+
+@pytest.fixture
+def large(monkeypatch):
+    """Eighteen runs are a large merge."""
+    monkeypatch.setattr("topobatch.merge.robust.index.MOST_PAIRS", 100)
+    monkeypatch.setattr("topobatch.merge.merging.MOST_LISTED", 100)
+
+
+def test_readers_cope_with_pairs_that_are_only_counted(topobatch, workspace, large):
+    done = topobatch("merge", "--all", "-j", 1, "-w", workspace)
+    assert done.code == 0, done
+    document = json.loads((workspace / "merged.json").read_bytes())
+    listed = {(entry["a"], entry["b"]) for entry in document["merges"]}
+    unlisted = document["graph"]["unlisted"]
+    assert sum(unlisted.values()) + len(listed) == 153
+    assert f"{unlisted['screened'] + unlisted['unrelated']} unrelated" in done.out
+    runs = sorted(run for c in document["graph"]["components"] for run in c["runs"])
+    a, b = next((a, b) for a in runs for b in reversed(runs) if a < b and (a, b) not in listed)
+    told = topobatch("explain", a, b, "-w", workspace)
+    assert told.code == 0, told
+    assert told.out.startswith(f"{a} and {b}: unrelated")
+    assert "did not have both" not in told.out + told.err
+    told = topobatch("explain", a, b, "--json", "-w", workspace)
+    assert json.loads(told.out)["merged"] is True
+    assert json.loads(told.out)["threshold_bits"] == pytest.approx(17.22, abs=0.01)
+
+
+def test_shares_of_a_large_merge(topobatch, workspace, large):
+    topobatch("merge", "--all", "-j", 1, "-w", workspace)
+    whole = (workspace / "merged.json").read_bytes()
+    shutil.rmtree(workspace / "cache")
+    for k in (1, 2):
+        topobatch("merge", "--all", "--shard", f"{k}/2", "-j", 1, "-w", workspace)
+    topobatch("merge", "--all", "-j", 1, "-w", workspace)
+    assert (workspace / "merged.json").read_bytes() == whole

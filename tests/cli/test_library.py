@@ -1,0 +1,81 @@
+"""`import topobatch`: what it offers, that its examples are right, and that it costs nothing."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import topobatch
+from topobatch.cli import library
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "library.md"
+
+
+def test_examples_of_the_docstrings_are_right(monkeypatch) -> None:
+    monkeypatch.chdir(ROOT)
+    failed, tried = doctest.testmod(library, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert failed == 0
+    assert tried > 6
+
+
+def test_examples_of_the_page_are_right(monkeypatch, tmp_path) -> None:
+    """All blocks of docs/library.md, one after the other, as a reader would type them."""
+    monkeypatch.chdir(ROOT)
+    text = PAGE.read_text()
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert len(blocks) >= 5
+    joined = "\n".join(blocks).replace('"out"', repr(str(tmp_path / "out")))
+    test = doctest.DocTestParser().get_doctest(joined, {}, PAGE.name, str(PAGE), 0)
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
+    said: list[str] = []
+    runner.run(test, out=said.append)
+    assert runner.failures == 0, "".join(said)
+
+
+@pytest.mark.parametrize("name", topobatch.__all__)
+def test_everything_offered_is_described(name) -> None:
+    assert getattr(library, name).__doc__
+    assert name in PAGE.read_text()
+    assert callable(getattr(topobatch, name))
+
+
+def test_folders_stay_folders_and_can_be_called() -> None:
+    code = (
+        "import topobatch\n"
+        "assert callable(topobatch.ingest) and callable(topobatch.merge)\n"
+        "import topobatch.ingest.mapping, topobatch.merge.merging\n"
+        "from topobatch import ingest, merge\n"
+        "assert ingest is topobatch.ingest and callable(ingest) and callable(merge)\n"
+        "assert callable(topobatch.ingest.mapping.build_map)\n"
+        "try: topobatch.nothing\n"
+        "except AttributeError as error: assert 'nothing' in str(error)\n"
+        "else: raise SystemExit(1)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_importing_it_loads_nothing() -> None:
+    code = (
+        "import sys; before = set(sys.modules); import topobatch\n"
+        "own = {m for m in sys.modules if m.split('.')[0] == 'topobatch'}\n"
+        "print(sorted(own), 'numpy' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['topobatch'] False"
+
+
+def test_calls_that_cannot_be(tmp_path) -> None:
+    from topobatch.topology.errors import LogError, TopobatchError, UsageError
+
+    with pytest.raises(LogError, match="nowhere"):
+        topobatch.ingest(tmp_path / "nowhere.mcap")
+    with pytest.raises(UsageError, match="false_merge_rate"):
+        topobatch.merge([], false_merge_rate=2.0)
+    with pytest.raises(TopobatchError):
+        topobatch.read_map(tmp_path / "nowhere.json")

@@ -1,0 +1,223 @@
+"""Seeing runs and taking them back: list, discard, rename, history, completion, info of many."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+from topobatch.cli.options import complete_run
+from topobatch.topology.document import read_json
+
+
+@pytest.fixture
+def merged(topobatch, building_maps, tmp_path):
+    shutil.copytree(building_maps, tmp_path / "ws" / "maps")
+    done = topobatch("merge", "--all", "-j", 1, "-q", "-w", tmp_path / "ws")
+    assert done.code == 0, done
+    return tmp_path / "ws"
+
+
+@pytest.fixture(scope="session")
+def building_maps(tmp_path_factory, fleet_maps):
+    """A folder with the maps of five runs of one building and of two of another."""
+    folder = tmp_path_factory.mktemp("maps")
+    fleet_maps(folder, 12, keep=7)
+    return folder
+
+
+def document(workspace):
+    return json.loads((workspace / "merged.json").read_bytes())
+
+
+def entries(workspace):
+    return {(e["a"], e["b"]): e for e in document(workspace)["merges"]}
+
+
+def accepted_pair(workspace):
+    return next(pair for pair, entry in entries(workspace).items() if entry["accepted"])
+
+
+def test_list(topobatch, merged):
+    shown = topobatch("list", "-w", merged)
+    assert shown.code == 0, shown
+    lines = shown.out.splitlines()
+    assert lines[0].split() == [
+        "run", "junctions", "corridors", "metres", "component", "recorded", "health", "stale",
+    ]  # fmt: skip
+    assert len(lines) == 9
+    assert lines[-1] == "7 runs"
+    told = json.loads(topobatch("list", "--json", "-w", merged).out)
+    home = {run: c["id"] for c in document(merged)["graph"]["components"] for run in c["runs"]}
+    assert {row["run"]: row["component"] for row in told} == home
+    assert all(row["health"] == "ok" and row["stale"] == [] for row in told)
+
+
+def test_list_tells_what_is_stale(topobatch, merged):
+    maps = sorted((merged / "maps").glob("*.json"))
+    os.utime(maps[0], (4e9, 4e9))
+    maps[1].write_text("{}")
+    shutil.copy(maps[2], merged / "maps" / "copy.json")
+    (merged / "cache" / "ingest").mkdir(parents=True)
+    record = {"log": "/nowhere/at all", "bytes": 3, "version": "0.0.0", "runs": [maps[3].stem]}
+    (merged / "cache" / "ingest" / f"{maps[3].stem}.json").write_text(json.dumps(record))
+    rows = {r["run"]: r for r in json.loads(topobatch("list", "--json", "-w", merged).out)}
+    assert rows[maps[0].stem]["stale"] == ["map changed since the merge"]
+    assert rows[maps[1].stem]["health"].startswith("unreadable: ")
+    assert rows["copy"]["stale"][0] == "not merged"
+    assert rows[maps[3].stem]["stale"] == ["made by another version", "log changed, or gone"]
+
+
+def test_a_discarded_run_leaves_nothing(topobatch, merged, building_maps, tmp_path):
+    gone = accepted_pair(merged)[0]
+    other = next(p.stem for p in (merged / "maps").glob("*.json") if p.stem != gone)
+    topobatch("lock", gone, other, "--never", "-w", merged)
+    done = topobatch("discard", gone, "-w", merged)
+    assert done.code == 0, done
+    never = tmp_path / "never"
+    shutil.copytree(building_maps, never / "maps")
+    (never / "maps" / f"{gone}.json").unlink()
+    topobatch("merge", "--all", "-j", 1, "-q", "-w", never)
+    assert (merged / "merged.json").read_bytes() == (never / "merged.json").read_bytes()
+    assert not [p for p in merged.rglob("*") if gone in p.name]
+    assert json.loads((merged / "locks.json").read_bytes())["locks"] == []
+
+
+def test_a_discarded_match_is_as_if_it_was_not_found(topobatch, merged):
+    before, (a, b) = (merged / "merged.json").read_bytes(), accepted_pair(merged)
+    done = topobatch("discard", f"{a}:{b}", "-w", merged)
+    assert done.code == 0, done
+    entry = entries(merged)[a, b]
+    assert not entry["accepted"]
+    assert entry["verdict"] == "unrelated"
+    assert "the match was discarded by a person" in entry["reason"]
+    assert topobatch("discard", "-w", merged).out == f"{a}:{b}\n"
+    assert "discarded by a person" in topobatch("explain", a, b, "-w", merged).out
+    topobatch("merge", "--all", "-j", 1, "-q", "-w", merged)
+    assert not entries(merged)[a, b]["accepted"]
+    done = topobatch("discard", f"{b}:{a}", "--undo", "-w", merged)
+    assert done.code == 0, done
+    assert (merged / "merged.json").read_bytes() == before
+    assert not (merged / "discards.json").exists()
+
+
+def test_a_run_that_rests_on_a_discarded_match_falls_with_it(topobatch, merged):
+    """Without all its matches a run is alone, whatever the merged maps of others would say."""
+    pairs = [pair for pair, entry in entries(merged).items() if entry["accepted"]]
+    run = pairs[0][0]
+    for a, b in {p for p in entries(merged) if run in p}:
+        assert topobatch("discard", f"{a}:{b}", "-q", "-w", merged).code == 0
+    alone = [c for c in document(merged)["graph"]["components"] if run in c["runs"]]
+    assert [list(c["runs"]) for c in alone] == [[run]]
+
+
+@pytest.mark.parametrize("what", ["nobody", "a:b", "::", "../x"])
+def test_discard_of_what_is_not_there(topobatch, merged, what):
+    assert "does not name" in topobatch("discard", what, "-w", merged).error(2)
+
+
+def test_a_match_that_is_locked_is_not_discarded(topobatch, merged):
+    a, b = accepted_pair(merged)
+    topobatch("lock", a, b, "--same", "-w", merged)
+    assert "--clear" in topobatch("discard", f"{a}:{b}", "-w", merged).error(2)
+    assert "was not discarded" in topobatch("discard", f"{a}:{b}", "--undo", "-w", merged).error(2)
+
+
+def test_discards_that_are_none(topobatch, merged):
+    (merged / "discards.json").write_text('{"schema":"topobatch.discards/1","discarded":[1]}')
+    called = topobatch("merge", "--all", "-w", merged)
+    assert called.code == 1
+    assert "discards.json: discarded.0" in called.err
+
+
+def test_rename(topobatch, merged):
+    a, b = accepted_pair(merged)
+    topobatch("lock", a, b, "--same", "-w", merged)
+    topobatch("merge", "--all", "-j", 1, "-q", "-w", merged)
+    before = document(merged)
+    done = topobatch("rename", a, "zz new", "-w", merged)
+    assert done.code == 0, done
+    assert not (merged / "maps" / f"{a}.json").exists()
+    assert read_json(merged / "maps" / "zz new.json")["graph"]["run"] == "zz new"
+    after = document(merged)
+    renamed = {
+        "zz new" if run == a else run for c in before["graph"]["components"] for run in c["runs"]
+    }
+    assert {run for c in after["graph"]["components"] for run in c["runs"]} == renamed
+    assert entries(merged)[b, "zz new"]["locked"] == "same"
+    assert len(after["nodes"]) == len(before["nodes"])
+    assert topobatch("rename", "zz new", a, "-w", merged).code == 0
+    assert document(merged) == before
+
+
+@pytest.mark.parametrize("new", ["../x", "", "a/b", ".x", "x#2"])
+def test_names_that_cannot_be(topobatch, merged, new):
+    run = sorted(p.stem for p in (merged / "maps").glob("*.json"))[0]
+    assert topobatch("rename", run, new, "-w", merged).code == 2
+
+
+def test_a_name_that_is_taken(topobatch, merged):
+    a, b, *_ = sorted(p.stem for p in (merged / "maps").glob("*.json"))
+    assert "already" in topobatch("rename", a, b, "-w", merged).error(2)
+    assert "no map of" in topobatch("rename", "nobody", "x", "-w", merged).error(2)
+
+
+def test_a_renamed_run_stays_renamed_when_its_log_is_read_again(topobatch, logs, tmp_path):
+    log = logs["mcap"]
+    ws = tmp_path / "ws"
+    assert topobatch("ingest", log, "-w", ws).code == 0
+    (run,) = (p.stem for p in (ws / "maps").glob("*.json"))
+    for old, new in ((run, "b"), ("b", "c")):
+        assert topobatch("rename", old, new, "-w", ws).code == 0
+    again = topobatch("ingest", log, "-w", ws)
+    assert "unchanged, kept" in again.out
+    assert [p.stem for p in (ws / "maps").glob("*.json")] == ["c"]
+    assert topobatch("ingest", log, "--force", "-w", ws).code == 0
+    assert [p.stem for p in (ws / "maps").glob("*.json")] == ["c"]
+
+
+def test_history(topobatch, merged):
+    a, b = accepted_pair(merged)
+    topobatch("lock", a, b, "--never", "-w", merged)
+    topobatch("discard", f"{a}:{b}", "-w", merged)
+    with (merged / "history.jsonl").open("a") as file:
+        file.write('no json\n{"time":1}\n[]\n')
+    told = json.loads(topobatch("history", "--json", "-w", merged).out)
+    assert [entry["what"] for entry in told] == ["merge", "lock", "discard"]
+    assert topobatch("history", "-n", 1, "-w", merged).out.splitlines()[1].split()[1] == "discard"
+
+
+def test_shells_complete_names_of_runs(merged, monkeypatch):
+    runs = sorted(p.stem for p in (merged / "maps").glob("*.json"))
+    context = SimpleNamespace(params={"workspace": merged})
+    assert complete_run(context, "") == runs
+    assert complete_run(context, runs[0]) == [runs[0]]
+    monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(merged))
+    assert complete_run(SimpleNamespace(params={}), "") == runs
+    assert complete_run(SimpleNamespace(params={"workspace": merged / "none"}), "") == []
+
+
+def test_info_of_several_logs(topobatch, logs, tmp_path):
+    both = [logs["mcap"], logs["bag"], logs["mcap"]]
+    told = topobatch("info", *both, "--json")
+    assert told.code == 0, told
+    one, two = json.loads(told.out)
+    assert (one["path"], two["path"]) == (str(logs["mcap"]), str(logs["bag"]))
+    assert {t["topic"] for t in one["topics"]} >= {"/odom", "/junctions"}
+    shown = topobatch("info", *both)
+    assert sum(": run " in line for line in shown.out.splitlines()) == 2
+    bad = topobatch("info", logs["mcap"], tmp_path / "gone.mcap", "--json")
+    assert bad.code == 1
+    assert len(json.loads(bad.out)) == 1
+
+
+def test_verbose(topobatch, merged, logs, tmp_path):
+    done = topobatch("merge", "--all", "-v", "-w", merged)
+    assert "pairs of maps: 21, of which 21 are known already" in done.err
+    assert "s] 7 maps, 21 of 21 pairs to match" in done.err
+    done = topobatch("ingest", logs["mcap"], "-v", "-w", tmp_path / "other")
+    assert "nav_msgs/msg/Odometry on /odom" in done.err
+    assert "known already" not in topobatch("merge", "--all", "-w", merged).err

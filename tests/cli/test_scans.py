@@ -1,0 +1,112 @@
+"""Scans and grids by the command: simulated, shown, made into maps, and what is said of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from topobatch.cli.scan_options import numbers, source_told
+from topobatch.topology.errors import UsageError
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
+OFFICE = SAMPLES / "office-1.mcap"
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    return tmp_path_factory.mktemp("scans") / "ws"
+
+
+def test_simulated_lasers(topobatch, tmp_path):
+    small = ("--runs", 1, "--junctions", 5, "--quiet")
+    done = topobatch("simulate", tmp_path / "a", "--laser", *small, "--format", "bag")
+    assert done.code == 0, done
+    out = topobatch("info", tmp_path / "a" / "run1.bag").out
+    assert "scans: default name" in out
+    assert "/junctions" not in out
+    truth = json.loads((tmp_path / "a" / "truth.json").read_text())
+    assert truth["runs"]["run1"]["settings"]["laser"]["corridor_m"] == 1.4
+    done = topobatch(
+        "simulate", tmp_path / "b", "--laser", "--detections", "--corridor-m", 1.8, *small
+    )
+    assert done.code == 0, done
+    out = topobatch("info", tmp_path / "b").out
+    assert "junctions: default name" in out
+    assert "not used; --junctions-from scan finds junctions in it" in out
+    assert "corridor_m" in topobatch(
+        "simulate", tmp_path / "c", "--laser", "--corridor-m", 9
+    ).error(2)
+
+
+def test_a_log_with_scans_becomes_a_map_and_says_how(topobatch, workspace):
+    done = topobatch("ingest", OFFICE, "-w", workspace)
+    assert done.code == 0, done
+    (line, _) = done.out.strip().splitlines()
+    assert "junctions from /scan, drift in 20 m " in line
+    assert " before, " in line
+    assert line.endswith("% of the way covered")
+    doc = json.loads((workspace / "maps" / "office-1.json").read_text())
+    told = doc["graph"]["source"]["junctions"]
+    assert (told["from"], told["topic"], told["scans"]) == ("scan", "/scan", told["messages"])
+    again = topobatch("ingest", OFFICE, "-w", workspace)
+    assert "unchanged" in again.out
+
+
+def test_ways_that_a_log_does_not_have(topobatch, tmp_path):
+    error = topobatch("ingest", OFFICE, "--junctions-from", "topic", "-w", tmp_path).error(1)
+    assert "no junction detections found" in error
+    error = topobatch("ingest", OFFICE, "--junctions-from", "cloud", "-w", tmp_path).error(1)
+    assert "PointCloud2" in error
+    error = topobatch("ingest", OFFICE, "--scan-topic", "/odom", "-w", tmp_path).error(2)
+    assert "--scan-topic needs sensor_msgs/LaserScan" in error
+    assert "/laser" in topobatch("ingest", OFFICE, "--scan-topic", "laser", "-w", tmp_path).error(1)
+
+
+@pytest.mark.parametrize("pose", ["1,2", "1,2,x", "1,2,3,4", "", "nan,0,0"])
+def test_a_laser_pose_that_is_none(topobatch, tmp_path, pose):
+    error = topobatch("ingest", OFFICE, "--laser-pose", pose, "-w", tmp_path).error(2)
+    assert "--laser-pose" in error
+
+
+def test_a_saved_map_is_a_map_like_any_other(topobatch, tmp_path):
+    cells = np.full((300, 300), 0, np.uint8)
+    for at in (60, 150, 260):
+        cells[at : at + 25, 20:280] = cells[20:280, at : at + 25] = 254
+    Image.fromarray(cells).save(tmp_path / "floor.png")
+    (tmp_path / "floor.yaml").write_text(
+        "image: floor.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+    )
+    out = topobatch("info", tmp_path / "floor.yaml").out
+    assert "saved map" in out
+    assert "grid: 300 x 300 cells of 0.05 m" in out
+    done = topobatch("ingest", tmp_path / "floor.yaml", "-w", tmp_path / "ws")
+    assert done.code == 0, done
+    nodes = json.loads((tmp_path / "ws" / "maps" / "floor.json").read_text())["nodes"]
+    assert sum(node["kind"] == "junction" for node in nodes) == 8, "one is a corner"
+    assert "junctions from the grid floor.png" in done.out
+    assert (tmp_path / "ws" / "maps" / "floor.rrd").is_file()
+    (tmp_path / "floor.png").unlink()
+    error = topobatch("ingest", tmp_path / "floor.yaml", "-w", tmp_path / "ws").error(1)
+    assert "floor.png is missing" in error
+
+
+def test_numbers_of_options():
+    assert numbers(None, "--x", "a,b") is None
+    assert numbers(" 1, -2.5e0", "--x", "a,b") == (1.0, -2.5)
+    with pytest.raises(UsageError, match="expected low,high"):
+        numbers("1", "--cloud-band", "low,high")
+
+
+def test_what_is_said_of_sources():
+    assert source_told({}) == ""
+    assert source_told({"junctions": {"topic": "/junctions"}}) == ""
+    told = {"topic": "/junctions", "passed_over": ["/scan"]}
+    assert "from /junctions, not from /scan" in source_told({"junctions": told})
+    alone = {"from": "scan", "topic": "/s", "drift_after_m": 0.3, "covered": 0.5, "odometry": False}
+    assert source_told({"junctions": alone}) == (
+        "; junctions from /s, drift in 20 m 0.30 m, 50 % of the way covered"
+    )

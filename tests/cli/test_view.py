@@ -1,0 +1,45 @@
+"""`topobatch view --with-log`: the raw log laid under the map of its run."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from rerun.chunk import RrdReader
+
+
+@pytest.fixture
+def place(topobatch, logs, tmp_path):
+    for kind in ("mcap", "bag"):
+        topobatch("ingest", logs[kind], "--name", kind, "-w", tmp_path / "ws", "-q")
+    return tmp_path / "ws"
+
+
+def test_the_log_is_laid_under_the_map(topobatch, place) -> None:
+    done = topobatch("view", "mcap", "--with-log", "-w", place)
+    assert done.code == 0, done
+    raw = place / "cache" / "log" / "mcap.log.rrd"
+    assert str(raw) in done.out
+    (log,), (own,) = (RrdReader(path).recordings() for path in (raw, place / "maps" / "mcap.rrd"))
+    assert (log.application_id, log.recording_id) == (own.application_id, own.recording_id)
+    chunks = RrdReader(raw).stream().to_chunks()
+    assert {"/log/odom", "/log/junctions"} <= {chunk.entity_path for chunk in chunks}
+    assert all(chunk.entity_path.startswith("/log/") for chunk in chunks)
+    assert any("message_log_time" in chunk.timeline_names for chunk in chunks)
+
+
+def test_what_the_viewer_cannot_read_is_said(topobatch, place, tmp_path) -> None:
+    assert "MCAP only" in topobatch("view", "bag", "--with-log", "-w", place).error(1)
+    assert "one run" in topobatch("view", "--with-log", "-w", place).error(2)
+    record = place / "cache" / "ingest" / "mcap.json"
+    said = json.loads(record.read_bytes())
+    copied = shutil.copy(said["log"], tmp_path / "cut.mcap")
+    with open(copied, "r+b") as file:
+        file.truncate(3000)
+    record.write_text(json.dumps(said | {"log": str(copied)}))
+    assert "mcap recover" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
+    record.write_text(json.dumps(said | {"log": str(tmp_path / "gone.mcap")}))
+    assert "not there any more" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
+    record.unlink()
+    assert "ingest it again" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)

@@ -1,0 +1,287 @@
+"""Where junctions come from, and runs read from scans, clouds and grids."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.grid_log import GridLog
+from topobatch.ingest.junction_source import junction_source
+from topobatch.ingest.logs.messages import Channel
+from topobatch.ingest.logs.recording import recording_at
+from topobatch.ingest.mapping import build_map
+from topobatch.ingest.mounting import mounting
+from topobatch.ingest.read_settings import ReadSettings
+from topobatch.ingest.reading import inspect_log, read_log, read_run
+from topobatch.simulation import (
+    LaserSettings,
+    MotionSettings,
+    Scenario,
+    ScenarioSettings,
+    simulate_scenario,
+    write_run,
+)
+from topobatch.topology.errors import LogError, UsageError
+
+ODOM = ("/odom", "nav_msgs/msg/Odometry")
+SEEN = ("/junctions", "geometry_msgs/msg/PoseArray")
+SCAN = ("/scan", "sensor_msgs/msg/LaserScan")
+POINTS = ("/points", "sensor_msgs/msg/PointCloud2")
+MAP = ("/map", "nav_msgs/msg/OccupancyGrid")
+
+
+def counts(*topics: tuple[str, str]) -> dict[Channel, int]:
+    return {Channel(topic, kind, "cdr"): 5 + k for k, (topic, kind) in enumerate(topics)}
+
+
+def chosen(*topics: tuple[str, str], **settings: Any) -> tuple[str, str]:
+    source = junction_source(counts(*topics), ReadSettings(**settings), "log")
+    return source.way, source.choice.topic
+
+
+def test_the_first_way_that_a_log_has_something_for() -> None:
+    assert chosen(ODOM, SEEN, SCAN, POINTS, MAP) == ("topic", "/junctions")
+    assert chosen(ODOM, SCAN, POINTS, MAP) == ("scan", "/scan")
+    assert chosen(ODOM, POINTS, MAP) == ("cloud", "/points")
+    assert chosen(MAP) == ("grid", "/map")
+    source = junction_source(counts(ODOM, SEEN, SCAN), ReadSettings(), "log")
+    assert source.passed_over == ("/scan",)
+
+
+def test_what_is_asked_for_is_taken() -> None:
+    everything = (ODOM, SEEN, SCAN, POINTS, MAP, ("/base", SCAN[1]))
+    for way, topic in (("scan", "/scan"), ("cloud", "/points"), ("grid", "/map")):
+        assert chosen(*everything, junctions_from=way) == (way, topic)
+    assert chosen(*everything, scan_topic="base") == ("scan", "/base")
+    assert chosen(*everything, scan_topic="/points") == ("cloud", "/points")
+    assert chosen(*everything, junction_topic="junctions") == ("topic", "/junctions")
+    with pytest.raises(LogError, match="no messages of /gone"):
+        chosen(*everything, scan_topic="/gone")
+    with pytest.raises(UsageError, match="/odom is nav_msgs/msg/Odometry"):
+        chosen(*everything, junctions_from="scan", scan_topic="/odom")
+    with pytest.raises(LogError, match="sensor_msgs/PointCloud2"):
+        chosen(ODOM, SCAN, junctions_from="cloud")
+
+
+def test_one_sentence_says_what_there_is_and_what_each_way_needs() -> None:
+    with pytest.raises(LogError) as refused:
+        chosen(ODOM, ("/image", "sensor_msgs/msg/Image"))
+    for word in ("PoseArray", "LaserScan", "PointCloud2", "OccupancyGrid", "/image", "/odom"):
+        assert word in str(refused.value)
+
+
+def test_particles_and_cost_maps_show_no_junctions() -> None:
+    particles = ("/particlecloud", SEEN[1])
+    assert chosen(ODOM, particles, SCAN) == ("scan", "/scan")
+    assert chosen(ODOM, ("/local_costmap/costmap", MAP[1]), POINTS) == ("cloud", "/points")
+    with pytest.raises(LogError):
+        chosen(ODOM, ("/local_costmap/costmap", MAP[1]))
+
+
+def test_of_several_lasers_all_are_named() -> None:
+    source = junction_source(
+        counts(ODOM, ("/back", SCAN[1]), ("/front", SCAN[1])), ReadSettings(), "log"
+    )
+    assert source.choice.topic == "/front", "it has more messages"
+    assert [choice.topic for choice in source.beside] == ["/back"]
+
+
+# --- whole logs --------------------------------------------------------------------------------
+
+
+def scenario(**changes: Any) -> Scenario:
+    settings = ScenarioSettings(
+        "office",
+        runs=1,
+        junctions_per_run=8,
+        drift="low",
+        faults="none",
+        motion=MotionSettings(1.3, 1.5),
+        odometry_hz=10.0,
+        laser=LaserSettings(beams=120, rate_hz=4.0, door_share=0.0, people_per_100_m=0.0),
+        seed=3,
+    )
+    return simulate_scenario(settings if not changes else replace_all(settings, changes))
+
+
+def replace_all(settings: ScenarioSettings, changes: dict[str, Any]) -> ScenarioSettings:
+    from dataclasses import replace
+
+    return replace(settings, **changes)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with detections and scans."""
+    return write_run(tmp_path_factory.mktemp("both"), scenario().simulated[0])
+
+
+def test_with_detections_and_scans_the_detections_win(both: Path) -> None:
+    run = read_run(both)
+    assert len(run.detections) > 0
+    assert run.scanned is None
+    assert run.source["junctions"]["passed_over"] == ["/scan"]
+    uses = {topic.topic: (topic.use, topic.why) for topic in inspect_log(both).topics}
+    assert uses["/junctions"][0] == "junctions"
+    assert uses["/scan"] == ("scans", "not used; --junctions-from scan finds junctions in it")
+
+
+def test_scans_become_a_map(both: Path) -> None:
+    run = read_run(both, ReadSettings(junctions_from="scan"))
+    assert run.scanned is not None
+    assert len(run.detections) == 0
+    told = run.source["junctions"]
+    assert (told["from"], told["topic"], told["passed_over"]) == ("scan", "/scan", ["/junctions"])
+    assert told["covered"] > 0.9
+    assert run.warnings == ()
+    topomap = build_map(run)
+    assert len(topomap) >= 2
+    assert topomap.info["source"]["junctions"]["messages"] == told["scans"]
+
+
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_the_mounting_is_found_in_the_log(tmp_path: Path, upside_down: bool) -> None:
+    laser = LaserSettings(
+        beams=90, rate_hz=4.0, mount=(0.2, -0.1, 0.4), upside_down=upside_down, noise_m=0.0
+    )
+    simulated = scenario(junctions_per_run=5, laser=laser).simulated[0]
+    recording = recording_at(write_run(tmp_path, simulated))
+    odometry = simulated.run.odometry
+    found, told = mounting(recording, {"laser"}, odometry, ReadSettings())
+    assert told == []
+    mount = found.of("laser")
+    assert mount is not None
+    np.testing.assert_allclose(mount[:2], (0.2, -0.1))
+    turn = [np.cos(0.2), np.sin(0.2), 0, 0] if upside_down else [0, 0, np.sin(0.2), np.cos(0.2)]
+    np.testing.assert_allclose(mount[3:], turn, atol=1e-6)
+
+
+def test_a_mounting_that_nobody_tells_is_assumed_and_said(
+    both: Path, sensors: ModuleType, tmp_path: Path
+) -> None:
+    odometry = read_run(both).odometry
+    log = recording_at(
+        sensors.mcap(
+            tmp_path / "x.mcap", [("/scan", sensors.SCAN, 1, sensors.scan([1, 2, 3, 4, 5]))]
+        )
+    )
+    found, (told,) = mounting(log, {"laser"}, odometry, ReadSettings())
+    assert "'laser'" in told
+    assert "--laser-pose" in told
+    assert found.of("laser") is not None
+    named, told_named = mounting(log, {"laser"}, odometry, ReadSettings(laser_pose=(1.0, 2.0, 0.5)))
+    assert told_named == []
+    mount = named.of("anything")
+    assert mount is not None
+    np.testing.assert_allclose(mount[[0, 1, 5]], (1.0, 2.0, np.sin(0.25)))
+    alone, told_alone = mounting(log, {"laser"}, None, ReadSettings())
+    assert told_alone == []
+    assert alone.of("laser") is not None
+    with pytest.raises(UsageError, match="--laser-pose"):
+        ReadSettings(laser_pose=(0.0, float("nan"), 0.0))
+
+
+def test_scans_that_cannot_be_read_are_told_by_topic(sensors: ModuleType, tmp_path: Path) -> None:
+    rows = [("/scan", sensors.SCAN, sensors.START_NS + k, b"nonsense") for k in range(3)]
+    log = sensors.mcap(tmp_path / "x.mcap", rows)
+    with pytest.raises(LogError, match=r"/scan: 3 messages could not be decoded"):
+        read_run(log)
+
+
+def test_a_log_with_a_grid_alone(sensors: ModuleType, tmp_path: Path) -> None:
+    cells = np.full((60, 60), 100)
+    cells[28:34, 5:55] = cells[5:55, 28:34] = 0
+    rows = [
+        ("/map", sensors.GRID, sensors.START_NS, sensors.grid(np.full((3, 3), -1))),
+        ("/map", sensors.GRID, sensors.START_NS + 1, sensors.grid(cells, 0.2, (1.0, 2.0, 0.5))),
+        ("/map", sensors.GRID, sensors.START_NS + 2, b"broken"),
+    ]
+    found = read_log(sensors.mcap(tmp_path / "grid.mcap", rows))
+    assert isinstance(found, GridLog)
+    np.testing.assert_array_equal(found.grid.free, cells == 0)
+    assert found.grid.resolution_m == pytest.approx(0.2)
+    np.testing.assert_allclose(found.grid.origin, (1.0, 2.0, 0.5))
+    assert found.warnings == ("/map: the last 1 grids cannot be read; left out",)
+    with pytest.raises(LogError, match="no run"):
+        read_run(tmp_path / "grid.mcap")
+
+
+def rewritten(both: Path, out: Path, sensors: ModuleType, change: Any) -> Path:
+    """The messages of a log, changed one by one: topic, type, log time and payload to several."""
+    from mcap.reader import make_reader
+
+    rows = []
+    with both.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=True):
+            assert schema is not None
+            rows += change(channel.topic, schema.name, message.log_time, message.data)
+    return Path(sensors.mcap(out, rows))
+
+
+def test_clouds_become_a_map(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
+    def as_cloud(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic == "/junctions":
+            return []
+        if topic != "/scan":
+            return [(topic, kind, log_ns, raw)]
+        scan = sensors.ROS2.deserialize_cdr(raw, kind)
+        stamp_ns = scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec
+        angle = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+        seen = np.isfinite(scan.ranges)
+        xy = scan.ranges[seen, None] * np.column_stack([np.cos(angle), np.sin(angle)])[seen]
+        xyz = np.hstack([xy, np.zeros((len(xy), 1))])
+        return [("/velo", sensors.CLOUD, log_ns, sensors.cloud(xyz, stamp_ns=stamp_ns))]
+
+    run = read_run(rewritten(both, tmp_path / "cloud.mcap", sensors, as_cloud))
+    assert run.source["junctions"]["from"] == "cloud"
+    assert run.source["junctions"]["topic"] == "/velo"
+    assert run.scanned is not None
+    assert len(run.scanned.passes) > 5
+    assert run.warnings == ()
+
+
+def test_scans_without_odometry(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
+    def scans_alone(topic: str, *rest: Any) -> list[Any]:
+        return [(topic, *rest)] if topic in ("/scan", "/tf_static") else []
+
+    log = rewritten(both, tmp_path / "scans.mcap", sensors, scans_alone)
+    assert inspect_log(log).problems == ()
+    run = read_run(log)
+    assert run.scanned is not None
+    assert "odometry" not in run.source
+    assert any("no odometry" in warning for warning in run.warnings)
+    way = read_run(both).odometry.step_m.sum()
+    assert run.odometry.step_m.sum() == pytest.approx(way, rel=0.1)
+
+
+def test_two_lasers_are_read_together(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
+    """The beams of one laser dealt out to two: one to the left and one to the right."""
+
+    def halves(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic == "/tf_static":
+            mounts = [
+                sensors.mount(name, (0.15, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0))
+                for name in ("laser", "other")
+            ]
+            return [(topic, kind, log_ns + k, mount) for k, mount in enumerate(mounts)]
+        if topic != "/scan":
+            return [] if topic == "/junctions" else [(topic, kind, log_ns, raw)]
+        scan = sensors.ROS2.deserialize_cdr(raw, kind)
+        half = len(scan.ranges) // 2
+        out = []
+        for name, part in (("laser", slice(0, half)), ("other", slice(half, None))):
+            one = sensors.ROS2.deserialize_cdr(raw, kind)
+            one.header.frame_id, one.ranges = name, scan.ranges[part]
+            one.angle_min = scan.angle_min + scan.angle_increment * (part.start or 0)
+            one.angle_max = one.angle_min + scan.angle_increment * (len(one.ranges) - 1)
+            out.append((f"/{name}", kind, log_ns, sensors.packed(one, kind)))
+        return out
+
+    run = read_run(rewritten(both, tmp_path / "two.mcap", sensors, halves))
+    assert sorted(run.source["junctions"]["lasers"]) == ["/laser", "/other"]
+    assert run.scanned is not None
+    assert len(run.scanned.passes) > 0

@@ -1,0 +1,75 @@
+"""What changed between runs: a corridor that is closed in the later one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.mapping import build_map
+from topobatch.merge.changes import ChangeKind, change_to_document, changes
+from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.merging import merge_maps
+from topobatch.simulation import DRIFTS, FAULTS, RunSettings, make_world, simulate_run
+from topobatch.simulation.scenario import EPOCH_NS
+from topobatch.topology.document import map_from_document, map_to_document
+
+DAY_NS = 86_400 * 10**9
+
+
+def observed(seed: int, *, closed: float, later: bool = True, kind: str = "organic"):
+    """Maps of two runs in one world, the second a day later with some corridors closed (or the
+    first, if not later); their merge; the ends of the corridors that were open and then closed."""
+    world = make_world(kind, 30, seed)
+    open_ = RunSettings(drift=DRIFTS["low"], faults=replace(FAULTS["mild"], closed_share=0.0))
+    shut = replace(open_, faults=replace(open_.faults, closed_share=closed))
+    first, second = (open_, shut) if later else (shut, open_)
+    runs = [
+        simulate_run(world, None, first, name="monday", seed=seed),
+        simulate_run(
+            world, None, second, name="tuesday", seed=seed + 100, start_ns=EPOCH_NS + DAY_NS
+        ),
+    ]
+    maps = {s.run.name: map_from_document(map_to_document(build_map(s.run))) for s in runs}
+    document = MergedDocument.model_validate(merged_to_document(merge_maps(list(maps.values()))))
+    assert len(document.graph.components) == 1
+    was, then = runs if later else runs[::-1]
+    closed_edges = set(then.truth.closed_edges) & set(was.truth.drive_edge.tolist())
+    lengths = sorted(
+        float(world.length[e])
+        for e in closed_edges
+        if {int(world.source[e]), int(world.target[e])} <= then.truth.detected
+    )
+    return document, maps, lengths
+
+
+@pytest.mark.parametrize(("later", "kind"), [(True, ChangeKind.GONE), (False, ChangeKind.NEW)])
+def test_closed_corridors_are_told_with_their_witnesses(later, kind) -> None:
+    document, maps, lengths = observed(2, closed=0.1, later=later)
+    found = changes(document, 0, maps)
+    sure = [c for c in found if c.sure]
+    assert len(lengths) >= 3
+    assert np.allclose(sorted(c.length for c in sure), lengths, rtol=0.1)
+    for change in sure:
+        assert (change.thing, change.kind) == ("corridor", kind)
+        assert [w.run for w in change.there] == ["monday" if later else "tuesday"]
+        assert [w.run for w in change.missing] == ["tuesday" if later else "monday"]
+        assert all(w.passes > 0 and w.first_ns <= w.last_ns for w in change.there + change.missing)
+        assert change_to_document(change)["sure"]
+    assert [c.bits for c in found] == sorted((c.bits for c in found), reverse=True)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_nothing_changed_where_nothing_did(seed) -> None:
+    document, maps, lengths = observed(seed, closed=0.0)
+    assert lengths == []
+    assert not any(c.sure for c in changes(document, 0, maps))
+
+
+def test_maps_without_times_of_corridors_tell_it_too() -> None:
+    document, maps, lengths = observed(2, closed=0.1)
+    bare = {run: replace(m, traversal_ns=None) for run, m in maps.items()}
+    known = [(c.junctions, c.kind) for c in changes(document, 0, maps) if c.sure]
+    assert [(c.junctions, c.kind) for c in changes(document, 0, bare) if c.sure] == known
+    assert len(known) == len(lengths)

@@ -1,0 +1,58 @@
+"""A merge read back is the merge that was written."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.merging import merge_maps
+from topobatch.merge.stored import result_from_document
+
+
+def reread(document):
+    return result_from_document(MergedDocument.model_validate(document))
+
+
+@pytest.fixture(name="document", scope="module")
+def _document(mazes):
+    rng = np.random.default_rng(5)
+    maze = mazes.random_maze(rng, 12, 12)
+    order = np.argsort(maze.xy[:, 0] + 0.01 * maze.xy[:, 1])
+    error = mazes.Noise(floor_m=0.02, share=0.0)
+    maps = [
+        mazes.explored_map(maze, sorted(s.tolist()), rng, f"r{k}", noise=error, turn=0.9 * k)
+        for k, s in enumerate([order[:55], order[25:95], order[100:]])
+    ]
+    return merged_to_document(merge_maps(maps))
+
+
+def test_it_is_written_again_as_it_was(document) -> None:
+    assert len(document["graph"]["components"]) < 3
+    assert merged_to_document(reread(document)) == document
+
+
+def test_fewer_runs_and_none_can_be_read(document) -> None:
+    empty = {**document, "graph": {"components": []}, "nodes": [], "edges": [], "merges": []}
+    result = reread(empty)
+    assert len(result.fused) == 0
+    assert merged_to_document(result) == empty
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value", "told"),
+    [
+        ("nodes", "component", 99, "no component 99"),
+        ("nodes", "id", 7, "node ids"),
+        ("nodes", "y", -1e300, "farther than"),
+        ("edges", "target", 10**9, "target is no node"),
+        ("edges", "source_branch", 10**9, "source_branch is none"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(document, part, key, value, told) -> None:
+    broken = copy.deepcopy(document)
+    broken[part][0][key] = value
+    with pytest.raises(ValueError, match=told):
+        reread(broken)

@@ -1,0 +1,130 @@
+"""Places carried from map to map: exact where maps are, honest where they bend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.component_map import component_map
+from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.merging import merge_maps
+from topobatch.merge.transfer import (
+    MatchedJunctions,
+    junctions_of_merged,
+    junctions_of_runs,
+    transfer,
+)
+from topobatch.topology.se2 import apply
+
+GRID = np.array([(x, y) for x in range(0, 50, 10) for y in range(0, 30, 10)], float)
+PLACES = np.array([(3.0, 4.0), (22.0, 11.0), (41.0, 19.0)])
+T = np.array([5.0, -3.0, 0.7])
+
+
+def matched(target: np.ndarray, source: np.ndarray = GRID, **more) -> MatchedJunctions:
+    k = len(source)
+    given = {
+        "sigma": np.full(k, 0.03),
+        "turn": np.full(k, T[2]),
+        "turn_sigma": np.full(k, 0.05),
+        "bending": 1e-3,
+        "turning": 1e-4,
+    }
+    return MatchedJunctions(source=source, target=target, **(given | more))
+
+
+def test_rigid_maps_are_carried_exactly() -> None:
+    found = transfer(PLACES, matched(apply(T, GRID)))
+    assert np.allclose(found.xy, apply(T, PLACES), atol=1e-6)
+    assert np.allclose(found.turn, T[2])
+    assert np.allclose(found.nearest_m, [5.0, np.hypot(2, 1), np.hypot(1, 1)])
+
+
+def test_one_junction_carries_by_its_branches() -> None:
+    one = GRID[4:5]
+    found = transfer(PLACES, matched(apply(T, one), one, turn=T[2:], turn_sigma=np.array([0.05]),
+                                     sigma=np.array([0.03])))  # fmt: skip
+    assert np.allclose(found.xy, apply(T, PLACES))
+    assert np.all(np.diff(found.sigma_m[np.argsort(found.nearest_m)]) > 0)
+    arm = found.nearest_m
+    assert np.all(found.sigma_m > 0.05 * arm / np.sqrt(2))
+
+
+def test_a_bent_map_is_carried_along_its_bend() -> None:
+    """A global transform would be metres off."""
+    angle = GRID[:, 0] / 60
+    bent = np.column_stack([60 * np.sin(angle), 60 - (60 - GRID[:, 1]) * np.cos(angle)])
+    bent[:, 0] = (60 - GRID[:, 1]) * np.sin(angle)
+    found = transfer(PLACES, matched(bent, turn=angle, turn_sigma=np.full(len(GRID), 0.03)))
+    a = PLACES[:, 0] / 60
+    true = np.column_stack([(60 - PLACES[:, 1]) * np.sin(a), 60 - (60 - PLACES[:, 1]) * np.cos(a)])
+    off = np.hypot(*(found.xy - true).T)
+    assert off.max() < 0.5
+    assert np.all(off < 3 * found.sigma_m)
+
+
+def test_sigma_grows_with_the_way_from_anything_matched() -> None:
+    far = np.array([(45.0, 10.0), (60.0, 10.0), (100.0, 10.0), (300.0, 10.0)])
+    found = transfer(far, matched(apply(T, GRID)))
+    assert np.all(np.diff(found.sigma_m) > 0)
+
+
+def test_noisy_junctions_make_the_sigma_that_they_deserve() -> None:
+    """Coordinates of places on maps that walk at random apart, within 1 and 2 sigmas; the noise of
+    the maps suggests half of the bending that there is."""
+    chance, within = np.random.default_rng(1), []
+    gap = np.hypot(*(all_points := np.vstack([GRID, PLACES])).T[:, :, None] - all_points.T[:, None])
+    base = np.hypot(*(all_points - 200).T)
+    covariance = 0.5 * 4e-3 * (base[:, None] + base - gap)
+    root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
+    for _ in range(200):
+        bend = root @ chance.normal(size=(len(root), 2))
+        target = apply(T, all_points) + bend
+        noisy = target[: len(GRID)] + 0.03 * chance.normal(size=GRID.shape)
+        found = transfer(PLACES, matched(noisy, bending=2e-3))
+        within.append(np.abs(found.xy - target[len(GRID) :]) / found.sigma_m[:, None])
+    share = np.concatenate(within)
+    assert 0.58 < np.mean(share < 1) < 0.80
+    assert 0.90 < np.mean(share < 1.96) < 0.99
+
+
+def test_the_order_of_the_junctions_does_not_matter() -> None:
+    order = np.random.default_rng(2).permutation(len(GRID))
+    one, other = (
+        transfer(PLACES, matched(apply(T, GRID))),
+        transfer(PLACES, matched(apply(T, GRID)[order], GRID[order])),
+    )
+    assert np.allclose(one.xy, other.xy, atol=1e-9)
+    assert np.allclose(one.sigma_m, other.sigma_m)
+
+
+def test_nothing_in_common_is_refused() -> None:
+    with pytest.raises(ValueError, match="no junction in common"):
+        transfer(PLACES, matched(np.zeros((0, 2)), np.zeros((0, 2)), sigma=np.zeros(0),
+                                 turn=np.zeros(0), turn_sigma=np.zeros(0)))  # fmt: skip
+
+
+def test_merged_runs_say_what_they_have_in_common(maze_pair) -> None:
+    a, b, truth = maze_pair(3)
+    maps = {m.run: m for m in (a, b)}
+    document = MergedDocument.model_validate(merged_to_document(merge_maps([a, b])))
+    assert len(document.graph.components) == 1
+    both = junctions_of_runs(document, maps, "a", "b")
+    known = {tuple(a.xy[u]): b.xy[v] for u, v in truth.tolist()}
+    assert len(both) >= len(truth) / 2
+    assert all(
+        np.allclose(known[tuple(s)], t) for s, t in zip(both.source, both.target, strict=True)
+    )
+    middle = a.xy[truth[:, 0]]
+    found = transfer(middle, both)
+    assert np.hypot(*(found.xy - b.xy[truth[:, 1]]).T).max() < 0.3
+    fused = component_map(document, 0, "merged")
+    own = junctions_of_merged(document, a, fused, 0)
+    assert len(own) == len(a)
+    there = transfer(a.xy, own)
+    of = {tuple(x): y for x, y in zip(own.source, own.target, strict=True)}
+    assert np.hypot(*(there.xy - [of[tuple(x)] for x in a.xy]).T).max() < 0.1
+    again = transfer(there.xy, replace(own, source=own.target, target=own.source, turn=-own.turn))
+    assert np.hypot(*(again.xy - a.xy).T).max() < 0.1

@@ -1,0 +1,258 @@
+"""The simulated laser: what it meets is what stands there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from topobatch.simulation import (
+    LASERS,
+    LaserSettings,
+    MotionSettings,
+    RunSettings,
+    ScenarioSettings,
+    World,
+    make_world,
+    simulate_run,
+    simulate_scenario,
+    truth,
+)
+from topobatch.simulation.chance import Chance
+from topobatch.simulation.laser import scans
+from topobatch.simulation.motion import Drive
+from topobatch.simulation.raycast import NOTHING, cast_at_circles, cast_at_segments
+from topobatch.simulation.traffic import walk_about
+from topobatch.simulation.walls import Segments, doorways, free_space, walls_of
+from topobatch.topology.errors import UsageError
+
+BARE = replace(LASERS["none"], noise_m=0.0)
+
+
+def standing(x: float, y: float, theta: float, seconds: float = 5.0) -> Drive:
+    none = np.zeros(0, np.int64)
+    return Drive(
+        np.array([0.0, seconds]),
+        np.array([[x, y, theta], [x, y, theta]]),
+        np.zeros(2),
+        none,
+        np.zeros(0),
+        none,
+        np.zeros(0),
+        np.zeros(0),
+    )
+
+
+def line(*points: tuple[float, float], links: Any = ((0, 1),)) -> World:
+    xy = np.array(points, np.float64)
+    paths = tuple(np.array([xy[u], xy[v]]) for u, v in links)
+    source, target = np.array(links).T
+    return World("w", "maze", xy, source, target, paths)
+
+
+def test_a_crossing_from_its_middle() -> None:
+    world = line((0, 0), (20, 0), (0, 20), (-20, 0), (0, -20), links=[(0, k) for k in range(1, 5)])
+    settings = replace(BARE, beams=181, view_deg=180.0, mount=(0.0, 0.0, 0.0), corridor_m=2.0)
+    seen = scans(world, standing(0, 0, 0), set(), settings, Chance("x"))
+    assert len(seen) == 24
+    ranges = seen.ranges_m[0]
+    assert ranges[[0, 90, 180]].tolist() == [np.inf] * 3, "down the corridors"
+    # The four corners, at one metre in x and y.
+    np.testing.assert_allclose(ranges[[45, 135]], np.sqrt(2), atol=0.01)
+    # Walls of the corridor ahead, one metre to the side.
+    np.testing.assert_allclose(ranges[100], 1 / np.sin(np.radians(10)), atol=0.01)
+
+
+def test_the_mount_and_a_laser_upside_down() -> None:
+    world = line((0, 0), (20, 0))
+    settings = replace(BARE, beams=3, view_deg=180.0, mount=(0.5, 0.3, 0.0), corridor_m=2.0)
+    drive = standing(10, 0, 0)
+    upright = scans(world, drive, set(), settings, Chance("x")).ranges_m[0]
+    np.testing.assert_allclose(upright[[0, 2]], (1.3, 0.7), atol=0.01)
+    turned = scans(world, drive, set(), replace(settings, upside_down=True), Chance("x"))
+    np.testing.assert_array_equal(turned.ranges_m[0], upright[::-1])
+
+
+def test_the_robot_drives_on_during_a_sweep() -> None:
+    world = line((0, 0), (8, 0))
+    settings = replace(BARE, beams=91, view_deg=90.0, mount=(0.0, 0.0, 0.0), range_max_m=12.0)
+    moving = replace(standing(1, 0, 0), pose=np.array([[1.0, 0, 0], [6.0, 0, 0]]))
+    at_once = scans(world, moving, set(), replace(settings, sweep_s=0.0), Chance("x"))
+    swept = scans(world, moving, set(), settings, Chance("x"))
+    # Half a sweep later it is 5 cm nearer to the room's end wall.
+    count = min(len(at_once), len(swept))
+    gap = at_once.ranges_m[:count, 45] - swept.ranges_m[:count, 45]
+    assert gap.mean() == pytest.approx(0.05, abs=0.005)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10_000))
+def test_beams_meet_what_a_search_along_them_meets(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(-5, 5, (2, 6, 2))
+    angle = rng.uniform(-np.pi, np.pi, 8)
+    direction = np.column_stack([np.cos(angle), np.sin(angle)])
+    origin = rng.uniform(-5, 5, (8, 2))
+    present = rng.random((8, 6)) < 0.7
+    way, which, at = cast_at_segments(origin, direction, Segments(a, b), present)
+    for ray in range(8):
+        best = np.inf
+        for s in range(6):
+            if not present[ray, s]:
+                continue
+            t, u = np.linalg.solve(
+                np.column_stack([direction[ray], a[s] - b[s]]), a[s] - origin[ray]
+            )
+            if t > 0 and 0 <= u <= 1 and t < best:
+                best = t
+                assert which[ray] == s or way[ray] <= t
+        assert way[ray] == pytest.approx(best)
+        assert (which[ray] == NOTHING) == np.isinf(best)
+        if np.isfinite(best):
+            s = which[ray]
+            met = origin[ray] + best * direction[ray]
+            assert at[ray] == pytest.approx(np.hypot(*(met - a[s])), abs=1e-6)
+
+
+def test_beams_meet_circles() -> None:
+    origin, direction = np.zeros((3, 2)), np.array([[1.0, 0], [0, 1.0], [-1.0, 0]])
+    centre = np.tile(np.array([[3.0, 0.1], [5.0, 0.0]]), (3, 1, 1))
+    way = cast_at_circles(origin, direction, centre, 0.2)
+    assert way.tolist() == [pytest.approx(3 - np.sqrt(0.04 - 0.01)), np.inf, np.inf]
+    assert cast_at_circles(origin, direction, centre[:, :0], 0.2).tolist() == [np.inf] * 3
+
+
+@pytest.mark.parametrize("kind", ["maze", "office", "organic", "city", "rows"])
+def test_walls_stand_around_the_free_space_and_nowhere_within(kind: str) -> None:
+    world = make_world(kind, 30, 2)
+    walls = walls_of(world, 1.4)
+    middle = 0.5 * (walls.a + walls.b)
+    for polygon in free_space(world, 1.4):
+        side = np.roll(polygon, -1, axis=0) - polygon
+        outwards = np.column_stack([side[:, 1], -side[:, 0]]) / np.hypot(*side.T)[:, None]
+        depth = np.einsum("nsk,sk->ns", polygon[None] - middle[:, None], outwards).min(axis=1)
+        assert depth.max() < 1e-5, "a wall stands in a corridor"
+    # Nobody gets out: a beam in any direction from any junction meets a wall.
+    angle = np.linspace(-np.pi, np.pi, 50, endpoint=False)
+    direction = np.column_stack([np.cos(angle), np.sin(angle)])
+    for xy in world.xy:
+        way, _, _ = cast_at_segments(np.tile(xy, (50, 1)), direction, walls)
+        assert np.isfinite(way).all()
+
+
+def test_doors_shut_off_corridors_but_not_the_robots_way() -> None:
+    run = RunSettings(
+        motion=MotionSettings(1.3, 1.5),
+        laser=replace(BARE, door_share=1.0, beams=60, rate_hz=4.0),
+        tells_junctions=False,
+    )
+    simulated = simulate_run(make_world("maze", 12, 5), settings=run, seed=1)
+    doors = simulated.truth.doors
+    assert len(doors) > 10
+    seen = simulated.scans
+    assert seen is not None
+    assert len(doors) == len(seen.doors.door)
+    path, path_s = (
+        simulated.truth.path,
+        (simulated.truth.path_ns - simulated.truth.path_ns[0]) / 1e9,
+    )
+    for door, from_s, to_s in zip(seen.doors.door, seen.doors.from_s, seen.doors.to_s, strict=True):
+        middle = 0.5 * (seen.doors.walls.a[door] + seen.doors.walls.b[door])
+        during = (path_s > from_s) & (path_s < to_s)
+        assert np.all(np.hypot(*(path[during, :2] - middle).T) > 0.9), "driven through"
+    shut = seen.doors.shut(np.array([seen.doors.from_s[0], seen.doors.to_s[0]]))
+    assert shut[:, seen.doors.door[0]].tolist() == [True, False]
+
+
+def test_a_closed_corridor_is_shut_at_its_ends() -> None:
+    world = line((0, 0), (10, 0), (20, 0), (10, 8), links=[(0, 1), (1, 2), (1, 3)])
+    settings = replace(BARE, beams=3, view_deg=180.0, mount=(0.0, 0.0, 0.0))
+    seen = scans(world, standing(10, 0, 0), {2}, settings, Chance("x")).ranges_m[0]
+    assert seen[2] == pytest.approx(0.7 + 0.25, abs=0.02)
+    opened = scans(world, standing(10, 0, 0), set(), settings, Chance("x")).ranges_m[0]
+    assert opened[2] > 8
+    places, edge, vertex = doorways(world, 1.4)
+    assert len(places) == len(edge) == len(vertex) == 3
+
+
+def test_people_walk_in_corridors_and_are_seen() -> None:
+    world = make_world("maze", 20, 3)
+    people = walk_about(world, set(), 5, 60.0, Chance("p"))
+    when = np.arange(0.0, 60.0, 0.2)
+    xy = people.at(when)
+    assert xy.shape == (300, 5, 2)
+    speed = np.hypot(*np.diff(xy, axis=0).transpose(2, 0, 1)) / 0.2
+    assert 0.5 < np.median(speed) < 1.6
+    bare = scans(world, standing(*world.xy[0], 0.0, 60.0), set(), BARE, Chance("x")).ranges_m
+    crowd = replace(BARE, people_per_100_m=20.0)
+    seen = scans(world, standing(*world.xy[0], 0.0, 60.0), set(), crowd, Chance("x")).ranges_m
+    assert np.all(seen <= bare)
+    assert 0.001 < np.mean(seen < bare) < 0.5
+
+
+def test_glass_gives_no_echo_but_where_it_is_met_squarely() -> None:
+    world = line((0, 0), (20, 0))
+    glass = replace(BARE, glass_share=1.0, beams=181, view_deg=180.0, mount=(0.0, 0.0, 0.0))
+    ranges = scans(world, standing(10, 0, 0), set(), glass, Chance("x")).ranges_m[0]
+    back = np.flatnonzero(np.isfinite(ranges))
+    assert len(back) > 0
+    off = np.abs(back - 90 * np.round(back / 90))
+    assert np.all(off < 15), "within 14 degrees of the walls' normals"
+
+
+def test_noise_and_lost_beams_are_as_asked() -> None:
+    world = line((0, 0), (20, 0))
+    asked = replace(BARE, noise_m=0.02, lost_rate=0.1, beams=300, view_deg=90.0, corridor_m=2.0)
+    drive = standing(10, 0, np.pi / 2, 30.0)
+    noisy = scans(world, drive, set(), asked, Chance("x")).ranges_m
+    clean = scans(world, drive, set(), replace(asked, noise_m=0, lost_rate=0), Chance("x")).ranges_m
+    assert np.mean(np.isinf(noisy)) == pytest.approx(0.1, abs=0.01)
+    error = (noisy - clean)[np.isfinite(noisy)]
+    assert np.std(error) == pytest.approx(0.02, abs=0.002)
+    assert abs(np.mean(error)) < 0.001
+
+
+def test_the_same_settings_give_the_same_scans_and_detections_stay_as_they_were() -> None:
+    plain = ScenarioSettings("maze", runs=1, junctions_per_run=8, seed=5)
+    first, again, without = (
+        simulate_scenario(s).simulated[0]
+        for s in (replace(plain, laser="harsh"), replace(plain, laser="harsh"), plain)
+    )
+    assert first.scans is not None
+    assert again.scans is not None
+    assert without.scans is None
+    np.testing.assert_array_equal(first.scans.ranges_m, again.scans.ranges_m)
+    np.testing.assert_array_equal(first.run.detections.centre, without.run.detections.centre)
+    np.testing.assert_array_equal(first.run.odometry.pose, without.run.odometry.pose)
+    assert "laser" not in without.truth.settings
+    told = truth.truth_from_document(
+        truth.truth_to_document(simulate_scenario(replace(plain, laser="harsh")).truth)
+    )
+    assert told.runs["run1"].doors == first.truth.doors
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"beams": 1},
+        {"rate_hz": 0.5},
+        {"sweep_s": 1.0},
+        {"view_deg": 360.0},
+        {"range_min_m": 20.0},
+        {"noise_m": -1.0},
+        {"corridor_m": 5.0},
+        {"door_share": float("nan")},
+    ],
+)
+def test_settings_that_make_no_sense(wrong: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match="laser"):
+        LaserSettings(**wrong)
+
+
+def test_a_laser_of_an_unknown_level() -> None:
+    with pytest.raises(UsageError, match="no laser 'loud'"):
+        ScenarioSettings(laser="loud")

@@ -1,0 +1,118 @@
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import pytest
+
+from topobatch.merge.result import Verdict
+from topobatch.viz.draw import draw_decision, draw_map, draw_merged, draw_placements
+from topobatch.viz.theme import DARK, LIGHT
+
+from .test_decision_recording import decision, placement
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def seen(canvas) -> tuple[list[str], list[str]]:
+    """What is written in a drawing, and what its parts say when pointed at."""
+    root = ET.fromstring(canvas.as_bytes("svg"))
+    texts = ["".join(node.itertext()) for node in root.iter(f"{SVG}text")]
+    return texts, [node.text or "" for node in root.iter(f"{SVG}title")]
+
+
+@pytest.mark.parametrize("theme", [LIGHT, DARK])
+def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> None:
+    texts, titles = seen(draw_map(make_map("run"), theme))
+    assert {"run", "5 junctions, 5 corridors, 38 m; 8 passes", *"01234"} <= set(texts)
+    assert "corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times" in titles
+    assert "dead end 4: 1 pass" in titles
+    keys = {
+        "corridor",
+        "driven more often",
+        "branch never driven",
+        "dead end",
+        "bend",
+        "3 branches",
+    }
+    assert keys <= set(texts)
+    assert "4 branches" not in texts  # there is none
+    assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
+
+
+def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex) -> None:
+    texts, _ = seen(draw_map(empty_map, LIGHT))
+    assert "0 junctions, 0 corridors, 0 m; 0 passes" in texts
+    assert "corridor" not in texts
+    texts, titles = seen(draw_map(one_vertex, LIGHT))
+    assert titles == ["bend 0: 1 pass"]
+
+
+def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
+    result, _ = merge_of([["a", "b"], ["lone"]])
+    texts, titles = seen(draw_merged(result, LIGHT))
+    assert {"3 runs in 2 components", "a", "b", "lone", "run that is merged with none"} <= set(
+        texts
+    )
+    assert set(titles) == {"a", "b", "lone"}
+    svg = draw_merged(result, LIGHT).as_bytes("svg").decode()
+    assert LIGHT.run(0) in svg
+    assert LIGHT.run(1) in svg
+    texts, _ = seen(draw_merged(merge_of([["a", "b"]])[0], LIGHT))
+    assert "run that is merged with none" not in texts
+    assert "junction seen by one run" not in texts
+
+
+@pytest.mark.parametrize("count", [1, 20, 200])
+def test_the_legend_holds_every_merged_run(merge_of, count: int) -> None:
+    groups = [[f"site{g}-{k:03d}" for k in range(10)] for g in range(count // 10)] or [["one"]]
+    texts, _ = seen(draw_merged(merge_of(groups)[0], DARK))
+    assert {run for group in groups for run in group if count > 1} <= set(texts)
+    assert ("component 1" in texts) == (count > 10)
+
+
+def test_no_runs_can_be_drawn(no_fused) -> None:
+    from topobatch.merge.result import MergeResult
+
+    texts, _ = seen(draw_merged(MergeResult((), no_fused, ()), LIGHT))
+    assert "0 runs in 0 components" in texts
+
+
+def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
+    told = decision(Verdict.MERGED, [placement(30.0)])
+    a, b = make_map("a/1"), make_map("b", (1.0, 2.0, 0.4))
+    texts, titles = seen(draw_decision(a, b, told, LIGHT))
+    assert "a/1 and b: merged: 30.0 bits of evidence, 12.6 needed" in texts
+    assert {"placement: 30.0 bits", "the 5 matched junctions tied"} <= set(texts)
+    assert {f"junction {k} = junction {k}" for k in range(5)} <= set(titles)
+    assert "+29.0 bits: corridor" in titles
+    assert "-2.0 bits: junction unseen in a corridor" in titles
+    assert {"matched junctions, tied", "link that speaks for it", "what speaks against it"} <= set(
+        texts
+    )
+
+
+def test_an_ambiguous_pair_shows_both_placements(make_map, merge_of) -> None:
+    told = decision(Verdict.AMBIGUOUS, [placement(9.0), placement(8.0)])
+    a, b = make_map("a"), make_map("b", (1.0, 2.0, 0.4))
+    texts, _ = seen(draw_decision(a, b, told, LIGHT))
+    assert {"placement: 9.0 bits", "next best: 8.0 bits"} <= set(texts)
+    result, (one, two) = merge_of([["a"], ["b"]], [("a", "b")])
+    texts, _ = seen(draw_placements(one, two, result.verdicts[0], LIGHT))
+    assert {"best: 40.0 bits", "next best: 39.0 bits"} <= set(texts)
+    assert "link that speaks for it" not in texts
+
+
+def test_a_pair_with_nothing_alike_is_drawn_side_by_side(make_map) -> None:
+    told = decision(Verdict.UNRELATED, [])
+    texts, _ = seen(draw_decision(make_map("a/1"), make_map("b"), told, LIGHT))
+    assert {"a/1", "b"} <= set(texts)
+    assert "matched junctions, tied" not in texts
+
+
+def test_contradictions_of_a_placement_are_ringed(make_map, merge_of) -> None:
+    result, (one, two) = merge_of([["a"], ["b"]], [("a", "b")])
+    (pair,) = result.verdicts
+    told = "junction 3 of b falls inside corridor 0 to 1 of a, unseen there"
+    best = replace(pair.best, contradictions=(told,), contradicting=(((0, 1), (3,)),))
+    texts, titles = seen(draw_placements(one, two, replace(pair, best=best), LIGHT))
+    assert told in titles
+    assert "what speaks against it" in texts

@@ -1,0 +1,190 @@
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from topobatch.merge.result import Standing
+from topobatch.viz.report import STANDINGS, Report, report_page
+from topobatch.viz.report_style import VERDICT_COLOURS
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+HOSTILE = "</script><img src=x onerror=alert(1)>&\"'"
+VERSIONS = [("topobatch", "1.2.3")]
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the text of scripts."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.data = ""
+        self._in_data = False
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._in_data = dict(attrs).get("id") == "data"
+
+    def handle_data(self, data) -> None:
+        if self._in_data:
+            self.data += data
+            self._in_data = False
+
+
+def page_of(result, maps, **fields) -> str:
+    return report_page(Report({m.run: m for m in maps}, result, versions=VERSIONS, **fields))
+
+
+def test_the_page_holds_summary_pictures_verdicts_health_settings_versions(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"], ["d"]], [("a", "c")])
+    html = page_of(result, maps, locks=["a + d: never"], unread=["The map of x cannot be read"])
+    for told in (
+        "<b>4</b>runs",
+        "<b>1</b>pair ambiguous",
+        "take care",
+        "The map of x cannot be read",
+        "<h2>Undecided: both placements</h2>",
+        "next best: 39.0 bits",
+        "To settle it: go on",
+        "<h2>Verdicts</h2>",
+        "2 messages were empty",
+        "a + d: never",
+        "topobatch 1.2.3",
+    ):
+        assert told in html, told
+    assert page_of(result, maps, locks=["a + d: never"]) == page_of(
+        result, list(reversed(maps)), locks=["a + d: never"]
+    )
+
+
+def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]], [("b", "c")])
+    data = json.loads(Page(page_of(result, maps)).data)
+    assert data["runs"] == ["a", "b", "c"]
+    told = {
+        (data["runs"][i], data["runs"][j]): (data["standings"][s], bits, data["reasons"][k])
+        for i, j, s, bits, k in data["pairs"]
+    }
+    assert told == {
+        ("a", "b"): ("merged", 40.0, "all fits"),
+        ("a", "c"): ("unrelated", -2.0, "nothing fits"),
+        ("b", "c"): ("ambiguous", 39.0, "two ways"),
+    }
+
+
+def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
+    result, maps = merge_of([[f"a{HOSTILE}", "b"], ["c"]])
+    pair = replace(result.verdicts[0], reason=HOSTILE, advice=HOSTILE)
+    result = replace(result, verdicts=(pair, *result.verdicts[1:]), info={"warnings": [HOSTILE]})
+    maps[0] = replace(maps[0], info={"warnings": [HOSTILE], "settings": {HOSTILE: HOSTILE}})
+    html = page_of(result, maps, locks=[HOSTILE], unread=[HOSTILE])
+    page = Page(html)
+    assert not [tag for tag, _ in page.tags if tag in ("img", "iframe", "object", "base")]
+    assert sum(tag == "script" for tag, _ in page.tags) == 2
+    assert f"a{HOSTILE}" in json.loads(page.data)["runs"]
+    for tag, attributes in page.tags:
+        assert not any(name.startswith("on") for name in attributes), (tag, attributes)
+        for name in ("src", "href", "xlink:href", "srcset", "action"):
+            target = attributes.get(name) or "#"
+            assert target[0] == "#" or target == "data:,", (tag, target)
+    assert not re.search(r"url\((?!#)", html)
+    assert "@import" not in html
+
+
+def test_runs_that_were_not_merged_yet_are_told(make_map, empty_map) -> None:
+    html = page_of(None, [make_map("a"), empty_map])
+    assert "topobatch: 2 runs, not merged yet" in html
+    assert "topobatch merge --all" in html
+    assert "Verdicts" not in html
+    result_page = page_of(None, [])
+    assert "<b>0</b>runs" in result_page
+
+
+def test_a_run_that_the_merge_left_out_is_told(merge_of, make_map) -> None:
+    result, maps = merge_of([["a", "b"]])
+    html = page_of(result, [*maps, make_map("late")])
+    assert "Not in the last merge: late" in html
+
+
+def test_a_pair_decided_on_maps_that_have_changed_is_told_but_not_drawn(merge_of) -> None:
+    result, maps = merge_of([["a"], ["b"]], [("a", "b")])
+    (pair,) = result.verdicts
+    for part in (
+        {"matched": np.array([[0, 99]])},
+        {"contradictions": ("x",), "contradicting": (((99,), (0, 1)),)},
+    ):
+        other = replace(pair, best=replace(pair.best, **part))
+        html = page_of(replace(result, verdicts=(other,)), maps)
+        assert "<h2>Undecided" not in html
+        assert "two ways" in html
+
+
+def test_the_page_of_a_large_fleet_stays_small(merge_of) -> None:
+    result, maps = merge_of([[f"run{k:03d}" for k in range(100)], *([f"x{k}"] for k in range(100))])
+    html = page_of(result, maps)
+    assert len(json.loads(Page(html).data)["pairs"]) == 19_900
+    assert len(html) < 4_000_000
+
+
+def test_colours_stand_for_standings() -> None:
+    assert tuple(VERDICT_COLOURS) == STANDINGS == tuple(map(str, Standing))
+
+
+@pytest.mark.skipif(BROWSER is None, reason="there is no chromium here")
+def test_a_browser_shows_the_matrix_and_the_lists(tmp_path: Path, merge_of) -> None:
+    result, maps = merge_of([["a", f"b{HOSTILE}"], ["c"]])
+    html = page_of(result, maps)
+    probe = """<script>
+    const errors=[];
+    addEventListener("error",e=>errors.push(e.message));
+    addEventListener("securitypolicyviolation",e=>errors.push(e.blockedURI));
+    addEventListener("load",()=>setTimeout(()=>{
+      const svg=document.querySelector("#matrix svg");
+      const q=new DOMPoint(1.5,.5).matrixTransform(svg.getScreenCTM());
+      svg.dispatchEvent(new MouseEvent("mousemove",{clientX:q.x,clientY:q.y,bubbles:true}));
+      const told=document.getElementById("told").textContent;
+      document.getElementById("theme").click();
+      document.querySelectorAll("details").forEach(d=>d.open=true);
+      setTimeout(()=>{
+        const lines=[...document.querySelectorAll("details[data-standing] li")];
+        document.body.replaceChildren(Object.assign(document.createElement("pre"),{textContent:
+          "FOUND"+JSON.stringify({errors,told,theme:document.documentElement.dataset.theme,
+          wide:document.documentElement.scrollWidth<=innerWidth,
+          ink:getComputedStyle(document.documentElement).getPropertyValue("--c0"),
+          lines:lines.map(l=>l.textContent)})}));
+      },200);
+    },100));
+    </script>"""
+    file = tmp_path / "report.html"
+    file.write_text(html.replace("<main>", f"{probe}<main>", 1), encoding="utf-8")
+    call = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    done = subprocess.run(
+        [
+            *call,
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=5000",
+            file.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    import html as entities
+
+    found = json.loads(entities.unescape(re.search(r"FOUND(\{.*\})</pre>", done.stdout, re.S)[1]))
+    assert found["errors"] == []
+    assert found["told"] == f"a + b{HOSTILE}: merged, 40.0 bits: all fits"
+    assert found["theme"] == "dark"
+    assert found["ink"] == "#0f1115"
+    assert found["wide"]
+    assert [line.rpartition(": ")[2] for line in found["lines"]] == ["nothing fits"] * 2

@@ -1,0 +1,402 @@
+"""A drawing on paper: lines, dots and words in metres, a heading above, a scale and keys below.
+
+matplotlib is loaded here, when a drawing is made. Sizes on paper are points (1/72 inch).
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import unicodedata
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import ceil, floor, log10
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import rc_context, rcdefaults, rcParams
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
+
+from .theme import Theme, as_variables
+
+FloatArray = NDArray[np.float64]
+Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
+Format = Literal["svg", "png"]
+
+POINTS_PER_INCH = 72.0
+TEXT_PT, SMALL_PT, HEADING_PT = 8.0, 6.5, 11.0
+LINE_PT = 13.0
+"""Distance of two lines of text."""
+
+EDGE_PT = 12.0
+"""Margin around everything."""
+
+HANDLE_PT, GAP_PT = 26.0, 14.0
+"""Room for the mark of a key, and between two columns of keys."""
+
+LETTER = 0.62
+"""Width of a letter in sizes of its font; wide ones of other scripts take a whole."""
+
+TALLEST = 1.6
+"""Height over width of the drawing, at most: a longer one is drawn narrower."""
+
+PNG_DPI = 150
+
+_STYLE: dict[Any, Any] = {
+    # The same drawing is the same bytes: ids of clips and markers come from this, not from chance.
+    "svg.hashsalt": "topobatch",
+    # Words stay words: they can be found, copied and read aloud, and need no outlines.
+    "svg.fonttype": "none",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
+    "path.simplify": False,
+}
+_SVG = "http://www.w3.org/2000/svg"
+_XLINK = "http://www.w3.org/1999/xlink"
+_NUMBERS = ("d", "x", "y", "transform", "width", "height")
+"""Attributes of a drawing that hold coordinates."""
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """What a mark stands for; a title stands above the keys that follow it."""
+
+    form: Form
+    colour: str
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Keys in columns [points apart] of so many rows."""
+
+    keys: Sequence[Key]
+    step: float
+    rows: int
+
+
+@dataclass(slots=True)
+class Canvas:
+    """A drawing of what lies between two corners (2,) [m].
+
+    width_pt: of the whole. Names may be anything: they are shown as they are, in one line, and
+    shortened where they do not fit.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    theme: Theme
+    width_pt: float = 720.0
+    name: str = "drawing"
+    figure: Figure = field(init=False)
+    _axes: Any = field(init=False)
+    _titles: dict[str, str] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.figure = Figure()
+        self._axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self._axes.set_axis_off()
+        self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
+
+    @property
+    def _size_pt(self) -> tuple[float, float]:
+        """Width and height of the part in metres."""
+        width, height = np.maximum(self.high - self.low, 1e-6).tolist()
+        room = self.width_pt - 2 * EDGE_PT
+        scale = min(room / width, TALLEST * room / height)
+        return scale * width, scale * height
+
+    @property
+    def points_per_m(self) -> float:
+        """How large a metre is drawn."""
+        return float(self._size_pt[0] / max(float(self.high[0] - self.low[0]), 1e-6))
+
+    def lines(
+        self,
+        paths: Sequence[FloatArray],
+        colour: str,
+        width_pt: float,
+        *,
+        order: float = 2.0,
+        told: str = "",
+    ) -> None:
+        """Polylines [m] in one colour; told: what hovering over them says, in an SVG."""
+        if not paths:
+            return
+        codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in paths]
+        patch = PathPatch(
+            Outline(np.concatenate(paths), np.concatenate(codes)),
+            facecolor="none",
+            edgecolor=colour,
+            linewidth=width_pt,
+            capstyle="round",
+            joinstyle="round",
+            zorder=order,
+        )
+        self._add(patch, told)
+
+    def dots(
+        self,
+        xy: FloatArray,
+        colour: str,
+        size_pt: float,
+        *,
+        order: float = 3.0,
+        told: str = "",
+        ring: bool = False,
+    ) -> None:
+        """Dots at (n, 2) [m], or rings."""
+        if len(xy) == 0:
+            return
+        line = Line2D(
+            xy[:, 0],
+            xy[:, 1],
+            linestyle="none",
+            marker="o",
+            markersize=size_pt,
+            markerfacecolor="none" if ring else colour,
+            markeredgecolor=colour if ring else self.theme["paper"],
+            markeredgewidth=1.2 if ring else 0.5,
+            zorder=order,
+        )
+        self._add(line, told)
+
+    def words(
+        self,
+        at: tuple[float, float],
+        text: str,
+        *,
+        size_pt: float = TEXT_PT,
+        colour: str = "",
+        room_m: float | None = None,
+        **how: Any,
+    ) -> None:
+        """A text at a point [m]; one that has less room than it takes is shortened."""
+        text = legible(text)
+        if room_m is not None:
+            text = fitting(text, room_m * self.points_per_m, size_pt)
+        # A name with two dollar signs is no formula.
+        shown = {
+            "ha": "center",
+            "va": "center",
+            "zorder": 6.0,
+            "parse_math": False,
+            "fontfamily": "sans-serif",
+        } | how
+        self._axes.text(
+            *at, text, fontsize=size_pt, color=colour or self.theme["ink"], clip_on=False, **shown
+        )
+
+    def _add(self, artist: Any, told: str) -> None:
+        artist.set_clip_on(False)
+        if told:
+            gid = f"{self.name}-{len(self._titles)}"
+            artist.set_gid(gid)
+            self._titles[gid] = told
+        self._axes.add_artist(artist)
+
+    def finish(self, heading: Sequence[str], keys: Sequence[Sequence[Key]]) -> None:
+        """Lay out the page: heading lines above, the first one larger; a scale bar and the keys
+        below, every group of them in rows of its own."""
+        wide, high = self._size_pt
+        room = self.width_pt - 2 * EDGE_PT
+        lines = [fitting(text, room, HEADING_PT) for text in heading[:1]]
+        lines += [line for text in heading[1:] for line in folded(text, room, TEXT_PT)]
+        top = LINE_PT * len(lines) + (8.0 if lines else 0.0)
+        blocks = [_columns(group, room) for group in keys if group]
+        bottom = 26.0 + sum(LINE_PT * block.rows + 6.0 for block in blocks)
+        total = 2 * EDGE_PT + top + high + bottom
+        self.figure.set_size_inches(self.width_pt / POINTS_PER_INCH, total / POINTS_PER_INCH)
+        self.figure.set_facecolor(self.theme["paper"])
+        left = EDGE_PT + (room - wide) / 2
+        self._axes.set_position(
+            (
+                left / self.width_pt,
+                (EDGE_PT + bottom) / total,
+                wide / self.width_pt,
+                high / total,
+            )
+        )
+        page = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        page.set(xlim=(0.0, self.width_pt), ylim=(0.0, total))
+        page.set_axis_off()
+        page.patch.set_visible(False)
+        for k, line in enumerate(lines):
+            y = total - EDGE_PT - LINE_PT * (k + 0.5)
+            self._write(
+                page, EDGE_PT, y, line, bold=k == 0, size_pt=HEADING_PT if k == 0 else TEXT_PT
+            )
+        self._scale_bar(page, EDGE_PT + bottom - 14.0)
+        self._keys(page, blocks, EDGE_PT + bottom - 26.0)
+
+    def _scale_bar(self, page: Any, y: float) -> None:
+        """A bar of 1, 2 or 5 times a power of ten metres, a fifth of the drawing at most."""
+        length = round_length(0.2 * float(self.high[0] - self.low[0]))
+        end = EDGE_PT + length * self.points_per_m
+        for xs, ys in (
+            ((EDGE_PT, end), (y, y)),
+            *(((x, x), (y - 2.5, y + 2.5)) for x in (EDGE_PT, end)),
+        ):
+            page.add_artist(Line2D(xs, ys, color=self.theme["ink"], linewidth=1.0))
+        self._write(page, end + 5.0, y, f"{length:g} m")
+
+    def _keys(self, page: Any, blocks: Sequence[_Block], y: float) -> None:
+        for block in blocks:
+            for k, key in enumerate(block.keys):
+                x = EDGE_PT + block.step * (k // block.rows)
+                row = y - LINE_PT * (k % block.rows + 0.5)
+                titled = key.form == "title"
+                if not titled:
+                    self._mark(page, key, x, row)
+                room = block.step - (0.0 if titled else HANDLE_PT) - 2.0
+                label = fitting(key.label, room, TEXT_PT)
+                self._write(page, x + (0.0 if titled else HANDLE_PT), row, label, bold=titled)
+            y -= LINE_PT * block.rows + 6.0
+
+    def _write(
+        self,
+        axes: Any,
+        x: float,
+        y: float,
+        text: str,
+        *,
+        bold: bool = False,
+        size_pt: float = TEXT_PT,
+    ) -> None:
+        axes.text(
+            x,
+            y,
+            text,
+            fontsize=size_pt,
+            fontweight="bold" if bold else "normal",
+            color=self.theme["ink"],
+            va="center_baseline",
+            parse_math=False,
+            fontfamily="sans-serif",
+        )
+
+    def _mark(self, page: Any, key: Key, x: float, y: float) -> None:
+        middle = x + 0.4 * HANDLE_PT
+        if key.form in ("line", "wide line", "stub"):
+            half = 3.0 if key.form == "stub" else 0.32 * HANDLE_PT
+            width = {"line": 2.0, "wide line": 4.0, "stub": 1.5}[key.form]
+            mark = Line2D((middle - half, middle + half), (y, y), color=key.colour, linewidth=width)
+        else:
+            ring = key.form == "ring"
+            mark = Line2D(
+                (middle,),
+                (y,),
+                linestyle="none",
+                marker="o",
+                markersize={"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form],
+                markerfacecolor="none" if ring else key.colour,
+                markeredgecolor=key.colour if ring else self.theme["paper"],
+                markeredgewidth=1.2 if ring else 0.5,
+            )
+        page.add_artist(mark)
+
+    def as_bytes(self, form: Format) -> bytes:
+        """The finished drawing as a file: the same for the same drawing."""
+        out = io.BytesIO()
+        with rc_context(), warnings.catch_warnings():
+            rcdefaults()  # whatever else the process or its user has set
+            rcParams.update(_STYLE)
+            # Letters that the font of a .png lacks are shown as boxes; browsers have others.
+            warnings.filterwarnings("ignore", message="Glyph .* missing from")
+            if form == "png":
+                self.figure.set_dpi(PNG_DPI)
+                agg: Any = FigureCanvasAgg(self.figure)
+                agg.print_png(out, metadata={"Software": "topobatch"})
+                return out.getvalue()
+            vector: Any = FigureCanvasSVG(self.figure)
+            vector.print_svg(out, metadata={"Date": None, "Creator": "topobatch"})
+        return self._tidied(out.getvalue())
+
+    def _tidied(self, svg: bytes) -> bytes:
+        """The drawing with what its parts say when pointed at, and no more digits than show."""
+        ET.register_namespace("", _SVG)
+        ET.register_namespace("xlink", _XLINK)
+        root = ET.fromstring(svg)
+        for about in root.findall(f"{{{_SVG}}}metadata"):
+            root.remove(about)
+        for node in root.iter():
+            for name in _NUMBERS:
+                if name in node.attrib:
+                    node.set(name, _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split())))
+            if "style" in node.attrib:
+                node.set("style", as_variables(node.attrib["style"]))
+            told = self._titles.get(node.get("id", ""))
+            if told is not None:
+                title = ET.Element(f"{{{_SVG}}}title")
+                title.text = legible(told)
+                node.insert(0, title)
+        text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+        return text + b"\n"
+
+
+_NUMBER = re.compile(r"-?\d+\.\d+")
+
+
+def _two_decimals(found: re.Match[str]) -> str:
+    return f"{float(found[0]) + 0.0:.2f}".rstrip("0").rstrip(".")
+
+
+def legible(text: str) -> str:
+    """A text on one line, without what neither XML nor a font can show."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def width_of(text: str, size_pt: float) -> float:
+    """About how wide a text is [points]."""
+    return size_pt * sum(1.0 if unicodedata.east_asian_width(c) in "WF" else LETTER for c in text)
+
+
+def fitting(text: str, room_pt: float, size_pt: float) -> str:
+    """The text, shortened in the middle to the room that there is; "" where there is none."""
+    text = legible(text)
+    if width_of(text, size_pt) <= room_pt:
+        return text
+    most = floor(room_pt / (LETTER * size_pt)) - 1
+    while most > 1:
+        half = most // 2
+        short = f"{text[: most - half]}…{text[len(text) - half :]}"
+        if width_of(short, size_pt) <= room_pt:
+            return short
+        most -= 1
+    return ""
+
+
+def folded(text: str, room_pt: float, size_pt: float) -> list[str]:
+    """A text in lines that fit."""
+    lines: list[str] = []
+    line = ""
+    for word in legible(text).split():
+        longer = f"{line} {word}" if line else word
+        if line and width_of(longer, size_pt) > room_pt:
+            lines.append(line)
+            longer = word
+        line = fitting(longer, room_pt, size_pt)
+    return [*lines, line] if line else lines
+
+
+def round_length(most_m: float) -> float:
+    """The longest of 1, 2 and 5 times a power of ten metres that is no longer."""
+    unit = 10.0 ** floor(log10(max(most_m, 1e-3)))
+    return unit * max(
+        step for step in (1.0, 2.0, 5.0) if step * unit <= most_m * (1 + 1e-9) or step == 1
+    )
+
+
+def _columns(keys: Sequence[Key], room_pt: float) -> _Block:
+    """As many columns as the longest label lets fit; one of them takes half of the page at most."""
+    longest = max(width_of(legible(key.label), TEXT_PT) for key in keys)
+    step = min(longest, 0.45 * room_pt) + HANDLE_PT + GAP_PT
+    columns = max(1, floor(room_pt / step))
+    return _Block(keys, step, ceil(len(keys) / columns))

@@ -1,0 +1,387 @@
+"""Maps on paper: one run's map, a merge, the decision on a pair. No viewer is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..merge.decision import AGAINST, LINKS, Decision, Placement
+from ..merge.decision_text import because, headline, missing, short
+from ..merge.result import Alignment, FusedMap, MergeResult, PairVerdict, shown_bits
+from ..topology.se2 import apply, compose
+from ..topology.topomap import TopoMap
+from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
+from .drawing import bounds, branch_arrows, driven_branches, ribbon
+from .parts import Part, lay_out, ranks
+from .placements import contradiction_spots, placements
+from .sheet import Cell, arrange, sheet_margin_m, upright_rad
+from .theme import Theme
+
+FloatArray = NDArray[np.float64]
+
+MOST_NUMBERS = 150
+"""Above this many junctions their numbers hide more than they tell."""
+
+MOST_TOLD = 3000
+"""Above this many corridors or junctions they are drawn together, and do not tell their numbers."""
+
+NARROW_PT, WIDTH_PT, WIDEST_PT = 420.0, 720.0, 1440.0
+COMPONENT_PT = 110.0
+"""Maps of a merge are given about this much width each, between the two widths above."""
+
+LINE_PT, THINNEST_PT = 2.2, 0.7
+LINE_SHARE = 0.12
+"""A corridor's line in a merge takes this share of the usual corridor, between these widths."""
+
+_KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
+
+
+def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
+    """One run's map: corridors, junctions by their branches, branches that were never driven."""
+    turn = np.array([0.0, 0.0, upright_rad(topomap.paths)])
+    points = [apply(turn, topomap.xy), *(apply(turn, p) for p in topomap.paths)]
+    low, high = bounds(points, margin=0.04)
+    canvas = Canvas(low, high, theme, WIDTH_PT, name)
+    keys = [*_corridors_of(canvas, topomap, turn), *_unexplored(canvas, topomap, turn)]
+    keys += _junctions_of(canvas, topomap, turn)
+    way_m = float(topomap.length.sum())
+    told = (
+        f"{_counted(len(topomap), 'junction')}, {_counted(len(topomap.source), 'corridor')}, "
+        f"{way_m:.0f} m; {_counted(len(topomap.observation_vertex), 'pass', 'passes')}"
+    )
+    canvas.finish([topomap.run, told], [keys])
+    return canvas
+
+
+def _counted(number: int, noun: str, plural: str = "") -> str:
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+    """Corridors, the wider the more often they were driven; each says what it is."""
+    colour = canvas.theme["corridor"]
+    if len(m.source) > MOST_TOLD:
+        for times in (1, 2, 3, 4):
+            rows = np.flatnonzero(np.clip(m.traversals, 1, 4) == times).tolist()
+            canvas.lines([apply(T, m.paths[i]) for i in rows], colour, LINE_PT * _widening(times))
+    for i, path in enumerate(m.paths if len(m.source) <= MOST_TOLD else ()):
+        times = int(m.traversals[i])
+        told = (
+            f"corridor {m.source[i]} to {m.target[i]}: "
+            f"{m.length[i]:.2f} ± {m.length_sigma[i]:.2f} m, "
+            f"driven {_counted(times, 'time')}"
+        )
+        canvas.lines([apply(T, path)], colour, LINE_PT * _widening(times), told=told)
+    most = int(m.traversals.max()) if len(m.traversals) else 0
+    keys = [Key("line", colour, "corridor")] if most else []
+    return [*keys, Key("wide line", colour, "driven more often")] if most > 1 else keys
+
+
+def _widening(times: int) -> float:
+    return 0.8 + 0.4 * min(max(times, 1) - 1, 3)
+
+
+def _unexplored(canvas: Canvas, m: TopoMap | FusedMap, T: FloatArray) -> list[Key]:
+    free = ~driven_branches(m)
+    if not free.any():
+        return []
+    origin, vector = branch_arrows(m, 8.0 / canvas.points_per_m)
+    ends = [apply(T, np.stack([o, o + v])) for o, v in zip(origin[free], vector[free], strict=True)]
+    canvas.lines(ends, canvas.theme["unexplored"], 1.5, order=2.5)
+    return [Key("stub", canvas.theme["unexplored"], "branch never driven")]
+
+
+def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+    xy = apply(T, m.xy) if len(m) else np.zeros((0, 2))
+    group = np.minimum(m.degree, len(_KINDS) - 1)
+    passes = np.bincount(m.observation_vertex, minlength=len(m))
+    keys = []
+    for degree, label in enumerate(_KINDS):
+        rows = np.flatnonzero(group == degree)
+        if len(rows) == 0:
+            continue
+        colour, size = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
+        if len(m) > MOST_TOLD:
+            canvas.dots(xy[rows], colour, size)
+        for i in rows.tolist() if len(m) <= MOST_TOLD else ():
+            sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
+            times = _counted(int(passes[i]), "pass", "passes")
+            told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}"
+            canvas.dots(xy[i : i + 1], colour, size, told=told)
+        keys.append(Key("big dot" if degree >= 3 else "dot", colour, label))
+    if len(m) <= MOST_NUMBERS:
+        for i, where in enumerate(_beside(m, T, xy, 8.0 / canvas.points_per_m)):
+            canvas.words((float(where[0]), float(where[1])), str(i), size_pt=SMALL_PT)
+    return keys
+
+
+def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatArray:
+    """(n, 2) where the numbers of junctions stand: in the widest gap between their branches."""
+    out = np.array(xy)
+    for i in range(len(m)):
+        heading = np.sort(np.mod(m.branches[i] + T[2], 2 * np.pi))
+        middle = np.pi / 4
+        if len(heading):
+            gaps = np.diff(np.r_[heading, heading[0] + 2 * np.pi])
+            k = int(gaps.argmax())
+            middle = heading[k] + gaps[k] / 2
+        out[i] += away_m * np.array([np.cos(middle), np.sin(middle)])
+    return out
+
+
+def draw_merged(
+    result: MergeResult, theme: Theme, *, name: str = "merged", headed: bool = True
+) -> Canvas:
+    """The fused map of every component: each corridor a ribbon with a strand for each run that
+    drove it, junctions seen by several runs large; headed: with what it holds above it."""
+    parts = lay_out(result, for_paper=True)
+    low, high = _extent([part.cell for part in parts])
+    width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
+    canvas = Canvas(low, high, theme, width, name)
+    rank = ranks(result)
+    _frames(canvas, [part.cell for part in parts], [_title(canvas, part) for part in parts])
+    pen = _pen_pt(canvas, result.fused)
+    for part in parts:
+        _fused(canvas, result.fused, part, rank, pen)
+    pairs = sum(pair.accepted for pair in result.verdicts)
+    runs = sum(len(c.poses) for c in result.components)
+    told = (
+        f"{_counted(len(result.fused), 'junction')}, "
+        f"{float(result.fused.length.sum()):.0f} m of corridors; {_counted(pairs, 'pair')} of "
+        f"{len(result.verdicts)} merged"
+    )
+    title = f"{_counted(runs, 'run')} in {_counted(len(result.components), 'component')}"
+    canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
+    return canvas
+
+
+def _title(canvas: Canvas, part: Part) -> str:
+    """The long title where there is room for it."""
+    room = (part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
+    return part.title if width_of(part.title, TEXT_PT) < room else part.short_title
+
+
+def _merged_keys(
+    result: MergeResult, parts: list[Part], rank: Mapping[str, int], theme: Theme
+) -> list[list[Key]]:
+    """Marks first, then the runs of every component that has several."""
+    several = [part for part in parts if len(part.component.poses) > 1]
+    shared = any(len(members) > 1 for members in result.fused.members)
+    single = any(len(members) == 1 for members in result.fused.members)
+    marks: list[Key] = []
+    if shared:
+        marks.append(Key("big dot", theme["shared"], "junction seen by several runs"))
+    if single:
+        marks.append(Key("dot", theme["single"], "junction seen by one run"))
+    if len(several) < len(parts):
+        marks.append(Key("line", theme["single"], "run that is merged with none"))
+    runs: list[Key] = []
+    for part in several:
+        if len(several) > 1:
+            runs.append(Key("title", theme["ink"], f"component {part.component.id}"))
+        names = sorted(part.component.poses)
+        runs += [Key("line", theme.run(rank[run]), run) for run in names]
+    return [marks, runs]
+
+
+def _extent(cells: Sequence[Cell]) -> tuple[FloatArray, FloatArray]:
+    corners = [corner for cell in cells for corner in (cell.low, cell.high)]
+    return bounds([np.array(corners).reshape(-1, 2)], margin=0.01)
+
+
+def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:
+    """A thin frame round every cell, where there are several, and its title in it."""
+    if len(cells) < 2:
+        return
+    for cell, title in zip(cells, titles, strict=True):
+        (x0, y0), (x1, y1) = cell.low, cell.high
+        outline = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+        canvas.lines([outline], canvas.theme["card"], 0.8, order=0.5)
+        size = TEXT_PT if len(cells) < 12 else SMALL_PT
+        at = (float(x0 + x1) / 2, float(y1) - 0.8 * size / canvas.points_per_m)
+        canvas.words(at, title, size_pt=size, room_m=0.96 * float(x1 - x0))
+
+
+def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
+    usual = float(np.median(fused.length)) if len(fused.length) else 0.0
+    return float(np.clip(LINE_SHARE * usual * canvas.points_per_m, THINNEST_PT, LINE_PT))
+
+
+def _fused(
+    canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int], pen_pt: float
+) -> None:
+    T = part.cell.T_sheet_map
+    alone = len(part.component.poses) == 1
+    strands: dict[tuple[str, float], list[FloatArray]] = {}
+    step_m = pen_pt / canvas.points_per_m
+    for edge in part.edges.tolist():
+        runs = sorted({run for run, _ in fused.edge_members[edge]})
+        share = min(1.0, 4.0 / max(len(runs), 1))
+        for k, run in enumerate(runs):
+            beside = ribbon(fused.paths[edge], (k - (len(runs) - 1) / 2) * step_m * share)
+            strands.setdefault((run, share), []).append(apply(T, beside))
+    for (run, share), paths in sorted(strands.items()):
+        colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
+        canvas.lines(paths, colour, pen_pt * share, told=run)
+    shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
+    xy = apply(T, fused.xy[part.vertices]) if len(part.vertices) else np.zeros((0, 2))
+    canvas.dots(xy[~shared], canvas.theme["single"], 1.4 * pen_pt)
+    canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=4.0)
+
+
+def draw_decision(
+    a: TopoMap, b: TopoMap, decision: Decision, theme: Theme, *, name: str = "pair"
+) -> Canvas:
+    """Why two runs were merged or not: the placements, with matched junctions tied, the links that
+    speak for them and what speaks against them."""
+    drawn = placements(a, b, decision)
+    heading = [headline(decision), because(decision), missing(decision)]
+    if not drawn:
+        return _side_by_side(a, b, heading, theme, name)
+    laid = [(p.title, p.T_a_b) for p in drawn]
+    canvas, cells = _over(a, b, laid, theme, name)
+    links = against = matched = False
+    for picture, cell in zip(drawn, cells, strict=True):
+        T_b = compose(cell.T_sheet_map, picture.T_a_b)
+        if picture.placement is not None:
+            xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
+            links |= _links(canvas, picture.placement, xy, both=picture.tied)
+            against |= _against(canvas, picture.placement, xy)
+            matched |= _ties(canvas, picture.placement.alignment, xy)
+    canvas.finish(
+        [text for text in heading if text],
+        [_pair_keys(theme, a.run, b.run, matched=matched, links=links, against=against)],
+    )
+    return canvas
+
+
+def _pair_keys(
+    theme: Theme, a: str, b: str, *, matched: bool, links: bool, against: bool
+) -> list[Key]:
+    keys = [Key("line", theme.run(0), a), Key("line", theme.run(1), b)]
+    if matched:
+        keys.append(Key("ring", theme["ink"], "matched junctions, tied"))
+    if links:
+        keys.append(Key("wide line", theme["agrees"], "link that speaks for it"))
+    if against:
+        keys.append(Key("ring", theme["against"], "what speaks against it"))
+    return keys
+
+
+def _over(
+    a: TopoMap,
+    b: TopoMap,
+    laid: Sequence[tuple[str, FloatArray]],
+    theme: Theme,
+    name: str,
+    *,
+    width_pt: float = WIDTH_PT,
+) -> tuple[Canvas, list[Cell]]:
+    """Map b over map a, once for each title and T_a_b."""
+    points = [np.concatenate([a.xy, apply(T, b.xy)]) for _, T in laid]
+    cells = arrange(points, [upright_rad(a.paths)] * len(laid), sheet_margin_m(points))
+    canvas = Canvas(*_extent(cells), theme, width_pt, name)
+    _frames(canvas, cells, [title for title, _ in laid])
+    for (_, T), cell in zip(laid, cells, strict=True):
+        _own_map(canvas, a, cell.T_sheet_map, theme.run(0))
+        _own_map(canvas, b, compose(cell.T_sheet_map, T), theme.run(1))
+    return canvas, cells
+
+
+def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, colour: str) -> None:
+    canvas.lines([apply(T, path) for path in m.paths], colour, 1.6, told=m.run)
+    if len(m):
+        canvas.dots(apply(T, m.xy), colour, 3.6)
+
+
+def _side_by_side(
+    a: TopoMap, b: TopoMap, heading: Sequence[str], theme: Theme, name: str
+) -> Canvas:
+    points = [m.xy for m in (a, b)]
+    cells = arrange(points, [upright_rad(m.paths) for m in (a, b)], sheet_margin_m(points))
+    canvas = Canvas(*_extent(cells), theme, WIDTH_PT, name)
+    _frames(canvas, cells, [a.run, b.run])
+    for k, (m, cell) in enumerate(zip((a, b), cells, strict=True)):
+        _own_map(canvas, m, cell.T_sheet_map, theme.run(k))
+    keys = _pair_keys(theme, a.run, b.run, matched=False, links=False, against=False)
+    canvas.finish([text for text in heading if text], [keys])
+    return canvas
+
+
+def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray]) -> bool:
+    """Matched junctions ringed, and a line from each to its partner."""
+    pairs = alignment.matched
+    if len(pairs) == 0:
+        return False
+    one, two = xy[0][pairs[:, 0]], xy[1][pairs[:, 1]]
+    ink = canvas.theme["ink"]
+    for (u, v), p, q in zip(pairs.tolist(), one, two, strict=True):
+        canvas.lines([np.stack([p, q])], ink, 0.7, order=4.0, told=f"junction {u} = junction {v}")
+    canvas.dots(one, ink, 6.5, order=4.5, ring=True)
+    canvas.dots(two, ink, 6.5, order=4.5, ring=True)
+    return True
+
+
+def _links(
+    canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatArray], *, both: bool
+) -> bool:
+    """Every link between two junctions of a; `both`: also between those of b."""
+    drawn = False
+    for side in (0, 1) if both else (0,):
+        for t in placement.of(*LINKS):
+            ends = (t.a, t.b)[side]
+            if len(ends) == 2 and t.bits > 0:
+                width = 2.0 + 0.5 * min(t.bits, 6.0)
+                told = f"{t.bits:+.1f} bits: {t.told}"
+                line = xy[side][list(ends)]
+                canvas.lines([line], canvas.theme["agrees"], width, order=1.0, told=told)
+                drawn = True
+    return drawn
+
+
+def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatArray]) -> bool:
+    """Junctions that the other run drove past unseen, and corridors that cross."""
+    drawn = False
+    for t in placement.of(*AGAINST):
+        for side, ends in enumerate((t.a, t.b)):
+            told = f"{t.bits:+.1f} bits: {t.told}"
+            if len(ends) == 1:
+                at = xy[side][ends[0]][None]
+                canvas.dots(at, canvas.theme["against"], 9.0, order=5.0, ring=True, told=told)
+                drawn = True
+            elif len(ends) == 2 and t.kind != "unseen":
+                line = xy[side][list(ends)]
+                canvas.lines([line], canvas.theme["against"], 2.2, order=5.0, told=told)
+                drawn = True
+    return drawn
+
+
+def draw_placements(
+    a: TopoMap, b: TopoMap, pair: PairVerdict, theme: Theme, *, name: str = "pair"
+) -> Canvas:
+    """Where a verdict would lay b over a: its alignment and the next best one, side by side."""
+    laid = [
+        (title, alignment)
+        for title, alignment in (("best", pair.best), ("next best", pair.runner_up))
+        if alignment is not None
+    ]
+    if not laid:
+        return _side_by_side(a, b, [f"{short(a.run)} and {short(b.run)}"], theme, name)
+    titled = [(f"{t}: {shown_bits(x.evidence_bits)} bits", x.transform) for t, x in laid]
+    width = WIDTH_PT if len(laid) > 1 else NARROW_PT
+    canvas, cells = _over(a, b, titled, theme, name, width_pt=width)
+    matched = against = False
+    for (_, alignment), cell in zip(laid, cells, strict=True):
+        T_b = compose(cell.T_sheet_map, alignment.transform)
+        xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
+        matched |= _ties(canvas, alignment, xy)
+        for spot in contradiction_spots(alignment, *xy):
+            ink = canvas.theme["against"]
+            canvas.dots(spot.xy[None], ink, 9.0, order=5.0, ring=True, told=spot.told)
+            against = True
+    canvas.finish(
+        [], [_pair_keys(theme, a.run, b.run, matched=matched, links=False, against=against)]
+    )
+    return canvas

@@ -1,0 +1,48 @@
+"""Maps in the formats of others: text from a map, nothing read and nothing written.
+
+What each format keeps and loses is in docs/exports.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from ...topology.topomap import TopoMap
+from .graphml import graphml
+from .lif import lif_json
+from .nav2 import nav2_geojson
+from .pose_graph import pose_graph_g2o
+from .rmf import rmf_yaml
+from .route_graph import MAX_ERROR_M, RouteGraph, route_graph
+from .tables import corridors_csv, junctions_csv
+from .tmap2 import tmap2_yaml
+from .tum import corrected_tum, recorded_tum
+
+__all__ = [
+    "MAP_FORMATS",
+    "MAX_ERROR_M",
+    "RouteGraph",
+    "corrected_tum",
+    "pose_graph_g2o",
+    "recorded_tum",
+    "route_graph",
+]
+
+MapFormat = Callable[[TopoMap, float], str]
+
+MAP_FORMATS: Mapping[str, Mapping[str, MapFormat]] = MappingProxyType(
+    {
+        "nav2": {".geojson": nav2_geojson},
+        "lif": {".lif.json": lif_json},
+        "rmf": {".rmf.yaml": rmf_yaml},
+        "tmap2": {".tmap2.yaml": tmap2_yaml},
+        "graphml": {".graphml": lambda topomap, _: graphml(topomap)},
+        "csv": {
+            ".junctions.csv": lambda topomap, _: junctions_csv(topomap),
+            ".corridors.csv": lambda topomap, _: corridors_csv(topomap),
+        },
+    }
+)
+"""Formats that a map alone is enough for: the end of each file's name, and what writes its text,
+given the map and how far [m] a path may lie from its straight pieces."""

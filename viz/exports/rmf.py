@@ -1,0 +1,43 @@
+"""Open-RMF's navigation graph (rmf_fleet_adapter, `parse_graph`).
+
+One level; lanes are directed and straight between their waypoints, so curved corridors get
+waypoints on the way. Only junctions have names: names must differ, points on the way have none.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...topology.digits import METRES, rounded, significant
+from ...topology.topomap import TopoMap
+from .route_graph import VIA, route_graph
+from .yaml_lines import yaml_text
+
+LEVEL = "L1"
+
+
+def rmf_yaml(topomap: TopoMap, max_error_m: float) -> str:
+    """The navigation graph of a map, every corridor both ways.
+
+    A lane's `speed_limit` [m/s], where it is known, is the speed that robots drove there: plans
+    then take the time that the drives took.
+    """
+    graph = route_graph(topomap, max_error_m)
+    vertices: list[Any] = []
+    for (x, y), vertex in zip(rounded(graph.xy, METRES), graph.vertex.tolist(), strict=True):
+        options: dict[str, Any] = {"name": f"junction_{vertex}"} if vertex != VIA else {"name": ""}
+        vertices.append([x, y, options])
+    lanes: list[Any] = []
+    for k in range(len(graph.source)):
+        options = {}
+        if graph.seconds[k] > 0 and graph.length[k] > 0:
+            options["speed_limit"] = significant(float(graph.length[k] / graph.seconds[k]))
+        ends = int(graph.source[k]), int(graph.target[k])
+        lanes += [[*ends, options], [*ends[::-1], options]]
+    document = {
+        "building_name": topomap.run,
+        "levels": {LEVEL: {"vertices": vertices, "lanes": lanes}},
+        "doors": {},
+        "lifts": {},
+    }
+    return yaml_text(document, 4)

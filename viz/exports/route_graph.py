@@ -1,0 +1,107 @@
+"""A map as a route planner wants it: straight pieces between points, speeds and times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.polyline import simplify, way_of
+from ...topology.topomap import TopoMap
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MAX_ERROR_M = 0.05
+"""How far a corridor's path may lie from the straight pieces it is given as: a third of what the
+centres of junctions are known to (they are seen with some 0.1 m), and less than robots wander."""
+
+VIA = -1
+"""Stands for the vertex of a point between two junctions."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RouteGraph:
+    """Points joined by straight pieces; every piece lies on one corridor and leads both ways.
+
+    xy: (p, 2) [m], the map's n vertices first, then points on the way; vertex: (p,) their vertex,
+    or VIA. source, target: (s,) points of each piece, along the direction of its edge; edge: (s,)
+    of the map; length: (s,) [m]; seconds: (s,) that driving it takes, NaN where that is not known.
+    max_error_m: no path of the map lies farther from its pieces.
+    """
+
+    xy: FloatArray
+    vertex: IntArray
+    source: IntArray
+    target: IntArray
+    edge: IntArray
+    length: FloatArray
+    seconds: FloatArray
+    max_error_m: float
+
+
+def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGraph:
+    """The straight pieces of all corridors. A piece takes its share of its corridor's time.
+
+    Raises ValueError unless max_error_m is positive. O(points of all paths).
+    """
+    if not max_error_m > 0:
+        raise ValueError(f"the largest error must be positive, not {max_error_m:g} m")
+    points, vertices = [topomap.xy], [np.arange(len(topomap))]
+    source, target, edge, length = [], [], [], []
+    count = len(topomap)
+    for e in range(len(topomap.source)):
+        way = corridor_line(topomap, e, max_error_m)
+        inner = np.arange(count, count + len(way) - 2)
+        row = np.concatenate([topomap.source[e : e + 1], inner, topomap.target[e : e + 1]])
+        points.append(way[1:-1])
+        vertices.append(np.full(len(inner), VIA))
+        source.append(row[:-1])
+        target.append(row[1:])
+        edge.append(np.full(len(row) - 1, e))
+        length.append(np.diff(way_of(way)))
+        count += len(inner)
+    none, some = np.zeros(0, np.int64), len(edge) > 0
+    of = np.concatenate(edge) if some else none
+    lengths = np.concatenate(length) if some else np.zeros(0)
+    whole = np.bincount(of, lengths, minlength=len(topomap.source))
+    share = lengths / np.maximum(whole[of], 1e-9)
+    return RouteGraph(
+        xy=np.concatenate(points),
+        vertex=np.concatenate(vertices).astype(np.int64),
+        source=np.concatenate(source) if some else none,
+        target=np.concatenate(target) if some else none,
+        edge=of,
+        length=lengths,
+        seconds=share * driving_seconds(topomap)[of],
+        max_error_m=max_error_m,
+    )
+
+
+def corridor_line(topomap: TopoMap, edge: int, max_error_m: float) -> FloatArray:
+    """(k, 2) the path of a corridor from its source to its target, in straight pieces."""
+    ends = topomap.xy[[topomap.source[edge], topomap.target[edge]]]
+    return simplify(np.concatenate([ends[:1], topomap.paths[edge][1:-1], ends[1:]]), max_error_m)
+
+
+def driving_seconds(topomap: TopoMap) -> FloatArray:
+    """(m,) median time [s] of all drives through each corridor, both ways; NaN where unknown."""
+    out = np.full(len(topomap.source), np.nan)
+    for e, times in enumerate(topomap.traversal_ns or ()):
+        if len(times):
+            # A drive through a whole corridor takes some time; a document could claim anything.
+            took = max(float(np.median(np.abs(times[:, 1] - times[:, 0]))) * 1e-9, 1e-3)
+            out[e] = took
+    return out
+
+
+def driving_speed(topomap: TopoMap) -> FloatArray:
+    """(m,) typical speed [m/s] in each corridor: its length over its median time; NaN: unknown."""
+    return np.asarray(topomap.length / driving_seconds(topomap))
+
+
+def last_pass_ns(topomap: TopoMap) -> int:
+    """When the newest of the map's observations was made; 0 without any. Exports that need a date
+    take it, so that the same map gives the same file at any time."""
+    return int(topomap.observation_time_ns.max(initial=0))

@@ -1,0 +1,77 @@
+"""Two tables, as CSV: the junctions and the corridors of a map."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import Any
+
+import numpy as np
+
+from ...topology.document import map_to_document
+from ...topology.topomap import TopoMap
+from .route_graph import driving_seconds, driving_speed
+
+
+def junctions_csv(topomap: TopoMap) -> str:
+    """One row per vertex: metres, radians, seconds since 1970; lists by blanks."""
+    document, rows = map_to_document(topomap), []
+    for node in document["nodes"]:
+        seen = [o["time_ns"] for o in node["observations"]]
+        rows.append(
+            {
+                "id": node["id"],
+                "x": node["x"],
+                "y": node["y"],
+                "sigma_m": node.get("sigma_m", ""),
+                "kind": node["kind"],
+                "branches": " ".join(f"{b:g}" for b in node["branches"]),
+                "passes": len(seen),
+                "first_pass_s": _seconds(min(seen)) if seen else "",
+                "last_pass_s": _seconds(max(seen)) if seen else "",
+            }
+        )
+    return _table(rows, topomap, "nodes")
+
+
+def corridors_csv(topomap: TopoMap) -> str:
+    """One row per edge; `path` is a JSON list of points."""
+    seconds, speed = driving_seconds(topomap), driving_speed(topomap)
+    rows = [
+        {
+            "source": edge["source"],
+            "target": edge["target"],
+            "key": edge["key"],
+            "length": edge["length"],
+            "length_sigma": edge["length_sigma"],
+            "source_branch": _or_empty(edge["source_branch"]),
+            "target_branch": _or_empty(edge["target_branch"]),
+            "traversals": edge["traversals"],
+            "seconds": f"{seconds[k]:.2f}" if np.isfinite(seconds[k]) else "",
+            "speed_m_per_s": f"{speed[k]:.3f}" if np.isfinite(speed[k]) else "",
+            "path": json.dumps(edge["path"]),
+        }
+        for k, edge in enumerate(map_to_document(topomap)["edges"])
+    ]
+    return _table(rows, topomap, "edges")
+
+
+def _or_empty(value: int | None) -> int | str:
+    return "" if value is None else value
+
+
+def _seconds(time_ns: int) -> str:
+    return f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+
+
+def _table(rows: list[dict[str, Any]], topomap: TopoMap, part: str) -> str:
+    """The rows, with the members of a merged map's parts as JSON."""
+    members = topomap.info.get("members", {}).get(part)
+    if members:
+        rows = [{**row, "members": json.dumps(of)} for row, of in zip(rows, members, strict=True)]
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(rows[0]) if rows else ["id"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()

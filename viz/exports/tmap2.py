@@ -1,0 +1,131 @@
+"""The topological maps of LCAS/topological_navigation, second format (`tmap-schema.yaml`).
+
+Nodes with their outgoing edges; every node has a zone of influence around it (`verts`). Edges are
+driven by a navigation action, freely between two nodes, so curved corridors get nodes on the way.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from ...topology.digits import METRES, rounded, significant
+from ...topology.topomap import TopoMap
+from .route_graph import VIA, RouteGraph, last_pass_ns, route_graph
+from .yaml_lines import yaml_text
+
+ACTION = "navigate_to_pose"
+ACTION_TYPE = "nav2_msgs.action.NavigateToPose"
+ZONE_M = 0.5
+"""Half of the side of a zone; smaller where another node is near, so that zones do not overlap."""
+GOAL_TOLERANCE_M = 0.3
+ANY_YAW_RAD = 6.283
+"""A node is reached whatever way the robot looks."""
+
+
+def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
+    """The topological map of a map, every corridor both ways.
+
+    Its date is that of the map's newest observation: the same map gives the same file.
+    """
+    graph, name = route_graph(topomap, max_error_m), topomap.run
+    stamp = datetime.fromtimestamp(last_pass_ns(topomap) // 10**9, UTC)
+    names = _names(graph)
+    edges = _edges(graph, names)
+    zone = _zones(graph.xy)
+    nodes = []
+    for k, (x, y) in enumerate(rounded(graph.xy, METRES)):
+        half = zone[k]
+        node = {
+            "name": names[k],
+            "parent_frame": topomap.frame,
+            "pose": {
+                "position": {"x": x, "y": y, "z": 0.0},
+                "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+            },
+            "properties": {
+                "xy_goal_tolerance": min(GOAL_TOLERANCE_M, half),
+                "yaw_goal_tolerance": ANY_YAW_RAD,
+                "kind": topomap.kind[graph.vertex[k]] if graph.vertex[k] != VIA else "via",
+            },
+            "verts": [{"x": a * half, "y": b * half} for a, b in _SQUARE],
+            "restrictions_planning": "True",
+            "restrictions_runtime": "True",
+            "localise_by_topic": "",
+            "edges": edges[k],
+        }
+        nodes.append({"meta": {"map": name, "node": names[k], "pointset": name}, "node": node})
+    document = {
+        "meta": {"last_updated": stamp.strftime("%d-%m-%Y_%H-%M-%S")},
+        "metric_map": name,
+        "name": name,
+        "pointset": name,
+        "transformation": {
+            "child": topomap.frame,
+            "parent": "map",
+            "rotation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
+        },
+        "nodes": nodes,
+    }
+    return yaml_text(document, 5)
+
+
+_SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+
+
+def _names(graph: RouteGraph) -> list[str]:
+    return [
+        f"junction_{v}" if v != VIA else f"via_{k}" for k, v in enumerate(graph.vertex.tolist())
+    ]
+
+
+def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
+    """The edges that leave each node. Those between the same two nodes are told apart by number."""
+    out: list[list[dict[str, Any]]] = [[] for _ in names]
+    used: dict[str, int] = {}
+    for k in range(len(graph.source)):
+        ends = int(graph.source[k]), int(graph.target[k])
+        for start, end in (ends, ends[::-1]):
+            edge_id = f"{names[start]}_{names[end]}"
+            used[edge_id] = used.get(edge_id, 0) + 1
+            again = f"_{used[edge_id]}" if used[edge_id] > 1 else ""
+            properties: dict[str, Any] = {"length": rounded(graph.length[k], METRES)}
+            if np.isfinite(graph.seconds[k]):
+                properties["seconds"] = significant(float(graph.seconds[k]))
+            out[start].append(
+                {
+                    "action": ACTION,
+                    "action_type": ACTION_TYPE,
+                    "edge_id": f"{edge_id}{again}",
+                    "node": names[end],
+                    "goal": {
+                        "target_pose": {
+                            "header": {"frame_id": "$node.parent_frame"},
+                            "pose": "$node.pose",
+                        }
+                    },
+                    "config": [],
+                    "fail_policy": "fail",
+                    "fluid_navigation": True,
+                    "recovery_behaviours_config": "",
+                    "restrictions_planning": "True",
+                    "restrictions_runtime": "True",
+                    "properties": properties,
+                }
+            )
+    return out
+
+
+def _zones(xy: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
+    """Half the side of each node's square: half of the way to the nearest other node, at most."""
+    from scipy.spatial import cKDTree
+
+    if len(xy) < 2:
+        return [ZONE_M] * len(xy)
+    nearest = np.asarray(cKDTree(xy).query(xy, k=2)[0])[:, 1]
+    # A square reaches farther along its diagonals.
+    half = np.clip(nearest / 2 / np.sqrt(2), 10.0**-METRES, ZONE_M)
+    return [float(h) for h in rounded(half, METRES)]

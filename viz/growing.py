@@ -1,0 +1,84 @@
+"""Things that light up one by one as time goes on, and stay selectable all along."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import palette
+from .palette import Colours
+from .recording import JOIN, PathParts, Recording
+
+MOST_CELLS = 400_000
+"""Colours logged for one entity at most, of 4 bytes each: where a thing for every time would take
+more, several light up together."""
+
+
+def light_up(
+    recording: Recording,
+    path: PathParts,
+    archetype: Any,
+    when_ns: NDArray[np.int64],
+    colours: Colours,
+    *,
+    begin_ns: int | None,
+    dim: tuple[int, int, int] = palette.UNLIT,
+) -> None:
+    """Log the colours of an entity of n things over time: dim before when_ns (n,), its own colour
+    from then on; begin_ns: when the first row stands, if that is earlier.
+
+    One entity and one row for each change: what is pointed at is always the same thing.
+    """
+    times = _rows(when_ns, begin_ns)
+    recording.over_time(path, times, colour_columns(archetype, _lit(times, when_ns, colours, dim)))
+
+
+def light_up_by_step(
+    recording: Recording,
+    path: PathParts,
+    archetype: Any,
+    when: NDArray[np.int64],
+    colours: Colours,
+    *,
+    steps: NDArray[np.int64] | None = None,
+    now: tuple[int, int, int] | None = None,
+    dim: tuple[int, int, int] = palette.UNLIT,
+) -> None:
+    """The same on the timeline JOIN, from step 0 on: things that are never dim have when = 0.
+    steps: further numbers at which a row stands; now: colour of what lights up at the cursor."""
+    more = [when + 1] if now is not None else []
+    numbers = np.unique(np.concatenate([[0], when, *more, *([] if steps is None else [steps])]))
+    rows = _lit(numbers, when, colours, dim)
+    if now is not None:
+        rows[numbers[:, None] == when[None, :]] = now
+    recording.over_steps(path, JOIN, numbers, colour_columns(archetype, rows))
+
+
+def _lit(
+    times: NDArray[np.int64],
+    when: NDArray[np.int64],
+    colours: Colours,
+    dim: tuple[int, int, int],
+) -> NDArray[np.uint8]:
+    """(times, things, 3) colours."""
+    lit = (when[None, :] <= times[:, None])[:, :, None]
+    return np.where(lit, colours[None], np.array(dim, np.uint8)[None, None]).astype(np.uint8)
+
+
+def colour_columns(archetype: Any, rows: NDArray[np.uint8]) -> Any:
+    """(times, things, 3) colours as columns to log."""
+    times, things = rows.shape[:2]
+    return archetype.columns(colors=rows.reshape(-1, 3)).partition([things] * times)
+
+
+def _rows(when_ns: NDArray[np.int64], begin_ns: int | None) -> NDArray[np.int64]:
+    """The times at which something changes, thinned to what may be logged; the last one stays."""
+    times = np.unique(when_ns)
+    most = max(MOST_CELLS // max(len(when_ns), 1), 2)
+    if len(times) > most:
+        times = times[np.unique(np.linspace(0, len(times) - 1, most).round().astype(np.int64))]
+    if begin_ns is not None and begin_ns < times[0]:
+        times = np.concatenate([[begin_ns], times])
+    return times

@@ -1,0 +1,86 @@
+"""Ways to lay one map over another: what a picture of a decision shows side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..merge.decision import Decision, Placement
+from ..merge.decision_text import listed
+from ..merge.result import Alignment, shown_bits
+from ..topology.se2 import apply, compose
+from ..topology.topomap import TopoMap
+from .sheet import upright_rad
+
+FloatArray = NDArray[np.float64]
+
+APART, ASIDE = 0.15, 0.2
+"""The gap between two tied maps, and how far the lower one is moved aside, so that ties do not lie
+on the corridors of a grid; in extents of both together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One drawing of map b beside or over map a: T_a_b is how it is drawn."""
+
+    name: str
+    title: str
+    placement: Placement | None
+    T_a_b: FloatArray
+    tied: bool
+
+
+def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
+    """The verdict's placement, the same with the maps drawn apart so that ties can be followed, and
+    the next best placement; of an undecided pair only the two placements, side by side. Before
+    these, of runs that only others join, how these place them."""
+    out: list[Picture] = []
+    if decision.by_others is not None:
+        title = f"joined through {listed(decision.said.through, 2)}"
+        out.append(Picture("joined", title, None, decision.by_others, tied=False))
+    for k, placement in enumerate(decision.placements):
+        T = placement.alignment.transform
+        bits = f"{shown_bits(placement.alignment.evidence_bits)} bits"
+        name = ("placement", "next best")[k]
+        title = f"{name}: {bits}" if decision.start is None else "best hypothesis, given up"
+        out.append(Picture(name, title, placement, T, tied=False))
+        alone = len(decision.placements) == 1 or decision.said.accepted
+        alone &= decision.by_others is None
+        if k == 0 and alone and len(placement.alignment.matched):
+            count = len(placement.alignment.matched)
+            title = f"the {count} matched junctions tied"
+            out.append(Picture("tied", title, placement, _apart(a, b, T), tied=True))
+    return out
+
+
+def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
+    """T_a_b moved so that b lies below a, where a is drawn upright."""
+    turn = upright_rad(a.paths)
+    upright = np.array([0.0, 0.0, turn])
+    of_a, of_b = apply(upright, a.xy), apply(compose(upright, T_a_b), b.xy)
+    extent = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
+    drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * extent
+    away = np.array([ASIDE * extent, drop, 0.0])
+    return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spot:
+    """A contradiction: where it lies (2,) and what it says."""
+
+    xy: FloatArray
+    told: str
+
+
+def contradiction_spots(alignment: Alignment, of_a: FloatArray, of_b: FloatArray) -> list[Spot]:
+    """Every contradiction of an alignment whose junctions are known, in the frame of the given
+    positions of both maps' junctions, (n, 2) each: at the junction that the other run did not see,
+    or amid corridors that cross."""
+    spots = []
+    for told, (a, b) in zip(alignment.contradictions, alignment.contradicting, strict=False):
+        alone = [of[list(ends)] for of, ends in ((of_a, a), (of_b, b)) if len(ends) == 1]
+        both = [of_a[list(a)], of_b[list(b)]]
+        spots.append(Spot(np.concatenate(alone or both).mean(axis=0), told))
+    return spots

@@ -1,0 +1,448 @@
+"""A merge on one page of HTML that needs nothing else: no network, no viewer, no other file."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
+from ..topology.topomap import TopoMap
+from .canvas import Canvas, legible
+from .draw import draw_map, draw_merged, draw_placements
+from .map_summary import clock, minutes
+from .report_style import script, style_sheet
+from .theme import SWITCHABLE
+from .verdicts import runs_in_order, strongest
+
+STANDINGS = tuple(map(str, Standing))
+TOLD_FIRST = (Standing.AMBIGUOUS, Standing.KEPT_OUT, Standing.MERGED)
+"""Pairs that have something to say; the others are told when asked for."""
+
+MOST_PLACEMENTS = 12
+"""Undecided pairs that are drawn, those of the strongest evidence."""
+
+MOST_MAPS = 24
+"""Up to this many runs every run's own map is drawn."""
+
+MOST_WRITTEN = 400
+"""Pairs of a kind written out in the page; the script shows all of them on demand."""
+
+LARGE_PT = 900.0
+"""Wider drawings may take more than the width of the text."""
+
+MOST_NAMES = 60
+"""Up to this many runs their names stand beside the matrix."""
+
+MOST_NUMBERS = 14
+"""Up to this many runs the evidence stands in the matrix."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a report tells.
+
+    maps: of every run that can be read, by name; result: the last merge, None before the first;
+    unread: what cannot be read, with the reason; locks: what a person decided, in words; versions:
+    of the program and what it stands on.
+    """
+
+    maps: Mapping[str, TopoMap]
+    result: MergeResult | None
+    unread: Sequence[str] = ()
+    locks: Sequence[str] = ()
+    versions: Sequence[tuple[str, str]] = ()
+
+
+def report_page(report: Report) -> str:
+    """The page. Whatever names and reasons hold, they are shown as text."""
+    result = report.result
+    runs = runs_in_order(result) if result is not None else []
+    runs += sorted(set(report.maps) - set(runs))
+    most = max([2, *(len(c.poses) for c in (result.components if result is not None else ()))])
+    parts = [
+        _head(report, runs),
+        _pictures(report),
+        _matrix(result, runs),
+        _pairs(report),
+        _health(report, runs),
+        _settings(report),
+        _versions(report),
+    ]
+    body = "\n".join(part for part in parts if part)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+        "style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:\">"
+        '<link rel="icon" href="data:,">'
+        f"<title>{_title(report, runs)}</title><style>{style_sheet(most)}</style></head>\n"
+        f"<body><main>\n{body}\n</main>\n"
+        f'<script type="application/json" id="data">{_data(result, runs)}</script>\n'
+        f"<script>{script()}</script></body></html>\n"
+    )
+
+
+def text(value: object) -> str:
+    """Anything as text of the page: on one line, and never markup."""
+    return escape(legible(" ".join(str(value).split())), quote=True)
+
+
+def _several(count: int, one: str, many: str = "") -> str:
+    return f"{count:,} {one if count == 1 else many or one + 's'}"
+
+
+def _title(report: Report, runs: Sequence[str]) -> str:
+    merged = "" if report.result is not None else ", not merged yet"
+    return f"topobatch: {_several(len(runs), 'run')}{merged}"
+
+
+def _head(report: Report, runs: Sequence[str]) -> str:
+    result = report.result
+    facts = [(len(runs), "run", "runs")]
+    if result is not None:
+        shared = sum(len(m) > 1 for m in result.fused.members)
+        way_m = round(float(result.fused.length.sum()))
+        facts += [
+            (len(result.components), "component", "components"),
+            (len(result.fused), "junction", "junctions"),
+            (shared, "seen by several runs", "seen by several runs"),
+            (way_m, "m of corridors", "m of corridors"),
+        ]
+        count = Counter(pair.standing for pair in result.verdicts)
+        for standing in Standing:
+            if count[standing] or standing in (Standing.MERGED, Standing.AMBIGUOUS):
+                words = (f"pair {standing}", f"pairs {standing}")
+                facts.append((count[standing], *words))
+    boxes = "".join(
+        f"<li><b>{number:,}</b>{text(one if number == 1 else many)}</li>"
+        for number, one, many in facts
+    )
+    warnings = [*report.unread]
+    if result is None:
+        warnings.append("The runs are not merged yet: topobatch merge --all")
+    else:
+        warnings += [str(w) for w in result.info.get("warnings") or ()]
+        left_out = sorted(set(report.maps) - {run for c in result.components for run in c.poses})
+        if left_out:
+            warnings.append(f"Not in the last merge: {_listed(left_out)}")
+    told = "".join(f'<p class="warning">{text(w)}</p>' for w in warnings)
+    need = next((p.threshold_bits for p in result.verdicts), None) if result is not None else None
+    how = f"Merging two runs takes {shown_bits(need)} bits of evidence." if need is not None else ""
+    explained = (
+        f"<p>{text(how)} Each bit doubles the odds that so much agrees because it is one place. "
+        "Where evidence falls short, runs stay apart.</p>"
+        if how
+        else ""
+    )
+    return (
+        f"<header><h1>{_title(report, runs)}</h1>"
+        '<button id="theme" type="button">light / dark</button></header>'
+        f'<ul class="facts">{boxes}</ul>{told}{explained}'
+    )
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _figure(canvas: Canvas, about: str) -> str:
+    """A drawing in the page; about: what a reader who cannot see it is told."""
+    svg = canvas.as_bytes("svg").decode()
+    large = ' class="large"' if canvas.width_pt > LARGE_PT else ""
+    drawn = svg[svg.index("<svg") :].strip()
+    return f'<figure{large} role="img" aria-label="{text(about)}">{drawn}</figure>'
+
+
+def _pictures(report: Report) -> str:
+    if report.result is None:
+        return ""
+    parts = [
+        "<h2>Map</h2><p>Each corridor has a strand for every run that drove it; point at one to "
+        "see whose it is.</p>",
+        _figure(draw_merged(report.result, SWITCHABLE, headed=False), "merged map"),
+    ]
+    open_pairs = [p for p in strongest(report.result.verdicts) if _undecided(p, report.maps)]
+    drawn = open_pairs[:MOST_PLACEMENTS]
+    if drawn:
+        some = len(drawn) < len(open_pairs)
+        shown = f"; the {len(drawn)} with the most are shown" if some else ""
+        parts.append(
+            f"<h2>Undecided: both placements</h2><p>{_several(len(open_pairs), 'pair')} of runs "
+            f"may share places, and the evidence does not decide it{shown}.</p>"
+        )
+    for k, pair in enumerate(drawn):
+        canvas = draw_placements(
+            report.maps[pair.a], report.maps[pair.b], pair, SWITCHABLE, name=f"pair{k}"
+        )
+        about = f"{pair.a} + {pair.b}: {shown_bits(pair.evidence_bits)} bits"
+        opened = " open" if k == 0 else ""
+        parts.append(
+            f"<details{opened}><summary>{text(about)}</summary><div>{_told(pair)}</div>"
+            f"{_figure(canvas, about)}</details>"
+        )
+    return "\n".join(parts)
+
+
+def _undecided(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
+    """Is the pair open, and can it be drawn: on maps as they were when it was decided?"""
+    if pair.standing not in (Standing.AMBIGUOUS, Standing.KEPT_OUT) or pair.best is None:
+        return False
+    if pair.a not in maps or pair.b not in maps:
+        return False
+    sizes = np.array([len(maps[pair.a]), len(maps[pair.b])])
+    placed = [x for x in (pair.best, pair.runner_up) if x is not None]
+    named = [np.array([(max(a), max(b))]) for x in placed for a, b in x.contradicting if a and b]
+    return all(np.all((n >= 0) & (n < sizes)) for n in (*(x.matched for x in placed), *named))
+
+
+def _told(pair: PairVerdict) -> str:
+    """Why a pair was decided so: a paragraph for each thing there is to say."""
+    lines = [text(pair.reason)]
+    for alignment in (pair.best, pair.runner_up):
+        if alignment is not None:
+            lines += [text(f"Against it: {c}") for c in alignment.contradictions[:3]]
+    if pair.advice:
+        lines.append(f"To settle it: {text(pair.advice)}")
+    if pair.locked:
+        lines.append(f"Decided by a person: {text(pair.locked)}")
+    return "".join(f"<p>{line}</p>" for line in lines)
+
+
+def _matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
+    """The verdict of every pair as a square in its colour; runs of one component together."""
+    if result is None or len(runs) < 2:
+        return ""
+    n, row = len(runs), {run: i for i, run in enumerate(runs)}
+    cells: dict[Standing, list[str]] = {standing: [] for standing in Standing}
+    numbers = []
+    for pair in result.verdicts:
+        i, j = sorted((row[pair.a], row[pair.b]))
+        for y, x in ((i, j), (j, i)):
+            if pair.standing is not Standing.UNRELATED:
+                cells[pair.standing].append(f"M{x} {y}h1v1h-1z")
+        if n <= MOST_NUMBERS:
+            bits = shown_bits(pair.evidence_bits)
+            kind = STANDINGS.index(str(pair.standing))
+            numbers.append(_label(j + 0.5, i + 0.6, bits, "middle", size=0.26, look=f"s{kind}"))
+    drawn = [f'<rect width="{n}" height="{n}" fill="var(--v{STANDINGS.index("unrelated")})"/>']
+    drawn += [
+        f'<path d="{"".join(paths)}" fill="var(--v{STANDINGS.index(str(standing))})"/>'
+        for standing, paths in cells.items()
+        if paths
+    ]
+    drawn.append(f'<path d="{"".join(f"M{k} {k}h1v1h-1z" for k in range(n))}" fill="var(--c3)"/>')
+    drawn += [_frame(k, size) for k, size in _blocks(result, row)]
+    left = 0.0
+    if n <= MOST_NAMES:
+        size = min(0.7, 0.022 * n + 0.12)
+        left = 0.6 * size * max(min(len(run), 24) for run in runs) + 0.5
+        drawn += [
+            _label(-0.2, i + 0.5 + 0.35 * size, run, "end", size=size) for i, run in enumerate(runs)
+        ]
+    # Numbers last, so that nothing covers them.
+    drawn += numbers
+    legend = "".join(
+        f'<span><i class="swatch" style="background:var(--v{k})"></i>{text(name)}</span>'
+        for k, name in enumerate(STANDINGS)
+        if any(pair.standing == name for pair in result.verdicts)
+    )
+    framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
+    numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
+    return (
+        f"<h2>Verdicts</h2><p>Every pair of runs{framed}.{numbered}</p>"
+        f'<div class="legend">{legend}</div><div id="matrix">'
+        f'<svg viewBox="{-left:.2f} -0.2 {n + left + 0.2:.2f} {n + 0.4:.2f}" role="img" '
+        f'aria-label="verdict of every pair">{"".join(drawn)}'
+        '<rect id="spot" width="1" height="1" visibility="hidden"/></svg></div>'
+        '<p id="told" class="dim" aria-live="polite">Point at a square for the names and the '
+        "reason; click to keep it.</p>"
+    )
+
+
+def _blocks(result: MergeResult, row: Mapping[str, int]) -> list[tuple[int, int]]:
+    """First row and size of every component of several runs."""
+    return [
+        (min(row[run] for run in c.poses), len(c.poses))
+        for c in result.components
+        if len(c.poses) > 1
+    ]
+
+
+def _frame(k: int, size: int) -> str:
+    return f'<rect class="frame" x="{k}" y="{k}" width="{size}" height="{size}"/>'
+
+
+def _label(x: float, y: float, words: str, anchor: str, *, size: float, look: str = "") -> str:
+    short = words if len(words) <= 24 else f"{words[:12]}…{words[-11:]}"
+    place = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:.2f}" text-anchor="{anchor}"'
+    return f'<text class="{look}" {place}>{text(short)}</text>'
+
+
+def _pairs(report: Report) -> str:
+    """Every pair with its reason; those with something to say first, and written out."""
+    if report.result is None or not report.result.verdicts:
+        return ""
+    by: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
+    for pair in strongest(report.result.verdicts):
+        by[pair.standing].append(pair)
+    rest = [s for s in Standing if s not in TOLD_FIRST]
+    parts = ["<h2>Every pair and its reason</h2>"]
+    for standing in (*TOLD_FIRST, *rest):
+        if not by[standing]:
+            continue
+        many = f"{_several(len(by[standing]), 'pair')} {standing}"
+        head = f"<summary>{_swatch(standing)}{many}</summary>"
+        if standing in TOLD_FIRST and len(by[standing]) <= MOST_WRITTEN:
+            lines = "".join(
+                f"<li><b>{text(p.a)} + {text(p.b)}</b>{_told(p)}</li>" for p in by[standing]
+            )
+            parts.append(f'<details>{head}<ol class="pairs">{lines}</ol></details>')
+        else:
+            kind = STANDINGS.index(str(standing))
+            parts.append(
+                f'<details data-standing="{kind}">{head}<ol class="pairs"></ol>'
+                "<noscript>This list takes JavaScript; merged.json holds it as well.</noscript>"
+                "</details>"
+            )
+    return "\n".join(parts)
+
+
+def _swatch(standing: Standing) -> str:
+    return f'<i class="swatch" style="background:var(--v{STANDINGS.index(str(standing))})"></i>'
+
+
+def _data(result: MergeResult | None, runs: Sequence[str]) -> str:
+    """What the script shows, as JSON in which nothing ends or opens a tag."""
+    row = {run: i for i, run in enumerate(runs)}
+    reasons: dict[str, int] = {}
+    pairs = []
+    for p in strongest(result.verdicts) if result is not None else ():
+        i, j = sorted((row[p.a], row[p.b]))
+        k = reasons.setdefault(legible(p.reason), len(reasons))
+        bits = round(p.evidence_bits, 2) + 0.0
+        pairs.append([i, j, STANDINGS.index(str(p.standing)), bits, k])
+    doc = {
+        "runs": [legible(run) for run in runs],
+        "standings": STANDINGS,
+        "reasons": list(reasons),
+        "pairs": pairs,
+    }
+    raw = json.dumps(doc, separators=(",", ":"), ensure_ascii=True)
+    return raw.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _health(report: Report, runs: Sequence[str]) -> str:
+    """A row for each run: what it holds, how well it was measured, what was found wrong."""
+    home: dict[str, int] = {}
+    if report.result is not None:
+        home = {run: c.id for c in report.result.components for run in c.poses}
+    head = (
+        "run",
+        "component",
+        "from (UTC)",
+        "lasts",
+        "passes",
+        "junctions",
+        "corridors",
+        "closures",
+        "refused",
+        "heading noise",
+        "missed",
+        "wrong branches",
+        "jumps",
+    )
+    rows = []
+    for run in runs:
+        if run in report.maps:
+            m = report.maps[run]
+            cells = [run, home.get(run, "—"), *_measured(m)]
+            warned = [str(w) for w in m.info.get("warnings") or ()]
+            shown = "".join(f"<td>{text(c)}</td>" for c in cells)
+            told = "<br>".join(text(w) for w in warned[:8])
+            rows.append(f'<tr>{shown}<td class="text">{told}</td></tr>')
+    if not rows:
+        return ""
+    header = "".join(f"<th>{text(h)}</th>" for h in head)
+    table = (
+        f'<div class="wide"><table><thead><tr>{header}<th class="text">warnings</th></tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
+    )
+    note = (
+        '<p class="dim">Closures: visits recognised as the same place. Heading noise: random walk '
+        "of the odometry's heading, 1 sigma after a metre. Missed: share of passes in which a "
+        "junction went unseen. Jumps: steps of unknown size in the odometry.</p>"
+    )
+    return f"<h2>Runs</h2>{note}{table}{_own_maps(report, runs)}"
+
+
+def _measured(m: TopoMap) -> list[str]:
+    times, noise = m.observation_time_ns, m.measured
+    begin = clock(int(times.min())) if len(times) else "—"
+    lasts = minutes(int(times.max() - times.min())) if len(times) else "—"
+    accepted = sum(c.accepted for c in m.closures)
+    refused = sum(not c.accepted and not c.revised for c in m.closures)
+    jumps = m.info.get("jumps")
+    return [
+        begin,
+        lasts,
+        f"{len(times):,}",
+        f"{len(m):,}",
+        f"{len(m.source):,} ({float(m.length.sum()):,.0f} m)",
+        f"{accepted:,}",
+        f"{refused:,}",
+        f"{np.degrees(noise.heading_rad_per_sqrt_m):.2f}°/√m",
+        f"{100 * noise.miss_rate:.1f} %",
+        f"{100 * noise.branch_fault_rate:.1f} %",
+        str(len(jumps)) if isinstance(jumps, Sequence) else "0",
+    ]
+
+
+def _own_maps(report: Report, runs: Sequence[str]) -> str:
+    shown = [run for run in runs if run in report.maps]
+    if len(shown) > MOST_MAPS:
+        return '<p class="dim">A run\'s own map: topobatch draw RUN map.svg</p>'
+    return "".join(
+        f"<details><summary>Map of {text(run)}</summary>"
+        f"{_figure(draw_map(report.maps[run], SWITCHABLE, name=f'own{k}'), f'map of {run}')}"
+        "</details>"
+        for k, run in enumerate(shown)
+    )
+
+
+def _settings(report: Report) -> str:
+    parts = []
+    if report.result is not None:
+        method = report.result.info.get("method", "unknown")
+        parts.append(_folded(f"Merge: method {method}", report.result.info.get("settings") or {}))
+    by: dict[str, list[str]] = {}
+    for run, m in sorted(report.maps.items()):
+        settings = json.dumps(m.info.get("settings") or {}, sort_keys=True)
+        by.setdefault(settings, []).append(run)
+    for settings, named in sorted(by.items(), key=lambda entry: (-len(entry[1]), entry[1])):
+        who = "every run" if len(by) == 1 else _listed(named, 6)
+        parts.append(_folded(f"Ingest of {who}", json.loads(settings)))
+    locks = "".join(f"<li>{text(lock)}</li>" for lock in report.locks)
+    told = f"<h3>Locks set by a person</h3><ul>{locks}</ul>" if locks else ""
+    return f"<h2>Settings</h2>{''.join(parts)}{told}"
+
+
+def _folded(title: str, settings: object) -> str:
+    shown = json.dumps(settings, indent=1, sort_keys=True, ensure_ascii=False)
+    lines = "\n".join(escape(legible(line)) for line in shown.split("\n"))
+    return f"<details><summary>{text(title)}</summary><pre>{lines}</pre></details>"
+
+
+def _versions(report: Report) -> str:
+    if not report.versions:
+        return ""
+    return f"<h2>Versions</h2><p>{_joined(f'{name} {v}' for name, v in report.versions)}</p>"
+
+
+def _joined(words: Iterable[str]) -> str:
+    return ", ".join(map(text, words))

@@ -1,0 +1,83 @@
+"""A merge in time: what lights up at each step on the timeline JOIN, and the pages that tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from ..merge.result import shown_bits
+from ..topology.se2 import apply
+from ..topology.topomap import TopoMap
+from . import palette
+from .growing import light_up_by_step
+from .parts import Part, pose_on_sheet
+from .recording import JOIN, Recording
+from .steps import Step
+from .verdicts import joining_told
+
+STORY = "story"
+"""Root of the pages."""
+
+
+def shared_from(part: Part, steps: Sequence[Step], runs_at: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) number of the step at which a junction of a component is first shared by two of its runs
+    that are together; 0 for those that never are. runs_at: (n, r) whether each of the component's
+    runs, in their order, has the junction. O(steps · n · r)."""
+    column = {run: k for k, run in enumerate(sorted(part.component.poses))}
+    shared = np.zeros(len(runs_at), np.int64)
+    for number, step in enumerate(steps, start=1):
+        if step.component == part.component.id:
+            one = runs_at[:, [column[run] for run in step.joins]].any(axis=1)
+            two = runs_at[:, [column[run] for run in step.into]].any(axis=1)
+            shared[(shared == 0) & one & two] = number
+    return shared
+
+
+def write_story(
+    recording: Recording,
+    root: str,
+    steps: Sequence[Step],
+    parts: Sequence[Part],
+    maps: Mapping[str, TopoMap],
+) -> None:
+    """A line between the middles of the two runs that each step rests on, white while the cursor is
+    on that step, gone before and thin after; and a page for every step."""
+    parted = {run: part for part in parts for run in part.component.poses}
+
+    def middle(run: str) -> NDArray[np.float64]:
+        own = maps[run].xy
+        at = own.mean(axis=0) if len(own) else np.zeros(2)
+        placed: NDArray[np.float64] = apply(pose_on_sheet(parted[run], run), at[None])[0]
+        return placed
+
+    path = (root, "joins")
+    recording.static(
+        path,
+        rr.LineStrips2D.from_fields(
+            strips=[np.stack([middle(s.pair.a), middle(s.pair.b)]) for s in steps],
+            radii=rr.Radius.ui_points(1.25),
+            draw_order=4.0,
+        ),
+        rr.AnyValues(
+            step=np.arange(1, len(steps) + 1),
+            pair=[f"{s.pair.a} - {s.pair.b}" for s in steps],
+            evidence=[f"{shown_bits(s.pair.evidence_bits)} bits" for s in steps],
+            reason=[s.pair.reason for s in steps],
+        ),
+    )
+    colours = np.tile(np.array(palette.PAST, np.uint8), (len(steps), 1))
+    light_up_by_step(
+        recording,
+        path,
+        rr.LineStrips2D,
+        np.arange(1, len(steps) + 1),
+        colours,
+        now=palette.WHITE,
+        dim=palette.BACKGROUND,
+    )
+    pages = joining_told(steps)
+    columns = rr.TextDocument.columns(text=pages, media_type=["text/markdown"] * len(pages))
+    recording.over_steps((STORY,), JOIN, np.arange(len(pages)), columns)
