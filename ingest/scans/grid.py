@@ -49,7 +49,7 @@ class Looks:
     def __len__(self) -> int:
         return len(self.corner)
 
-    def take(self, rows: slice) -> Looks:
+    def take(self, rows: slice | IntArray) -> Looks:
         """Those of some keyframes."""
         return Looks(self.free[rows], self.hit[rows], self.corner[rows])
 

@@ -59,6 +59,8 @@ class WindowSettings:
         )
 
 
+MOST_HELD = 800
+"""Keyframes held for the windows to come, 50 kB each."""
 SHOWN_M = 4.0
 """How far from the middle of a window its skeleton is kept for the picture."""
 
@@ -152,7 +154,9 @@ def _rolling(
 
 def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
     first = min(int(np.searchsorted(held.way, oldest)), len(held.way) - 1)
-    rows = slice(first, None)
+    # A robot that turns and turns on the spot adds no way: every second keyframe tells as much.
+    every = 1 + (len(held.way) - first) // MOST_HELD
+    rows = np.arange(len(held.way) - 1, first - 1, -every)[::-1]
     return _Rolling(held.seen.take(rows), held.body[rows], held.way[rows])
 
 
@@ -205,7 +209,7 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
             if found is not None and len(node.headings) >= 3:
                 forks.append((k, found, replace(node, xy=xy)))
         if k == 0:
-            skeleton = (graph.pixels[:, ::-1] + corner + 0.5) * cell
+            skeleton = np.asarray((graph.pixels[:, ::-1] + corner + 0.5) * cell, np.float64)
             skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
     return Seen(number, middle, tuple(forks), skeleton.astype(np.float32))
 

@@ -206,3 +206,16 @@ def test_picture_hangs_on_the_track() -> None:
     free = np.array([RING.free[tuple(((p - RING.corner) / 0.02).astype(int)[::-1])] for p in truth])
     assert np.isfinite(points).all()
     assert free.mean() > 0.95
+
+
+def test_turning_on_the_spot_for_long_holds_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("topobatch.ingest.scans.windows.MOST_HELD", 40)
+    spins = [(0.0, 0.0), (4.0, 0.0)]
+    there = drive(*spins)
+    turn = np.arange(200) * 0.2
+    still = np.column_stack([np.full(200, 4.0), np.zeros(200), wrap(turn)])
+    pose = np.concatenate([there.pose, still])
+    truth = Odometry((10**9 + np.arange(len(pose)) * 2e8).astype(np.int64), pose, there.breaks)
+    result = detect(truth, parts(scans(RING, truth), 100))
+    off = between(truth.at(result.odometry.time_ns), result.odometry.pose)
+    assert np.abs(off).max() < 0.1
