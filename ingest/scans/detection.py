@@ -177,8 +177,8 @@ def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
         )
     if statistics.searched:
         out.append(
-            f"{statistics.searched} times the odometry led astray between two scans; the way on "
-            "was found by searching"
+            f"at {statistics.searched} of {statistics.scans} scans the odometry led astray; the way "
+            "on was found by searching"
         )
     return tuple(out)
 
