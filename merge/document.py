@@ -116,8 +116,12 @@ class Contradiction(Model):
     """Where a sentence of `contradictions` lies: the junctions of the two runs that it speaks of, a
     corridor as its two ends."""
 
-    a: list[Index] = Field(min_length=1, max_length=2)
-    b: list[Index] = Field(min_length=1, max_length=2)
+    a: list[Index] = Field(
+        min_length=1, max_length=2, description="Of a's map: a junction, or the ends of a corridor."
+    )
+    b: list[Index] = Field(
+        min_length=1, max_length=2, description="Of b's map: a junction, or the ends of a corridor."
+    )
 
 
 class Contradicted(Model):

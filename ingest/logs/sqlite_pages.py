@@ -154,6 +154,11 @@ class Pages:
         pointer = _big(data, page + 8 + 2 * number, 2)
         short = self._short(data, base, cells, pointer)
         at = page + np.minimum(pointer, self.size - 4)
+        # A wrong bit in a page's list, or in its length, may name a place of it twice.
+        once = np.unique(at, return_index=True)[1]
+        if len(once) < len(at):
+            once.sort()
+            page, at = page[once], at[once]
         payload, at = _varint(data, at)
         row, at = _varint(data, at)
         head = at
@@ -167,7 +172,8 @@ class Pages:
         regular &= payload == start + size - head
         whole = regular & (start + size <= page + self.usable) & (payload <= self.usable - 35)
         time_ns = _big(data, np.minimum(start, len(data)) - _REAL, 8)
-        other = ~whole
+        # The same row twice, once by a place that is none: the library would give it again.
+        other = ~whole & ~np.isin(row, row[whole])
         return Rows(
             data,
             topic[whole],
@@ -176,7 +182,7 @@ class Pages:
             size[whole],
             row[other],
             np.where(regular, topic, -1)[other],
-            row,
+            row[whole | other],
             int((~leaf).sum()),
             short,
         )

@@ -1,0 +1,40 @@
+"""The pages in docs/: what they call and link to is there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from topobatch.cli.main import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_and_their_options_exist(page) -> None:
+    commands = typer.main.get_command(app).commands
+    calls = re.findall(r"^    topobatch (.*)$", page.read_text(), re.MULTILINE)
+    calls += re.findall(r"`topobatch ([^`]+)`", page.read_text())
+    for call in calls:
+        words = call.split("#")[0].split("&&")[0].split()
+        if not re.fullmatch(r"[a-z]+", words[0]):
+            continue  # `topobatch --help`
+        assert words[0] in commands, call
+        known = {o for p in commands[words[0]].params for o in (*p.opts, *p.secondary_opts)}
+        options = {o for o in re.findall(r"(?<![\w-])--[a-z-]+", " ".join(words)) if o != "--help"}
+        assert options <= known, call
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page) -> None:
+    for link in re.findall(r"(?<!\])\[[^\]]+\]\((?!https?:)([^)# ]+\.\w+)", page.read_text()):
+        assert (page.parent / link).exists(), link
+
+
+def test_the_readme_lists_every_page() -> None:
+    readme = (ROOT / "README.md").read_text()
+    assert [p.name for p in PAGES[1:] if f"docs/{p.name})" not in readme] == []
