@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 
 MOST_LINES, MOST_JOINED = 20, 5
 
-WORTH_PROCESSES = 2000
-"""Pairs; fewer are matched in the seconds that it takes to start processes and to give them maps.
-"""
+WORTH_PROCESSES = 4000
+"""Pairs to match; fewer take no longer than starting processes, each of which reads the maps."""
 
 
 def merge(
@@ -277,8 +276,10 @@ def _workers(jobs: int, cluster: str | None, pairs: int) -> Workers | None:
 
     if cluster is not None:
         return Workers(partial(dask_cluster, cluster))
-    count = min(jobs or (os.cpu_count() if pairs >= WORTH_PROCESSES else 1) or 1, pairs)
-    return Workers(partial(_executor, count)) if count > 1 else None
+    count = min(jobs or os.cpu_count() or 1, pairs)
+    # Those who name a number of processes get them.
+    worth = 0 if jobs else WORTH_PROCESSES
+    return Workers(partial(_executor, count), worth) if count > 1 else None
 
 
 @contextmanager

@@ -23,9 +23,11 @@ TRIES = 4
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where tasks are done. start: an executor, to be entered, and again if it breaks."""
+    """Where tasks are done. start: an executor, to be entered, and again if it breaks; worth: for
+    fewer pairs than this it is not worth the trouble."""
 
     start: Callable[[], AbstractContextManager[Executor]]
+    worth: int = 0
 
     @classmethod
     def of(cls, executor: Executor) -> Workers:

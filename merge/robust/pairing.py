@@ -231,11 +231,12 @@ class Pairwise:
             yield tasks[k][0], pack
 
     def _done(self, tasks: list[MatchTask]) -> Iterator[tuple[int, Pack]]:
-        if self.means.workers is None or len(tasks) < 2:
+        workers, pairs = self.means.workers, sum(len(task.pairs) for task in tasks)
+        if workers is None or len(tasks) < 2 or pairs < workers.worth:
             yield from ((k, _match_all(task, self._ready)) for k, task in enumerate(tasks))
             return
         era = era_of(self.settings)
-        for k, data in self.means.workers.results(matched, tasks):
+        for k, data in workers.results(matched, tasks):
             pack = Pack.from_bytes(data)
             if pack.era != era:
                 raise DataError(
