@@ -36,6 +36,10 @@ Known = tuple[Runs, tuple[tuple[Pair, bytes], ...]]
 MOST_CUT = 5
 """Groups of up to so many components are tried at every cut (15 at most)."""
 
+MOST_TRIED = 12
+"""Of groups of more components those that are tied weakly are left out beforehand. If more stay,
+they are not tried: so many runs that lack nothing but this are copies."""
+
 OPEN_BITS = ODD_BITS
 """Components are matched again where some pair across them has more evidence than this."""
 
@@ -153,7 +157,9 @@ class Rematcher:
         found = False
         for runs in sorted(trial.members.values()):
             parts = {tuple(sorted(self.components.members[self.components.head[i]])) for i in runs}
-            for cuts in self._standing(sorted(parts), {**accepted, **links}, links, trial):
+            groups = self._strongly_tied(sorted(parts), links)
+            known = {**accepted, **links}
+            for cuts in (c for g in groups for c in self._standing(g, known, links, trial)):
                 inside = {i for cut in cuts for i in cut.runs}
                 for i, j in sorted(p for p in links if inside.issuperset(p)):
                     cut = min(cuts, key=lambda c: (not c.parts(i, j), c.view.bits))
@@ -163,6 +169,37 @@ class Rematcher:
                         self.components.join(i, j, links[i, j].transform)
                 found = True
         return found
+
+    def _strongly_tied(
+        self, parts: Sequence[Runs], links: Mapping[Pair, Alignment]
+    ) -> list[list[Runs]]:
+        """Groups of components to be tried: all, if they are few; else those that hang together
+        without the ones whose pairs with all others tell too little to join them (`_may_stand`),
+        without the ones that then tell too little, and so on."""
+        if len(parts) <= MOST_TRIED:
+            return [list(parts)]
+        of = {run: k for k, part in enumerate(parts) for run in part}
+        inside = [(i, j) for i, j in links if i in of and j in of]
+        pairs = np.array([(of[i], of[j]) for i, j in inside], np.int64).reshape(-1, 2)
+        told = [self.opinions[pair] for pair in inside]
+        same = np.array([max(view.same_bits or 0.0, 0.0) for view in told])
+        need = np.array([view.answers[0].need_same for view in told])
+        alive = np.ones(len(parts), np.bool_)
+        while True:
+            both = alive[pairs].all(axis=1)
+            bits, most = np.zeros(len(parts)), np.full(len(parts), -np.inf)  # of no pair: weak
+            for k in (0, 1):
+                np.add.at(bits, pairs[both, k], same[both])
+                np.maximum.at(most, pairs[both, k], need[both])
+            weak = alive & ((2 * bits < most) | np.isneginf(most))
+            if not weak.any():
+                break
+            alive &= ~weak
+        tied = DisjointSet(np.flatnonzero(alive).tolist())
+        for i, j in pairs[both].tolist():
+            tied.merge(i, j)
+        groups = sorted(sorted(group) for group in tied.subsets())
+        return [[parts[k] for k in group] for group in groups if len(group) <= MOST_TRIED]
 
     def _standing(
         self,

@@ -89,3 +89,17 @@ def test_two_clusters_of_many_runs_are_cut_between_them():
     first, *others = _two_parts([(k,) for k in range(8)], bits)
     assert first == ([(0,), (1,), (2,), (3,)], [(4,), (5,), (6,), (7,)])
     assert len(others) >= 6
+
+
+def test_of_many_runs_only_those_tied_strongly_are_tried(monkeypatch, three):
+    views, _, _ = rematched(three, 1e6)
+    level = Bar(15.0, 1e6, 1.0, 0, default_copies(SETTINGS), SETTINGS)
+    ready = [prepare(m) for m in three]
+    rematcher = Rematcher(three, ready, Components(3, ()), views, lambda _: level, SETTINGS)
+    parts, links = [(0,), (1,), (2,)], dict.fromkeys(views)
+    assert rematcher._strongly_tied(parts, links) == [parts]
+    monkeypatch.setattr("topobatch.merge.robust.rematching.MOST_TRIED", 2)
+    assert rematcher._strongly_tied(parts, links) == []  # all are tied too weakly for 1e6 bits
+    rematcher.opinions = {p: rematched(three, 0.1)[0][p] for p in views}
+    assert rematcher._strongly_tied(parts, links) == []  # three are too many
+    assert rematcher._strongly_tied([*parts, (3,)], {(0, 1): None}) == [[(0,), (1,)]]
