@@ -299,8 +299,11 @@ class _Walk:
             stop = yield from self._small_chunks(position)
             if stop > position:
                 return stop
+            self._small_run = 0  # none of them is sound: not tried at every single one
         self._chunks += 1
         counts, offsets, end = self._index_behind(record.end, size)
+        if compression == "none" and not size and not counts:
+            return end
         yield from self._queue(_Chunk(record, compression, size, counts, offsets))
         return end
 
