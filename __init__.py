@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .cli.library import Workspace, ingest, merge, read_map, to_networkx
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
 
 _ALSO_FOLDERS = ("ingest", "merge")
