@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.errors import DocumentError, UsageError
 from . import paper_options
 from .journal import note
+from .matching import matching, read_maps
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, complete_run
 from .output import Screen, count, folded
 from .workers import start_worker
@@ -202,22 +203,6 @@ def _keep_larger(place: Workspace, chosen: list[str]) -> None:
         )
 
 
-def read_maps(
-    place: Workspace, names: list[str], screen: Screen
-) -> tuple[list[TopoMap], list[str]]:
-    """The maps that can be read, and the names of those that cannot."""
-    maps, broken = [], []
-    for name in names:
-        try:
-            maps.append(place.read_map(name))
-        except DocumentError as error:
-            screen.complain(f"{error}; left out (ingest its log again with --force)")
-            broken.append(name)
-    if not maps:
-        raise DataError(f"{place.maps}: none of the {count(len(names), 'map')} can be read")
-    return maps, broken
-
-
 def _settings(
     method: Literal["robust", "paper"],
     false_merge_rate: float | None,
@@ -246,24 +231,13 @@ def _merged(
 ) -> MergeResult:
     from ..merge.cache import PairCache
     from ..merge.merging import merge_maps
-    from ..merge.robust import Means
+    from ..merge.result import pairs_of
 
-    pairs = len(maps) * (len(maps) - 1) // 2
     store = PairCache(place.pairs, screen.warn)
-    with screen.progress("matching", pairs, "pairs") as advance:
-        means = Means(
-            workers=workers(pairs),
-            maps=replace(place, root=place.root.resolve()),
-            store=store,
-            on_pair=lambda done, _: advance(done),
-            tell=screen.detail,
+    with matching(place, pairs_of(len(maps)), store, workers, screen) as means:
+        result = merge_maps(
+            maps, settings, locks=place.locks(), discarded=place.discards(), means=means
         )
-        try:
-            result = merge_maps(
-                maps, settings, locks=place.locks(), discarded=place.discards(), means=means
-            )
-        finally:
-            store.flush()
     if everything and settings.method == "robust":
         store.settle(maps, settings.robust)
     return result

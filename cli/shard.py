@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import typer
 
 from ..topology.errors import UsageError
-from .merge import read_maps
+from .matching import matching, read_maps
 from .output import Screen, count
 from .workspace import Workspace
 
@@ -38,23 +37,14 @@ def match_share(
     """Match a share of all pairs, for the cache. Others may do other shares meanwhile: the
     workspace is held only to write."""
     from ..merge.cache import PairCache
-    from ..merge.robust import Means, match_shard
+    from ..merge.result import pairs_of
+    from ..merge.robust import match_shard
 
     maps, broken = read_maps(place, place.chosen_runs([], True), screen)
     store = PairCache(place.pairs, screen.warn, partial(place.held, lambda _: None, make=False))
-    pairs = len(maps) * (len(maps) - 1) // 2 // share[1]
-    with screen.progress("matching", pairs, "pairs") as advance:
-        means = Means(
-            workers=workers(pairs),
-            maps=replace(place, root=place.root.resolve()),
-            store=store,
-            on_pair=lambda done, _: advance(done),
-            tell=screen.detail,
-        )
-        try:
-            done = match_shard(maps, settings.robust, share, means)
-        finally:
-            store.flush()
+    pairs = pairs_of(len(maps)) // share[1]
+    with matching(place, pairs, store, workers, screen) as means:
+        done = match_shard(maps, settings.robust, share, means)
     screen.line(
         f"share {share[0]} of {share[1]}: {count(done, 'pair')} in {place.pairs}; "
         "when all shares are done: topobatch merge --all"

@@ -1,0 +1,60 @@
+"""What commands that match maps have in common: the maps they read, and where finds are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from ..topology.errors import DataError, DocumentError
+from .output import Screen, count
+from .workspace import Workspace
+
+if TYPE_CHECKING:
+    from ..merge.cache import PairCache
+    from ..merge.robust import Means
+    from ..merge.workers import Workers
+    from ..topology.topomap import TopoMap
+
+
+def read_maps(
+    place: Workspace, names: list[str], screen: Screen
+) -> tuple[list[TopoMap], list[str]]:
+    """The maps that can be read, and the names of those that cannot."""
+    maps, broken = [], []
+    for name in names:
+        try:
+            maps.append(place.read_map(name))
+        except DocumentError as error:
+            screen.complain(f"{error}; left out (ingest its log again with --force)")
+            broken.append(name)
+    if not maps:
+        raise DataError(f"{place.maps}: none of the {count(len(names), 'map')} can be read")
+    return maps, broken
+
+
+@contextmanager
+def matching(
+    place: Workspace,
+    pairs: int,
+    store: PairCache,
+    workers: Callable[[int], Workers | None],
+    screen: Screen,
+) -> Iterator[Means]:
+    """How so many pairs are matched, with progress on the screen; what is found is kept in the
+    store, also where the command is interrupted."""
+    from ..merge.robust import Means
+
+    with screen.progress("matching", pairs, "pairs") as advance:
+        means = Means(
+            workers=workers(pairs),
+            maps=replace(place, root=place.root.resolve()),
+            store=store,
+            on_pair=lambda done, _: advance(done),
+            tell=screen.detail,
+        )
+        try:
+            yield means
+        finally:
+            store.flush()
