@@ -16,7 +16,7 @@ from pathlib import Path
 from ..topology.document import read_bytes, write_atomically
 from ..topology.errors import DocumentError
 from ..topology.topomap import TopoMap
-from .packs import DamagedPackError, Pack, digest_of, joined
+from .packs import DamagedPackError, Pack, digest_of, joined, joined_count
 from .robust.pairing import era_of
 from .robust.settings import RobustSettings
 
@@ -65,10 +65,11 @@ class PairCache:
         era, wanted = era_of(settings), frozenset(map(digest_of, maps))
         whole = dict(self._whole(era))
         files = list(self._files())
-        total = sum(len(pack) for pack in whole.values())
-        live = joined(era, list(whole.values()), wanted)
-        if len(files) == len(whole) <= MOST_FILES and len(live) >= LEAST_LIVE * total:
+        packs = list(whole.values())
+        useful = joined_count(packs, wanted) >= LEAST_LIVE * sum(map(len, packs))
+        if len(files) == len(whole) <= MOST_FILES and useful:
             return
+        live = joined(era, packs, wanted)
         kept = self._write(live) if len(live) else None
         if kept is not None or not len(live):
             for path in files:

@@ -188,26 +188,48 @@ def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = 
     number: dict[bytes, int] = {}
     parts, payloads, end = [], [], 0
     for pack in packs:
-        new = [
-            number.setdefault(d, len(number)) if wanted is None or d in wanted else -1
-            for d in pack.digests
-        ]
-        to = np.array(new or [-1], np.int64)
-        a, b = to[pack.rows["a"]], to[pack.rows["b"]]
-        chosen = np.flatnonzero((a >= 0) & (b >= 0) & pack.whole())
-        rows = pack.rows[chosen].copy()
-        rows["a"], rows["b"] = a[chosen], b[chosen]
+        chosen, rows = _of_wanted(pack, number, wanted)
+        whole = pack.whole()[chosen]
+        rows = rows[whole]
         starts, sizes = rows["start"].tolist(), rows["size"].tolist()
         ends = end + np.cumsum([0, *sizes])
         rows["start"] = ends[:-1]
         payloads += [pack.payloads[s : s + n] for s, n in zip(starts, sizes, strict=True)]
         parts.append(rows)
         end = int(ends[-1])
-    rows = np.concatenate(parts) if parts else np.zeros(0, RECORD)
-    keys = np.stack([rows["a"], rows["b"], rows["kind"]], axis=1)
-    first = np.sort(np.unique(keys, axis=0, return_index=True)[1])
+    rows, first = _firsts(parts)
     if len(first) < len(rows):
         payloads = [payloads[k] for k in first.tolist()]
         rows = rows[first]
         rows["start"] = np.cumsum([0, *rows["size"].tolist()])[:-1]
     return Pack(era, tuple(number), rows, b"".join(payloads))
+
+
+def joined_count(packs: Sequence[Pack], wanted: frozenset[bytes]) -> int:
+    """How many records `joined` gives, were none damaged; no payload is looked at."""
+    number: dict[bytes, int] = {}
+    return len(_firsts([_of_wanted(pack, number, wanted)[1] for pack in packs])[1])
+
+
+def _of_wanted(
+    pack: Pack, number: dict[bytes, int], wanted: frozenset[bytes] | None
+) -> tuple[NDArray[np.int64], Rows]:
+    """The records of wanted maps: their rows, and they themselves by the numbers of the maps, to
+    which new ones are added."""
+    new = [
+        number.setdefault(d, len(number)) if wanted is None or d in wanted else -1
+        for d in pack.digests
+    ]
+    to = np.array(new or [-1], np.int64)
+    a, b = to[pack.rows["a"]], to[pack.rows["b"]]
+    chosen = np.flatnonzero((a >= 0) & (b >= 0))
+    rows = pack.rows[chosen].copy()
+    rows["a"], rows["b"] = a[chosen], b[chosen]
+    return chosen, rows
+
+
+def _firsts(parts: Sequence[Rows]) -> tuple[Rows, NDArray[np.int64]]:
+    """Records in a row, and which of them are the first for their thing."""
+    rows = np.concatenate(parts) if parts else np.zeros(0, RECORD)
+    keys = np.stack([rows["a"], rows["b"], rows["kind"]], axis=1)
+    return rows, np.sort(np.unique(keys, axis=0, return_index=True)[1])
