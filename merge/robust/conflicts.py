@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -62,6 +63,43 @@ class Conflicts:
     def __len__(self) -> int:
         unseen = len(self.extra_b) + len(self.extra_a)
         return unseen + len(self.crossing) + len(self.elsewhere)
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """One of them. of_a, of_b: the vertices of the two maps that it is about, one or the two ends
+    of a corridor; bits: its weight, positive."""
+
+    kind: Literal["unseen", "crossing", "elsewhere"]
+    of_a: tuple[int, ...]
+    of_b: tuple[int, ...]
+    bits: float
+
+
+def one_by_one(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
+    """All contradictions of a match, unseen junctions first."""
+    extra_b = zip(
+        found.extra_b.tolist(), found.extra_b_in.tolist(), found.extra_b_bits, strict=True
+    )
+    extra_a = zip(
+        found.extra_a.tolist(), found.extra_a_in.tolist(), found.extra_a_bits, strict=True
+    )
+    return [
+        *(Contradiction("unseen", _ends(a, row), (v,), float(bits)) for v, row, bits in extra_b),
+        *(Contradiction("unseen", (v,), _ends(b, row), float(bits)) for v, row, bits in extra_a),
+        *(
+            Contradiction("crossing", _ends(a, row_a), _ends(b, row_b), CONFLICT_BITS)
+            for row_a, row_b in found.crossing.tolist()
+        ),
+        *(
+            Contradiction("elsewhere", _ends(a, row_a), _ends(b, row_b), found.elsewhere_bits)
+            for row_a, row_b in found.elsewhere.tolist()
+        ),
+    ]
+
+
+def _ends(m: Prepared, row: int) -> tuple[int, int]:
+    return int(m.tail[row]), int(m.head[row])
 
 
 _NONE, _FREE = np.zeros(0, np.int64), np.zeros(0)

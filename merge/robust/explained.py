@@ -6,7 +6,7 @@ pairs of the merge: what other runs and people said is taken from its document.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 
@@ -21,12 +21,12 @@ from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
 from ..wording import counted, told_bits
 from .alignment import CHANCE_BITS, Candidate, best_seed, same_placement
-from .conflicts import CONFLICT_BITS
+from .conflicts import one_by_one
 from .decide import Assessment, assess, bars
 from .forced import forced_alignment
 from .growth import FEWEST, LEAST_SHARE, given_up
 from .index import beyond_chance
-from .prepare import FloatArray, IntArray, Prepared, prepare
+from .prepare import FloatArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import JUNCTION_BITS, Answers, Bar, PairCount, counted_bits, needed_bits
@@ -306,29 +306,13 @@ def _branches(naming: _Naming, c: Candidate) -> list[Term]:
 
 
 def _against(naming: _Naming, c: Candidate) -> list[Term]:
-    a, b, found = naming.one, naming.two, c.conflicts
-    unseen = "junction unseen in a corridor"
-    out = []
-    for v, row, bits in _rows(found.extra_b, found.extra_b_in, found.extra_b_bits):
-        out.append(naming.term("unseen", -bits, unseen, one=_ends(a, row), two=[v]))
-    for v, row, bits in _rows(found.extra_a, found.extra_a_in, found.extra_a_bits):
-        out.append(naming.term("unseen", -bits, unseen, one=[v], two=_ends(b, row)))
-    for row_a, row_b in found.crossing.tolist():
-        told, ends = "corridors that only cross", (_ends(a, row_a), _ends(b, row_b))
-        out.append(naming.term("crossing", -CONFLICT_BITS, told, one=ends[0], two=ends[1]))
-    for row_a, row_b in found.elsewhere.tolist():
-        told, ends = "corridors that lead elsewhere", (_ends(a, row_a), _ends(b, row_b))
-        bits = -found.elsewhere_bits
-        out.append(naming.term("elsewhere", bits, told, one=ends[0], two=ends[1]))
-    return out
-
-
-def _rows(vertex: IntArray, row: IntArray, bits: FloatArray) -> Iterator[tuple[int, int, float]]:
-    return zip(vertex.tolist(), row.tolist(), bits.tolist(), strict=True)
-
-
-def _ends(m: Prepared, row: int) -> list[int]:
-    return [int(m.tail[row]), int(m.head[row])]
+    told = {
+        "unseen": "junction unseen in a corridor",
+        "crossing": "corridors that only cross",
+        "elsewhere": "corridors that lead elsewhere",
+    }
+    found = one_by_one(c.conflicts, naming.one, naming.two)
+    return [naming.term(x.kind, -x.bits, told[x.kind], one=x.of_a, two=x.of_b) for x in found]
 
 
 def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requirement:

@@ -6,6 +6,7 @@ from ...topology.topomap import TopoMap
 from ..result import shown_bits
 from ..wording import counted, told_bits
 from .alignment import Candidate
+from .conflicts import Contradiction, one_by_one
 from .prepare import Prepared
 from .verdict import Faint
 
@@ -39,40 +40,24 @@ Ends = tuple[int, ...]
 def contradictions(best: Candidate, a: Prepared, b: Prepared) -> list[tuple[str, Ends, Ends]]:
     """For every contradiction of an alignment a sentence, and the vertices of a and of b that it
     speaks of: one, or the two ends of a corridor."""
-    c = best.conflicts
-    said: list[tuple[str, Ends, Ends]] = []
-    for vertex, row in zip(c.extra_b.tolist(), c.extra_b_in.tolist(), strict=True):
-        said.append((_unseen(vertex, b.run, row, a), _ends(a, row), (vertex,)))
-    for vertex, row in zip(c.extra_a.tolist(), c.extra_a_in.tolist(), strict=True):
-        said.append((_unseen(vertex, a.run, row, b), (vertex,), _ends(b, row)))
-    for row_a, row_b in c.crossing.tolist():
-        told = (
-            f"corridor {_name(a, row_a)} of {a.run} crosses corridor {_name(b, row_b)} of {b.run} "
+    return [(_told(c, a.run, b.run), c.of_a, c.of_b) for c in one_by_one(best.conflicts, a, b)]
+
+
+def _told(c: Contradiction, run_a: str, run_b: str) -> str:
+    one, two = (" to ".join(map(str, ends)) for ends in (c.of_a, c.of_b))
+    if c.kind == "unseen":
+        inside = len(c.of_a) == 1
+        vertex, run, row, other = (one, run_a, two, run_b) if inside else (two, run_b, one, run_a)
+        return f"junction {vertex} of {run} falls inside corridor {row} of {other}, unseen there"
+    if c.kind == "crossing":
+        return (
+            f"corridor {one} of {run_a} crosses corridor {two} of {run_b} "
             "where neither run saw a junction"
         )
-        said.append((told, _ends(a, row_a), _ends(b, row_b)))
-    for row_a, row_b in c.elsewhere.tolist():
-        told = (
-            f"corridor {_name(a, row_a)} of {a.run} and corridor {_name(b, row_b)} of {b.run} "
-            "leave the same junction by the same branch and lead to different ones"
-        )
-        said.append((told, _ends(a, row_a), _ends(b, row_b)))
-    return said
-
-
-def _ends(m: Prepared, row: int) -> tuple[int, int]:
-    return int(m.tail[row]), int(m.head[row])
-
-
-def _unseen(vertex: int, run: str, row: int, other: Prepared) -> str:
     return (
-        f"junction {vertex} of {run} falls inside corridor {_name(other, row)} of {other.run}, "
-        "unseen there"
+        f"corridor {one} of {run_a} and corridor {two} of {run_b} "
+        "leave the same junction by the same branch and lead to different ones"
     )
-
-
-def _name(m: Prepared, row: int) -> str:
-    return f"{int(m.tail[row])} to {int(m.head[row])}"
 
 
 def place(topomap: TopoMap, vertex: int) -> str:

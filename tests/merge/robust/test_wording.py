@@ -4,18 +4,22 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from topobatch.merge.robust.conflicts import Conflicts
 from topobatch.merge.robust.wording import contradictions
 
 
 def test_every_contradiction_names_its_junctions() -> None:
     rows = np.array([(0, 1)])
-    conflicts = SimpleNamespace(
+    conflicts = Conflicts(
         extra_b=np.array([7]),
         extra_b_in=np.array([0]),
+        extra_b_bits=np.array([3.0]),
         extra_a=np.array([9]),
         extra_a_in=np.array([1]),
+        extra_a_bits=np.array([2.0]),
         crossing=rows,
         elsewhere=rows,
+        elsewhere_bits=1.0,
     )
     a = SimpleNamespace(run="one", tail=np.array([1, 3]), head=np.array([2, 4]))
     b = SimpleNamespace(run="two", tail=np.array([5, 6]), head=np.array([6, 8]))
