@@ -236,9 +236,9 @@ def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[s
 def _odometry(place: Workspace, run: str, log: Path | None) -> Odometry:
     """The odometry of a run from its log: as it was read for the map, if that is recorded."""
     from ..ingest.reading import ReadSettings, read_run
-    from .ingest_worker import READ_OPTIONS, ingest_record
+    from .ingest_worker import READ_OPTIONS
 
-    record = ingest_record(place, run)
+    record = place.ingested(run) or {}
     if log is None:
         found = record.get("log")
         if not isinstance(found, str):

@@ -102,7 +102,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     started = time.monotonic()
     job = replace(job, run=_called(job.place, job.run))
     key = _content_key(job)
-    before = ingest_record(job.place, job.run)
+    before = job.place.ingested(job.run) or {}
     had = _runs_of(before, job.run)
     if not job.force and before.get("key") == key and _all_there(job.place, had):
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
@@ -179,7 +179,7 @@ def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
 def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[str]) -> None:
     """Remove the maps of pieces that the log gave before and does not give any more."""
     for gone in set(_runs_of(before, run)) - kept:
-        if ingest_record(place, gone).get("log") == before.get("log"):
+        if (place.ingested(gone) or {}).get("log") == before.get("log"):
             for file in (place.map_json(gone), place.map_rrd(gone), place.ingest_record(gone)):
                 file.unlink(missing_ok=True)
 
@@ -204,22 +204,13 @@ def _content_key(job: IngestJob) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def ingest_record(place: Workspace, run: str) -> dict[str, Any]:
-    """What the map of a run was made from; empty where that is not known."""
-    try:
-        found = read_json(place.ingest_record(run))
-    except DocumentError:
-        return {}  # a cache: without it the run is just done again
-    return found if isinstance(found, dict) else {}
-
-
 def _called(place: Workspace, run: str) -> str:
     """The name that a run was given since by `topobatch rename`; its own if it was not."""
     name = run
     for _ in range(MOST_NAMES):
         if place.map_json(name).is_file():
             return name
-        name = ingest_record(place, name).get("renamed", run)
+        name = (place.ingested(name) or {}).get("renamed", run)
         try:
             checked_run_name(name)
         except (UsageError, TypeError, AttributeError):
@@ -244,7 +235,7 @@ def _origin(log: Path) -> str:
 
 def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """A map made from another log of the same name is not overwritten unasked."""
-    other, path = ingest_record(job.place, run).get("log"), job.place.map_json(run)
+    other, path = (job.place.ingested(run) or {}).get("log"), job.place.map_json(run)
     if job.force or not isinstance(other, str) or other == _origin(job.log):
         return
     try:

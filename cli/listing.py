@@ -8,7 +8,7 @@ import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -122,13 +122,11 @@ def _listed(
 
 def _log_changes(place: Workspace, run: str) -> list[str]:
     """What became of the log of a run since it was read, as far as its record tells."""
-    from ..topology.document import read_json
-
     try:
-        record: Any = read_json(place.ingest_record(run))
-    except (DataError, UsageError):
-        return []
-    if not isinstance(record, dict):
+        record = place.ingested(run)
+    except UsageError:  # a name that a file has, but that nothing of ours gave it
+        record = None
+    if record is None:
         return []
     out = []
     if record.get("version", __version__) != __version__:

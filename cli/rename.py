@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..topology.errors import DocumentError, UsageError
+from ..topology.errors import UsageError
 from .journal import note
 from .merge import merge_again
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
@@ -62,7 +62,7 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 
 def _rename(place: Workspace, old: str, new: str) -> None:
     """The files of a run; the new ones are there before the old ones go."""
-    from ..topology.document import map_to_document, read_json, write_json, write_together
+    from ..topology.document import map_to_document, write_json, write_together
 
     topomap = place.read_map(old)
     doc = map_to_document(replace(topomap, run=new))
@@ -72,11 +72,8 @@ def _rename(place: Workspace, old: str, new: str) -> None:
         writes[place.map_rrd(new)] = lambda path: path.write_bytes(content)
     writes[place.map_json(new)] = partial(write_json, doc=doc)
     write_together(writes)
-    try:
-        record = read_json(place.ingest_record(old))
-    except DocumentError:
-        record = None
-    if isinstance(record, dict):
+    record = place.ingested(old)
+    if record is not None:
         listed = record.get("runs")
         runs = [r for r in listed if isinstance(r, str)] if isinstance(listed, list) else []
         moved = record | {"runs": [f"{new}{r[len(old) :]}" for r in runs if r.startswith(old)]}

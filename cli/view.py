@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.errors import DataError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
 from .workspace import Workspace, shortened
@@ -75,14 +75,9 @@ def _recording(place: Workspace, run: str | None) -> Path:
 def _raw_log(place: Workspace, run: str) -> Iterator[Path]:
     """A recording of the log that a run's map was made from: kept in the workspace or, where that
     cannot be written, as long as the viewer is open."""
-    from ..topology.document import read_json
     from ..viz import write_raw_log
 
-    try:
-        record = read_json(place.ingest_record(run))
-    except DocumentError:
-        record = None
-    log = record.get("log") if isinstance(record, dict) else None
+    log = (place.ingested(run) or {}).get("log")
     if not isinstance(log, str):
         raise DataError(f"{run}: which log its map was made from is not known; ingest it again")
     if not Path(log).exists():

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..topology.errors import DataError, DocumentError, UsageError
 
@@ -127,6 +127,16 @@ class Workspace:
     def ingest_record(self, run: str) -> Path:
         """What a run's map was made from; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
+
+    def ingested(self, run: str) -> dict[str, Any] | None:
+        """What is recorded of the log that a run's map was made from; None where nothing is."""
+        from ..topology.document import read_json
+
+        try:
+            found = read_json(self.ingest_record(run))
+        except DocumentError:
+            return None  # a cache: without it the run is just done again
+        return found if isinstance(found, dict) else None
 
     @property
     def pairs(self) -> Path:
