@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import DisjointSet
 
 from ..topology.errors import UsageError
 from ..topology.se2 import wrap
@@ -281,14 +282,7 @@ def _thinned(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> NDArra
     A street that closes a loop is built with probability 0.7, if it leaves both its junctions
     at 50° or more from every street there and neither has five streets.
     """
-    root = list(range(len(xy)))
-
-    def find(u: int) -> int:
-        while root[u] != u:
-            root[u] = root[root[u]]
-            u = root[u]
-        return u
-
+    reached = DisjointSet(range(len(xy)))
     step = xy[pairs[:, 1]] - xy[pairs[:, 0]]
     heading = np.arctan2(step[:, 1], step[:, 0])
     headings: list[list[float]] = [[] for _ in xy]
@@ -297,8 +291,7 @@ def _thinned(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> NDArra
     tree, loops = [], []
     for i in order.tolist():
         u, v = pairs[i].tolist()
-        if find(u) != find(v):
-            root[find(u)] = find(v)
+        if reached.merge(u, v):
             tree.append(i)
             headings[u].append(float(heading[i]))
             headings[v].append(float(wrap(heading[i] + np.pi)))
