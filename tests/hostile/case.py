@@ -14,6 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from topobatch.ingest.logs.messages import Findings
 
 TOPICS = ("/odom", "/junctions")
 """The topics that every generated log is read for."""
@@ -48,3 +52,22 @@ def writers() -> ModuleType:
         sys.modules[name] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(sys.modules[name])
     return sys.modules[name]
+
+
+def read_of(path: Path) -> tuple[int, int, Findings]:
+    """How many messages of the wanted types decode, how many do not; and what was met."""
+    from topobatch.ingest.logs.intake import Intake, decoder_for
+    from topobatch.ingest.logs.messages import Findings
+    from topobatch.ingest.logs.recording import opened, recording_at
+    from topobatch.ingest.logs.spelling import TYPES
+
+    findings = Findings()
+    intake = Intake(lambda channel: channel.type_name in TYPES, decoder_for)
+    for file in recording_at(path).files:
+        with opened(file) as log:
+            for block in log.blocks(intake.want, findings):
+                intake.take(block)
+    for sink in intake.sinks:
+        sink.flush()
+    failed = sum(sink.failed for sink in intake.sinks)
+    return sum(sink.messages for sink in intake.sinks) - failed, failed, findings

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import logs_flips
-from case import writers
+from case import read_of, writers
 from logs_flips import HEAD, Sound
 
 ODOMETRY = 60
@@ -68,7 +68,7 @@ def problem(name: str, log: Sound, written: Counter[str], bit: int, path: Path) 
     raw, hit = logs_flips.flipped(log, bit)
     path.write_bytes(raw)
     try:
-        failed, findings = _read(path)
+        _, failed, findings = read_of(path)
     except LogError as error:
         return f"refused: {error}"
     met: Counter[str] = Counter()
@@ -92,23 +92,6 @@ def problem(name: str, log: Sound, written: Counter[str], bit: int, path: Path) 
         if wrong:
             return f"{what}: {missing} missing, {failed} not decoded, {told} told, {hit} hit"
     return ""
-
-
-def _read(path: Path) -> tuple[int, Any]:
-    from topobatch.ingest.logs.intake import Intake, decoder_for
-    from topobatch.ingest.logs.messages import Findings
-    from topobatch.ingest.logs.recording import opened, recording_at
-    from topobatch.ingest.logs.spelling import TYPES
-
-    findings = Findings()
-    intake = Intake(lambda channel: channel.type_name in TYPES, decoder_for)
-    for file in recording_at(path).files:
-        with opened(file) as log:
-            for block in log.blocks(intake.want, findings):
-                intake.take(block)
-    for sink in intake.sinks:
-        sink.flush()
-    return sum(sink.failed for sink in intake.sinks), findings
 
 
 def failures(name: str, tries: int, seed: int, folder: Path) -> Iterator[str]:

@@ -10,31 +10,15 @@ import logs_bombs
 import logs_flips
 import pytest
 import sweep
-from case import writers
+from case import read_of, writers
 
 from topobatch.ingest.logs import inflate, mcap_file, split
-from topobatch.ingest.logs.intake import Intake, decoder_for
 from topobatch.ingest.logs.messages import Channel, DamageError, Findings
 from topobatch.ingest.logs.metadata import parse_metadata
-from topobatch.ingest.logs.recording import opened, recording_at
 from topobatch.ingest.logs.schema import object_decoder
 from topobatch.ingest.logs.spelling import TYPES, nearest, one_bit_apart
 from topobatch.ingest.reading import read_run
 from topobatch.topology.errors import LogError
-
-
-def read_of(path: Path) -> tuple[int, int, Findings]:
-    """How many messages of the wanted types decode, how many do not; and what was met."""
-    findings = Findings()
-    intake = Intake(lambda channel: channel.type_name in TYPES, decoder_for)
-    for file in recording_at(path).files:
-        with opened(file) as log:
-            for block in log.blocks(intake.want, findings):
-                intake.take(block)
-    for sink in intake.sinks:
-        sink.flush()
-    failed = sum(sink.failed for sink in intake.sinks)
-    return sum(sink.messages for sink in intake.sinks) - failed, failed, findings
 
 
 def used_of(path: Path) -> tuple[int, Findings]:
