@@ -1,0 +1,162 @@
+"""The messages in runs of bag records, with the connections that stand among them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from .bag_heads import BagHeads
+from .bag_mend import mended
+from .bag_wire import (
+    CONNECTION,
+    MESSAGE,
+    U32,
+    HeadTemplate,
+    connection_of,
+    fields_of,
+    number,
+    op_of,
+    time_ns,
+)
+from .columns import column, gather, words
+from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
+from .tally import NUMBERS, Tally
+from .walk import bag_records
+
+
+class MessageReader:
+    """Turns runs of records of one bag into blocks of messages.
+
+    packed: whether the bag has compressed chunks, of which damage may show records that were never
+    written.
+    """
+
+    def __init__(self, heads: BagHeads, tally: Tally, findings: Findings) -> None:
+        self.heads = heads
+        self.tally = tally
+        self.findings = findings
+        self.packed = False
+        self._template: HeadTemplate | None = None
+
+    def blocks(self, data: Bytes, where: Ints | None = None) -> Iterator[Block]:
+        """The wanted messages in a run of records; connections met are taken in.
+
+        where: all records in `data`, if an index has told.
+        """
+        if where is None:
+            where, stop = bag_records(data)
+            if stop != len(data):
+                data, where = self._mended(data)
+        if self._template is None:
+            self._learn(data, where)
+        conn, time, size_at, others = self._columns(data, where)
+        if len(others) and any(self.heads.within(data).record(k) is None for k in others.tolist()):
+            data, where = self._mended(data)
+            conn, time, size_at, others = self._columns(data, where)
+        extra = self.one_by_one(data, others)
+        if extra:
+            conn, time, size_at = (
+                np.concatenate([column, np.array(more, np.int64)])
+                for column, more in zip(
+                    (conn, time, size_at), zip(*extra, strict=True), strict=True
+                )
+            )
+        if len(conn) == 0:
+            return
+        conn = np.minimum(conn, NUMBERS - 1)
+        self.tally.adopt(conn)
+        for sink, rows in self.tally.met(conn, time):
+            at = size_at[rows]
+            size = words(data, "<u4", at).astype(np.int64)
+            yield Block(data, sink, time[rows], at + 4, size)
+
+    def front(self, data: Bytes) -> Iterator[Block]:
+        """The messages in whole records at the front of data that were cut."""
+        where, stop = bag_records(data)
+        self.findings.unreadable_bytes += len(data) - stop
+        yield from self.blocks(data[:stop], where)
+
+    def _mended(self, data: Bytes) -> tuple[Bytes, Ints]:
+        """Damaged records without those that cannot be found again, and their places."""
+        found = mended(data, self.heads.within(data))
+        self.findings.unreadable_bytes += found.unreadable
+        self.findings.repaired += found.repaired
+        if not self.packed:
+            # What a broken stream gives may be records that were never written.
+            for key in found.lost:
+                self.tally.lost(key, 1)
+        return found.data, found.where
+
+    def _learn(self, data: Bytes, where: Ints) -> None:
+        """Take the header of the first message as the template of all."""
+        for place in where.tolist():
+            size = U32(data.data, place)[0]
+            try:
+                self._template = HeadTemplate.of(data[place : place + 4 + size].tobytes())
+            except DamageError:
+                continue
+            return
+
+    def _columns(self, data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+        """Connection, time and place of the payload's size of the records like the template.
+
+        Also the places of the records that are not. All headers are gathered at once and compared
+        with the template in the bytes that every message shares.
+        """
+        template = self._template
+        if template is None:
+            none = np.zeros(0, np.int64)
+            return none, none, none, where
+        inside = where[where + (template.size + 8) <= len(data)]
+        heads = gather(data, inside, template.size + 4)
+        other = template.shape.misfits(heads) if len(heads) else None
+        found = inside
+        if other is not None:
+            found, heads = inside[~other], heads[~other]
+        conn = column(heads, "<u4", template.conn_at)
+        time = column(heads, "<u4", template.time_at) * 10**9
+        time += column(heads, "<u4", template.time_at + 4)
+        left = np.ones(len(where), bool)
+        left[np.searchsorted(where, found)] = False
+        return conn, time, found + (4 + template.size), where[left]
+
+    def one_by_one(self, data: Bytes, places: Ints) -> list[tuple[int, int, int]]:
+        """Connection records, and messages whose header is written in another order."""
+        out = []
+        for place in places.tolist():
+            size = U32(data.data, place)[0]
+            size_at = place + 4 + size
+            try:
+                fields = fields_of(data[place + 4 : size_at].tobytes())
+                op = op_of(fields)
+                if op == MESSAGE:
+                    time = time_ns(fields.get(b"time", b""))
+                    out.append((number(fields, b"conn"), time, size_at))
+                elif op == CONNECTION:
+                    end = size_at + 4 + U32(data.data, size_at)[0]
+                    self.tally.describe(*connection_of(fields, data[size_at + 4 : end].tobytes()))
+                else:
+                    raise DamageError("unexpected record")
+            except DamageError:
+                self.findings.unreadable_bytes += size
+        return out
+
+    def unwanted(self, conn: int) -> bool:
+        """Whether nobody asked for the messages of that connection."""
+        return conn < NUMBERS and self.tally.sink(conn) == UNWANTED
+
+    def too_large(self, head: Bytes) -> None:
+        """Count a record that is too large to be looked at, by its first bytes."""
+        header = U32(head.data)[0]
+        try:
+            fields = fields_of(head[4 : 4 + header].tobytes())
+            if op_of(fields) == MESSAGE:
+                key = number(fields, b"conn")
+                if self.unwanted(key):
+                    self.tally.passed(key, 1)
+                    return
+                self.tally.lost(key, 1)
+        except DamageError:
+            self.findings.unreadable_bytes += header
+        self.findings.too_large += 1

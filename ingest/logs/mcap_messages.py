@@ -1,0 +1,165 @@
+"""The messages in runs of MCAP records, with the schemas and channels that stand among them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .columns import words
+from .mcap_heads import IN_CHUNKS, Heads
+from .mcap_mend import mended
+from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
+from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
+from .tally import Tally
+from .walk import mcap_listed, mcap_records
+
+_HEAD = struct.Struct("<BQ").unpack_from
+
+NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
+
+LOG_TIME_AT = 15
+"""Place of the log time in a message record; the channel's number stands behind the head."""
+
+
+class MessageReader:
+    """Turns runs of records of one file into blocks of messages.
+
+    packed: whether the file has compressed chunks, of which damage may show records that were never
+    written; ended: whether the end of the data was met, behind which descriptions are repeated.
+    """
+
+    def __init__(
+        self, heads: Heads, tally: Tally, findings: Findings, definitions: Definitions
+    ) -> None:
+        self.heads = heads
+        self.tally = tally
+        self.findings = findings
+        self.packed = False
+        self.ended = False
+        self._definitions = definitions
+
+    def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+        """The wanted messages in a run of records; offsets: where an index says they are."""
+        data, where = self._walked(data, offsets)
+        positions, size = self._sizes(data, where)
+        if len(positions) == 0:
+            return
+        number = words(data, "<u2", positions + RECORD_HEAD)
+        first = self.tally.first(number, again=self.ended)
+        if first:
+            kept = self.without_descriptions(data, positions, size, first)
+            self.findings.repaired += int((~kept).sum())
+            number, positions, size = (a[kept] for a in (number, positions, size))
+        self.tally.adopt(number)
+        if len(number) == 0:
+            return
+        log_time = words(data, "<i8", positions + LOG_TIME_AT)
+        start = positions + (RECORD_HEAD + MESSAGE_HEAD)
+        for sink, rows in self.tally.met(number, log_time):
+            yield Block(data, sink, log_time[rows], start[rows], size[rows])
+
+    def without_descriptions(
+        self, data: Bytes, positions: Ints, size: Ints, asked: Sequence[int]
+    ) -> NDArray[np.bool_]:
+        """Which messages are none that describe their channel but for one bit, which are taken in.
+
+        asked: which may be; descriptions stand in front of the first message, and behind the data.
+        """
+        heads, kept = self.heads.within(data), np.ones(len(positions), bool)
+        for k in asked:
+            place = int(positions[k])
+            channel = bytes([CHANNEL]) + heads.head(place)[1:]
+            if heads.end(place, channel) is not None:
+                kept[k] = False
+                record = data[place : place + RECORD_HEAD + MESSAGE_HEAD + int(size[k])].copy()
+                record[0] = CHANNEL
+                self.define(record, np.zeros(1, np.int64))
+        return kept
+
+    def _walked(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Bytes, Ints]:
+        """The places of the records in `data`, which is mended first where it is broken.
+
+        Schemas and channels met are taken in.
+        """
+        where = mcap_listed(data, np.concatenate(offsets)) if offsets else None
+        stop = len(data)
+        if where is None:
+            where, stop = mcap_records(data, NOT_IN_CHUNKS)
+        messages = self.define(data, where)
+        if stop == len(data):
+            if messages:
+                self.findings.repaired += len(messages)
+                data = data.copy()
+                data[messages] = MESSAGE
+            return data, where
+        found = mended(data, self.heads.within(data), self.define)
+        self.findings.unreadable_bytes += found.unreadable
+        self.findings.repaired += found.repaired
+        if not self.packed:
+            # What a broken stream gives may be records that were never written.
+            for number in found.lost:
+                self.tally.lost(number, 1)
+        return found.data, found.where
+
+    def _sizes(self, data: Bytes, where: Ints) -> tuple[Ints, Ints]:
+        """Places and payload sizes of the message records among others.
+
+        Records that call themselves messages but are shorter than a message's head are left out.
+        """
+        is_message = data[where] == MESSAGE
+        if not is_message.all():
+            where = where[is_message]
+        size = words(data, "<i8", where + 1) - MESSAGE_HEAD
+        if len(size) and size.min() < 0:
+            self.findings.unreadable_bytes += RECORD_HEAD * int((size < 0).sum())
+            where, size = where[size >= 0], size[size >= 0]
+        return where, size
+
+    def define_more(self, data: Bytes, where: Ints) -> list[int]:
+        """Take in channels that no sound bytes described so far."""
+        return self.define(data, where, more=True)
+
+    def define(self, data: Bytes, where: Ints, more: bool = False) -> list[int]:
+        """Take in the schemas and channels among records; more: only new ones.
+
+        Returns the places of those that are messages but for one bit.
+        """
+        op = data[where]
+        messages: list[int] = []
+        if (op == MESSAGE).all():
+            return messages
+        for place in where[(op == SCHEMA) | (op == CHANNEL)].tolist():
+            kind, length = _HEAD(data.data, place)
+            record = data[place : place + RECORD_HEAD + length].tobytes()
+            if self._definitions.met(kind, record[RECORD_HEAD:]):
+                continue
+            heads = self.heads.within(data)
+            head = None if heads.end(place) is not None else heads.repaired(place)
+            if head is not None and head[0] == MESSAGE:
+                messages.append(place)
+                continue
+            if head is not None:
+                # One of the lengths in it was wrong.
+                self.findings.repaired += not more
+                record = head[: len(record)] + record[len(head) :]
+            try:
+                found = self._definitions.take(record[0], record[RECORD_HEAD:])
+            except DamageError:
+                self.findings.unreadable_bytes += len(record)
+                continue
+            if found is not None and not (more and self.tally.known(found[0])):
+                self.tally.describe(*found)
+        return messages
+
+    def too_large(self, head: Bytes) -> None:
+        """Count a record that is too large to be looked at, by its first bytes."""
+        if head[0] == MESSAGE:
+            number = int(head[RECORD_HEAD]) | int(head[RECORD_HEAD + 1]) << 8
+            if self.tally.sink(number) == UNWANTED:
+                self.tally.passed(number, 1)
+                return
+            self.tally.lost(number, 1)
+        self.findings.too_large += 1
