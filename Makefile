@@ -58,7 +58,7 @@ types: $(VENV)/.ready
 
 check: lint types test  ## everything that CI runs
 
-samples: $(VENV)/.ready  ## write sample_logs/ anew (the same bytes)
+samples: $(VENV)/.ready  ## write sample_logs/ anew (the same messages)
 	$(BIN)/python -m topobatch.simulation.samples sample_logs
 
 docs: $(VENV)/.ready  ## make the README's picture anew (wants a Vulkan driver: mesa-vulkan-drivers)

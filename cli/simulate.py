@@ -67,7 +67,7 @@ def simulate(
             "--format", help="mcap, bag, db3 or ros2-mcap; several are dealt out to the runs."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed writes the same bytes.")] = 0,
+    seed: Annotated[int, typer.Option(help="The same seed writes the same messages.")] = 0,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder in use.")] = False,
     quiet: QuietOption = False,
 ) -> None:

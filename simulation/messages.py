@@ -8,7 +8,8 @@ time of their first beam, its place on the robot one message on /tf_static.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,87 +19,29 @@ from .laser import Scans
 from .scenario import SimulatedRun
 from .world import FloatArray, IntArray
 
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 POSES_TYPE = "geometry_msgs/msg/PoseArray"
 SCAN_TYPE = "sensor_msgs/msg/LaserScan"
 TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 
 LASER_FRAME = "laser"
-HEADER = "std_msgs/Header"
 
 COVARIANCE = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2]).ravel()
 
-_STAMP = {
-    "ros1": "uint32 seq\ntime stamp\nstring frame_id\n",
-    "ros2": "builtin_interfaces/Time stamp\nstring frame_id\n",
-}
-_PARTS = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
-    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
-    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
-    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
-    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
-    ODOMETRY_TYPE: (
-        "std_msgs/Header header\nstring child_frame_id\n"
-        "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n"
-    ),
-    POSES_TYPE: "std_msgs/Header header\ngeometry_msgs/Pose[] poses\n",
-    SCAN_TYPE: (
-        "std_msgs/Header header\nfloat32 angle_min\nfloat32 angle_max\nfloat32 angle_increment\n"
-        "float32 time_increment\nfloat32 scan_time\nfloat32 range_min\nfloat32 range_max\n"
-        "float32[] ranges\nfloat32[] intensities\n"
-    ),
-    "geometry_msgs/Transform": (
-        "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
-    ),
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
-    ),
-    TRANSFORMS_TYPE: "geometry_msgs/TransformStamped[] transforms\n",
-}
-_NEEDS = {
-    ODOMETRY_TYPE: (
-        HEADER,
-        *("geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose", "geometry_msgs/Point"),
-        *("geometry_msgs/Quaternion", "geometry_msgs/TwistWithCovariance"),
-        *("geometry_msgs/Twist", "geometry_msgs/Vector3"),
-    ),
-    POSES_TYPE: (HEADER, "geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion"),
-    SCAN_TYPE: (HEADER,),
-    TRANSFORMS_TYPE: (
-        *("geometry_msgs/TransformStamped", HEADER, "geometry_msgs/Transform"),
-        *("geometry_msgs/Vector3", "geometry_msgs/Quaternion"),
-    ),
-}
-DIGESTS = {
-    ("ros1", ODOMETRY_TYPE): "cd5e73d190d741a2f92e81eda573aca7",
-    ("ros1", POSES_TYPE): "916c28c5764443f268b296bb671b9d97",
-    ("ros2", ODOMETRY_TYPE): (
-        "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
-    ),
-    ("ros1", SCAN_TYPE): "90c7ef2dc6895d81024acba2ac42f369",
-    ("ros1", TRANSFORMS_TYPE): "94810edda583a504dfda3829e70d7eec",
-    ("ros2", SCAN_TYPE): "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
-    ("ros2", TRANSFORMS_TYPE): (
-        "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
-    ),
-    ("ros2", POSES_TYPE): "RIHS01_af0cc36d190e104d546d168d6b39df04fa4b4ccecf59cb4c9ed328d3d5004aa0",
-}
-"""Hashes of the definitions: MD5 for ROS 1, RIHS01 for ROS 2."""
 
+@cache
+def typestore(ros: str) -> Typestore:
+    """What rosbags knows of the message types; ros: "ros1", "ros2"."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-def definition(type_name: str, ros: str) -> str:
-    """The text that describes a message type and all types it is made of; ros: "ros1", "ros2"."""
-    parts: list[tuple[str, str]] = []
-    for name in _NEEDS[type_name]:
-        parts.append((name, _STAMP[ros] if name == HEADER else _PARTS[name]))
-        if name == HEADER and ros == "ros2":
-            parts.append(("builtin_interfaces/Time", _PARTS["builtin_interfaces/Time"]))
-    rule = "=" * 80
-    return _PARTS[type_name] + "".join(f"{rule}\nMSG: {name}\n{text}" for name, text in parts)
+    store = get_typestore(Stores.ROS1_NOETIC if ros == "ros1" else Stores.ROS2_JAZZY)
+    if TRANSFORMS_TYPE not in store.types:  # of ROS 1
+        text = "geometry_msgs/TransformStamped[] transforms"
+        store.register(get_types_from_msg(text, TRANSFORMS_TYPE))
+    return store
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,7 @@
 """Makes the sample logs: `python -m topobatch.simulation.samples sample_logs`.
 
 Three runs through one maze, each in another container, one through streets elsewhere, and one of a
-robot with a laser in an office. Running it again gives the same files byte for byte.
+robot with a laser in an office. Running it again gives the same messages.
 """
 
 from __future__ import annotations

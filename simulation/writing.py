@@ -1,47 +1,81 @@
-"""Scenarios as files: one log per run in any container, and `truth.json` beside them."""
+"""Scenarios as files: one log per run in any container, and `truth.json` beside them.
+
+The containers come from the writers of mcap and rosbags. The same run gives the same bytes with the
+same versions of these libraries (and of SQLite, LZ4 and Zstandard), the same messages with any.
+"""
 
 from __future__ import annotations
 
+import errno
+import os
+import sqlite3
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
+from typing import Literal
 
-from ..topology.document import write_atomically
 from ..topology.errors import UsageError
-from .bag_writer import bag_bytes
-from .mcap_writer import mcap_bytes
-from .messages import topics_of
-from .ros2_writer import write_ros2_folder
+from .messages import in_log_order, topics_of, typestore
 from .scenario import Scenario, SimulatedRun
 from .truth import write_truth
 
 TRUTH_FILE = "truth.json"
 
+METADATA_VERSION: Literal[9] = 9
+"""Version of metadata.yaml that ROS 2 Jazzy writes."""
+
 
 def _write_mcap(path: Path, simulated: SimulatedRun) -> None:
-    raw = mcap_bytes(topics_of(simulated, "ros2"))
-    write_atomically(path, lambda temporary: temporary.write_bytes(raw))
+    from mcap.writer import CompressionType, Writer
+
+    topics, store = topics_of(simulated, "ros2"), typestore("ros2")
+    with path.open("xb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="topobatch")
+        channels = []
+        for topic in topics:
+            text, _ = store.generate_msgdef(topic.type_name, ros_version=2)
+            schema = writer.register_schema(topic.type_name, "ros2msg", text.encode())
+            channels.append(writer.register_channel(topic.name, "cdr", schema))
+        for sequence, (number, log, stamp, payload) in enumerate(in_log_order(topics)):
+            writer.add_message(channels[number], log, payload, stamp, sequence)
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _write_bag(path: Path, simulated: SimulatedRun) -> None:
-    raw = bag_bytes(topics_of(simulated, "ros1"))
-    write_atomically(path, lambda temporary: temporary.write_bytes(raw))
+    from rosbags.rosbag1 import Writer
+
+    topics, store = topics_of(simulated, "ros1"), typestore("ros1")
+    writer = Writer(path)
+    writer.set_compression(Writer.CompressionFormat.LZ4)
+    with writer:
+        links = [writer.add_connection(t.name, t.type_name, typestore=store) for t in topics]
+        for number, log, _, payload in in_log_order(topics):
+            writer.write(links[number], log, payload)
 
 
-def _write_db3(path: Path, simulated: SimulatedRun) -> None:
-    write_ros2_folder(path, topics_of(simulated, "ros2"), "sqlite3")
+def _write_ros2_folder(path: Path, simulated: SimulatedRun, storage: str) -> None:
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-
-def _write_ros2_mcap(path: Path, simulated: SimulatedRun) -> None:
-    write_ros2_folder(path, topics_of(simulated, "ros2"), "mcap")
+    topics, store = topics_of(simulated, "ros2"), typestore("ros2")
+    plugin = StoragePlugin[storage]
+    writer = Writer(path, version=METADATA_VERSION, storage_plugin=plugin)
+    if plugin is StoragePlugin.MCAP:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        links = [writer.add_connection(t.name, t.type_name, typestore=store) for t in topics]
+        for number, log, _, payload in in_log_order(topics):
+            writer.write(links[number], log, payload)
 
 
 FORMATS: Mapping[str, tuple[str, Callable[[Path, SimulatedRun], None]]] = MappingProxyType(
     {
         "mcap": (".mcap", _write_mcap),
         "bag": (".bag", _write_bag),
-        "db3": ("", _write_db3),
-        "ros2-mcap": ("", _write_ros2_mcap),
+        "db3": ("", partial(_write_ros2_folder, storage="SQLITE3")),
+        "ros2-mcap": ("", partial(_write_ros2_folder, storage="MCAP")),
     }
 )
 """Containers by name: the suffix of the log's path, and its writer. The last two are folders."""
@@ -50,15 +84,34 @@ FORMATS: Mapping[str, tuple[str, Callable[[Path, SimulatedRun], None]]] = Mappin
 def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") -> Path:
     """Write the log of one run into `folder`, named after the run; its path.
 
-    An older log of that name is replaced. UsageError if there is no such container.
+    An older log of that name is replaced. UsageError if there is no such container, OSError that
+    names the log if it cannot be written.
     """
     if container not in FORMATS:
         raise UsageError(f"no format {container!r}: choose one of {', '.join(FORMATS)}")
     suffix, write = FORMATS[container]
     path = folder / f"{simulated.run.name}{suffix}"
     folder.mkdir(parents=True, exist_ok=True)
-    write(path, simulated)
+    try:
+        with TemporaryDirectory(prefix=".topobatch-", suffix=".tmp", dir=folder) as made:
+            log = Path(made, path.name)
+            write(log, simulated)
+            _move(log, path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    except sqlite3.Error as error:
+        raise OSError(errno.EIO, str(error), str(path)) from error
     return path
+
+
+def _move(log: Path, path: Path) -> None:
+    """Put a log in its place, file by file: a folder may be there already."""
+    if log.is_dir():
+        path.mkdir(exist_ok=True)
+        for file in log.iterdir():
+            os.replace(file, path / file.name)
+    else:
+        os.replace(log, path)
 
 
 def write_scenario(
