@@ -35,7 +35,7 @@ from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
 from topobatch.simulation import ScenarioSettings, Truth, simulate_scenario, true_vertex_of_nodes
 from topobatch.topology.document import map_from_document, map_to_document
-from topobatch.topology.embedding import map_pose_graph
+from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz.exports import (
@@ -85,14 +85,14 @@ def read_back(topomap: TopoMap, folder: Path) -> Tally:
             READERS[ending](text_of(topomap, MAX_ERROR_M))
             count += 1
     graph = pose_graph_g2o(map_pose_graph(topomap))
-    readers.read_g2o_text(graph, folder)
+    readers.read_g2o(graph, folder)
     return Tally(files=count + 1)
 
 
-def read_back_tracks(topomap: TopoMap, odometry: Odometry) -> Tally:
+def read_back_tracks(topomap: TopoMap, odometry: Odometry, folder: Path) -> Tally:
     """Both trajectories of a run."""
-    readers.read_tum(recorded_tum(odometry))
-    readers.read_tum(corrected_tum(topomap, odometry) or "")
+    readers.read_tum(recorded_tum(odometry), folder)
+    readers.read_tum(corrected_tum(topomap, odometry) or "", folder)
     return Tally(files=2)
 
 
@@ -167,7 +167,7 @@ def simulated(kind: str, seed: int, folder: Path) -> Tally:
     for name, run in scenario.runs.items():
         maps[name] = map_from_document(map_to_document(build_map(run)))
         tally.add(read_back(maps[name], folder))
-        tally.add(read_back_tracks(maps[name], run.odometry))
+        tally.add(read_back_tracks(maps[name], run.odometry, folder))
         tally.add(judged(maps[name], true_vertex_of_nodes(truth, maps[name]), truth, [name]))
     of = {name: true_vertex_of_nodes(truth, m) for name, m in maps.items()}
     for topomap, runs in components(maps, folder, tally):
@@ -192,7 +192,7 @@ def components(
         topomap = component_map(document, component.id, f"merged-{component.id}", maps)
         tally.add(read_back(topomap, folder))
         graph = pose_graph_g2o(component_pose_graph(document, component.id, maps))
-        readers.read_g2o_text(graph, folder)
+        readers.read_g2o(graph, folder)
         tally.files += 1
         yield topomap, sorted(component.runs)
 
@@ -205,7 +205,7 @@ def real(logs: Path, folder: Path) -> Tally:
         for topomap in joined_pieces(build_map(run)):
             maps[topomap.run] = map_from_document(map_to_document(topomap))
             tally.add(read_back(maps[topomap.run], folder))
-            tally.add(read_back_tracks(maps[topomap.run], run.odometry))
+            tally.add(read_back_tracks(maps[topomap.run], run.odometry, folder))
     for _ in components(maps, folder, tally):
         pass
     return tally

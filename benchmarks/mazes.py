@@ -7,14 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 
-from topobatch.topology.embedding import embed_rectilinear
+from topobatch.topology.matching.structure import grid_direction
+from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import apply, wrap
+from topobatch.topology.se2 import apply, rotation, wrap
 from topobatch.topology.topomap import TopoMap
 
 HEADINGS = np.array([-np.pi, -np.pi / 2, 0.0, np.pi / 2])
-STEPS = np.array([[-1, 0], [0, -1], [1, 0], [0, 1]])
+
+ACROSS_M = 0.03
+"""A straight corridor keeps its line to this, 1 sigma."""
 
 
 @dataclass(frozen=True)
@@ -204,3 +210,77 @@ def embedded(topomap):
     xy = embed_rectilinear(topomap)
     paths = tuple(xy[[u, v]] for u, v in zip(topomap.source, topomap.target, strict=True))
     return replace(topomap, xy=xy, paths=paths)
+
+
+def embed_springs(
+    count: int,
+    ends: tuple[NDArray[np.int64], NDArray[np.int64]],
+    displacement: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(count,) positions on a line that fit displacements between pairs best, by least squares.
+
+    ends: source and target (k,) of every spring; displacement: (k,) target minus source [m];
+    sigma: (k,) 1 sigma [m]. The first vertex of every connected part is at 0. One sparse
+    factorisation of the weighted graph Laplacian.
+    """
+    source, target = ends
+    weight = sigma**-2.0
+    rows = np.concatenate([source, target, source, target])
+    columns = np.concatenate([source, target, target, source])
+    values = np.concatenate([weight, weight, -weight, -weight])
+    laplacian = csc_array(coo_array((values, (rows, columns)), shape=(count, count)))
+    pull = weight * displacement
+    right = np.bincount(target, pull, count) - np.bincount(source, pull, count)
+    _, part = connected_components(laplacian, directed=False)
+    _, first = np.unique(part, return_index=True)
+    free = np.ones(count, bool)
+    free[first] = False
+    out = np.zeros(count)
+    if free.any():
+        index = np.flatnonzero(free)
+        out[index] = splu(csc_array(laplacian[index][:, index])).solve(right[index])
+    return out
+
+
+def embed_rectilinear(topomap: TopoMap) -> NDArray[np.float64]:
+    """(n, 2) positions [m] in the map's directions by two decoupled spring problems (§3.3).
+
+    A straight corridor measures its length along its axis and nothing moves across it; one that
+    bends measures the displacement of its path. Raises ValueError if the map is not rectilinear.
+    """
+    grid = grid_direction(topomap.branches.values)
+    if grid is None:
+        raise ValueError(f"map {topomap.run!r} is not rectilinear")
+    step, straight = _grid_steps(topomap, grid)
+    way = np.abs(step).sum(axis=1)
+    share = np.sqrt(np.abs(step) / np.maximum(way, 1e-9)[:, None])
+    sigma = np.hypot(topomap.length_sigma[:, None] * share, ACROSS_M)
+    sigma[straight] = np.where(
+        np.abs(step[straight]) > 0, topomap.length_sigma[straight, None], ACROSS_M
+    )
+    ends = (topomap.source, topomap.target)
+    axes = [embed_springs(len(topomap), ends, step[:, k], sigma[:, k]) for k in range(2)]
+    return np.asarray(np.column_stack(axes) @ rotation(grid).T)
+
+
+def _grid_steps(topomap: TopoMap, grid_rad: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Displacement (m, 2) of every corridor along the two axes of the grid; which are straight."""
+    chord = np.array([p[-1] - p[0] for p in topomap.paths]).reshape(-1, 2) @ rotation(grid_rad)
+    drawn = np.array([np.hypot(*np.diff(p, axis=0).T).sum() for p in topomap.paths])
+    step = chord * (topomap.length / np.maximum(drawn, 1e-9))[:, None]
+    headings = np.full((len(step), 2), np.nan)
+    for column, (end, branch) in enumerate(
+        ((topomap.source, topomap.source_branch), (topomap.target, topomap.target_branch))
+    ):
+        known = branch != NO_BRANCH
+        rows = topomap.branches.offsets[end[known]] + branch[known]
+        headings[known, column] = topomap.branches.values[rows] - grid_rad
+    quarter = np.rint(headings / (np.pi / 2))
+    with np.errstate(invalid="ignore"):
+        straight = (quarter[:, 0] - quarter[:, 1]) % 4 == 2
+    straight &= topomap.source != topomap.target
+    angle = quarter[straight, 0] * (np.pi / 2)
+    axis = np.rint(np.column_stack([np.cos(angle), np.sin(angle)]))
+    step[straight] = topomap.length[straight, None] * axis
+    return step, straight

@@ -33,7 +33,6 @@ from topobatch.topology.se2 import apply, wrap
 SIZES = (50, 126, 300, 800)
 PUBLISHED = PaperSettings(GrowthSettings(confidence=0.95, confidence_of="corridor"))
 """As the paper has it: one corridor of twenty is out of bounds, and rejects its match."""
-RECOMMENDED = PaperSettings()
 SIDE = {20: 8, 50: 12, 126: 18, 300: 27, 800: 45}
 OVERLAPS = (0.1, 0.3, 0.6)
 

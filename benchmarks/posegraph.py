@@ -22,10 +22,12 @@ from pathlib import Path
 
 import numpy as np
 
-from topobatch.topology.posegraph.g2o import read_g2o
 from topobatch.topology.posegraph.graph import edge_errors, squared
 from topobatch.topology.posegraph.solve import Marginals, PoseGraph, solve, solve_robust
 from topobatch.topology.se2 import between
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "topology" / "posegraph"))
+from public_graphs import read_g2o
 
 
 def best_ms(call, repeats):
@@ -86,7 +88,7 @@ def with_false_loops(graph, share, seed=0):
 
 
 def row(path, gtsam, repeats):
-    graph = read_g2o(path).graph
+    graph = read_g2o(path)
     solution, ours = best_ms(lambda: solve(graph), repeats)
     cells = [path.stem, f"{len(graph):,}", f"{len(graph.source):,}", f"{ours:.1f}"]
     cells += [f"{solution.chi2:,.3f}", str(solution.iterations)]
@@ -106,7 +108,7 @@ def row(path, gtsam, repeats):
 
 def further_row(path, repeats):
     """Robust solution among 20 % false loops, and covariances of many pairs."""
-    graph = read_g2o(path).graph
+    graph = read_g2o(path)
     false, trusted = with_false_loops(graph, 0.2)
     robust, robust_ms = best_ms(lambda: solve_robust(false, trusted), 1)
     kept = robust.edge_weight > 0.5

@@ -196,7 +196,7 @@ def _texts(
 
 def _pose_graph(source: _Source) -> str:
     from ..merge.component_map import component_pose_graph
-    from ..topology.embedding import map_pose_graph
+    from ..topology.map_pose_graph import map_pose_graph
     from ..viz.exports import pose_graph_g2o
 
     if source.document is None:

@@ -107,7 +107,6 @@ class Screen:
         self.verbose = verbose
         self._started = time.monotonic()
         self._progress: Any = None
-        self._task: Any = None
 
     def line(self, text: str) -> None:
         """A line of the result, above the bar if there is one."""

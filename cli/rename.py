@@ -62,15 +62,14 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 
 def _rename(place: Workspace, old: str, new: str) -> None:
     """The files of a run; the new ones are there before the old ones go."""
-    from ..topology.document import map_to_document, write_json, write_together
+    from ..topology.document import write_json, write_map, write_together
 
-    topomap = place.read_map(old)
-    doc = map_to_document(replace(topomap, run=new))
+    topomap = replace(place.read_map(old), run=new)
     writes: dict[Any, Any] = {}
     if place.map_rrd(old).is_file() and not place.map_rrd(old).is_symlink():
         content = place.map_rrd(old).read_bytes()
         writes[place.map_rrd(new)] = lambda path: path.write_bytes(content)
-    writes[place.map_json(new)] = partial(write_json, doc=doc)
+    writes[place.map_json(new)] = partial(write_map, topomap=topomap)
     write_together(writes)
     record = place.ingested(old)
     if record is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.document import FARTHEST_M
-from ..topology.embedding import map_pose_graph
+from ..topology.map_pose_graph import map_pose_graph
 from ..topology.passes import NO_BRANCH
 from ..topology.posegraph.graph import PoseGraph
 from ..topology.ragged import Ragged

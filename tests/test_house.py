@@ -73,6 +73,23 @@ def test_imports_go_one_way(package: str) -> None:
                 )
 
 
+def test_the_two_methods_of_merging_know_nothing_of_each_other() -> None:
+    for one, other in (("paper", "robust"), ("robust", "paper")):
+        for path in modules(f"merge/{one}"):
+            targets = {target[:2] for target in imported(path)}
+            assert ("merge", other) not in targets, path
+
+
+def test_nothing_is_there_that_only_tests_use() -> None:
+    """By vulture's reckoning; benchmarks count as use."""
+    done = subprocess.run(
+        [sys.executable, "-m", "vulture"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert not done.stderr
+    lines = done.stdout.splitlines()
+    assert [line for line in lines if not line.startswith("benchmarks")] == []
+
+
 def test_nothing_else_at_the_root_is_python() -> None:
     assert [p.name for p in ROOT.glob("*.py")] == ["__init__.py"]
     folders = {p.parent.name for p in ROOT.glob("*/*.py") if not p.parent.name.startswith(".")}

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 from ...topology.errors import LogError, UsageError
 from .laser_wire import LaserKind
 from .messages import Channel
 from .wire import Kind
-
-Role = Literal["odometry", "junctions"]
 
 ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
     "nav_msgs/msg/Odometry": (0, "odometry"),

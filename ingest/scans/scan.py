@@ -86,12 +86,11 @@ class ScanPicture:
     """What the detector looked at, thinned, for drawing.
 
     walls: scan points, one per cell of the grid; skeleton: pixels of the skeleton nearest to the
-    way driven; window_m: half the side of the window about a junction [m].
+    way driven.
     """
 
     walls: Anchored
     skeleton: Anchored
-    window_m: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ...topology.embedding import odometry_measurements
+from ...topology.map_pose_graph import odometry_measurements
 from ...topology.matching.structure import grid_direction, padded_branches
 from ...topology.posegraph.solve import (
     PoseGraph,

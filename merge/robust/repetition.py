@@ -57,11 +57,10 @@ WORST_NATS = 8.0
 @dataclass(frozen=True, slots=True)
 class Sameness:
     """bits: -log2 of how often, at most, a copy looks so much the same; negative where a typical
-    copy looks more so. odds_bits: log2 odds of "the same place" against "a copy". compared:
-    junctions compared, changed: how many of them differ."""
+    copy looks more so. compared: junctions compared, changed: how many of them
+    differ."""
 
     bits: float
-    odds_bits: float
     compared: int
     changed: int
 
@@ -111,7 +110,7 @@ def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sa
     if bound <= 0.0:
         # Below what is typical of copies: how far below, to rank by.
         bound = min(float(nats), 0.0)
-    return Sameness(float(bound / np.log(2)), float(nats / np.log(2)), compared, changed)
+    return Sameness(float(bound / np.log(2)), compared, changed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

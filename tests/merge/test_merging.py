@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from topobatch.merge.document import MergedDocument, merged_to_document
-from topobatch.merge.fusion.fuse import fuse
-from topobatch.merge.layers import discard_match
 from topobatch.merge.locks import Lock
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.paper.meeting import Meeting
 from topobatch.merge.paper.method import PaperSettings
-from topobatch.merge.result import MergeResult, Verdict
+from topobatch.merge.result import Verdict
 from topobatch.topology.errors import DataError, UsageError
 from topobatch.topology.matching.correspondence import GrowthSettings
 
@@ -69,30 +67,6 @@ def test_removing_a_run_and_merging_again_is_never_having_had_it(fleet):
     merge_maps(fleet, PAPER)
     assert text(merge_maps([m for m in fleet if m.run != "r1"], PAPER)) == text(without)
     assert all("r1" not in c.poses for c in without.components)
-
-
-def test_discarding_a_match_is_never_having_found_it(fleet):
-    whole = merge_maps(fleet, PAPER)
-    verdicts = discard_match(whole.verdicts, "r2", "r1")
-    left = MergeResult(*fuse(fleet, verdicts), verdicts)
-    kept = [v for v in verdicts if v.accepted]
-    never = MergeResult(*fuse(fleet, kept), verdicts)
-    assert text(left) == text(never)
-    one = merge_maps(fleet[:2], PAPER)
-    alone = [f for c, f in zip(left.components, _vertices(left), strict=True) if "r0" in c.poses]
-    if ["r0", "r1"] in runs(left):
-        assert alone[0] == _vertices(one)[0]
-
-
-def _vertices(result):
-    fused = result.fused
-    return [
-        [
-            (fused.xy[v].tolist(), dict(fused.members[v]))
-            for v in np.flatnonzero(fused.component == c.id)
-        ]
-        for c in result.components
-    ]
 
 
 def test_one_map_alone_is_one_component(fleet):

@@ -79,21 +79,11 @@ def grow(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) 
 # --- links: compatible pairs of corridors ---------------------------------------------------------
 
 
-def find_links(
-    a: Structure,
-    b: Structure,
-    settings: GrowthSettings = DEFAULT_GROWTH,
-    darts_a: IntArray | None = None,
-    darts_b: IntArray | None = None,
-) -> Links:
-    """Pairs of corridors that agree in length and in the vertices at both ends.
-
-    darts_a, darts_b restrict the search to some forward darts of a and some darts of b: parts
-    found apart (on several workers, or old and new ones) are joined by `join_links`.
-    """
+def find_links(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) -> Links:
+    """Pairs of corridors that agree in length and in the vertices at both ends."""
     rectilinear = is_rectilinear(a, b, settings)
-    rows_a = np.arange(0, len(a.start), 2) if darts_a is None else darts_a
-    rows_b = np.arange(len(b.start)) if darts_b is None else darts_b
+    rows_a = np.arange(0, len(a.start), 2)
+    rows_b = np.arange(len(b.start))
     if len(rows_a) == 0 or len(rows_b) == 0:
         none = np.zeros(0, np.int64)
         return Links(none, none, none, none)

@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from ..se2 import FloatArray, compose, inverse, wrap
+from ..se2 import FloatArray
 from .graph import PoseGraph, corrected_measurement
 
 _THIN = 1e-9
@@ -196,32 +196,3 @@ def _positions(
     links = _connection(graph, weight, anchor + hold, frame.order)
     z = _solved(links, np.column_stack([pull.real, pull.imag]), frame.order)
     return np.where(frame.fixed[:, :2], graph.pose[:, :2], z)
-
-
-def chained_start(graph: PoseGraph) -> FloatArray:
-    """(n, 3) poses by composing edges along a tree, earliest edges first; roots keep their guess.
-
-    For graphs that come without poses. O(edges) in Python steps.
-    """
-    n = len(graph)
-    out = np.array(graph.pose)
-    neighbours: list[list[tuple[int, int, bool]]] = [[] for _ in range(n)]
-    for e, (i, j) in enumerate(zip(graph.source.tolist(), graph.target.tolist(), strict=True)):
-        neighbours[i].append((e, j, False))
-        neighbours[j].append((e, i, True))
-    backward = inverse(graph.measurement)
-    done = np.zeros(n, bool)
-    for root in range(n):
-        if done[root]:
-            continue
-        done[root] = True
-        queue = [root]
-        for here in queue:
-            for e, there, flipped in neighbours[here]:
-                if not done[there]:
-                    done[there] = True
-                    step = backward[e] if flipped else graph.measurement[e]
-                    out[there] = compose(out[here], step)
-                    queue.append(there)
-    out[:, 2] = wrap(out[:, 2])
-    return out

@@ -28,7 +28,7 @@ from .graph import (
     squared,
     straight_sensitivity,
 )
-from .initialisation import chained_start, chordal_start, skeleton
+from .initialisation import chordal_start, skeleton
 from .marginals import Marginals
 from .normal_equations import Factor, NormalEquations, build_pattern, linearise
 
@@ -40,7 +40,6 @@ __all__ = [
     "SharedErrors",
     "Solution",
     "SolverSettings",
-    "chained_start",
     "solve",
     "solve_robust",
     "straight_sensitivity",

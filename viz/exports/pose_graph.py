@@ -1,27 +1,37 @@
-"""Pose graphs in g2o's format, for GTSAM, SE-Sync, g2o and whatever else solves them."""
+"""Pose graphs in g2o's format, for GTSAM, SE-Sync, g2o and whatever else solves them.
+
+    VERTEX_SE2 id x y theta
+    EDGE_SE2 id_from id_to dx dy dtheta I11 I12 I13 I22 I23 I33
+
+(Kümmerle, Grisetti, Strasdat, Konolige, Burgard: g2o, ICRA 2011; its wiki, "File format".)
+"""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
 from ...topology.digits import TURN
-from ...topology.posegraph.g2o import g2o_text
 from ...topology.posegraph.graph import PoseGraph
-
-_SEVEN_DIGITS = np.vectorize(lambda value: float(f"{value:.6e}") + 0.0, otypes=[np.float64])
 
 
 def pose_graph_g2o(graph: PoseGraph) -> str:
-    """The graph, its poses numbered from 0 on.
+    """The poses of a graph, numbered from 0 on, and its edges; priors and kernels are left out.
 
-    Numbers are rounded as in documents, so that they are the same on every processor.
+    Numbers are rounded as in documents, so that they are the same on every processor. There are no
+    comments: GTSAM (4.3) reads no edges from a file with any.
     """
-    rounded = replace(
-        graph,
-        pose=np.round(graph.pose, TURN) + 0.0,
-        measurement=np.round(graph.measurement, TURN) + 0.0,
-        information=_SEVEN_DIGITS(graph.information),
-    )
-    return g2o_text(rounded)
+    poses = (np.round(graph.pose, TURN) + 0.0).tolist()
+    measured = (np.round(graph.measurement, TURN) + 0.0).tolist()
+    upper = graph.information[:, *np.triu_indices(3)].tolist()
+    ends = zip(graph.source.tolist(), graph.target.tolist(), strict=True)
+    lines = [_line("VERTEX_SE2", k, *pose) for k, pose in enumerate(poses)]
+    lines += [
+        _line("EDGE_SE2", *pair, *step, *(float(f"{value:.6e}") + 0.0 for value in row))
+        for pair, step, row in zip(ends, measured, upper, strict=True)
+    ]
+    return "".join(lines)
+
+
+def _line(tag: str, *values: float) -> str:
+    """Numbers in the shortest form that reads back to the same bits."""
+    return " ".join([tag, *map(repr, values)]) + "\n"

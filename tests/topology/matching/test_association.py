@@ -12,10 +12,7 @@ import pytest
 from topobatch.topology.errors import UsageError
 from topobatch.topology.matching.association import (
     Growth,
-    assemble,
-    find_links,
     grow,
-    join_links,
     single_matches,
 )
 from topobatch.topology.matching.correspondence import (
@@ -445,19 +442,6 @@ def test_maps_without_edges_or_vertices():
         assert len(growth.nodes) == 0
         singles = single_matches(a, b, growth)
         assert singles.candidates == (a is lone and b is lone)
-
-
-def test_links_found_in_parts_give_the_same_growth():
-    for seed, rectilinear in product(range(40), (True, False)):
-        settings = GrowthSettings(world="auto" if rectilinear else "general")
-        a, b = (prepare(m) for m in random_pair(seed, rectilinear))
-        whole = grow(a, b, settings)
-        forward = np.arange(0, len(a.start), 2)
-        parts = [find_links(a, b, settings, forward[k::3]) for k in range(3)]
-        split = assemble(a, b, join_links(parts), settings)
-        for name in ("vertex_a", "vertex_b", "correspondence"):
-            assert np.array_equal(getattr(split.nodes, name), getattr(whole.nodes, name))
-        assert survivors(split) == survivors(whole)
 
 
 @pytest.mark.parametrize("degree", ["exact", "inexact"])

@@ -11,7 +11,6 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csc_array
 
-from topobatch.topology.posegraph.g2o import read_g2o
 from topobatch.topology.posegraph.graph import edge_errors, prior_errors
 from topobatch.topology.posegraph.initialisation import chordal_start, skeleton
 from topobatch.topology.posegraph.normal_equations import build_pattern, linearise
@@ -27,6 +26,8 @@ from topobatch.topology.posegraph.solve import (
     straight_sensitivity,
 )
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, wrap
+
+from .public_graphs import read_g2o
 
 SHARED = Path(os.environ.get("TOPOBATCH_SHARED", Path(__file__).parents[3].parent / "shared"))
 
@@ -487,7 +488,7 @@ def test_public_graphs_reach_their_known_minima(name: str, minimum: float) -> No
     path = SHARED / "data" / "g2o" / f"{name}.g2o"
     if not path.exists():
         pytest.skip("the public pose graphs are not at hand")
-    graph = read_g2o(path).graph
+    graph = read_g2o(path)
     solution = solve(graph)
     assert solution.converged
     assert solution.chi2 == pytest.approx(minimum, rel=1e-4)

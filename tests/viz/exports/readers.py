@@ -8,18 +8,23 @@ import io
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import gtsam
 import jsonschema
 import networkx as nx
 import numpy as np
+from evo.core.trajectory import PoseTrajectory3D
+from evo.tools.file_interface import read_tum_trajectory_file
 from ruamel.yaml import YAML
 from vdma_lif.models import LIFLayoutCollection
 from vdma_lif.parser import LIFParser
 
-from topobatch.topology.posegraph.g2o import read_g2o
+from topobatch.topology.topomap import TopoMap
+from topobatch.viz.exports import MAP_FORMATS
 
 UNSIGNED = 2**32
+BOUND_M = 0.05
 
 
 def require(fine: bool, what: object) -> None:
@@ -209,20 +214,43 @@ def read_graphml(text: str) -> nx.MultiGraph:
     return graph
 
 
-def read_g2o_text(text: str, folder: Path) -> Any:
-    """By this project's own reader of public pose graphs."""
+class FactorGraph(NamedTuple):
+    """poses: (n, 3); ends: (m, 2); measurement: (m, 3); information: (m, 3, 3)."""
+
+    pose: np.ndarray
+    ends: np.ndarray
+    measurement: np.ndarray
+    information: np.ndarray
+
+
+def read_g2o(text: str, folder: Path) -> FactorGraph:
+    """By GTSAM."""
     path = folder / "graph.g2o"
     path.write_text(text)
-    return read_g2o(path).graph
+    factors, values = gtsam.readG2o(str(path), False)
+    edges = [factors.at(k) for k in range(factors.size())]
+    count = text.count("VERTEX_SE2")
+    require(values.size() == count and len(edges) == text.count("EDGE_SE2"), "left out")
+    return FactorGraph(
+        np.array([_numbers(values.atPose2(k)) for k in range(count)]),
+        np.array([edge.keys() for edge in edges]),
+        np.array([_numbers(edge.measured()) for edge in edges]),
+        np.array([edge.noiseModel().information() for edge in edges]),
+    )
 
 
-def read_tum(text: str) -> np.ndarray:
-    """(k, 8): eight numbers a line, stamps that ascend, quaternions of length 1, as evo asks."""
-    rows = np.array([[float(word) for word in line.split(" ")] for line in text.splitlines()])
-    require(rows.ndim == 2 and rows.shape[1] == 8 and np.isfinite(rows).all(), rows.shape)
-    require(bool(np.all(np.diff(rows[:, 0]) > 0)), "stamps do not ascend")
-    require(np.allclose(np.linalg.norm(rows[:, 4:], axis=1), 1, atol=1e-6), "quaternions")
-    return rows
+def _numbers(pose: gtsam.Pose2) -> tuple[float, float, float]:
+    return pose.x(), pose.y(), pose.theta()
+
+
+def read_tum(text: str, folder: Path) -> PoseTrajectory3D:
+    """By evo, which also checks the trajectory; the rest of what it asks for, line by line."""
+    path = folder / "trajectory.tum"
+    path.write_text(text)
+    trajectory = read_tum_trajectory_file(path)
+    fine, found = trajectory.check()
+    require(fine and trajectory.num_poses == len(text.splitlines()), found)
+    return trajectory
 
 
 def read_csv(text: str) -> list[dict[str, str]]:
@@ -230,3 +258,17 @@ def read_csv(text: str) -> list[dict[str, str]]:
     rows = list(csv.DictReader(io.StringIO(text), strict=True))
     require(all(None not in row and None not in row.values() for row in rows), "ragged rows")
     return rows
+
+
+def text_of(topomap: TopoMap, form: str, bound_m: float = BOUND_M) -> str:
+    """A map in a format of one file."""
+    (write,) = MAP_FORMATS[form].values()
+    return write(topomap, bound_m)
+
+
+def distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """(k,) of points from a polyline."""
+    a, d = line[:-1], np.diff(line, axis=0)
+    t = ((points[:, None] - a) * d).sum(axis=2) / np.maximum((d * d).sum(axis=1), 1e-12)
+    foot = a + np.clip(t, 0, 1)[..., None] * d
+    return np.hypot(*(points[:, None] - foot).T).min(axis=0)

@@ -1,0 +1,20 @@
+"""Tables, read by the csv module."""
+
+from __future__ import annotations
+
+from topobatch.viz.exports import MAP_FORMATS
+
+from .readers import read_csv
+
+
+def test_tables_have_a_row_for_everything(driven) -> None:
+    junctions, corridors = (read_csv(w(driven[1], 0.1)) for w in MAP_FORMATS["csv"].values())
+    assert [float(row["x"]) for row in junctions] == driven[1].xy[:, 0].tolist()
+    assert [int(row["source"]) for row in corridors] == driven[1].source.tolist()
+    assert sum(int(row["passes"]) for row in junctions) == len(driven[1].observation_vertex)
+    assert all(0.2 < float(row["speed_m_per_s"]) < 1.5 for row in corridors)
+
+
+def test_a_map_without_corridors_has_an_empty_table(bare_map) -> None:
+    junctions, corridors = (read_csv(write(bare_map, 0.1)) for write in MAP_FORMATS["csv"].values())
+    assert (len(junctions), corridors) == (2, [])

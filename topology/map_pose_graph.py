@@ -1,0 +1,80 @@
+"""A map as a pose graph: its corridors as the odometry measured them (§3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .posegraph.graph import PoseGraph
+from .se2 import turned_axes
+from .topomap import TopoMap
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LEAST_TURN_RAD = 1e-3
+"""No corridor keeps its heading better than this, 1 sigma: it keeps information finite."""
+
+LEAST_STEP_M = 0.005
+"""Nor its length: documents round to a millimetre, and odometry is no better at any length."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """Corridors as relative poses between the vertices they join, loops left out.
+
+    source, target: (k,) vertices; measurement: (k, 3) T_source_target in the map's directions,
+    the turn being 0; information: (k, 3, 3).
+    """
+
+    source: IntArray
+    target: IntArray
+    measurement: FloatArray
+    information: FloatArray
+
+
+def odometry_measurements(topomap: TopoMap) -> Measurements:
+    """Relative poses along the corridors of a map, with the errors of the odometry between them.
+
+    For a pose graph over vertices whose centres are as this map saw them: where the detections
+    err, all corridors of a junction err together, and that is said where the junction is tied to
+    the world. What passes by one junction differ remains in every corridor. Into a corridor a
+    robot turns by nothing or by a right angle, a quarter of π in the mean; each end has half.
+    """
+    noise, length = topomap.measured, topomap.length
+    times = np.maximum(topomap.traversals, 1)
+    visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
+    differ = (1 - 1 / visits[topomap.source]) + (1 - 1 / visits[topomap.target])
+    centre = noise.centre_m**2 * differ / times + LEAST_STEP_M**2
+    walk = noise.heading_rad_per_sqrt_m**2 * length / times
+    swing = noise.heading_rad_per_sqrt_rad**2 * np.pi / 8 / times
+    cov = np.zeros((len(length), 3, 3))
+    cov[:, 0, 0] = noise.along_m_per_sqrt_m**2 * length / times + centre
+    # A heading that walks at random turns the chord by half as much as the far end; what it errs
+    # in the junction at the near end, it turns all of the corridor by.
+    cov[:, 1, 1] = (walk / 3 + swing) * length**2 + centre
+    cov[:, 1, 2] = cov[:, 2, 1] = (walk / 2 + swing) * length
+    cov[:, 2, 2] = walk + 2 * swing + LEAST_TURN_RAD**2
+    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
+    source, target = topomap.source[keep], topomap.target[keep]
+    step = topomap.xy[target] - topomap.xy[source]
+    axes = turned_axes(np.arctan2(step[:, 1], step[:, 0]))
+    information = axes @ np.linalg.inv(cov[keep]) @ axes.transpose(0, 2, 1)
+    return Measurements(
+        source,
+        target,
+        np.column_stack([step, np.zeros(len(keep))]),
+        0.5 * (information + information.transpose(0, 2, 1)),
+    )
+
+
+def map_pose_graph(topomap: TopoMap) -> PoseGraph:
+    """The vertices of a map as poses, its corridors as what the odometry measured between them.
+
+    Headings are turns against the map's frame: all 0 where the map lies as it was drawn.
+    """
+    pose = np.column_stack([topomap.xy, np.zeros(len(topomap))])
+    parts = odometry_measurements(topomap)
+    return PoseGraph(pose, parts.source, parts.target, parts.measurement, parts.information)
