@@ -42,6 +42,12 @@ class Ragged:
         values = np.concatenate(arrays) if arrays else np.zeros(0)
         return cls(offsets, values)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Ragged]) -> Ragged:
+        """The rows of several in a row."""
+        counts = np.concatenate([np.zeros(1, np.int64), *(p.counts for p in parts)])
+        return cls(np.cumsum(counts), np.concatenate([np.zeros(0), *(p.values for p in parts)]))
+
     def __len__(self) -> int:
         return len(self.offsets) - 1
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,15 +54,13 @@ DEFAULT_FUSION = FusionSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fused:
-    """One fused component, before all are put in one row."""
+class FusedComponent:
+    """One component by itself: T_component_run of every run, its part of the fused map (numbered
+    from 0 on), and how surely its runs are placed, if that was asked for."""
 
-    pool: Pool
-    joint: Joint
-    xy: FloatArray
-    places: list[Place]
-    corridors: list[Corridor]
     poses: Mapping[str, FloatArray]
+    fused: FusedMap
+    spread: Spread | None = None
 
 
 def fuse(
@@ -80,27 +80,17 @@ def fuse(
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
-    fused = [
-        _fuse_component([by_name[run] for run in runs], accepted, settings)
-        for runs in components_of(by_name, accepted)
+    groups = components_of(by_name, accepted)
+    home = {run: k for k, runs in enumerate(groups) for run in runs}
+    inside: list[list[PairVerdict]] = [[] for _ in groups]
+    for v in accepted:
+        inside[home[v.a]].append(v)
+    parts = [
+        fuse_component([by_name[run] for run in runs], own, settings, how_sure=how_sure)
+        for runs, own in zip(groups, inside, strict=True)
     ]
-    components = tuple(
-        Component(
-            id=k,
-            poses={run: f.poses[run] for run in sorted(f.poses)},
-            spread=_spread(f) if how_sure else None,
-        )
-        for k, f in enumerate(fused)
-    )
-    return components, _assemble(fused)
-
-
-def _spread(fused: _Fused) -> Spread | None:
-    """How surely a component's runs are placed; None where it is one run."""
-    joint = fused.joint
-    if joint.graph is None or joint.solution is None:
-        return None
-    return spread(fused.pool, joint.graph, joint.solution)
+    components = tuple(Component(k, p.poses, p.spread) for k, p in enumerate(parts))
+    return components, _in_a_row([p.fused for p in parts])
 
 
 def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -> list[list[str]]:
@@ -111,11 +101,15 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
     return sorted(sorted(component) for component in joined.subsets())
 
 
-def _fuse_component(
-    maps: Sequence[TopoMap], accepted: Sequence[PairVerdict], settings: FusionSettings
-) -> _Fused:
+def fuse_component(
+    maps: Sequence[TopoMap],
+    inside: Sequence[PairVerdict],
+    settings: FusionSettings = DEFAULT_FUSION,
+    *,
+    how_sure: bool = False,
+) -> FusedComponent:
+    """One component. inside: accepted verdicts, all between its runs, that join them."""
     pool = Pool.of(maps)
-    inside = [v for v in accepted if v.a in pool.first and v.b in pool.first]
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
     matched = [(v.a, v.b) for v in inside]
@@ -133,7 +127,19 @@ def _fuse_component(
         corridors = fuse_corridors(corridors, settings.corridors)
         headings = [p.headings for p in places]
         corridors = split_at_places(corridors, xy, headings, settings.passages, settings.corridors)
-    return _Fused(pool, joint, xy, places, corridors, fitted_poses(pool, pose))
+    poses = fitted_poses(pool, pose)
+    return FusedComponent(
+        {run: poses[run] for run in sorted(poses)},
+        _fused_map(pool, xy, places, corridors),
+        _spread(pool, joint) if how_sure else None,
+    )
+
+
+def _spread(pool: Pool, joint: Joint) -> Spread | None:
+    """How surely a component's runs are placed; None where it is one run."""
+    if joint.graph is None or joint.solution is None:
+        return None
+    return spread(pool, joint.graph, joint.solution)
 
 
 def _settle(
@@ -164,33 +170,29 @@ def _place_positions(pool: Pool, label: IntArray, pose: FloatArray) -> FloatArra
     return np.stack(columns, axis=-1)
 
 
-# --- everything in one row ------------------------------------------------------------------------
+# --- places and corridors as a map, and everything in one row -------------------------------------
 
 
-def _assemble(parts: Sequence[_Fused]) -> FusedMap:
-    """All components in one FusedMap, vertices numbered through."""
-    offsets = np.concatenate([[0], np.cumsum([len(p.places) for p in parts])]).astype(np.int64)
-    corridors = [
-        (c, int(first)) for p, first in zip(parts, offsets, strict=False) for c in p.corridors
-    ]
-    places = [(p.pool, place) for p in parts for place in p.places]
-    xy = [p.xy for p in parts if len(p.xy)]
+def _fused_map(
+    pool: Pool, xy: FloatArray, places: Sequence[Place], corridors: Sequence[Corridor]
+) -> FusedMap:
+    members = tuple(_members(pool, place) for place in places)
     return FusedMap(
-        component=np.repeat(np.arange(len(parts)), np.diff(offsets)),
-        xy=np.concatenate(xy) if xy else np.zeros((0, 2)),
-        branches=Ragged.from_rows(place.headings for _, place in places),
-        kind=tuple(place.kind for _, place in places),
-        members=tuple(_members(pool, place) for pool, place in places),
-        observations=tuple(_observations(parts)),
-        source=np.array([c.u + first for c, first in corridors], np.int64),
-        target=np.array([c.v + first for c, first in corridors], np.int64),
-        source_branch=np.array([c.branch_u for c, _ in corridors], np.int64),
-        target_branch=np.array([c.branch_v for c, _ in corridors], np.int64),
-        length=np.array([c.length for c, _ in corridors], np.float64),
-        length_sigma=np.array([c.sigma for c, _ in corridors], np.float64),
-        traversals=np.array([c.traversals for c, _ in corridors], np.int64),
-        paths=tuple(c.path for c, _ in corridors),
-        edge_members=tuple(c.members for c, _ in corridors),
+        component=np.zeros(len(places), np.int64),
+        xy=xy,
+        branches=Ragged.from_rows(place.headings for place in places),
+        kind=tuple(place.kind for place in places),
+        members=members,
+        observations=observations_of(pool.maps, members),
+        source=np.array([c.u for c in corridors], np.int64),
+        target=np.array([c.v for c in corridors], np.int64),
+        source_branch=np.array([c.branch_u for c in corridors], np.int64),
+        target_branch=np.array([c.branch_v for c in corridors], np.int64),
+        length=np.array([c.length for c in corridors], np.float64),
+        length_sigma=np.array([c.sigma for c in corridors], np.float64),
+        traversals=np.array([c.traversals for c in corridors], np.int64),
+        paths=tuple(c.path for c in corridors),
+        edge_members=tuple(c.members for c in corridors),
     )
 
 
@@ -202,17 +204,48 @@ def _members(pool: Pool, place: Place) -> dict[str, tuple[int, ...]]:
     return out
 
 
-def _observations(parts: Sequence[_Fused]) -> list[tuple[tuple[str, int], ...]]:
+def observations_of(
+    maps: Sequence[TopoMap], members: Sequence[Mapping[str, tuple[int, ...]]]
+) -> tuple[tuple[tuple[str, int], ...], ...]:
     """For every place the passes of all its members, sorted."""
-    out: list[tuple[tuple[str, int], ...]] = []
-    for p in parts:
-        place_of = np.empty(len(p.pool), np.int64)
-        for k, place in enumerate(p.places):
-            place_of[place.rows] = k
-        seen: list[list[tuple[str, int]]] = [[] for _ in p.places]
-        for m in p.pool.maps:
-            rows = place_of[p.pool.first[m.run] + m.observation_vertex]
-            for k, time_ns in zip(rows.tolist(), m.observation_time_ns.tolist(), strict=True):
-                seen[k].append((m.run, time_ns))
-        out += [tuple(sorted(s)) for s in seen]
-    return out
+    place_of = {m.run: np.zeros(len(m), np.int64) for m in maps}
+    for k, own in enumerate(members):
+        for run, vertices in own.items():
+            place_of[run][list(vertices)] = k
+    seen: list[list[tuple[str, int]]] = [[] for _ in members]
+    for m in maps:
+        rows = place_of[m.run][m.observation_vertex].tolist()
+        for k, time_ns in zip(rows, m.observation_time_ns.tolist(), strict=True):
+            seen[k].append((m.run, time_ns))
+    return tuple(tuple(sorted(s)) for s in seen)
+
+
+def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
+    """All components in one FusedMap, vertices numbered through."""
+    sizes = [len(p) for p in parts]
+    first = np.cumsum([0, *sizes])[:-1].repeat([len(p.source) for p in parts])
+
+    def joined(name: str, none: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([none, *(getattr(p, name) for p in parts)])
+
+    def chained(name: str) -> tuple[Any, ...]:
+        return tuple(chain.from_iterable(getattr(p, name) for p in parts))
+
+    ints, floats = np.zeros(0, np.int64), np.zeros(0)
+    return FusedMap(
+        component=np.repeat(np.arange(len(parts)), sizes),
+        xy=joined("xy", np.zeros((0, 2))),
+        branches=Ragged.joined([p.branches for p in parts]),
+        kind=chained("kind"),
+        members=chained("members"),
+        observations=chained("observations"),
+        source=joined("source", ints) + first,
+        target=joined("target", ints) + first,
+        source_branch=joined("source_branch", ints),
+        target_branch=joined("target_branch", ints),
+        length=joined("length", floats),
+        length_sigma=joined("length_sigma", floats),
+        traversals=joined("traversals", ints),
+        paths=chained("paths"),
+        edge_members=chained("edge_members"),
+    )
