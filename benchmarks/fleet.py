@@ -27,11 +27,11 @@ from pathlib import Path
 import numpy as np
 from observed import observed_map
 
-from topobatch.merge.cache import PairCache
+from topobatch.merge.cache import ResultCache
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
-from topobatch.merge.robust import DEFAULT_ROBUST, Means, index, match, prepare
+from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, index, match, prepare
 from topobatch.merge.robust.index import likely_pairs, pairs_to_match
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
 from topobatch.simulation import make_world
@@ -121,7 +121,7 @@ def one_size(count, first):
     row["loop"] = clock.lap() / len(pairs) * pairs_of(count)
     del ready
     with tempfile.TemporaryDirectory() as folder:
-        store = PairCache(Path(folder))
+        store = ResultCache(Path(folder), era_of(DEFAULT_ROBUST))
         clock.lap()
         result = merge_maps(maps, means=Means(store=store))
         store.flush()

@@ -12,7 +12,7 @@ from .output import Screen, count
 from .workspace import Workspace
 
 if TYPE_CHECKING:
-    from ..merge.cache import PairCache
+    from ..merge.cache import ResultCache
     from ..merge.robust import Means
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
@@ -38,7 +38,7 @@ def read_maps(
 def matching(
     place: Workspace,
     pairs: int,
-    store: PairCache,
+    store: ResultCache,
     workers: Callable[[int], Workers | None],
     screen: Screen,
 ) -> Iterator[Means]:

@@ -229,17 +229,18 @@ def _merged(
     everything: bool,
     screen: Screen,
 ) -> MergeResult:
-    from ..merge.cache import PairCache
+    from ..merge.cache import ResultCache
     from ..merge.merging import merge_maps
     from ..merge.result import pairs_of
+    from ..merge.robust import era_of
 
-    store = PairCache(place.pairs, screen.warn)
+    store = ResultCache(place.pairs, era_of(settings.robust), screen.warn)
     with matching(place, pairs_of(len(maps)), store, workers, screen) as means:
         result = merge_maps(
             maps, settings, locks=place.locks(), discarded=place.discards(), means=means
         )
     if everything and settings.method == "robust":
-        store.settle(maps, settings.robust)
+        store.settle()
     return result
 
 

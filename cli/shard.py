@@ -36,12 +36,13 @@ def match_share(
 ) -> None:
     """Match a share of all pairs, for the cache. Others may do other shares meanwhile: the
     workspace is held only to write."""
-    from ..merge.cache import PairCache
+    from ..merge.cache import ResultCache
     from ..merge.result import pairs_of
-    from ..merge.robust import match_shard
+    from ..merge.robust import era_of, match_shard
 
     maps, broken = read_maps(place, place.chosen_runs([], True), screen)
-    store = PairCache(place.pairs, screen.warn, partial(place.held, lambda _: None, make=False))
+    held = partial(place.held, lambda _: None, make=False)
+    store = ResultCache(place.pairs, era_of(settings.robust), screen.warn, held)
     pairs = pairs_of(len(maps)) // share[1]
     with matching(place, pairs, store, workers, screen) as means:
         done = match_shard(maps, settings.robust, share, means)

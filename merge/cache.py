@@ -13,18 +13,17 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from ..topology.document import read_bytes, write_atomically
 from ..topology.errors import DocumentError
-from ..topology.topomap import TopoMap
-from .packs import DamagedPackError, Pack, digest_of, joined, joined_count
-from .robust.pairing import era_of
-from .robust.settings import RobustSettings
+from .packs import DamagedPackError, Key, Kind, Pack, joined, joined_count
 
 PACK = re.compile(r"[0-9a-f]{32}\.pack")
 """Names of the files; nothing else in the folder is touched."""
 
-WRITTEN_TOGETHER = 16
-"""Tasks whose results are kept in one file: what a killed process loses, some 20 s of one core."""
+WRITTEN_TOGETHER = 16_000
+"""Records that are kept in one file: what a killed process loses, some 20 s of one core."""
 
 MOST_FILES = 32
 LEAST_LIVE = 0.5
@@ -32,49 +31,72 @@ LEAST_LIVE = 0.5
 
 
 @dataclass(slots=True, eq=False)
-class PairCache:
-    """Results of matching the maps of a workspace. say: is told what could not be written; held:
+class ResultCache:
+    """Results of merging the maps of a workspace, of one era. say: is told what could not be
+    written; held:
     entered while a file is written, where others may clear away what they take for left over."""
 
     folder: Path
+    era: bytes
     say: Callable[[str], None] = lambda _: None
     held: Callable[[], AbstractContextManager[object]] = nullcontext
     _new: list[Pack] = field(default_factory=list)
     _failed: bool = False
+    _packs: dict[Path, Pack | None] = field(default_factory=dict)
+    _rows: dict[Kind, dict[Key, list[tuple[Pack, int]]]] = field(default_factory=dict)
+    _wanted: set[bytes] = field(default_factory=set)
 
-    def packs(self, era: bytes, digests: Sequence[bytes]) -> list[Pack]:
-        """What is known of an era about maps of such content."""
-        wanted = frozenset(digests)
-        return [pack for _, pack in self._whole(era) if wanted.intersection(pack.digests)]
+    def packs(self, digests: Sequence[bytes]) -> list[Pack]:
+        """All that is known; what is about things of such digests is wanted."""
+        self._wanted.update(digests)
+        return [pack for _, pack in self._whole()]
+
+    def find(self, kind: Kind, key: Key) -> bytes | None:
+        """The payload of a record, wanted from now on; None if there is no undamaged one."""
+        if kind not in self._rows:
+            self._rows[kind] = {}
+            for pack in (*self.packs(()), *self._new):
+                self._enter(pack, kind)
+        self._wanted.update(key)
+        payloads = (pack.payload(row) for pack, row in self._rows[kind].get(key, ()))
+        return next((payload for payload in payloads if payload is not None), None)
 
     def keep(self, pack: Pack) -> None:
-        """Add results; they are written a few at a time."""
+        """Add results; they are written some at a time."""
         self._new.append(pack)
-        if len(self._new) >= WRITTEN_TOGETHER:
+        for kind in self._rows:
+            self._enter(pack, kind)
+        if sum(map(len, self._new)) >= WRITTEN_TOGETHER:
             self.flush()
 
     def flush(self) -> None:
         """Write what was added. Where that cannot be, nothing is lost but time."""
         if self._new and not self._failed:
-            self._write(joined(self._new[0].era, self._new))
+            self._write(joined(self.era, self._new))
         self._new.clear()
 
-    def settle(self, maps: Sequence[TopoMap], settings: RobustSettings) -> None:
-        """Drop what belongs to none of these maps, or to another era, once that is much."""
+    def settle(self) -> None:
+        """Drop what nobody asked for, or what is of another era, once that is much."""
         self.flush()
-        era, wanted = era_of(settings), frozenset(map(digest_of, maps))
-        whole = dict(self._whole(era))
-        files = list(self._files())
-        packs = list(whole.values())
+        whole, files = dict(self._whole()), list(self._files())
+        packs, wanted = list(whole.values()), frozenset(self._wanted)
         useful = joined_count(packs, wanted) >= LEAST_LIVE * sum(map(len, packs))
         if len(files) == len(whole) <= MOST_FILES and useful:
             return
-        live = joined(era, packs, wanted)
+        live = joined(self.era, packs, wanted)
         kept = self._write(live) if len(live) else None
         if kept is not None or not len(live):
             for path in files:
                 if path != kept:
                     path.unlink(missing_ok=True)
+
+    def _enter(self, pack: Pack, kind: Kind) -> None:
+        """Find the records of a kind by their keys from now on."""
+        chosen = np.flatnonzero(pack.rows["kind"] == kind)
+        ends = (pack.rows[name][chosen].tolist() for name in ("a", "b"))
+        for row, a, b in zip(chosen.tolist(), *ends, strict=True):
+            key = pack.digests[a], pack.digests[b]
+            self._rows[kind].setdefault(key, []).append((pack, row))
 
     def _files(self) -> Iterator[Path]:
         if self.folder.is_dir():
@@ -82,15 +104,20 @@ class PairCache:
                 if PACK.fullmatch(path.name) and (path.is_file() or path.is_symlink()):
                     yield path
 
-    def _whole(self, era: bytes) -> Iterator[tuple[Path, Pack]]:
-        """The packs of an era that can be read."""
+    def _whole(self) -> Iterator[tuple[Path, Pack]]:
+        """The packs of this era that can be read; what was read once is not read again."""
         for path in self._files():
-            try:
-                pack = Pack.from_bytes(read_bytes(path))
-            except (DamagedPackError, DocumentError, OSError):
-                continue  # a cache: its results are made again, and `settle` removes the file
-            if pack.era == era:
+            if path not in self._packs:
+                self._packs[path] = self._pack(path)
+            pack = self._packs[path]
+            if pack is not None and pack.era == self.era:
                 yield path, pack
+
+    def _pack(self, path: Path) -> Pack | None:
+        try:
+            return Pack.from_bytes(read_bytes(path))
+        except (DamagedPackError, DocumentError, OSError):
+            return None  # a cache: its results are made again, and `settle` removes the file
 
     def _write(self, pack: Pack) -> Path | None:
         data = pack.to_bytes()
@@ -102,4 +129,5 @@ class PairCache:
             self._failed = True
             self.say(f"{self.folder}: results are not kept: {error.strerror or error}")
             return None
+        self._packs[path] = pack
         return path

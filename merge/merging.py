@@ -70,19 +70,19 @@ def merge_maps(
     Raises DataError if two maps are of the same run, or one is in pieces (`pieces.joined_pieces`).
     """
     ordered = _by_run(maps)
+    means = means or Means()
     verdicts: tuple[PairVerdict, ...]
     if settings.method == "robust":
         verdicts = robust.decide(
             ordered, settings.robust, locks=locks, discarded=discarded, means=means
         )
     else:
-        means = means or Means()
         with means.workers.start() if means.workers else nullcontext() as executor:
             verdicts = paper.decide(
                 ordered, settings.paper, locks=locks, on_pair=means.on_pair, executor=executor
             )
         verdicts = tuple(_taken_back(v) if (v.a, v.b) in discarded else v for v in verdicts)
-    components, fused = fuse(ordered, verdicts, settings.fusion, how_sure=True)
+    components, fused = fuse(ordered, verdicts, settings.fusion, how_sure=True, kept=means.kept)
     listed, unlisted = _listed_pairs(len(ordered), verdicts, components, discarded)
     told = _placed(listed, components)
     info = _info(settings, components, told)

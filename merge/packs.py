@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,10 +48,29 @@ checksum."""
 LARGEST = 1e9
 """No number of a result is larger: metres, bits."""
 
+
+class Kind(IntEnum):
+    """What a record of a pack tells of its key: two maps, by their digests, or twice the digest of
+    what a component is made of."""
+
+    PAIR = 0
+    ITSELF = 1
+    IMAGE = 2
+    """The first map against the mirror image of the second."""
+    COMPONENT = 3
+    """Several maps fused into one."""
+
+    @property
+    def told(self) -> str:
+        """What is matched, in words."""
+        return ("pairs of maps", "maps with themselves", "mirror images", "components")[self]
+
+
 NOT_CONTENT = frozenset({"run", "frame", "closures", "info"})
 """What a map says about itself and matching never asks."""
 
 Rows = NDArray[np.void]
+Key = tuple[bytes, bytes]
 
 
 class DamagedPackError(ValueError):
@@ -161,7 +182,7 @@ class PackWriter:
 
     def add(
         self,
-        pair: tuple[bytes, bytes],
+        pair: Key,
         kind: int,
         *,
         junctions: int = 0,
@@ -180,6 +201,84 @@ class PackWriter:
         """All that was added."""
         rows = np.array(self._rows, RECORD)
         return Pack(self.era, tuple(self._number), rows, b"".join(self._payloads))
+
+
+class Store(Protocol):
+    """Where the results of an era are kept from merge to merge."""
+
+    @property
+    def era(self) -> bytes:
+        """What they depend on beside their keys: the program, its settings."""
+        ...
+
+    def packs(self, digests: Sequence[bytes]) -> list[Pack]:
+        """All that is known; what is about things of such digests is wanted."""
+        ...
+
+    def find(self, kind: Kind, key: Key) -> bytes | None:
+        """The payload of one record, if it is known."""
+        ...
+
+    def keep(self, pack: Pack) -> None:
+        """Add results."""
+        ...
+
+
+class Digests:
+    """Digests of maps, each worked out once."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[TopoMap, bytes]] = {}
+
+    def __call__(self, topomap: TopoMap) -> bytes:
+        """`digest_of`."""
+        if id(topomap) not in self._known:
+            self._known[id(topomap)] = topomap, digest_of(topomap)
+        return self._known[id(topomap)][1]
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Results that are found and left one by one. digest: of a map."""
+
+    store: Store
+    digest: Callable[[TopoMap], bytes] = digest_of
+
+    def find(self, kind: Kind, key: Key) -> bytes | None:
+        """The payload of a record, if it is known."""
+        return self.store.find(kind, key)
+
+    def add(self, kind: Kind, key: Key, payload: bytes) -> None:
+        """Keep a result."""
+        out = PackWriter(self.store.era)
+        out.add(key, kind, payload=payload)
+        self.store.keep(out.pack())
+
+
+def arrays_to_bytes(arrays: Sequence[NDArray[np.int64] | NDArray[np.float64]]) -> bytes:
+    """Flat arrays of numbers as a payload."""
+    flat = [a.reshape(-1).astype("<i8" if a.dtype.kind == "i" else "<f8") for a in arrays]
+    sizes = np.array([len(a) for a in flat], "<i8")
+    return sizes.tobytes() + b"".join(a.tobytes() for a in flat)
+
+
+def arrays_from_bytes(data: bytes, kinds: str) -> list[NDArray[Any]] | None:
+    """The arrays of a payload; kinds: of each, "i" or "f". None where it cannot hold them, or holds
+    what is no number."""
+    head = 8 * len(kinds)
+    if len(data) < head:
+        return None
+    sizes = np.frombuffer(data, "<i8", len(kinds))
+    if (sizes < 0).any() or (sizes > len(data)).any() or head + 8 * sizes.sum() != len(data):
+        return None
+    out = []
+    for kind, size in zip(kinds, sizes.tolist(), strict=True):
+        values = np.frombuffer(data, f"<{kind}8", size, head)
+        if kind == "f" and not (np.abs(values) <= LARGEST).all():
+            return None
+        out.append(values.astype(np.int64 if kind == "i" else np.float64))
+        head += 8 * size
+    return out
 
 
 def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = None) -> Pack:

@@ -5,6 +5,7 @@ Works on any method's verdicts: only the matched vertices and transforms of acce
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -16,7 +17,9 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
+from ..packs import DIGEST, Kept, Kind
 from ..result import Component, FusedMap, PairVerdict, Spread
+from .component import FusedComponent, from_bytes, observations_of, to_bytes
 from .data_association import DEFAULT_COINCIDENCE, CoincidenceSettings, coincident
 from .edge_splitting import DEFAULT_PASSAGE, PassageSettings, split_at_places
 from .edges import DEFAULT_CORRIDOR, Corridor, CorridorSettings, corridors_of, fuse_corridors
@@ -53,22 +56,13 @@ class FusionSettings:
 DEFAULT_FUSION = FusionSettings()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FusedComponent:
-    """One component by itself: T_component_run of every run, its part of the fused map (numbered
-    from 0 on), and how surely its runs are placed, if that was asked for."""
-
-    poses: Mapping[str, FloatArray]
-    fused: FusedMap
-    spread: Spread | None = None
-
-
 def fuse(
     maps: Sequence[TopoMap],
     verdicts: Sequence[PairVerdict],
     settings: FusionSettings = DEFAULT_FUSION,
     *,
     how_sure: bool = False,
+    kept: Kept | None = None,
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
 
@@ -76,7 +70,8 @@ def fuse(
     over all vertices of a component; vertices are fused from matched pairs, transitively, and
     where they coincide afterwards. Components, vertices and edges are numbered by run name and
     vertex: independent of the order of the input. A run that nothing matched is a component of
-    its own, its map unchanged. how_sure: with the `spread` of every component.
+    its own, its map unchanged. how_sure: with the `spread` of every component. kept: components
+    fused earlier, which are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -86,7 +81,7 @@ def fuse(
     for v in accepted:
         inside[home[v.a]].append(v)
     parts = [
-        fuse_component([by_name[run] for run in runs], own, settings, how_sure=how_sure)
+        fused_once([by_name[run] for run in runs], own, settings, how_sure=how_sure, kept=kept)
         for runs, own in zip(groups, inside, strict=True)
     ]
     components = tuple(Component(k, p.poses, p.spread) for k, p in enumerate(parts))
@@ -99,6 +94,44 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
     for v in accepted:
         joined.merge(v.a, v.b)
     return sorted(sorted(component) for component in joined.subsets())
+
+
+def fused_once(
+    maps: Sequence[TopoMap],
+    inside: Sequence[PairVerdict],
+    settings: FusionSettings = DEFAULT_FUSION,
+    *,
+    how_sure: bool = False,
+    kept: Kept | None = None,
+) -> FusedComponent:
+    """`fuse_component` of maps sorted by run, or what is kept of when it was done before."""
+    if kept is None:
+        return fuse_component(maps, inside, settings, how_sure=how_sure)
+    digest = component_digest([kept.digest(m) for m in maps], maps, inside, (settings, how_sure))
+    data = kept.find(Kind.COMPONENT, (digest, digest))
+    found = None if data is None else from_bytes(data, maps)
+    if found is None:
+        found = fuse_component(maps, inside, settings, how_sure=how_sure)
+        kept.add(Kind.COMPONENT, (digest, digest), to_bytes(found, maps))
+    return found
+
+
+def component_digest(
+    digests: Sequence[bytes],
+    maps: Sequence[TopoMap],
+    inside: Sequence[PairVerdict],
+    settings: object = (),
+) -> bytes:
+    """Changes with whatever a component follows from: the content of its maps, in the order of
+    their names, and what joins them, the strongest first. Not with names or evidence."""
+    number = {m.run: k for k, m in enumerate(maps)}
+    out = hashlib.blake2b(repr(settings).encode(), digest_size=DIGEST)
+    out.update(b"".join(digests))
+    for v in sorted(inside, key=lambda v: (-v.evidence_bits, v.a, v.b)):
+        if v.best is not None:
+            out.update(f"{number[v.a]} {number[v.b]} {len(v.best.matched)};".encode())
+            out.update(v.best.transform.tobytes() + v.best.matched.tobytes())
+    return out.digest()
 
 
 def fuse_component(
@@ -202,22 +235,6 @@ def _members(pool: Pool, place: Place) -> dict[str, tuple[int, ...]]:
         run = pool.maps[int(pool.run[row])].run
         out[run] = (*out.get(run, ()), int(pool.vertex[row]))
     return out
-
-
-def observations_of(
-    maps: Sequence[TopoMap], members: Sequence[Mapping[str, tuple[int, ...]]]
-) -> tuple[tuple[tuple[str, int], ...], ...]:
-    """For every place the passes of all its members, sorted."""
-    place_of = {m.run: np.zeros(len(m), np.int64) for m in maps}
-    for k, own in enumerate(members):
-        for run, vertices in own.items():
-            place_of[run][list(vertices)] = k
-    seen: list[list[tuple[str, int]]] = [[] for _ in members]
-    for m in maps:
-        rows = place_of[m.run][m.observation_vertex].tolist()
-        for k, time_ns in zip(rows, m.observation_time_ns.tolist(), strict=True):
-            seen[k].append((m.run, time_ns))
-    return tuple(tuple(sorted(s)) for s in seen)
 
 
 def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:

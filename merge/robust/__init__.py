@@ -3,7 +3,7 @@
 from .alignment import Candidate, match
 from .batch import match_shard
 from .decide import decide
-from .pairing import Means
+from .pairing import Means, era_of
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, RobustSettings
 
@@ -14,6 +14,7 @@ __all__ = [
     "Prepared",
     "RobustSettings",
     "decide",
+    "era_of",
     "match",
     "match_shard",
     "prepare",

@@ -10,7 +10,6 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from enum import IntEnum
 from functools import cache
 from pathlib import Path
 from typing import Protocol
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
-from ..packs import DIGEST, Pack, PackWriter, digest_of
+from ..packs import DIGEST, Digests, Kept, Kind, Pack, PackWriter, Store, digest_of
 from ..workers import Workers
 from .alignment import Candidate, match, self_matches
 from .mirror import mirrored
@@ -48,37 +47,11 @@ MOST_READY = 256
 """Prepared maps that a worker remembers, some 100 kB each."""
 
 
-class Kind(IntEnum):
-    """What a record of a pack tells of its two maps."""
-
-    PAIR = 0
-    ITSELF = 1
-    IMAGE = 2
-    """The first map against the mirror image of the second."""
-
-    @property
-    def told(self) -> str:
-        """What is matched, in words."""
-        return ("pairs of maps", "maps with themselves", "mirror images")[self]
-
-
 class Maps(Protocol):
     """Where workers find the maps of runs."""
 
     def read_map(self, run: str) -> TopoMap:
         """The map of a run."""
-        ...
-
-
-class PairStore(Protocol):
-    """Where results are kept from merge to merge."""
-
-    def packs(self, era: bytes, digests: Sequence[bytes]) -> list[Pack]:
-        """What is known about maps of such content."""
-        ...
-
-    def keep(self, pack: Pack) -> None:
-        """Add results."""
         ...
 
 
@@ -90,9 +63,15 @@ class Means:
 
     workers: Workers | None = None
     maps: Maps | None = None
-    store: PairStore | None = None
+    store: Store | None = None
     on_pair: Callable[[int, int], None] | None = None
     tell: Callable[[str], None] | None = None
+    digest: Digests = field(default_factory=Digests)
+
+    @property
+    def kept(self) -> Kept | None:
+        """What is known already, one by one."""
+        return None if self.store is None else Kept(self.store, self.digest)
 
     def say(self, text: str) -> None:
         """Tell what happens, if anybody listens."""
@@ -143,12 +122,14 @@ class Pairwise:
         self.settings = settings
         self.means = means or Means()
         self.prepared = [prepare(m) for m in maps]
-        self._digests = [digest_of(m) for m in maps]
+        self._digests = [self.means.digest(m) for m in maps]
         self._row = {digest: k for k, digest in enumerate(self._digests)}
         self._images: dict[int, Prepared] = {}
         self._packs: list[Pack] = []
         if self.means.store is not None:
-            self._packs = self.means.store.packs(era_of(settings), self._digests)
+            if self.means.store.era != era_of(settings):
+                raise ValueError("what the store keeps is of other settings")
+            self._packs = self.means.store.packs(self._digests)
 
     def pairs(self, wanted: IntArray) -> dict[Pair, Found]:
         """What matching each of (k, 2) pairs finds."""

@@ -7,11 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from topobatch.merge.cache import MOST_FILES, PairCache
+from topobatch.merge.cache import MOST_FILES, ResultCache
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
+from topobatch.merge.packs import Kind
 from topobatch.merge.robust import DEFAULT_ROBUST, Means, RobustSettings, pairing
-from topobatch.merge.robust.pairing import Kind, era_of
+from topobatch.merge.robust.pairing import era_of
 from topobatch.merge.workers import Workers
 
 
@@ -31,11 +32,11 @@ def text(maps, means=None):
     return json.dumps(merged_to_document(merge_maps(maps, means=means)))
 
 
-class Counted(PairCache):
+class Counted(ResultCache):
     """A cache that knows what was matched anew."""
 
     def __init__(self, folder):
-        super().__init__(folder)
+        super().__init__(folder, era_of(DEFAULT_ROBUST))
         self.fresh = []
 
     def keep(self, pack):
@@ -52,7 +53,7 @@ def merged_with(folder, maps, settle=True):
     out = text(maps, Means(store=store))
     store.flush()
     if settle:
-        store.settle(maps, DEFAULT_ROBUST)
+        store.settle()
     return out, store
 
 
@@ -148,7 +149,7 @@ def test_a_cache_that_cannot_be_written_is_told(fleet, tmp_path):
     folder = tmp_path / "file"
     folder.write_text("no folder")
     heard = []
-    store = PairCache(folder, heard.append)
+    store = ResultCache(folder, era_of(DEFAULT_ROBUST), heard.append)
     assert text(fleet[:2], Means(store=store)) == text(fleet[:2])
     store.flush()
     (told,) = heard

@@ -1,0 +1,168 @@
+"""A fused component, also as bytes.
+
+Read again it is the same to the last bit. What is read is checked against the maps, so that no
+bytes whatever make a component that points outside of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.passes import NO_BRANCH
+from ...topology.ragged import Ragged
+from ...topology.topomap import TopoMap
+from ..packs import arrays_from_bytes, arrays_to_bytes
+from ..result import FusedMap, Spread
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+Rows = tuple[tuple[tuple[str, int], ...], ...]
+
+ARRAYS = "ffffiifiiiiiiiffiif"
+"""Poses; middles and covariance of the spread, empty where it was not asked for; positions; kinds
+and numbers of branches, and these; what is behind the vertices, as numbers, runs and rows; the same
+of the edges; their ends and branches, length, sigma, traversals; points of their paths, and these.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedComponent:
+    """One component by itself: T_component_run of every run, its part of the fused map (numbered
+    from 0 on), and how surely its runs are placed, if that was asked for."""
+
+    poses: Mapping[str, FloatArray]
+    fused: FusedMap
+    spread: Spread | None = None
+
+
+def observations_of(
+    maps: Sequence[TopoMap], members: Sequence[Mapping[str, tuple[int, ...]]]
+) -> Rows:
+    """For every place the passes of all its members, sorted."""
+    place_of = {m.run: np.zeros(len(m), np.int64) for m in maps}
+    for k, own in enumerate(members):
+        for run, vertices in own.items():
+            place_of[run][list(vertices)] = k
+    seen: list[list[tuple[str, int]]] = [[] for _ in members]
+    for m in maps:
+        rows = place_of[m.run][m.observation_vertex].tolist()
+        for k, time_ns in zip(rows, m.observation_time_ns.tolist(), strict=True):
+            seen[k].append((m.run, time_ns))
+    return tuple(tuple(sorted(s)) for s in seen)
+
+
+def to_bytes(component: FusedComponent, maps: Sequence[TopoMap]) -> bytes:
+    """A component of maps, which are sorted by run."""
+    fused, sure = component.fused, component.spread
+    kinds = {kind: k for k, kind in enumerate(_kinds(maps))}
+    behind = [[(run, v) for run, own in of.items() for v in own] for of in fused.members]
+    return arrays_to_bytes(
+        [
+            np.array([component.poses[m.run] for m in maps], np.float64),
+            np.zeros(0) if sure is None else sure.middle,
+            np.zeros(0) if sure is None else sure.covariance,
+            fused.xy,
+            np.array([kinds[kind] for kind in fused.kind], np.int64),
+            fused.branches.counts,
+            fused.branches.values,
+            *_flat(behind, maps),
+            *_flat(fused.edge_members, maps),
+            np.stack([fused.source, fused.target, fused.source_branch, fused.target_branch]),
+            fused.length,
+            fused.length_sigma,
+            fused.traversals,
+            np.array([len(path) for path in fused.paths], np.int64),
+            np.concatenate([np.zeros((0, 2)), *fused.paths]),
+        ]
+    )
+
+
+def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
+    """The component of maps, which are sorted by run; None where it cannot be theirs."""
+    arrays = arrays_from_bytes(data, ARRAYS)
+    if arrays is None:
+        return None
+    poses, middle, covariance, xy, kind, degree, branches, *arrays = arrays
+    places, corridors, (ends, length, sigma, traversals, steps, points) = (
+        arrays[:3], arrays[3:6], arrays[6:],
+    )  # fmt: skip
+    r, n, m, sure = len(maps), len(degree), len(length), len(middle) > 0
+    sizes = (
+        (poses, 3 * r), (middle, 2 * r * sure), (covariance, 9 * r * r * sure), (xy, 2 * n),
+        (kind, n), (places[0], n), (corridors[0], m), (ends, 4 * m), (sigma, m), (traversals, m),
+        (steps, m), (points, 2 * steps.sum()), (branches, degree.sum()),
+    )  # fmt: skip
+    if any(len(array) != size for array, size in sizes):
+        return None
+    source, target, *leave = ends.reshape(4, m)
+    kinds, vertices, edges = _kinds(maps), [len(x) for x in maps], [len(x.source) for x in maps]
+    bounds = (
+        (kind, 0, len(kinds)), (degree, 0, np.inf), (steps, 2, np.inf), (traversals, 0, np.inf),
+        (source, 0, n), (target, 0, n), (leave[0], NO_BRANCH, degree[source % max(n, 1)]),
+        (leave[1], NO_BRANCH, degree[target % max(n, 1)]),
+    )  # fmt: skip
+    if not all(((low <= x) & (x < high)).all() for x, low, high in bounds):
+        return None
+    behind, along = _rows(places, maps, vertices), _rows(corridors, maps, edges)
+    if behind is None or along is None or sum(map(len, behind)) != sum(vertices):
+        return None
+    members = tuple(_by_run(own) for own in behind)
+    runs = tuple(x.run for x in maps)
+    fused = FusedMap(
+        component=np.zeros(n, np.int64),
+        xy=xy.reshape(-1, 2),
+        branches=Ragged(np.cumsum([0, *degree]), branches),
+        kind=tuple(kinds[k] for k in kind.tolist()),
+        members=members,
+        observations=observations_of(maps, members),
+        source=source,
+        target=target,
+        source_branch=leave[0],
+        target_branch=leave[1],
+        length=length,
+        length_sigma=sigma,
+        traversals=traversals,
+        paths=tuple(np.split(points.reshape(-1, 2), np.cumsum(steps)[:-1])) if m else (),
+        edge_members=along,
+    )
+    spread = Spread(runs, middle.reshape(-1, 2), covariance.reshape(3 * r, -1)) if sure else None
+    return FusedComponent(dict(zip(runs, poses.reshape(-1, 3), strict=True)), fused, spread)
+
+
+def _kinds(maps: Sequence[TopoMap]) -> list[str]:
+    return sorted({kind for m in maps for kind in m.kind})
+
+
+def _flat(rows: Iterable[Sequence[tuple[str, int]]], maps: Sequence[TopoMap]) -> list[IntArray]:
+    """Rows of (run, number) as their sizes, the rows of the runs and the numbers."""
+    of = {m.run: k for k, m in enumerate(maps)}
+    listed = list(rows)
+    flat = np.array([(of[run], k) for row in listed for run, k in row], np.int64).reshape(-1, 2)
+    return [np.array([len(row) for row in listed], np.int64), flat[:, 0], flat[:, 1]]
+
+
+def _rows(flat: Sequence[IntArray], maps: Sequence[TopoMap], most: Sequence[int]) -> Rows | None:
+    """The reverse; None where there is no such run, or it has not so many of what is numbered."""
+    size, run, number = flat
+    if len(run) != len(number) or (size < 0).any() or size.sum() != len(run):
+        return None
+    if ((run < 0) | (run >= len(maps)) | (number < 0)).any() or (
+        number >= np.array(most)[run]
+    ).any():
+        return None
+    names = [m.run for m in maps]
+    pairs = [(names[r], k) for r, k in zip(run.tolist(), number.tolist(), strict=True)]
+    stops = np.cumsum([0, *size.tolist()]).tolist()
+    return tuple(tuple(pairs[i:j]) for i, j in pairwise(stops))
+
+
+def _by_run(row: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
+    out: dict[str, tuple[int, ...]] = {}
+    for run, k in row:
+        out[run] = (*out.get(run, ()), k)
+    return out
