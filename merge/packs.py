@@ -122,13 +122,11 @@ class Pack:
         """The payload of a record; None where it is damaged."""
         start, size = int(self.rows["start"][row]), int(self.rows["size"][row])
         found = self.payloads[start : start + size]
-        return found if checksum(found) == int(self.rows["check"][row]) else None
+        return found if not size or checksum(found) == int(self.rows["check"][row]) else None
 
     def whole(self) -> NDArray[np.bool_]:
         """(records,) whether the payload is undamaged."""
-        sizes = self.rows["size"].tolist()
-        found = [not size or self.payload(row) is not None for row, size in enumerate(sizes)]
-        return np.array(found, np.bool_)
+        return np.array([self.payload(row) is not None for row in range(len(self))], np.bool_)
 
     def to_bytes(self) -> bytes:
         """The pack as it is kept and sent."""

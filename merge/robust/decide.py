@@ -87,7 +87,14 @@ def decide(
     refused = join_all(components, order, best, prepared, runs)
     kept = {pair: c for pair, c in best.items() if pair not in refused}
     rematcher = Rematcher(
-        maps, prepared, components, opinions, batch.level, settings, frozenset(gone)
+        maps,
+        prepared,
+        components,
+        opinions,
+        batch.level,
+        settings,
+        frozenset(gone),
+        matcher.means.kept,
     )
     reunions = rematcher.run(kept)
     matcher.means.say(f"{len(kept)} pairs join, {len(reunions)} by what components say together")

@@ -15,8 +15,8 @@ from ...topology.ragged import Ragged
 from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
 from ..result import Verdict
-from .alignment import Candidate, match
-from .prepare import IntArray, Prepared
+from .alignment import Candidate
+from .prepare import IntArray
 from .settings import RobustSettings
 from .verdict import Opinion
 
@@ -61,17 +61,14 @@ def doubt_mirrored(
     out = dict(opinions)
     for pair, bits in image_bits(merged).items():
         view = opinions[pair]
-        if view.best is not None and bits > view.best.bits + settings.lead_bits:
+        if view.best is not None and fits_better(bits, view.best, settings):
             out[pair] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
     return out
 
 
-def image_fits_better(
-    one: Prepared, image: Prepared, best: Candidate, settings: RobustSettings
-) -> bool:
+def fits_better(image_bits: float, best: Candidate, settings: RobustSettings) -> bool:
     """Does the mirror image of a map fit another one clearly better than the map itself does?
 
-    image: the prepared mirror image; best: the alignment of the map itself.
+    image_bits: the evidence of the image's best alignment; best: the alignment of the map itself.
     """
-    found = match(one, image, settings)
-    return bool(found) and found[0].bits > best.bits + settings.lead_bits
+    return image_bits > best.bits + settings.lead_bits

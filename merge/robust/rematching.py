@@ -17,21 +17,19 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.se2 import fit_rigid
-from ...topology.topomap import RunNoise, TopoMap
-from ..fusion.fuse import fuse
-from ..result import Alignment, FusedMap, PairVerdict, Verdict, graph_part
+from ...topology.topomap import TopoMap
+from ..packs import Kept
+from ..result import Alignment, Verdict
 from .alignment import Candidate, match
 from .components import Components, agrees, join_all
-from .mirror import image_fits_better, mirrored
-from .prepare import Prepared, prepare
+from .merged_maps import MergedMap, MergedMaps, Runs
+from .mirror import fits_better
+from .prepare import Prepared
 from .settings import RobustSettings
 from .verdict import ODD_BITS, Bar, Opinion, opinion
 from .wording import summary
 
 Pair = tuple[int, int]
-Runs = tuple[int, ...]
-Known = tuple[Runs, tuple[tuple[Pair, bytes], ...]]
-"""Runs with the pairs matched among them."""
 
 MOST_CUT = 5
 """Groups of up to so many components are tried at every cut (15 at most)."""
@@ -57,28 +55,11 @@ class Reunion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fused:
-    """The merged map of a component, also prepared, with the vertices of its runs behind each
-    vertex."""
-
-    runs: tuple[int, ...]
-    as_map: TopoMap
-    prepared: Prepared
-    members: tuple[Mapping[str, tuple[int, ...]], ...]
-    maps: Mapping[int, TopoMap]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Its runs by name."""
-        return tuple(self.maps[i].run for i in self.runs)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Cut:
     """A group of runs in two parts, and what their merged maps say of each other."""
 
-    one: _Fused
-    two: _Fused
+    one: MergedMap
+    two: MergedMap
     view: Opinion
 
     @property
@@ -112,12 +93,14 @@ class Rematcher:
     level: Callable[[Pair], Bar]
     settings: RobustSettings
     discarded: frozenset[Pair] = frozenset()
-    _cache: dict[Known, _Fused] = field(default_factory=dict)
+    kept: Kept | None = None
+    _merged: MergedMaps = field(init=False)
     _failed: set[tuple[Runs, Runs]] = field(default_factory=set)
     _undecided: list[Pair] = field(init=False)
 
     def __post_init__(self) -> None:
         views = self.opinions.items()
+        self._merged = MergedMaps(self.maps, self.prepared, self.kept)
         self._undecided = [p for p, v in views if v.bits > OPEN_BITS and v.best is not None]
 
     def run(self, joined: Mapping[Pair, Candidate]) -> dict[Pair, Reunion]:
@@ -254,9 +237,9 @@ class Rematcher:
 
     def _strongest(
         self, accepted: Mapping[Pair, Alignment]
-    ) -> tuple[_Fused, _Fused, Opinion] | None:
+    ) -> tuple[MergedMap, MergedMap, Opinion] | None:
         """The best-founded reunion of two components; those that fail are not tried again."""
-        found: list[tuple[_Fused, _Fused, Opinion]] = []
+        found: list[tuple[MergedMap, MergedMap, Opinion]] = []
         for x, y in self._open():
             if (x, y) in self._failed:
                 continue
@@ -269,21 +252,22 @@ class Rematcher:
 
     def _reunion(
         self, x: Runs, y: Runs, accepted: Mapping[Pair, Alignment]
-    ) -> tuple[_Fused, _Fused, Opinion] | None:
+    ) -> tuple[MergedMap, MergedMap, Opinion] | None:
         if self.components.forbidden(x[0], y[0]) is not None:
             return None
         if any((min(i, j), max(i, j)) in self.discarded for i in x for j in y):
             return None  # what was taken back would be found again
-        one, two = (_fused(runs, self.maps, accepted, self._cache) for runs in (x, y))
+        one, two = (self._merged.of(runs, accepted) for runs in (x, y))
         across = [self.level((min(i, j), max(i, j))) for i in x for j in y]
         level = max(across, key=lambda bar: (bar.need_bits, bar.repetition, bar.copied))
-        candidates = match(one.prepared, two.prepared, self.settings)
+        candidates = self._merged.matched(one, two, self.settings)
+        if not candidates:
+            return None
         view = opinion(one.prepared, two.prepared, candidates, level)
         if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):
             return None
-        image = prepare(mirrored(two.as_map))
-        copied = image_fits_better(one.prepared, image, view.best, self.settings)
-        return None if copied else (one, two, view)
+        image = self._merged.image_bits(one, two, self.settings)
+        return None if fits_better(image, view.best, self.settings) else (one, two, view)
 
     def _open(self) -> list[tuple[Runs, Runs]]:
         """Pairs of components, not both single runs, with an undecided pair across them."""
@@ -358,54 +342,16 @@ def view_of_components(
     accepted: Mapping[Pair, Alignment],
     level: Bar,
     settings: RobustSettings,
-) -> tuple[_Fused, _Fused, Opinion]:
+) -> tuple[MergedMap, MergedMap, Opinion]:
     """What the merged maps of two components say of each other. sides: the runs of each, sorted;
     accepted: the alignments by which each was joined."""
-    cache: dict[Known, _Fused] = {}
-    one, two = (_fused(runs, maps, accepted, cache) for runs in sides)
+    merged = MergedMaps(maps)
+    one, two = (merged.of(runs, accepted) for runs in sides)
     candidates = match(one.prepared, two.prepared, settings)
     return one, two, opinion(one.prepared, two.prepared, candidates, level)
 
 
-def _fused(
-    runs: Runs,
-    maps: Sequence[TopoMap],
-    accepted: Mapping[Pair, Alignment],
-    cache: dict[Known, _Fused],
-) -> _Fused:
-    """The merged map of some runs, ready to be matched."""
-    known = [(p, a) for p, a in sorted(accepted.items()) if p[0] in runs and p[1] in runs]
-    key = (runs, tuple((pair, a.matched.tobytes()) for pair, a in known))
-    if key not in cache:
-        own = [maps[i] for i in runs]
-        inside = [
-            PairVerdict(maps[i].run, maps[j].run, Verdict.MERGED, True, len(a.matched), "", best=a)
-            for (i, j), a in known
-        ]
-        _, fused = fuse(own, inside)
-        members = fused.members
-        as_map = own[0] if len(own) == 1 else _as_map(fused, own)
-        cache[key] = _Fused(runs, as_map, prepare(as_map), members, {i: maps[i] for i in runs})
-    return cache[key]
-
-
-def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
-    """A fused map as the map of one run that saw everything; its noise that of the worst run."""
-    looks = np.array([len(seen) for seen in fused.observations])
-    times = np.arange(int(looks.sum()), dtype=np.int64)
-    fields = RunNoise.__dataclass_fields__
-    noise = RunNoise(**{name: max(getattr(m.noise, name) for m in own) for name in fields})
-    return TopoMap(
-        run="+".join(m.run for m in own),
-        frame="component",
-        observation_vertex=np.repeat(np.arange(len(looks)), looks),
-        observation_time_ns=times,
-        noise=noise,
-        **graph_part(fused, np.ones(len(fused), np.bool_)),
-    )
-
-
-def _links(one: _Fused, two: _Fused, view: Opinion) -> dict[Pair, Alignment]:
+def _links(one: MergedMap, two: MergedMap, view: Opinion) -> dict[Pair, Alignment]:
     """What a match of two fused maps says of pairs of their runs, the strongest pair first.
 
     A pair is linked by the matched places that both its runs saw; of pairs with fewer than three
@@ -440,7 +386,9 @@ def _plain(c: Candidate) -> Alignment:
     return Alignment(c.transform, c.bits, np.column_stack([c.a, c.b]), c.rmse_m)
 
 
-def _reason(pair: Pair, one: _Fused, two: _Fused, view: Opinion, maps: Sequence[TopoMap]) -> str:
+def _reason(
+    pair: Pair, one: MergedMap, two: MergedMap, view: Opinion, maps: Sequence[TopoMap]
+) -> str:
     assert view.best is not None
     names = sorted(maps[i].run for i in (*one.runs, *two.runs) if i not in pair)
     shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
