@@ -91,6 +91,8 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     places, corridors, (ends, length, sigma, traversals, steps, points) = (
         arrays[:3], arrays[3:6], arrays[6:],
     )  # fmt: skip
+    if not all(((x >= low) & (x <= len(data))).all() for x, low in ((degree, 0), (steps, 2))):
+        return None
     r, n, m, sure = len(maps), len(degree), len(length), len(middle) > 0
     sizes = (
         (poses, 3 * r), (middle, 2 * r * sure), (covariance, 9 * r * r * sure), (xy, 2 * n),
@@ -102,7 +104,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     source, target, *leave = ends.reshape(4, m)
     kinds, vertices, edges = _kinds(maps), [len(x) for x in maps], [len(x.source) for x in maps]
     bounds = (
-        (kind, 0, len(kinds)), (degree, 0, np.inf), (steps, 2, np.inf), (traversals, 0, np.inf),
+        (kind, 0, len(kinds)), (traversals, 0, np.inf),
         (source, 0, n), (target, 0, n), (leave[0], NO_BRANCH, degree[source % max(n, 1)]),
         (leave[1], NO_BRANCH, degree[target % max(n, 1)]),
     )  # fmt: skip
@@ -149,7 +151,7 @@ def _flat(rows: Iterable[Sequence[tuple[str, int]]], maps: Sequence[TopoMap]) ->
 def _rows(flat: Sequence[IntArray], maps: Sequence[TopoMap], most: Sequence[int]) -> Rows | None:
     """The reverse; None where there is no such run, or it has not so many of what is numbered."""
     size, run, number = flat
-    if len(run) != len(number) or (size < 0).any() or size.sum() != len(run):
+    if len(run) != len(number) or ((size < 0) | (size > len(run))).any() or size.sum() != len(run):
         return None
     if ((run < 0) | (run >= len(maps)) | (number < 0)).any() or (
         number >= np.array(most)[run]

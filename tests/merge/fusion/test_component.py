@@ -1,0 +1,119 @@
+"""Fused components as bytes, and found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.fusion import fuse as fusing
+from topobatch.merge.fusion.component import from_bytes, to_bytes
+from topobatch.merge.fusion.fuse import component_digest, fuse, fuse_component
+from topobatch.merge.packs import Kept, Pack, digest_of
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
+
+
+@pytest.fixture(scope="module")
+def joined(halves):
+    """Two maps of one building, and the verdict that joins them."""
+    a, b = sorted(halves, key=lambda m: m.run)
+    best = match(prepare(a), prepare(b), DEFAULT_ROBUST)[0]
+    alignment = Alignment(best.transform, 40.0, np.column_stack([best.a, best.b]), best.rmse_m)
+    return [a, b], [PairVerdict(a.run, b.run, Verdict.MERGED, True, 40.0, "", best=alignment)]
+
+
+def flat(value):
+    """All that a component is made of."""
+    if hasattr(value, "__dataclass_fields__"):
+        return [x for name in value.__dataclass_fields__ for x in flat(getattr(value, name))]
+    if isinstance(value, dict):
+        return [x for key, part in value.items() for x in (key, *flat(part))]
+    if isinstance(value, tuple):
+        return [x for part in value for x in flat(part)]
+    return [np.asarray(value)]
+
+
+def same(one, two):
+    ones, twos = flat(one), flat(two)
+    assert len(ones) == len(twos)
+    for x, y in zip(ones, twos, strict=True):
+        assert np.asarray(x).dtype == np.asarray(y).dtype
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.parametrize("how_sure", [True, False])
+def test_a_component_is_the_same_to_the_last_bit(joined, how_sure):
+    maps, inside = joined
+    component = fuse_component(maps, inside, how_sure=how_sure)
+    assert (component.spread is not None) == how_sure
+    same(from_bytes(to_bytes(component, maps), maps), component)
+
+
+def test_no_bytes_reach_outside(joined):
+    """Cut off or overwritten, they are refused or make a component of these maps."""
+    maps, inside = joined
+    data = to_bytes(fuse_component(maps, inside, how_sure=True), maps)
+    for end in range(0, len(data), 997):
+        assert from_bytes(data[:end], maps) is None
+    rng = np.random.default_rng(5)
+    spots = [*range(0, 400, 8), *(8 * rng.integers(len(data) // 8, size=150)).tolist()]
+    for at in spots:
+        for junk in (b"\xff" * 8, b"\xff" * 7 + b"\x7f", b"\0" * 8):
+            found = from_bytes(data[:at] + junk + data[at + 8 :], maps)
+            if found is not None:
+                for run, vertices in (i for own in found.fused.members for i in own.items()):
+                    assert max(vertices) < len(next(m for m in maps if m.run == run))
+                assert found.fused.source.max() < len(found.fused)
+
+
+def test_maps_of_other_sizes_are_refused(joined):
+    maps, inside = joined
+    data = to_bytes(fuse_component(maps, inside), maps)
+    assert from_bytes(data, [maps[0], maps[0]]) is None
+    assert from_bytes(data, maps[:1]) is None
+
+
+class Shelf:
+    """A store in memory."""
+
+    era = b"e" * 16
+
+    def __init__(self):
+        self.known = {}
+
+    def packs(self, digests):
+        return []
+
+    def find(self, kind, key):
+        return self.known.get((kind, key))
+
+    def keep(self, pack: Pack):
+        for k, row in enumerate(pack.rows):
+            key = pack.digests[row["a"]], pack.digests[row["b"]]
+            self.known[int(row["kind"]), key] = pack.payload(k)
+
+
+def test_what_was_fused_is_not_fused_again(joined, monkeypatch):
+    maps, inside = joined
+    kept = Kept(Shelf())
+    first = fuse(maps, inside, how_sure=True, kept=kept)
+    same(first, fuse(maps, inside, how_sure=True))
+    monkeypatch.setattr(fusing, "fuse_component", None)
+    same(fuse(maps, inside, how_sure=True, kept=kept), first)
+    renamed = [replace(m, run=f"x{m.run}") for m in maps]
+    other = replace(inside[0], a=renamed[0].run, b=renamed[1].run, evidence_bits=31.0)
+    poses = fuse(renamed, [other], how_sure=True, kept=kept)[0][0].poses
+    assert sorted(poses) == [m.run for m in renamed]
+
+
+def test_a_component_is_known_by_all_that_it_follows_from(joined):
+    (a, b), (verdict,) = joined
+    digests = [digest_of(m) for m in (a, b)]
+    plain = component_digest(digests, (a, b), [verdict])
+    assert component_digest(digests[::-1], (a, b), [verdict]) != plain
+    assert component_digest(digests, (a, b), []) != plain
+    assert component_digest(digests, (a, b), [verdict], "other") != plain
+    fewer = replace(verdict.best, matched=verdict.best.matched[:-1])
+    assert component_digest(digests, (a, b), [replace(verdict, best=fewer)]) != plain
