@@ -7,6 +7,7 @@ robot with a laser in an office. Running it again gives the same messages.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from .laser import LaserSettings
@@ -37,28 +38,14 @@ MAZE = ScenarioSettings(
     prefix="maze-",
     seed=182,
 )
-STREETS = ScenarioSettings(
-    world="organic",
-    runs=1,
-    junctions_per_run=22,
-    drift="mid",
-    faults="mild",
-    walk=WalkSettings(revisit_share=0.05),
-    motion=BRISK,
-    odometry_hz=10.0,
-    detector_hz=5.0,
-    prefix="streets-",
-    seed=26,
-)
-OFFICE = ScenarioSettings(
+STREETS = replace(MAZE, world="organic", runs=1, junctions_per_run=22, prefix="streets-", seed=26)
+OFFICE = replace(
+    MAZE,
     world="office",
     runs=1,
     junctions_per_run=20,
-    drift="mid",
-    faults="mild",
+    detector_hz=7.0,
     walk=WalkSettings(revisit_share=0.3),
-    motion=BRISK,
-    odometry_hz=10.0,
     laser=LaserSettings(beams=120, rate_hz=4.0, range_max_m=10.0),
     tells_junctions=False,
     prefix="office-",

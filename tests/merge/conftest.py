@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,10 +39,14 @@ def mazes():
     return _benchmark("mazes")
 
 
-def drawn(run, corners, corridors, stubs=(), *, T=(0.0, 0.0, 0.0), sigma=0.05, lengths=None):
-    """A map from vertex positions {name: (x, y)}, corridors (name, name) and unexplored branches
-    (name, heading), moved by T. Corridors are straight. `lengths` overrides what was measured.
+def straight_map(
+    run, corners, corridors, stubs=(), *, T=(0.0, 0.0, 0.0), sigma=0.05, lengths=None, passes=1
+):
+    """A map of straight corridors from vertex positions {name: (x, y)} or [(x, y)], corridors
+    (name, name) and unexplored branches (name, heading), moved by T. `lengths` overrides what was
+    measured; every junction and corridor was passed `passes` times.
     """
+    corners = corners if isinstance(corners, dict) else dict(enumerate(corners))
     names = list(corners)
     xy = np.array([corners[n] for n in names], float).reshape(-1, 2)
     rows = [[] for _ in names]
@@ -76,16 +81,23 @@ def drawn(run, corners, corridors, stubs=(), *, T=(0.0, 0.0, 0.0), sigma=0.05, l
         target_branch=np.array([branch(v, u) for u, v in ends], np.int64),
         length=length,
         length_sigma=np.full(len(ends), sigma),
-        traversals=np.ones(len(ends), np.int64),
+        traversals=np.full(len(ends), passes, np.int64),
         paths=tuple(moved[[u, v]] for u, v in ends),
-        observation_vertex=np.arange(len(names)),
-        observation_time_ns=np.arange(len(names)) * 10**9,
+        observation_vertex=np.repeat(np.arange(len(names)), passes),
+        observation_time_ns=np.arange(len(names) * passes) * 10**9,
     )
 
 
 @pytest.fixture(scope="session")
 def draw():
-    return drawn
+    """`straight_map`, passed once."""
+    return straight_map
+
+
+@pytest.fixture(scope="session")
+def drawn():
+    """`straight_map`, passed three times."""
+    return partial(straight_map, sigma=0.1, passes=3)
 
 
 @pytest.fixture(scope="session")
@@ -170,46 +182,3 @@ def moved():
         )
 
     return moved
-
-
-@pytest.fixture(scope="session", name="drawn")
-def drawn_map():
-    """drawn(name, points, edges, passes=3) -> a map with straight corridors, as on paper."""
-
-    def drawn(name, points, edges, passes=3, stubs=()):
-        xy = np.array(points, float)
-        out = [[] for _ in points]
-        for u, v in edges:
-            for p, q in ((u, v), (v, u)):
-                d = xy[q] - xy[p]
-                out[p].append(float(wrap(np.arctan2(d[1], d[0]))))
-        for vertex, heading in stubs:
-            out[vertex].append(float(wrap(heading)))
-        rows = [np.sort(np.array(h)) for h in out]
-
-        def branch(p, q):
-            d = xy[q] - xy[p]
-            return int(np.abs(wrap(rows[p] - np.arctan2(d[1], d[0]))).argmin())
-
-        source = np.array([u for u, _ in edges], np.int64)
-        target = np.array([v for _, v in edges], np.int64)
-        length = np.hypot(*(xy[target] - xy[source]).T)
-        return TopoMap(
-            run=name,
-            frame="odom",
-            xy=xy,
-            branches=Ragged.from_rows(rows),
-            kind=tuple("dead_end" if len(r) == 1 else "junction" for r in rows),
-            source=source,
-            target=target,
-            source_branch=np.array([branch(u, v) for u, v in edges], np.int64),
-            target_branch=np.array([branch(v, u) for u, v in edges], np.int64),
-            length=length,
-            length_sigma=np.full(len(edges), 0.1),
-            traversals=np.full(len(edges), passes, np.int64),
-            paths=tuple(xy[[u, v]] for u, v in edges),
-            observation_vertex=np.repeat(np.arange(len(xy)), passes),
-            observation_time_ns=np.arange(len(xy) * passes) * 10**9,
-        )
-
-    return drawn
