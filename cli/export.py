@@ -238,15 +238,8 @@ def _odometry(place: Workspace, run: str, log: Path | None) -> Odometry:
     from ..ingest.reading import ReadSettings, read_run
     from .ingest_worker import READ_OPTIONS
 
-    record = place.ingested(run) or {}
-    if log is None:
-        found = record.get("log")
-        if not isinstance(found, str):
-            raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
-        log = Path(found)
-        if not log.exists():
-            raise DataError(f"{log}: the log of run {run} is not there any more; use --log")
-    told = record.get("read")
+    log = log or place.log_of(run, "name it by --log")
+    told = (place.ingested(run) or {}).get("read")
     how: dict[str, Any] = told if isinstance(told, dict) else {}
     known = {name: how[name] for name in READ_OPTIONS if isinstance(how.get(name), str)}
     return read_run(log, ReadSettings(**known)).odometry

@@ -32,7 +32,7 @@ def view(
     with_log: Annotated[
         bool,
         typer.Option(
-            "--with-log", help="Lay the raw log of the run under its map (MCAP logs only)."
+            "--with-log", help="Open the raw log of the run beside its map (MCAP logs only)."
         ),
     ] = False,
 ) -> None:
@@ -77,20 +77,16 @@ def _raw_log(place: Workspace, run: str) -> Iterator[Path]:
     cannot be written, as long as the viewer is open."""
     from ..viz import write_raw_log
 
-    log = (place.ingested(run) or {}).get("log")
-    if not isinstance(log, str):
-        raise DataError(f"{run}: which log its map was made from is not known; ingest it again")
-    if not Path(log).exists():
-        raise DataError(f"{log}: the log of {run} is not there any more")
+    log = place.log_of(run)
     with tempfile.TemporaryDirectory() as spare:
         raw = place.raw_log_rrd(run)
         try:
-            write_raw_log(raw, Path(log), run)
+            write_raw_log(raw, log, run)
         except PermissionError:
             if not _has_display():
                 raise
             raw = Path(spare) / raw.name
-            write_raw_log(raw, Path(log), run)
+            write_raw_log(raw, log, run)
         yield raw
 
 

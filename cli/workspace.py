@@ -138,6 +138,18 @@ class Workspace:
             return None  # a cache: without it the run is just done again
         return found if isinstance(found, dict) else None
 
+    def log_of(self, run: str, otherwise: str = "ingest it again") -> Path:
+        """The log that a run's map was made from.
+
+        DataError where that is not recorded, or the log is gone; `otherwise`: what to do then.
+        """
+        log = (self.ingested(run) or {}).get("log")
+        if not isinstance(log, str):
+            raise DataError(f"run {run}: it is not recorded where its log is; {otherwise}")
+        if not Path(log).exists():
+            raise DataError(f"{log}: the log of run {run} is not there any more; {otherwise}")
+        return Path(log)
+
     @property
     def pairs(self) -> Path:
         """Folder of what matching pairs of maps found; may be deleted at any time."""

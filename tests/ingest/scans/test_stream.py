@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.logs.laser_wire import LaserDecoder
-from topobatch.ingest.logs.messages import Block, Channel, DamageError
+from topobatch.ingest.logs.messages import Channel, DamageError
 from topobatch.ingest.logs.recording import recording_at
-from topobatch.ingest.logs.scan_intake import ScanIntake, scan_decoder
+from topobatch.ingest.logs.scan_intake import scan_decoder
 from topobatch.ingest.logs.scan_objects import json_scan, object_scan, protobuf_scan
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.ingest.scans.slicing import DEFAULT_SLICES, SliceSettings, sliced
@@ -172,23 +172,6 @@ def test_foxglove_logs(sensors: ModuleType, tmp_path: Path, encoding: str) -> No
     assert times == [sensors.START_NS + k * 10**8 for k in range(4)]
     assert ranges[:, 0].tolist() == [1, 2, 3, 4]
     assert batches[0].T_body_laser.tolist() == [0.5, 0, 0]
-
-
-def test_messages_that_ros_2_compressed_one_by_one(sensors: ModuleType) -> None:
-    import zstandard
-
-    definition, _ = sensors.ROS2.generate_msgdef(sensors.SCAN, ros_version=2)
-    channel = Channel("/scan", sensors.SCAN, "cdr", definition.encode(), "ros2msg")
-    plain = [sensors.scan([1.0 + k, 2, 3, 4, 5]) for k in range(3)]
-    bomb = zstandard.ZstdCompressor().compress(bytes(1 << 25))
-    payloads = [*(zstandard.ZstdCompressor().compress(p) for p in plain), bomb]
-    intake = ScanIntake(channel, lambda _: None)  # type: ignore[arg-type,return-value]
-    size = np.array([len(p) for p in payloads], np.int64)
-    data = np.frombuffer(b"".join(payloads), np.uint8)
-    block = Block(data, 0, np.arange(4, dtype=np.int64), np.cumsum(size) - size, size)
-    found = list(intake.take(block))
-    assert [row[0] for timed in found for row in timed.scans.ranges_m.tolist()] == [1, 2, 3]
-    assert (intake.messages, intake.failed) == (4, 1)
 
 
 # --- clouds ------------------------------------------------------------------------------------

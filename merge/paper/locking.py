@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..topology.errors import UsageError
-from ..topology.se2 import apply
-from ..topology.topomap import TopoMap
-from .locks import Lock, lock_table
-from .result import Alignment, PairVerdict, Verdict
+from ...topology.errors import UsageError
+from ...topology.se2 import apply
+from ...topology.topomap import TopoMap
+from ..locks import Lock, lock_table
+from ..result import Alignment, PairVerdict, Verdict
 
 NEAR_M = 0.75
 """Vertices this close under a transform count for it where only one pair is given."""

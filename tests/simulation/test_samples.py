@@ -17,7 +17,7 @@ from topobatch.ingest.scans.stream import Mounting, ScanStream
 from topobatch.simulation import Truth, read_truth
 from topobatch.simulation.samples import sample_scenario
 
-SAMPLES = Path(__file__).parent.parent / "sample_logs"
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
 LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "office-1.mcap", "streets-1.mcap")
 WITH_DETECTIONS = tuple(log for log in LOGS if not log.startswith("office"))
 
