@@ -19,7 +19,7 @@ import numpy as np
 from observed import Seeing, scattered_maps
 
 from topobatch.merge.fusion.fuse import components_of
-from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, rematching, repetition, verdict
+from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, repetition, verdict
 from topobatch.simulation import make_world
 
 DECIDE = import_module("topobatch.merge.robust.decide")
@@ -89,8 +89,8 @@ def leave_out(rule):
         verdict.Bar.may_be_copy = lambda self, best: 0.0
     elif rule == "learned copies":
         DECIDE.copy_model = lambda samples, settings: repetition.default_copies(settings)
-    elif rule == "groups":
-        rematching.Rematcher._join_groups = lambda self, accepted, reunions: False
+    elif rule == "uniform":
+        verdict.uniformity = lambda a, b: 0.0
 
 
 def main():
@@ -98,7 +98,7 @@ def main():
     parser.add_argument("--worlds", type=int, default=8)
     parser.add_argument("--first", type=int, default=0, help="seed of the first world")
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=list(KINDS))
-    rules = ("elsewhere", "small copies", "learned copies", "groups")
+    rules = ("elsewhere", "small copies", "learned copies", "uniform")
     parser.add_argument("--without", choices=rules)
     options = parser.parse_args()
     leave_out(options.without)

@@ -54,7 +54,7 @@ def verdict(a, b, level):
 def rows(pairs, overlap):
     """Per size: ms of preparation, of a related pair, of an unrelated one, of Hough voting; how
     many pairs each got right; how many unrelated pairs were merged."""
-    level = bar(PairCount(1, 1), 0.0, default_copies(DEFAULT_ROBUST), DEFAULT_ROBUST)
+    level = bar(PairCount(1, 1), default_copies(DEFAULT_ROBUST), DEFAULT_ROBUST)
     for size in SIZES:
         maps = [pair_of_maps(size, overlap, seed, Noise()) for seed in range(pairs)]
         ready = [(prepare(a), prepare(b)) for a, b, _, _ in maps]

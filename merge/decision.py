@@ -69,7 +69,7 @@ class Placement:
 class Requirement:
     """What merging needs. threshold_bits = log2(pairs / false_merge_rate); least_junctions: that
     must agree; lead_bits: by which the next best placement must be behind; junction_bits: most that
-    a matched junction carries. repetition: 0 (the building does not repeat itself) to 1; where the
+    a matched junction carries. repetition: 0 (it is surely no copy) to 1; where the
     second question is asked, same_place_bits: what says that it is the place and not a copy of it,
     and same_place_needed: what merging needs of that."""
 

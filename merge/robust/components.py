@@ -38,13 +38,6 @@ class Components:
         self.pose: list[NDArray[np.float64]] = [np.zeros(3) for _ in range(n)]
         self.never = frozenset((min(p), max(p)) for p in never)
 
-    def copy(self) -> Components:
-        """The same partition, to be joined further for trial."""
-        other = Components(0, self.never)
-        other.head, other.pose = list(self.head), list(self.pose)
-        other.members = {head: list(runs) for head, runs in self.members.items()}
-        return other
-
     def together(self, i: int, j: int) -> bool:
         """Do runs i and j share a component?"""
         return self.head[i] == self.head[j]

@@ -32,13 +32,13 @@ from .verdict import (
     bar,
     counted_bits,
     opinion,
-    repetition_level,
 )
 from .wording import contradictions, nothing, summary
 
 FLEET_SHARE = 0.75
-"""A batch repeats itself as its map at this quantile does: most maps repeat, or few do. Pairs are
-many more than maps, and meet larger copies than the two maps show by themselves."""
+"""A batch has copies as large as its map at this quantile shows: most maps repeat, or few do. Pairs
+are many more than maps, and meet larger copies than the two maps show by themselves: without it
+`benchmarks/aliasing.py --kinds tiles` joins tunnels wrongly."""
 
 
 def decide(
@@ -196,11 +196,10 @@ def bars(
     """What each pair must reach in a batch of so many pairs. with_themselves: matches of each map
     with other parts of itself, if they are known."""
     own = with_themselves or [self_matches(m, settings) for m in prepared]
-    copies, repetition, copied = _repetition(prepared, own, settings)
+    copies, copied = _repetition(prepared, own, settings)
 
     def level(pair: Pair, count: PairCount) -> Bar:
-        repeats, largest = (max(values[k] for k in pair) for values in (repetition, copied))
-        return bar(count, repeats, copies, settings, copied=largest)
+        return bar(count, copies, settings, copied=max(copied[k] for k in pair))
 
     return level
 
@@ -209,21 +208,15 @@ def _repetition(
     prepared: Sequence[Prepared],
     found: Sequence[tuple[Candidate, ...]],
     settings: RobustSettings,
-) -> tuple[CopyModel, list[float], list[float]]:
-    """How copies differ in these buildings; 0 … 1 for every map: does it repeat itself? And the
-    junctions of its largest copy of a part of itself."""
+) -> tuple[CopyModel, list[float]]:
+    """How copies differ in these buildings, and the junctions of every map's largest copy of a part
+    of itself, no fewer than most maps of the batch have."""
     samples = [
         (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
     ]
-    levels = [repetition_level(own) for own in found]
     copied = [max((len(c) for c in own if c.bits > ODD_BITS), default=0) for own in found]
-    return copy_model(samples, settings), _at_least_most(levels), _at_least_most(copied)
-
-
-def _at_least_most(values: Sequence[float]) -> list[float]:
-    """Values of maps, none less than that of the batch."""
-    batch = float(np.quantile(values, FLEET_SHARE)) if values else 0.0
-    return [max(value, batch) for value in values]
+    batch = float(np.quantile(copied, FLEET_SHARE)) if copied else 0.0
+    return copy_model(samples, settings), [max(junctions, batch) for junctions in copied]
 
 
 def _forced(

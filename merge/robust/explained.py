@@ -188,7 +188,7 @@ def _of_components(
     x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
     level = bars([prepare(m) for m in batch.maps], batch.settings)
     across = [level((min(i, j), max(i, j)), batch.count) for i in x for j in y]
-    highest = max(across, key=lambda bar: (bar.need_bits, bar.repetition, bar.copied))
+    highest = max(across, key=lambda bar: (bar.need_bits, bar.copied))
     inside = {
         (batch.row[a], batch.row[b]): v.best
         for (a, b), v in batch.said.items()
@@ -325,7 +325,7 @@ def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requireme
         least_junctions=settings.min_matches,
         lead_bits=settings.lead_bits,
         junction_bits=JUNCTION_BITS,
-        repetition=level.repetition,
+        repetition=0.0 if answers is None else answers.repetition,
         same_place_bits=answers.same_place if answers is not None and asked else None,
         same_place_needed=answers.need_same if answers is not None and asked else None,
     )
