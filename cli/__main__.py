@@ -3,6 +3,7 @@
 import sys
 
 INTERRUPTED = 130
+"""128 and the number of the signal, as shells say it."""
 
 
 def start() -> None:

@@ -32,6 +32,7 @@ from .workers import start_worker
 from .workspace import Workspace, checked_run_name
 
 POLL_S = 0.1
+"""How often progress is shown: people see no more than ten steps in a second."""
 
 TOGETHER = 2
 """Times that logs are read side by side, as long as processes die; then one by one."""

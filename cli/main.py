@@ -37,6 +37,7 @@ from .transfer import transfer
 from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
+"""Of wrong data, of a wrong call (click's), of a fault of ours (EX_SOFTWARE of sysexits.h)."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Matrices are small here: threads of the linear algebra spin more than they help, and their number

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ..topology.topomap import TopoMap
 
 MOST_LINES, MOST_JOINED = 20, 5
+"""Lines that are printed at most: of all pairs, and of those that only others join."""
 
 WORTH_PROCESSES = 4000
 """Pairs to match; fewer take no longer than starting processes, each of which reads the maps."""

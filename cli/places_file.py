@@ -13,6 +13,7 @@ from ..topology.document import FARTHEST_M
 from ..topology.errors import DataError
 
 MOST_BYTES = 64 << 20
+"""A million places take half of it."""
 OWN = ("name", "x", "y", "theta")
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .places_file import Place, Places
 
 MOST_LINES = 20
+"""Lines that are printed at most."""
 
 
 def transfer(

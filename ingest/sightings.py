@@ -24,10 +24,11 @@ Side = Literal["robot", "odometry", "foreign"]
 class SightingSettings:
     """What is believed to be a sighting of one junction.
 
-    outside_s: how far beyond the odometry's first and last time a sighting may lie; centre_m: how
-    far apart the poses of one message may lie before it is reported; steepest: sine of how far a
-    branch may point up or down after a sensor's mount is taken into account, 45 degrees: beyond,
-    its direction in the plane is less of it than what is lost.
+    max_branches: more meet nowhere, and would take memory; outside_s: how far beyond the
+    odometry's first and last time a sighting may lie; centre_m: how far apart the poses of one
+    message may lie before it is reported; steepest: sine of how far a branch may point up or down
+    after a sensor's mount is taken into account, 45 degrees: beyond, its direction in the plane is
+    less of it than what is lost.
     """
 
     max_branches: int = 32

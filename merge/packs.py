@@ -26,6 +26,7 @@ from ..topology.topomap import TopoMap
 
 MAGIC = b"TOPOPACK"
 DIGEST = 16
+"""Bytes of a digest: two contents in 2⁶⁴ share one."""
 HEAD = struct.Struct(f"<8s{DIGEST}sIIQ{DIGEST}s")
 
 RECORD = np.dtype(

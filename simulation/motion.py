@@ -13,6 +13,7 @@ from .walk import Leg
 from .world import FloatArray, IntArray, World, polyline_at, polyline_length
 
 STEP_M = 0.05
+"""A planned way has a point about this often."""
 
 
 @dataclass(frozen=True, slots=True)

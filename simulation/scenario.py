@@ -30,7 +30,9 @@ from .world import FloatArray, IntArray, World
 from .worlds import WORLDS, make_world
 
 EPOCH_NS = 1_700_000_000 * 10**9
+"""When the first run begins: November 2023."""
 BETWEEN_RUNS_NS = 7200 * 10**9
+"""From the begin of a run to that of the next: two hours."""
 LAYOUTS = ("chain", "scatter")
 
 
@@ -86,6 +88,7 @@ class ScenarioSettings:
     prefix: str = "run"
     """Runs are named prefix + number."""
     seed: int = 0
+    """Another seed is another world, other ways and other errors."""
 
     def __post_init__(self) -> None:
         _one_of("world", self.world, WORLDS)

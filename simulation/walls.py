@@ -20,11 +20,13 @@ LARGEST_ROOM_M = 1.5
 """Half the side of a room at a dead end, where there is so much space."""
 
 THINNEST_WALL_M = 0.15
+"""A wall of one brick."""
 
 INSIDE_M = 1e-6
 """What lies this deep within another part of the free space is no wall."""
 
 SHORTEST_WALL_M = 1e-3
+"""Coordinates of worlds are rounded to this."""
 
 DOORWAY_M = 0.25
 """How far into its corridor a door hangs, from where the corridor leaves the junction's room."""

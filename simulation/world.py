@@ -21,6 +21,7 @@ BRANCH_REACH_M = 0.7
 """A branch points to where its corridor is at this distance along the way."""
 
 COORDINATE_DECIMALS = 3
+"""Millimetres, so that processors agree on the world."""
 
 Link = tuple[int, int, FloatArray]
 """Two vertices and the polyline (k, 2) between them; the form in which worlds are built."""

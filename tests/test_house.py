@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -131,6 +132,52 @@ def test_tests_mirror_the_folders() -> None:
         front = parts - tested
         tested |= front
     assert sorted("/".join(module) for module in paths.keys() - tested) == []
+
+
+def is_number(node: ast.expr) -> bool:
+    parts = list(ast.walk(node))
+    plain = (ast.Tuple, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop, ast.expr_context)
+    numbers = [part for part in parts if not isinstance(part, plain)]
+    return bool(numbers) and all(
+        isinstance(part, ast.Constant) and type(part.value) in (int, float) for part in numbers
+    )
+
+
+def unexplained(path: Path) -> list[str]:
+    """Numbers in capitals, and of settings, that no text stands beside.
+
+    The text is a docstring below the number, or a comment above or in its line, with no blank line
+    between; or the docstring of the settings, if it names the number.
+    """
+    lines = path.read_text().splitlines()
+    tree = ast.parse("\n".join(lines))
+    homes = [(tree.body, None)] + [
+        (node.body, ast.get_docstring(node) or "")
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and node.name.endswith("Settings")
+    ]
+    found = []
+    for node, about in ((node, about) for body, about in homes for node in body):
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+            continue
+        target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+        name = ast.unparse(target)
+        if isinstance(target, ast.Subscript) or not is_number(node.value):
+            continue
+        if about is None and not name.isupper():
+            continue
+        above = list(takewhile(str.strip, reversed(lines[: node.end_lineno])))
+        below = list(takewhile(str.strip, lines[node.end_lineno :]))
+        told = any("#" in line for line in above) or any('"""' in line for line in below)
+        if not told and not re.search(rf"\b{re.escape(name)}\b", about or ""):
+            found.append(f"{path.relative_to(ROOT)}:{node.lineno}: {name}")
+    return found
+
+
+def test_every_chosen_number_is_explained() -> None:
+    """That is, there is a text; whether it says where the number comes from, a reader must see."""
+    paths = [path for package in PACKAGES for path in modules(package)]
+    assert [number for path in paths for number in unexplained(path)] == []
 
 
 def test_nothing_else_at_the_root_is_python() -> None:

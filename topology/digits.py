@@ -21,6 +21,7 @@ BRANCH = 4
 TURN = 6
 BITS = 2
 SIGNIFICANT = 4
+"""Decimals; of sigmas, rates and the calibration all digits. Why so many: above."""
 
 
 def rounded(values: Any, decimals: int = TURN) -> Any:

@@ -51,6 +51,7 @@ SHORTEST_M = 10.0**-METRES
 """Nor shorter, or known better, than a document can say."""
 
 LARGEST_NOISE = 1e6
+"""Nor noisier: its square and the product with a length stay far from overflow."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]

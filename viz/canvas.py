@@ -49,6 +49,7 @@ TALLEST = 1.6
 """Height over width of the drawing, at most: a longer one is drawn narrower."""
 
 PNG_DPI = 150
+"""Pixels to the inch of a picture: small type stays sharp on dense screens."""
 
 _STYLE: dict[Any, Any] = {
     # The same drawing is the same bytes: ids of clips and markers come from this, not from chance.

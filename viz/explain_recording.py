@@ -35,6 +35,7 @@ OTHER, DROPPED = TOLD_APART + 1, TOLD_APART + 2
 
 MOST_PLACEMENTS = 9
 MOST_ROWS = 40
+"""What is drawn at most: three by three placements, as many rows as a screen has."""
 
 NUMBER_GAP = 0.035
 """Distance of the numbers from the table, in tables."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 Colours = NDArray[np.uint8]
 """(n, 3) red, green, blue."""
 
+# Red, green, blue, picked by eye on the dark ground of the viewer.
 BACKGROUND = (15, 17, 21)
 CARD = (44, 49, 58)
 TITLE = (214, 219, 226)
@@ -29,6 +30,7 @@ DETECTION = (196, 150, 235)
 PAST = (92, 98, 108)
 UNLIT = (31, 35, 42)
 
+# Of verdicts.
 MERGED = (72, 199, 116)
 AMBIGUOUS = (245, 166, 35)
 JOINED = (38, 104, 68)
@@ -60,6 +62,7 @@ _RUNS = (
     (170, 215, 70),
     (214, 178, 140),
 )
+"""Of runs, as different as ten colours can be."""
 
 COUNTS = np.array(
     [(84, 98, 122), (64, 158, 205), (70, 205, 145), (240, 220, 90), (250, 250, 235)], np.uint8

@@ -18,6 +18,7 @@ MOST_POINTS = 20_000
 """A drawn track has no more points than about this, however long the log is."""
 
 FINEST_M = 0.05
+"""Nor are its points closer than this, which no picture of a whole run shows."""
 
 SHORT_CHORD_M = 0.5
 """Two passes closer than this say nothing about the direction between them."""

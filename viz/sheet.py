@@ -17,6 +17,7 @@ MIN_SIDE_M = 4.0
 """No cell is narrower: a map of one vertex has no extent of its own."""
 
 WIDTHS_TRIED = 24
+"""Widths of the sheet that are tried: 2 % apart where there are many maps."""
 
 STRAIGHT = 0.35
 """Corridors count as rectilinear when their directions agree this well, 0 to 1."""

@@ -19,6 +19,7 @@ AHEAD_BYTES = 1 << 25
 """How much is read and inflated ahead of the decoding."""
 
 AHEAD_CHUNKS = 64
+"""And in how many chunks, where they are small."""
 
 
 class Ahead(Generic[Chunk]):

@@ -24,6 +24,7 @@ from .messages import (
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+"""Codes of the format (http://wiki.ros.org/Bags/Format/2.0)."""
 
 HEADER_BYTES = 1 << 16
 """Longest record header that is believed."""

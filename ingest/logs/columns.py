@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .messages import Bytes, Ints
 
 WORD = 8
+"""Bytes that are copied at once."""
 
 
 def words(data: Bytes, kind: str, at: Ints) -> NDArray[Any]:

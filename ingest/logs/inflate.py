@@ -17,6 +17,7 @@ WHOLE_BYTES = 1 << 24
 
 PIECE_BYTES = 1 << 20
 INPUT_BYTES = 1 << 16
+"""Bytes that are inflated, and read to be inflated, at once."""
 
 WINDOW_BYTES = 1 << 26
 """Largest zstd window that is allocated when a stream is read piece by piece (zstd -19 uses 8 MiB,

@@ -31,6 +31,7 @@ DENSE = 64
 """From so many messages in a block on, they are decoded in place; fewer are gathered first."""
 
 PENDING_BYTES = 1 << 20
+"""Small messages are gathered up to this size before they are decoded."""
 
 HEADS = 4096
 """So many regular messages are decoded together: enough that numpy's cost per call is nothing."""

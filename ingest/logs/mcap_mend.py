@@ -20,6 +20,7 @@ from .walk import mcap_records
 
 _NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
 _PRIVATE = 0x80
+"""From this code on the format leaves records to applications (https://mcap.dev/spec)."""
 
 
 def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], list[int]]) -> Mended:

@@ -14,6 +14,7 @@ from .spelling import nearest, spelled
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
 MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT, STATISTICS, DATA_END = 0x07, 0x08, 0x09, 0x0B, 0x0F
+"""Codes of the format (https://mcap.dev/spec)."""
 
 RECORD_HEAD = 9
 """Bytes of opcode and length in front of every record."""

@@ -36,6 +36,7 @@ _PART = re.compile(r"^(?P<stem>.*?)_?(\d{4}(-\d\d){5})?_(?P<number>\d+)$")
 WHOLE_BYTES = 1 << 26
 SAMPLE_BYTES = 1 << 16
 SAMPLES = 256
+"""Up to WHOLE_BYTES all of a file is its fingerprint, beyond so many samples of so many bytes."""
 
 UNPACKED_RATIO = 1000
 UNPACKED_BYTES = 1 << 28

@@ -49,6 +49,7 @@ MOST_PAGES = 1 << 31
 
 _TOPICS = 1 << 15
 _UNKNOWN = -2
+"""Topics with smaller numbers are looked up in a table; what it holds where one is not known."""
 
 
 _Row = tuple[Any, Any, Any, Any, Any]
@@ -63,6 +64,7 @@ STEPS_PER_BYTE = 4
 ten and at least as many bytes. A second's worth is free."""
 
 STEPS_AT_ONCE = 10_000
+"""Steps of the database between two looks at the clock."""
 
 
 def _columns_of(wanted: str) -> str:

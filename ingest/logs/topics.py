@@ -22,6 +22,7 @@ ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
 """Types that can be odometry, and in which order they are preferred; 9: only when named."""
 
 ONLY_WHEN_NAMED = 9
+"""The rank of such types."""
 
 JUNCTION_KINDS: Mapping[str, Kind] = {
     "geometry_msgs/msg/PoseArray": "pose_array",

@@ -15,8 +15,10 @@ from ...topology.run import Detections
 class CarriedSettings:
     """What counts as standing, and as another place.
 
-    Several sightings on both sides must agree among themselves and differ from the other side by
-    far more than the detector's noise: one wrong sighting is no journey.
+    Wheels that turn by no more than standing_m, standing_rad stand: encoders tell less, and slip
+    more. Several `sightings` on both sides must agree among themselves to agree_m, five times a
+    detector's usual noise, and be apart_m or more from the other side, three times that: one wrong
+    sighting is no journey.
     """
 
     standing_m: float = 0.02

@@ -15,6 +15,7 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 SECOND_NS = 10**9
+"""A second in nanoseconds."""
 
 BLOCK_STEPS = 1 << 13
 """So many steps are looked at together where few are expected to matter."""
@@ -27,8 +28,13 @@ FEW_STEPS = 20
 class TrackSettings:
     """When odometry is taken for broken.
 
-    A step is a teleport if it is long in itself and asks for a speed far above what this robot
-    does elsewhere; likewise for turns. A gap is a silence far above the usual period.
+    A step is a teleport if it is long in itself (teleport_min_m; as a turn,
+    teleport_min_rad), faster than robots drive indoors (teleport_min_speed_m_per_s,
+    teleport_min_turn_rad_per_s) and asks for teleport_speed_factor times what this robot does
+    elsewhere. A step onto exactly the origin is a reset if it is longer than
+    reset_min_m or turns by more than reset_min_rad: a robot may stand there. A gap is a silence of
+    gap_periods of the usual period, and of gap_min_s; a clock that goes back by more than
+    backward_min_s was set, by less it jitters.
     """
 
     teleport_min_m: float = 0.5

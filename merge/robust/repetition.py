@@ -39,6 +39,7 @@ PRIOR_PLACES = 40.0
 """The change rate is shrunk towards the settings as by so many more junctions."""
 
 MOST_FAULTS = 0.3
+"""A detector that errs more often tells nothing of changes."""
 
 MOST_CHANGED = 0.5
 """No copies are taken to differ in more of their junctions, whatever the maps' matches with

@@ -40,7 +40,9 @@ class DrivenBySettings:
     least_miss_rate: float = 0.1
     """A junction driven by unseen once is unseen again at least this often: causes last."""
     least_phantom_rate: float = 0.01
+    """A junction seen once may be invented at least this often, whatever the run shows."""
     straight_rad: float = 0.35
+    """Two branches this close to opposite are a corridor and nothing else: 20 degrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

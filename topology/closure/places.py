@@ -15,6 +15,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 NOWHERE = -1
+"""No place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

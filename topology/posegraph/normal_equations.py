@@ -23,6 +23,7 @@ from .graph import PoseGraph, corrected_measurement, edge_errors, prior_errors
 from .initialisation import Skeleton, summed
 
 _FIXED = -1
+"""Number of a component of a pose that is no variable."""
 
 _LOADING = 1e-14
 """Added to the diagonal, relative to it: beyond what rounding may take from a pivot, so that one

@@ -74,6 +74,7 @@ class RobustSettings:
     growth: float = 1.4
     """Factor by which the non-convexity grows from round to round."""
     max_rounds: int = 100
+    """The non-convexity grows by 1.4¹⁰⁰ at most, 15 decades: beyond any start."""
     solver: SolverSettings = SolverSettings()
 
 

@@ -74,6 +74,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
 
 
 _SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+"""Corners of a node's area, in half sides."""
 
 
 def _names(graph: RouteGraph) -> list[str]:
