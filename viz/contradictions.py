@@ -22,7 +22,7 @@ def write_contradictions(
                 [spot.xy for spot in spots],
                 radii=2.0 * pen,
                 colors=palette.REFUSED,
-                draw_order=28.0,
+                draw_order=palette.Order.CONTRADICTION,
             ),
             rr.AnyValues(contradiction=[spot.told for spot in spots]),
         )

@@ -113,7 +113,7 @@ def _names(
             colors=[palette.of_rank(0), palette.of_rank(1)],
             labels=[short(run) for run in runs],
             show_labels=True,
-            draw_order=50.0,
+            draw_order=palette.Order.WORDS,
         ),
     )
 
@@ -130,12 +130,14 @@ def _ties(
         list(np.stack([one, two], axis=1)),
         radii=0.25 * pen,
         colors=palette.WHITE,
-        draw_order=30.0,
+        draw_order=palette.Order.TIE,
     )
     info = rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
     recording.static((*here, "ties"), lines, info)
     for name, at in (("a", one), ("b", two)):
-        rings = rr.Points2D(at, radii=1.8 * pen, colors=palette.WHITE, draw_order=15.0)
+        rings = rr.Points2D(
+            at, radii=1.8 * pen, colors=palette.WHITE, draw_order=palette.Order.RING
+        )
         recording.static((*here, "matched", name), rings)
 
 
@@ -159,7 +161,7 @@ def _links(
             at[np.array([(t.a, t.b)[ends] for t in shown])],
             radii=pen * (0.9 + 1.3 * np.minimum(np.abs(bits) / FULL_BITS, 1.0)),
             colors=[palette.MERGED if t.bits > 0 else palette.REFUSED for t in shown],
-            draw_order=8.0,
+            draw_order=palette.Order.EVIDENCE,
         )
         recording.static((*here, "links", name), lines, _info(shown))
 
@@ -181,7 +183,10 @@ def _contradictions(
     ]
     if spots:
         points = rr.Points2D(
-            [at for _, at in spots], radii=3.0 * pen, colors=palette.REFUSED, draw_order=25.0
+            [at for _, at in spots],
+            radii=3.0 * pen,
+            colors=palette.REFUSED,
+            draw_order=palette.Order.CONTRADICTION,
         )
         recording.static(
             (*here, "contradictions", "junctions"), points, _info([t for t, _ in spots])
@@ -194,7 +199,10 @@ def _contradictions(
     ]
     if crossed:
         lines = rr.LineStrips2D(
-            [line for _, line in crossed], radii=pen, colors=palette.REFUSED, draw_order=12.0
+            [line for _, line in crossed],
+            radii=pen,
+            colors=palette.REFUSED,
+            draw_order=palette.Order.BRANCH,
         )
         recording.static(
             (*here, "contradictions", "corridors"), lines, _info([t for t, _ in crossed])

@@ -34,7 +34,10 @@ def write_detections(
     recording.static(
         (*root, "detections"),
         rr.Points2D(
-            centre, radii=rr.Radius.ui_points(1.0), colors=palette.DETECTION, draw_order=4.0
+            centre,
+            radii=rr.Radius.ui_points(1.0),
+            colors=palette.DETECTION,
+            draw_order=palette.Order.SIGHTING,
         ),
     )
     branches = detections.branches.take(rows)
@@ -47,6 +50,6 @@ def write_detections(
     columns = rr.LineStrips2D.columns(strips=list(strips)).partition(branches.counts[seen])
     recording.over_time((*root, "detection"), time_ns[rows][seen], columns)
     look = rr.LineStrips2D.from_fields(
-        radii=rr.Radius.ui_points(1.5), colors=palette.DETECTION, draw_order=35.0
+        radii=rr.Radius.ui_points(1.5), colors=palette.DETECTION, draw_order=palette.Order.SEEN
     )
     recording.static((*root, "detection"), look)

@@ -16,7 +16,7 @@ from . import palette
 from .drawing import bounds, pen_m
 from .fused_layers import write_cards, write_own_map
 from .map_summary import plain
-from .recording import UP, Recording, map_view, markdown, placed, write_recording
+from .recording import HAIR, UP, Recording, map_view, markdown, placed, write_recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: 
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
     quarters = np.arange(-2, 3)
     frames = [np.column_stack([corners, np.full(5, rise * q * np.pi / 2)]) for q in quarters]
-    lines = rr.LineStrips3D(frames, radii=rr.Radius.ui_points(0.75), colors=palette.CARD)
+    lines = rr.LineStrips3D(frames, radii=HAIR, colors=palette.CARD)
     recording.static((SPACE, "quarter turns"), lines)
     names = rr.Points3D(
         np.array([frame[1] for frame in frames]),
@@ -202,7 +202,12 @@ def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) ->
         write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
         matched = np.unique(h.vertex_a[c.of[h.of] == k])
         if len(matched):
-            rings = rr.Points2D(a.xy[matched], radii=2.4 * pen, colors=palette.WHITE, draw_order=8)
+            rings = rr.Points2D(
+                a.xy[matched],
+                radii=2.4 * pen,
+                colors=palette.WHITE,
+                draw_order=palette.Order.EVIDENCE,
+            )
             recording.static((*here, "matched"), rings)
     return cells
 

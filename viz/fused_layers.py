@@ -18,7 +18,7 @@ from .drawing import branch_arrows, driven_branches, pen_m, ribbon
 from .growing import colour_columns, light_up_by_step
 from .parts import Part, legend_step_m
 from .placements import Spot, contradiction_spots
-from .recording import JOIN, UP, PathParts, Recording, placed
+from .recording import HAIR, JOIN, UP, PathParts, Recording, placed
 from .sheet import ASPECT, Cell
 from .steps import Step, first_steps
 from .story import shared_from
@@ -173,7 +173,7 @@ def _legend(
             np.stack([places - half, places + half], axis=1),
             radii=rr.Radius.ui_points(2.0),
             colors=list(entries.values()),
-            draw_order=50.0,
+            draw_order=palette.Order.WORDS,
         ),
     )
     recording.static(
@@ -184,7 +184,7 @@ def _legend(
             colors=list(entries.values()),
             labels=list(entries),
             show_labels=True,
-            draw_order=50.0,
+            draw_order=palette.Order.WORDS,
         ),
     )
 
@@ -197,7 +197,7 @@ def write_cards(recording: Recording, root: str, cells: list[Cell], titles: list
             for c in cells
         ]
         frames = rr.LineStrips2D(
-            corners, radii=rr.Radius.ui_points(0.75), colors=palette.CARD, draw_order=0.0
+            corners, radii=HAIR, colors=palette.CARD, draw_order=palette.Order.CARD
         )
         recording.static((root, "frames"), frames)
     shown = [(k, _fitting(title, cells[k], cells)) for k, title in enumerate(titles)]
@@ -212,7 +212,7 @@ def write_cards(recording: Recording, root: str, cells: list[Cell], titles: list
                 colors=palette.TITLE,
                 labels=[title for _, title in shown],
                 show_labels=True,
-                draw_order=50.0,
+                draw_order=palette.Order.WORDS,
             ),
         )
 
@@ -253,7 +253,7 @@ def _ribbons(
         lines = rr.LineStrips2D.from_fields(
             strips=[line for _, line, _ in drawn],
             radii=[radius for _, _, radius in drawn],
-            draw_order=10.0,
+            draw_order=palette.Order.CORRIDOR,
         )
         recording.static(path, lines, _corridor_info(fused, edges))
         colour = np.array([colours[run]], np.uint8)
@@ -272,7 +272,7 @@ def _agreement(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
         [fused.paths[i] for i in edges.tolist()],
         radii=pen * (0.4 + 0.2 * np.minimum(runs, 4)),
         colors=palette.by_count(runs),
-        draw_order=10.0,
+        draw_order=palette.Order.CORRIDOR,
     )
     path = (AGREEMENT, part.name, "corridors")
     recording.static(path, lines, _corridor_info(fused, edges))
@@ -306,7 +306,7 @@ def _junctions(recording: Recording, root: str, fused: FusedMap, part: Part, pen
             colors=colours,
             labels=list(map(str, rows.tolist())),
             show_labels=False,
-            draw_order=20.0,
+            draw_order=palette.Order.JUNCTION,
         ),
         rr.AnyValues(
             vertex=rows,
@@ -369,7 +369,7 @@ def _unexplored(
         vectors=vectors[free],
         radii=pen / 3,
         colors=palette.FAINT,
-        draw_order=5.0,
+        draw_order=palette.Order.STUB,
     )
     recording.static((FUSED, part.name, "branches never driven"), arrows)
 
@@ -384,7 +384,7 @@ def write_own_map(
     """A run's own map below `path`, in its own frame and one colour."""
     if len(topomap.source):
         lines = rr.LineStrips2D(
-            list(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=10.0
+            list(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=palette.Order.CORRIDOR
         )
         info = rr.AnyValues(
             corridor=np.arange(len(topomap.source)),
@@ -401,7 +401,7 @@ def write_own_map(
             colors=colour,
             labels=list(map(str, range(len(topomap)))),
             show_labels=False,
-            draw_order=20.0,
+            draw_order=palette.Order.JUNCTION,
         )
         info = rr.AnyValues(
             vertex=np.arange(len(topomap)), kind=list(topomap.kind), branches=topomap.degree

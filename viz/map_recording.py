@@ -24,6 +24,7 @@ from .map_summary import Shown, map_summary
 from .odometry_health import Lane, lanes
 from .recording import (
     CLOCKS,
+    HAIR,
     UP,
     PathParts,
     Recording,
@@ -120,7 +121,9 @@ def _corridors(
     recording.static(
         path,
         rr.LineStrips2D.from_fields(
-            strips=list(topomap.paths), radii=pen_m([topomap]) / 2, draw_order=10.0
+            strips=list(topomap.paths),
+            radii=pen_m([topomap]) / 2,
+            draw_order=palette.Order.CORRIDOR,
         ),
         rr.AnyValues(
             corridor=np.arange(len(topomap.source)),
@@ -138,8 +141,8 @@ def _branches(recording: Recording, topomap: TopoMap, known: History, begin_ns: 
     pen = pen_m([topomap])
     origins, vectors = branch_arrows(topomap, 7 * pen)
     layers = (
-        ("branches driven", driven, palette.DIM, 12.0),
-        ("branches never driven", ~driven, palette.UNEXPLORED, 14.0),
+        ("branches driven", driven, palette.DIM, palette.Order.BRANCH),
+        ("branches never driven", ~driven, palette.UNEXPLORED, palette.Order.UNEXPLORED),
     )
     for name, which, colour, order in layers:
         if which.any():
@@ -168,7 +171,7 @@ def _junctions(
             radii=np.where(topomap.degree >= 3, 2.2, 1.6) * pen_m([topomap]),
             labels=[str(i) for i in range(n)],
             show_labels=n <= MOST_LABELS,
-            draw_order=20.0,
+            draw_order=palette.Order.JUNCTION,
         ),
         rr.AnyValues(
             vertex=np.arange(n),
@@ -249,7 +252,7 @@ def _closure_lines(
     recording.static(
         path,
         rr.LineStrips2D.from_fields(
-            strips=[line for _, line in drawn], radii=rr.Radius.ui_points(0.75), draw_order=1.0
+            strips=[line for _, line in drawn], radii=HAIR, draw_order=palette.Order.CLOSURE
         ),
         rr.AnyValues(
             closure=[q.told for q, _ in drawn],
@@ -273,7 +276,7 @@ def _visits(
     recording.over_time((*MAP, "last junction"), time_ns, ring)
     recording.static(
         (*MAP, "last junction"),
-        rr.Points2D.from_fields(colors=palette.TRAIL, draw_order=15.0),
+        rr.Points2D.from_fields(colors=palette.TRAIL, draw_order=palette.Order.RING),
     )
     kinds = [topomap.kind[v].replace("_", " ") for v in vertex.tolist()]
     log = [
@@ -318,23 +321,21 @@ def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
 
 def _track(recording: Recording, track: RobotTrack) -> None:
     for name, lines, colour, order in (
-        ("recorded", track.stretches, palette.RAW, 2.0),
-        ("corrected", track.bent_stretches, palette.TRACK, 3.0),
+        ("recorded", track.stretches, palette.RAW, palette.Order.RECORDED),
+        ("corrected", track.bent_stretches, palette.TRACK, palette.Order.CORRECTED),
     ):
         if lines:
-            strips = rr.LineStrips2D(
-                lines, radii=rr.Radius.ui_points(0.75), colors=colour, draw_order=order
-            )
+            strips = rr.LineStrips2D(lines, radii=HAIR, colors=colour, draw_order=order)
             recording.static((*MAP, "odometry", name), strips)
     xy = track.bent[:, :2]
     recording.over_time((*MAP, "robot"), track.time_ns, rr.Points2D.columns(positions=xy))
     robot = rr.Points2D.from_fields(
-        radii=rr.Radius.ui_points(7.0), colors=palette.ROBOT, draw_order=40.0
+        radii=rr.Radius.ui_points(7.0), colors=palette.ROBOT, draw_order=palette.Order.ROBOT
     )
     recording.static((*MAP, "robot"), robot)
     recording.over_time((*MAP, "trail"), track.time_ns, rr.Points2D.columns(positions=xy))
     trail = rr.Points2D.from_fields(
-        radii=rr.Radius.ui_points(2.5), colors=palette.TRAIL, draw_order=30.0
+        radii=rr.Radius.ui_points(2.5), colors=palette.TRAIL, draw_order=palette.Order.TIE
     )
     recording.static((*MAP, "trail"), trail)
 

@@ -16,7 +16,7 @@ from .contradictions import write_contradictions
 from .drawing import pen_m
 from .fused_layers import write_cards, write_own_map
 from .placements import contradiction_spots
-from .recording import UP, PathParts, Recording, placed
+from .recording import HAIR, UP, PathParts, Recording, placed
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .verdicts import (
     AMBIGUOUS,
@@ -127,9 +127,7 @@ def _block_names(recording: Recording, result: MergeResult, runs: list[str]) -> 
     ]
     recording.static(
         (MATRIX, "components"),
-        rr.LineStrips2D(
-            frames, radii=rr.Radius.ui_points(0.75), colors=palette.DIM, draw_order=15.0
-        ),
+        rr.LineStrips2D(frames, radii=HAIR, colors=palette.DIM, draw_order=palette.Order.RING),
     )
     width = _names_width([name for name, _, _ in blocks], len(runs))
     # The viewer writes below a point, whose place is in cells: the larger the matrix, the more.
@@ -149,7 +147,7 @@ def _rows(
         colors=[colours[run] for run in runs],
         labels=runs,
         show_labels=False,
-        draw_order=25.0,
+        draw_order=palette.Order.CONTRADICTION,
     )
     recording.static((MATRIX, "runs"), marks, rr.AnyValues(run=runs))
 
@@ -187,7 +185,7 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
         ends + 0.5,
         radii=0.2 * np.sqrt(np.clip(bits / FULL_DOT_BITS, 0.01, 1.0)),
         colors=palette.BACKGROUND,
-        draw_order=20.0,
+        draw_order=palette.Order.JUNCTION,
     )
     info = rr.AnyValues(
         pair=[f"{p.a} - {p.b}" for p in pairs],
@@ -211,7 +209,7 @@ def _labels(
         colors=palette.TITLE,
         labels=labels,
         show_labels=True,
-        draw_order=30.0,
+        draw_order=palette.Order.TIE,
     )
     recording.static((MATRIX, name), text)
 
@@ -262,5 +260,7 @@ def write_undecided(
 
 def _matched(recording: Recording, path: PathParts, xy: NDArray[np.float64], pen: float) -> None:
     if len(xy):
-        rings = rr.Points2D(xy, radii=2.2 * pen, colors=palette.WHITE, draw_order=8.0)
+        rings = rr.Points2D(
+            xy, radii=2.2 * pen, colors=palette.WHITE, draw_order=palette.Order.EVIDENCE
+        )
         recording.static(path, rings)

@@ -1,14 +1,38 @@
-"""Colours, chosen for the viewer's dark background."""
+"""Colours, chosen for the viewer's dark background, and what lies over what."""
 
 from __future__ import annotations
 
 import colorsys
+from enum import IntEnum, auto
 
 import numpy as np
 from numpy.typing import NDArray
 
 Colours = NDArray[np.uint8]
 """(n, 3) red, green, blue."""
+
+
+class Order(IntEnum):
+    """What lies over what in a recording, from below."""
+
+    CARD = auto()
+    CLOSURE = auto()
+    RECORDED = auto()
+    CORRECTED = auto()
+    SIGHTING = auto()
+    STUB = auto()
+    EVIDENCE = auto()
+    CORRIDOR = auto()
+    BRANCH = auto()
+    UNEXPLORED = auto()
+    RING = auto()
+    JUNCTION = auto()
+    CONTRADICTION = auto()
+    TIE = auto()
+    SEEN = auto()
+    ROBOT = auto()
+    WORDS = auto()
+
 
 # Red, green, blue, picked by eye on the dark ground of the viewer.
 BACKGROUND = (15, 17, 21)

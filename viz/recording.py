@@ -27,6 +27,9 @@ JOIN = "join"
 UP = rr.Transform3D(mat3x3=[[1, 0, 0], [0, -1, 0], [0, 0, 1]])
 """Mirrors a map so that y points up: in the viewer's 2-D space y points down."""
 
+HAIR = rr.Radius.ui_points(0.75)
+"""The thinnest line that shows on every screen, in its points."""
+
 PathParts = tuple[str, ...]
 
 

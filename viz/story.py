@@ -59,7 +59,7 @@ def write_story(
         rr.LineStrips2D.from_fields(
             strips=[np.stack([middle(s.pair.a), middle(s.pair.b)]) for s in steps],
             radii=rr.Radius.ui_points(1.25),
-            draw_order=4.0,
+            draw_order=palette.Order.SIGHTING,
         ),
         rr.AnyValues(
             step=np.arange(1, len(steps) + 1),
