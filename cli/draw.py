@@ -51,7 +51,7 @@ def draw(
     """
     form = format_of(out)
     quiet_fonts()
-    from ..topology.document import write_atomically
+    from ..topology.files import write_atomically
     from ..viz.theme import DARK, LIGHT
 
     canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)

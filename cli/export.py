@@ -272,6 +272,6 @@ def _paths(
 
 
 def _write(path: Path, text: str) -> None:
-    from ..topology.document import write_atomically
+    from ..topology.files import write_atomically
 
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -21,8 +21,9 @@ from .. import __version__
 from ..ingest.grid_log import GridLog
 from ..ingest.mapping import MappingSettings, build_map
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
-from ..topology.document import map_to_document, read_json, write_json, write_together
+from ..topology.document import map_to_document
 from ..topology.errors import DocumentError, TopobatchError, UsageError
+from ..topology.files import read_json, write_json, write_together
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..viz import write_map_recording

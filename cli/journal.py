@@ -21,7 +21,7 @@ MOST_BYTES = 4 << 20
 
 def note(place: Workspace, what: str, text: str, say: Callable[[str], None]) -> None:
     """Add a line; the workspace is held. A journal that cannot be written is told of, no more."""
-    from ..topology.document import write_atomically
+    from ..topology.files import write_atomically
 
     line = json.dumps({"time": _now(), "what": what, "text": text}, ensure_ascii=True)
     try:
@@ -39,7 +39,7 @@ def _now() -> str:
 
 
 def _lines(place: Workspace) -> list[str]:
-    from ..topology.document import read_bytes
+    from ..topology.files import read_bytes
 
     if not os.path.lexists(place.history):
         return []

@@ -276,7 +276,7 @@ def _executor(workers: int) -> Iterator[Executor]:
 
 def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
     from ..merge.document import write_merged
-    from ..topology.document import write_together
+    from ..topology.files import write_together
     from ..viz import write_merged_recording
 
     write_together(

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 
-from ..topology.document import FARTHEST_M
 from ..topology.errors import DataError
+from ..topology.map_schema import FARTHEST_M
 
 MOST_BYTES = 64 << 20
 """A million places take half of it."""

@@ -62,7 +62,8 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 
 def _rename(place: Workspace, old: str, new: str) -> None:
     """The files of a run; the new ones are there before the old ones go."""
-    from ..topology.document import write_json, write_map, write_together
+    from ..topology.document import write_map
+    from ..topology.files import write_json, write_together
 
     topomap = replace(place.read_map(old), run=new)
     writes: dict[Any, Any] = {}

@@ -49,7 +49,7 @@ def report(
     if not place.runs():
         raise place.no_maps()
     quiet_fonts()
-    from ..topology.document import write_atomically
+    from ..topology.files import write_atomically
     from ..viz.report import Report, report_page
 
     maps, unread = _maps(place)

@@ -27,7 +27,7 @@ def schema(
     import json
 
     from ..merge.document import MergedDocument
-    from ..topology.document import MapDocument
+    from ..topology.map_schema import MapDocument
 
     model = MapDocument if document is Document.MAP else MergedDocument
     say_lines(json.dumps(model.model_json_schema(by_alias=True), indent=2))

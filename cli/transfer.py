@@ -75,7 +75,7 @@ def transfer(
     if output is None or str(output) == "-":
         say_text(text)
     else:
-        from ..topology.document import write_atomically
+        from ..topology.files import write_atomically
 
         write_atomically(output, lambda file: file.write_text(text, encoding="utf-8"))
         screen.line(str(output))

@@ -61,7 +61,7 @@ class Workspace:
     def _require(self, path: Path, kind: int, name: str) -> None:
         """DataError if something else than topobatch would put there lies at a path."""
         if os.path.lexists(path) and stat.S_IFMT(os.lstat(path).st_mode) != kind:
-            from ..topology.document import kind_of
+            from ..topology.files import kind_of
 
             kept = f"where topobatch keeps a {name} of its own"
             raise DataError(f"{path}: is a {kind_of(path)}, {kept}; remove it")
@@ -130,7 +130,7 @@ class Workspace:
 
     def ingested(self, run: str) -> dict[str, Any] | None:
         """What is recorded of the log that a run's map was made from; None where nothing is."""
-        from ..topology.document import read_json
+        from ..topology.files import read_json
 
         try:
             found = read_json(self.ingest_record(run))
@@ -210,7 +210,7 @@ class Workspace:
     def locks(self) -> tuple[Lock, ...]:
         """What a person decided about pairs of runs; DocumentError if it cannot be read."""
         from ..merge.locks import locks_from_document
-        from ..topology.document import read_json
+        from ..topology.files import read_json
 
         if not os.path.lexists(self.locks_json):
             return ()
@@ -219,7 +219,7 @@ class Workspace:
     def write_locks(self, locks: Sequence[Lock]) -> None:
         """Keep these locks."""
         from ..merge.locks import locks_to_document
-        from ..topology.document import write_json
+        from ..topology.files import write_json
 
         write_json(self.locks_json, locks_to_document(locks))
 
@@ -236,7 +236,7 @@ class Workspace:
     def discards(self) -> frozenset[tuple[str, str]]:
         """Pairs of runs whose match a person took back; DocumentError if that cannot be read."""
         from ..merge.discards import discards_from_document
-        from ..topology.document import read_json
+        from ..topology.files import read_json
 
         if not os.path.lexists(self.discards_json):
             return frozenset()
@@ -245,7 +245,7 @@ class Workspace:
     def write_discards(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Keep these pairs; none leave no document."""
         from ..merge.discards import discards_to_document
-        from ..topology.document import write_json
+        from ..topology.files import write_json
 
         kept = frozenset(pairs)
         if kept:
@@ -295,7 +295,7 @@ class Workspace:
             _remove_folder(folder)
 
     def _clear_left_overs(self) -> None:
-        from ..topology.document import LEFT_OVER
+        from ..topology.files import LEFT_OVER
 
         for folder in (self.root, self.maps, self.ingest_record("x").parent, self.pairs):
             for path in folder.glob(".*.tmp"):

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..topology.document import read_bytes, write_atomically
 from ..topology.errors import DocumentError
+from ..topology.files import read_bytes, write_atomically
 from .packs import DamagedPackError, Key, Kind, Pack, joined, joined_count
 
 PACK = re.compile(r"[0-9a-f]{32}\.pack")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.document import FARTHEST_M
 from ..topology.map_pose_graph import map_pose_graph
+from ..topology.map_schema import FARTHEST_M
 from ..topology.passes import NO_BRANCH
 from ..topology.posegraph.graph import PoseGraph
 from ..topology.ragged import Ragged

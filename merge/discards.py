@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from ..topology.document import Model, validated
+from ..topology.map_schema import Model, validated
 
 DISCARDS_SCHEMA: Literal["topobatch.discards/1"] = "topobatch.discards/1"
 

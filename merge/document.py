@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
-from ..topology.document import (
+from ..topology.document import edges_to_document
+from ..topology.files import read_json, write_json
+from ..topology.map_schema import (
     Finite,
     Index,
     MapEdge,
@@ -19,10 +21,7 @@ from ..topology.document import (
     Multigraph,
     Observation,
     Undirected,
-    edges_to_document,
-    read_json,
     validated,
-    write_json,
 )
 from .result import AcceptedBy, Alignment, MergeResult, PairVerdict, Verdict
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from ..topology.document import Index, Model, validated
 from ..topology.errors import DocumentError, UsageError
+from ..topology.map_schema import Index, Model, validated
 
 LOCKS_SCHEMA: Literal["topobatch.locks/1"] = "topobatch.locks/1"
 

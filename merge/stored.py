@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.document import FARTHEST_M
+from ..topology.map_schema import FARTHEST_M
 from ..topology.passes import NO_BRANCH
 from ..topology.ragged import Ragged
 from .document import MergedDocument, MergeEntry, verdict_from_entry

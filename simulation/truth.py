@@ -33,8 +33,8 @@ from typing import Any
 
 import numpy as np
 
-from ..topology.document import read_json, write_json
 from ..topology.errors import DocumentError
+from ..topology.files import read_json, write_json
 from ..topology.se2 import apply, between, fit_rigid, wrap
 from ..topology.topomap import TopoMap
 from .detector import NO_VERTEX

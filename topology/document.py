@@ -1,211 +1,33 @@
-"""The map document, `maps/<run>.json`: schema `topobatch.map/1`.
+"""Maps as documents, `maps/<run>.json`, and back.
 
-The pydantic models are the schema: they validate what is read, write what is saved, and publish
-the JSON Schema. Documents are deterministic (same map, same bytes) and load with
-`networkx.node_link_graph(doc, edges="edges")`.
+Documents are deterministic (same map, same bytes) and load with
+`networkx.node_link_graph(doc, edges="edges")`; their schema is in `map_schema.py`.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import re
-import stat
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import from_json
 
 from .digits import BITS, BRANCH, METRES, rounded, significant
 from .errors import DocumentError
+from .files import read_json, write_json
+from .map_schema import (
+    LONGEST_M,
+    LONGEST_TOGETHER_M,
+    MAP_SCHEMA,
+    SHORTEST_M,
+    MapDocument,
+    MapGraph,
+    validated,
+)
 from .passes import NO_BRANCH
 from .ragged import Ragged
 from .topomap import Closure, RunNoise, TopoMap
-
-MAP_SCHEMA: Literal["topobatch.map/1"] = "topobatch.map/1"
-
-FARTHEST_M = 1e9
-"""Where a vertex can lie: logs are believed as far. Eastings with a zone in front reach 6e7."""
-
-LONGEST_M = 1e5
-LONGEST_TOGETHER_M = 1e6
-"""A corridor, and all of a map, can be no longer: merging looks at a corridor every 0.25 m, and
-takes 60 MB for 100 km."""
-
-MOST_BRANCHES = 64
-"""At one junction. Ingest holds branches closer than 0.3 rad for one, which leaves 20 at most."""
-
-LARGEST_BYTES = 1 << 30
-"""A document can be no larger: one junction with its corridors takes about 1 kB."""
-
-LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
-"""Names of the files that `write_atomically` fills; only a process that was killed leaves any."""
-
-SHORTEST_M = 10.0**-METRES
-"""Nor shorter, or known better, than a document can say."""
-
-LARGEST_NOISE = 1e6
-"""Nor noisier: its square and the product with a length stay far from overflow."""
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
-Extent = Annotated[float, Field(gt=0, le=LONGEST_M, allow_inf_nan=False)]
-Noise = Annotated[float, Field(ge=0, le=LARGEST_NOISE, allow_inf_nan=False)]
-Index = Annotated[int, Field(ge=0, lt=2**63)]
-Nanoseconds = Annotated[int, Field(ge=-(2**63), lt=2**63)]
-
-
-class Model(BaseModel):
-    """A part of a document; unknown keys are kept, known ones checked."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-
-class Observation(Model):
-    """One pass of a robot by a vertex."""
-
-    run: str = Field(description="The run that passed.")
-    time_ns: Nanoseconds = Field(
-        description="When the robot was nearest to the centre: nanoseconds since 1970, by the "
-        "clock of the log."
-    )
-
-
-class MapNode(Model):
-    """A vertex of a map."""
-
-    id: Index = Field(description="0, 1, 2, … in the order of the list.")
-    x: Metres = Field(description="Position in the map's frame, metres.")
-    y: Metres = Field(description="Position in the map's frame, metres.")
-    kind: str = Field(description="junction, dead_end (one branch) or bend (two, not opposite).")
-    branches: list[Finite] = Field(
-        max_length=MOST_BRANCHES,
-        description="Direction in which each branch leaves, driven or only seen: radians in the "
-        "map's frame, ascending in [-π, π).",
-    )
-    observations: list[Observation] = Field(description="The passes of the robot, by time.")
-    sigma_m: Noise | None = Field(
-        None,
-        description="1 sigma of each coordinate, metres, with the map as a whole laid over the "
-        "truth; absent where it is not known.",
-    )
-    branch_sigmas: list[Noise] | None = Field(
-        None, description="1 sigma of each branch's direction, radians, likewise."
-    )
-
-    @model_validator(mode="after")
-    def _one_sigma_per_branch(self) -> MapNode:
-        if self.branch_sigmas is not None and len(self.branch_sigmas) != len(self.branches):
-            raise ValueError("branch_sigmas must be as many as branches")
-        return self
-
-
-class MapEdge(Model):
-    """A corridor between two vertices."""
-
-    source: Index = Field(description="Vertex at one end.")
-    target: Index = Field(description="Vertex at the other end; corridors lead both ways.")
-    key: Index = Field(description="Number among the corridors between the same two vertices.")
-    length: Extent = Field(description="Way from centre to centre along the corridor, metres.")
-    length_sigma: Extent = Field(description="1 sigma of the length, metres.")
-    source_branch: Index | None = Field(
-        description="Which branch of the source it leaves by, counted from 0; null: unknown."
-    )
-    target_branch: Index | None = Field(
-        description="Which branch of the target it leaves by, counted from 0; null: unknown."
-    )
-    path: list[tuple[Metres, Metres]] = Field(
-        min_length=2, description="Its course from source to target in the map's frame, metres."
-    )
-    traversals: Index = Field(description="How often it was driven from end to end.")
-    traversal_ns: list[tuple[Nanoseconds, Nanoseconds]] | None = Field(
-        None,
-        description="For every time that it was driven, when the robot was at the source and when "
-        "at the target (nanoseconds since 1970): driven from target to source, the second is the "
-        "earlier one. Standing and turning round at the ends is not counted. Absent where unknown.",
-    )
-
-
-class ClosureRecord(Model):
-    """An identification that was made, refused, or taken back.
-
-    round: of the loop closure, from 1 on; accepted_round: in which it had been accepted, where this
-    takes it back; revised: a later round answered otherwise.
-    """
-
-    time_ns: tuple[Nanoseconds, Nanoseconds] = Field(
-        description="Times of the two passes that were asked to be one place."
-    )
-    accepted: bool = Field(description="Whether they were taken for one place.")
-    bits: Finite = Field(description="Evidence: log2 of the odds that they are one place.")
-    reason: str = Field(description="The answer in words.")
-    round: Index | None = Field(None, description="Round of the loop closure, from 1 on.")
-    accepted_round: Index | None = Field(
-        None, description="Round in which it had been accepted, where this takes it back."
-    )
-    revised: bool = Field(False, description="A later round answered otherwise.")
-
-
-class MapGraph(Model):
-    """Attributes of a whole map."""
-
-    run: str = Field(description="Name of the run, unique in a workspace.")
-    frame: str = Field(description="Frame of the odometry; the map's own frame is called the same.")
-    pieces: int = Field(
-        1,
-        ge=1,
-        description="Parts of which nothing tells how they lie to each other; they are drawn side "
-        "by side.",
-    )
-    noise: dict[str, Noise] = Field(
-        default_factory=dict,
-        description="How well the run was measured, by name with its unit, as closure and matching "
-        "count with it: with caution.",
-    )
-    fitted_noise: dict[str, Noise] | None = Field(
-        None, description="The same as the closed run itself shows it; sigmas come from this."
-    )
-    closures: list[ClosureRecord] = Field(
-        default_factory=list, description="Every identification made, refused or taken back."
-    )
-
-
-def _as_false(value: Any) -> Any:
-    if value is not False:
-        raise ValueError("must be false")
-    return value
-
-
-def _as_true(value: Any) -> Any:
-    if value is not True:
-        raise ValueError("must be true")
-    return value
-
-
-Undirected = Annotated[Literal[False], BeforeValidator(_as_false)]
-Multigraph = Annotated[Literal[True], BeforeValidator(_as_true)]
-
-
-class MapDocument(Model):
-    """`maps/<run>.json`."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, serialize_by_alias=True)
-
-    # The alias keeps pydantic's own `schema` method free.
-    schema_name: Literal["topobatch.map/1"] = Field(
-        alias="schema", description="Name and version of this schema."
-    )
-    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
-    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
-    graph: MapGraph = Field(description="What is said of the map as a whole.")
-    nodes: list[MapNode] = Field(description="The junctions, bends and dead ends.")
-    edges: list[MapEdge] = Field(description="The corridors between them.")
 
 
 def edge_keys(source: NDArray[np.int64], target: NDArray[np.int64]) -> list[int]:
@@ -392,116 +214,9 @@ def _times_known(
     return tuple(known) if known and len(known) == len(rows) else None
 
 
-M = TypeVar("M", bound=BaseModel)
-
-
-def validated(model: type[M], doc: Any, name: str) -> M:
-    """`doc` as the given model, or a DocumentError that names the place of the first fault."""
-    try:
-        return model.model_validate(doc)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"]) or "document"
-        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise DocumentError(f"{name}: {place}: {first['msg']}{more}") from error
-
-
-def read_json(path: Path) -> Any:
-    """A parsed JSON file, or a DocumentError that names it.
-
-    Refused are files that are none (links, FIFOs, devices), implausibly long ones, nesting deeper
-    than 200, text that is no UTF-8 or holds halves of characters, numbers that are none.
-    """
-    try:
-        return from_json(read_bytes(path), allow_inf_nan=False)
-    except OSError as error:
-        raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise DocumentError(f"{path}: is not JSON: {error}") from error
-
-
-def read_bytes(path: Path) -> bytes:
-    """The bytes of a document; nothing that could block or act on being opened is opened. Raises
-    DocumentError on what is no file, OSError where it cannot be read."""
-    if not stat.S_ISREG(os.lstat(path).st_mode):
-        raise DocumentError(f"{path}: is a {kind_of(path)}, not a document; remove it")
-    # Whoever puts something else there meanwhile is refused as well.
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    with open(os.open(path, flags | getattr(os, "O_BINARY", 0)), "rb") as file:
-        if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
-            raise DocumentError(f"{path}: is larger than {LARGEST_BYTES >> 30} GiB")
-        return file.read()
-
-
-def kind_of(path: Path) -> str:
-    """What lies at a path, in a word."""
-    mode = os.lstat(path).st_mode
-    kinds = {stat.S_IFREG: "file", stat.S_IFDIR: "folder", stat.S_IFLNK: "link"}
-    return kinds.get(stat.S_IFMT(mode), "FIFO, a device or a socket")
-
-
 def read_map(path: Path) -> TopoMap:
     """The map of a `maps/<run>.json`; DocumentError if it cannot be read or is no such document."""
     return map_from_document(read_json(path), str(path))
-
-
-def write_json(path: Path, doc: Any) -> None:
-    """Write a document atomically: after a crash the old file or the new one is there, whole."""
-    text = json.dumps(doc, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-    write_atomically(path, lambda temporary: temporary.write_text(text + "\n", encoding="utf-8"))
-
-
-def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then move it there in one step."""
-    write_together({path: write})
-
-
-def write_together(writes: Mapping[Path, Callable[[Path], object]]) -> None:
-    """Write files that belong together: all are filled before the first is moved to its place.
-
-    Where one cannot be written (a full disk), none is. They are moved in their order.
-    """
-    with ExitStack() as stack:
-        filled = {}
-        for path, write in writes.items():
-            with _named(path):
-                filled[path] = stack.enter_context(_temporary(path.parent))
-                write(filled[path])
-                filled[path].chmod(0o666 & ~_umask())
-        for path, temporary in filled.items():
-            with _named(path):
-                os.replace(temporary, path)
-
-
-@contextmanager
-def _temporary(folder: Path) -> Iterator[Path]:
-    """An empty file, which is gone afterwards unless it was moved."""
-    folder.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=".topobatch-", suffix=".tmp", dir=folder)
-    os.close(handle)
-    try:
-        yield Path(name)
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Errors name the file that was to be written, and not what stood for it meanwhile."""
-    try:
-        yield
-    except OSError as error:
-        name = error.filename
-        if name is None or LEFT_OVER.fullmatch(Path(os.fsdecode(name)).name):
-            error.filename = str(path)
-            error.filename2 = None
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def write_map(path: Path, topomap: TopoMap) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from rerun.chunk import Chunk, McapReader
 
-from ..topology.document import write_atomically
 from ..topology.errors import LogError
+from ..topology.files import write_atomically
 from .recording import APPLICATION_ID
 
 LOG = "/log"

@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 import rerun_bindings
 from numpy.typing import NDArray
 
-from ..topology.document import write_atomically
+from ..topology.files import write_atomically
 from .palette import BACKGROUND
 
 APPLICATION_ID = "topobatch"

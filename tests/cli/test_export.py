@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.topology.document import read_json, write_json
+from topobatch.topology.files import read_json, write_json
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import MergedDocument
-from topobatch.topology.document import MapDocument
+from topobatch.topology.map_schema import MapDocument
 
 
 def run(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:

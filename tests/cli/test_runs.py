@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from topobatch.cli.options import complete_run
-from topobatch.topology.document import read_json
+from topobatch.topology.files import read_json
 
 
 @pytest.fixture

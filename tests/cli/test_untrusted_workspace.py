@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from topobatch.cli.workspace import Workspace
-from topobatch.topology.document import LEFT_OVER
+from topobatch.topology.files import LEFT_OVER
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and FIFOs")
 

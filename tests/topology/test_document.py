@@ -14,16 +14,10 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from topobatch.topology.document import (
-    MapDocument,
-    map_from_document,
-    map_to_document,
-    read_map,
-    write_atomically,
-    write_map,
-    write_together,
-)
+from topobatch.topology.document import map_from_document, map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError
+from topobatch.topology.files import write_atomically, write_together
+from topobatch.topology.map_schema import MapDocument
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import Closure, TopoMap
 

@@ -1,0 +1,116 @@
+"""Files of documents: nothing is opened that could block or act, nothing is left half written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import from_json
+
+from .errors import DocumentError
+
+LARGEST_BYTES = 1 << 30
+"""A document can be no larger: one junction with its corridors takes about 1 kB."""
+
+LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
+"""Names of the files that `write_atomically` fills; only a process that was killed leaves any."""
+
+
+def read_json(path: Path) -> Any:
+    """A parsed JSON file, or a DocumentError that names it.
+
+    Refused are files that are none (links, FIFOs, devices), implausibly long ones, nesting deeper
+    than 200, text that is no UTF-8 or holds halves of characters, numbers that are none.
+    """
+    try:
+        return from_json(read_bytes(path), allow_inf_nan=False)
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise DocumentError(f"{path}: is not JSON: {error}") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a document; nothing that could block or act on being opened is opened. Raises
+    DocumentError on what is no file, OSError where it cannot be read."""
+    if not stat.S_ISREG(os.lstat(path).st_mode):
+        raise DocumentError(f"{path}: is a {kind_of(path)}, not a document; remove it")
+    # Whoever puts something else there meanwhile is refused as well.
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    with open(os.open(path, flags | getattr(os, "O_BINARY", 0)), "rb") as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
+            raise DocumentError(f"{path}: is larger than {LARGEST_BYTES >> 30} GiB")
+        return file.read()
+
+
+def kind_of(path: Path) -> str:
+    """What lies at a path, in a word."""
+    mode = os.lstat(path).st_mode
+    kinds = {stat.S_IFREG: "file", stat.S_IFDIR: "folder", stat.S_IFLNK: "link"}
+    return kinds.get(stat.S_IFMT(mode), "FIFO, a device or a socket")
+
+
+def write_json(path: Path, doc: Any) -> None:
+    """Write a document atomically: after a crash the old file or the new one is there, whole."""
+    text = json.dumps(doc, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    write_atomically(path, lambda temporary: temporary.write_text(text + "\n", encoding="utf-8"))
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `path`, then move it there in one step."""
+    write_together({path: write})
+
+
+def write_together(writes: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Write files that belong together: all are filled before the first is moved to its place.
+
+    Where one cannot be written (a full disk), none is. They are moved in their order.
+    """
+    with ExitStack() as stack:
+        filled = {}
+        for path, write in writes.items():
+            with _named(path):
+                filled[path] = stack.enter_context(_temporary(path.parent))
+                write(filled[path])
+                filled[path].chmod(0o666 & ~_umask())
+        for path, temporary in filled.items():
+            with _named(path):
+                os.replace(temporary, path)
+
+
+@contextmanager
+def _temporary(folder: Path) -> Iterator[Path]:
+    """An empty file, which is gone afterwards unless it was moved."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".topobatch-", suffix=".tmp", dir=folder)
+    os.close(handle)
+    try:
+        yield Path(name)
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Errors name the file that was to be written, and not what stood for it meanwhile."""
+    try:
+        yield
+    except OSError as error:
+        name = error.filename
+        if name is None or LEFT_OVER.fullmatch(Path(os.fsdecode(name)).name):
+            error.filename = str(path)
+            error.filename2 = None
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
