@@ -64,16 +64,15 @@ def _unexplored(
     """Corridors of `known` at matched junctions by branches that `other` saw and did not take."""
     partner = np.full(len(known), -1)
     partner[vk] = vo
-    taken = np.zeros(other.heading.shape, np.bool_)
-    rows = np.flatnonzero(other.leave != NO_BRANCH)
-    taken[other.tail[rows], other.leave[rows]] = True
-    out: list[Option] = []
-    for row in np.flatnonzero((partner[known.tail] >= 0) & (known.leave != NO_BRANCH)).tolist():
-        tail, vertex = int(known.tail[row]), int(partner[known.tail[row]])
-        heading = known.heading[tail, known.leave[row]] - turn
-        gap = np.abs(wrap(other.heading[vertex] - heading))
-        gap[other.heading[vertex] > NO_HEADING / 2] = 9.0
-        branch = int(gap.argmin())
-        if gap[branch] < GATE_RAD and not taken[vertex, branch]:
-            out.append((known, float(known.length[row]), int(known.head[row]), other, vertex, tail))
-    return out
+    row = ((partner[known.tail] >= 0) & (known.leave != NO_BRANCH)).nonzero()[0]
+    tail = known.tail[row]
+    vertex, theirs = partner[tail], other.heading[partner[tail]]
+    gap = np.abs(wrap(theirs - (known.heading[tail, known.leave[row]] - turn)[:, None]))
+    gap[theirs > NO_HEADING / 2] = 9.0
+    branch = gap.argmin(axis=1)
+    open_ = (gap.min(axis=1) < GATE_RAD) & (other.by_branch[vertex, branch] < 0)
+    columns = (known.length[row], known.head[row], vertex, tail)
+    return [
+        (known, length, head, other, v, t)
+        for length, head, v, t in zip(*(c[open_].tolist() for c in columns), strict=True)
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -26,7 +27,7 @@ CHANCE_BITS = 4.0
 """Matches with no more support than this beyond chance are not searched for contradictions."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """A way to lay b over a.
 
@@ -53,7 +54,7 @@ class Candidate:
         """(c, 2) directed rows of the corridors that agree."""
         return self.support.corridors
 
-    @property
+    @cached_property
     def contradicting_bits(self) -> float:
         """All that speaks against it, positive: contradictions, corridors whose lengths do not fit
         and matched junctions whose branches differ."""

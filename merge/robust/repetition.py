@@ -7,7 +7,7 @@ measurement noise alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -49,7 +49,15 @@ TILTS = np.concatenate([np.linspace(0.0, 1.0, 6), [1.25, 1.6, 2.0, 2.5, 3.2, 4.0
 """Exponents tried in bounding how often a copy looks the same."""
 
 NODES, NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(17)
+NODES, NODE_WEIGHTS = NODES[8:], NODE_WEIGHTS[8:] * [1, *[2] * 8]
 NODE_WEIGHTS = NODE_WEIGHTS / NODE_WEIGHTS.sum()
+"""Of quadrature over differences whose sign tells nothing: each node stands for two."""
+
+TYPICAL_NATS = 1e-9
+"""The bound is never negative; of what a typical copy reaches it is 0 but for rounding."""
+
+TOGETHER = 256
+"""Alignments taken at once: what is worked out of them fits the processor's cache."""
 
 WORST_NATS = 8.0
 """No single corridor decides: it may have been measured past a junction."""
@@ -91,27 +99,52 @@ def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sa
     is how often a copy reaches it, bounded after Chernoff by min over x of E[exp(x (T' - T))] with
     T' the statistic of a copy (at x = 1 this is the odds themselves: the bound is never worse).
     """
-    lonely = lonely_branches(a, b, best.a, best.b, best.turn)
-    changed = int(np.count_nonzero(lonely)) + len(best.conflicts)
-    compared = len(best) + len(best.conflicts)
-    fault = float((a.fault_rate[best.a] + b.fault_rate[best.b]).sum() / len(best))
-    fault = min(fault, MOST_FAULTS)
+    return next(sameness_of([(a, b, best)], copies))
+
+
+def sameness_of(
+    cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
+) -> Iterator[Sameness]:
+    """The same of many alignments at once."""
+    for start in range(0, len(cases), TOGETHER):
+        yield from _sameness_of(cases[start : start + TOGETHER], copies)
+
+
+def _sameness_of(
+    cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
+) -> Iterator[Sameness]:
+    lonely = [lonely_branches(a, b, c.a, c.b, c.turn) for a, b, c in cases]
+    faults = [(a.fault_rate[c.a] + b.fault_rate[c.b]).sum() / len(c) for a, b, c in cases]
+    against = np.array([len(c.conflicts) for _, _, c in cases])
+    changed = np.array([np.count_nonzero(some) for some in lonely]) + against
+    compared = np.array([len(c) for _, _, c in cases]) + against
+    fault = np.minimum(faults, MOST_FAULTS)
     change = fault + (1 - fault) * copies.change_rate
     kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
-    shape = _Lengths.of(a, b, best.corridors, copies.variation)
+    parts = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]
+    shape, ends = _Lengths.joined(parts), np.cumsum([0, *(len(part.d2) for part in parts)])
     share = float(np.dot(copies.exact_odds, EXACT_SHARES))
-    nats = shape.odds(shape.d2, share).sum()
+    nats = _sums(shape.odds(shape.d2, share), ends)
     nats += (compared - changed) * kept_nats + changed * changed_nats
+    tilts = TILTS[:, None]
     spread = compared * np.log(
-        (1 - change) * np.exp(TILTS * kept_nats) + change * np.exp(TILTS * changed_nats)
+        (1 - change) * np.exp(tilts * kept_nats) + change * np.exp(tilts * changed_nats)
     )
-    tilted = TILTS * nats - spread - shape.tilted(share)  # (factor, exact share, tilt)
-    weight = np.log(np.outer(NOISE_ODDS, copies.exact_odds))
-    bound = -float(np.logaddexp.reduce(weight - tilted.max(axis=2), axis=None))
-    if bound <= 0.0:
-        # Below what is typical of copies: how far below, to rank by.
-        bound = min(float(nats), 0.0)
-    return Sameness(float(bound / np.log(2)), compared, changed)
+    tilted = tilts * nats - spread - _sums(shape.tilted(share), ends)  # (factor, share, tilt, case)
+    weight = np.log(np.outer(NOISE_ODDS, copies.exact_odds))[:, :, None]
+    bound = -np.logaddexp.reduce((weight - tilted.max(axis=2)).reshape(-1, len(cases)), axis=0)
+    # Below what is typical of copies: how far below, to rank by.
+    bits = np.where(bound <= TYPICAL_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
+    return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
+
+
+def _sums(values: FloatArray, ends: IntArray) -> FloatArray:
+    """Sums over the last axis between ends; 0 where two ends are the same."""
+    some = np.flatnonzero(np.diff(ends))
+    out = np.zeros((*values.shape[:-1], len(ends) - 1))
+    if len(some):
+        out[..., some] = np.add.reduceat(values, ends[some], axis=-1)
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,10 +166,18 @@ class _Lengths:
             built=2 * (variation * longer) ** 2,
         )
 
+    @classmethod
+    def joined(cls, parts: Sequence[_Lengths]) -> _Lengths:
+        names = ("d2", "noise", "built")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
     def odds(self, d2: FloatArray, share: float) -> FloatArray:
         """log odds [nats] of the same place against a copy of which `share` is exactly alike."""
-        exact, varied = _normal(d2, self.noise), _normal(d2, self.noise + self.built)
-        return np.asarray(exact - np.logaddexp(np.log(share) + exact, np.log(1 - share) + varied))
+        whole = self.noise + self.built
+        ahead = 0.5 * np.log(self.noise / whole)  # of the varied density over the exact one
+        ahead = ahead - np.minimum(d2 * (0.5 / whole), WORST_NATS)
+        ahead += np.minimum(d2 * (0.5 / self.noise), WORST_NATS)
+        return np.asarray(-np.log(share + (1 - share) * np.exp(ahead)))
 
     def averaged(self, share: float) -> float:
         """log likelihood [nats] of the differences between copies, over factors of the noise."""
@@ -147,18 +188,17 @@ class _Lengths:
         return float(np.logaddexp.reduce(each + np.log(NOISE_ODDS)))
 
     def tilted(self, share: float) -> FloatArray:
-        """(factor, exact share, tilt) log E[exp(tilt · odds)] over copies, for all NOISE_FACTORS,
-        EXACT_SHARES and TILTS; by Gaussian quadrature over each difference."""
-        factor = np.array(NOISE_FACTORS)[:, None, None]
-        exact = np.array(EXACT_SHARES)[:, None, None]
-        noise = self.noise * factor**2  # (factor, 1, corridor)
+        """(factor, exact share, tilt, corridor) log E[exp(tilt · odds)] over copies, for all
+        NOISE_FACTORS, EXACT_SHARES and TILTS; by Gaussian quadrature over each difference."""
+        noise = self.noise * np.array(NOISE_FACTORS)[:, None] ** 2
         moments = []
         for variance in (noise, noise + self.built):
-            odds = self.odds(NODES[:, None] ** 2 * variance, share)  # (factor, node, corridor)
-            moment = np.exp(TILTS[:, None, None, None] * odds)
-            moments.append(np.einsum("n,tfnc->ftc", NODE_WEIGHTS, moment)[:, None])
-        mixed = exact * moments[0] + (1 - exact) * moments[1]  # (factor, share, tilt, corridor)
-        return np.asarray(np.log(mixed).sum(axis=3))
+            odds = self.odds(NODES[:, None, None] ** 2 * variance, share)  # by node
+            flat = odds.reshape(len(NODES), -1)
+            powers = (NODE_WEIGHTS @ np.exp(tilt * flat) for tilt in TILTS)
+            moments.append(np.stack([moment.reshape(noise.shape) for moment in powers], axis=1))
+        exact = np.array(EXACT_SHARES)[:, None, None]
+        return np.asarray(np.log(exact * moments[0][:, None] + (1 - exact) * moments[1][:, None]))
 
 
 def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -214,7 +214,13 @@ def _share(level: float) -> float:
     return min(max(level, 0.0), 1.0)
 
 
-def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Bar) -> Opinion:
+def opinion(
+    a: Prepared,
+    b: Prepared,
+    candidates: Sequence[Candidate],
+    level: Bar,
+    same_bits: Callable[[Candidate], float] | None = None,
+) -> Opinion:
     """The verdict on a pair from its candidate alignments.
 
     merged: enough evidence against chance, the same place rather than a copy of it, and a lead
@@ -223,7 +229,8 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
 
     The second question is asked where the building has corridors of few sizes, and of alignments
     as small as copies are. Its bits are counted on the scale of the first: with as many bits beyond
-    what either question must yield, both answers are as sure.
+    what either question must yield, both answers are as sure. same_bits: what a candidate answers to
+    the second question, where that was worked out before.
     """
     odd = _beyond_chance(candidates, level)
     if not odd:
@@ -235,7 +242,9 @@ def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Ba
     asked = max(repetition) > 0
     answers = []
     for c, share in zip(odd, repetition, strict=True):
-        same = sameness(a, b, c, level.copies).bits if asked else None
+        same = None
+        if asked:
+            same = same_bits(c) if same_bits else sameness(a, b, c, level.copies).bits
         need_same = share * level.need_copy_bits
         carried = counted_bits(c)
         answers.append(Answers(level.need_bits, c.bits, carried, share, same, need_same))
