@@ -23,9 +23,14 @@ BITS = 2
 SIGNIFICANT = 4
 """Decimals; of sigmas, rates and the calibration all digits. Why so many: above."""
 
+LARGEST_PLAIN = 1e9
+"""Larger numbers, or none at all, are left to numpy."""
+
 
 def rounded(values: Any, decimals: int = TURN) -> Any:
     """Numbers as they stand in documents: rounded, and never the two zeros 0.0 and -0.0."""
+    if isinstance(values, float) and abs(values) < LARGEST_PLAIN:  # as numpy does, without it
+        return round(values * 10.0**decimals) / 10.0**decimals + 0.0
     array = np.round(np.asarray(values, np.float64), decimals) + 0.0
     return array.tolist()
 

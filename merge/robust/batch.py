@@ -9,16 +9,14 @@ import numpy as np
 
 from ...topology.topomap import TopoMap
 from ..result import Verdict, pairs_of
-from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, lying_over
 from .index import beyond_chance, pairs_to_match
 from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise, in_tiles
-from .prepare import IntArray, Prepared
+from .prepare import IntArray
 from .records import Found
-from .repetition import sameness_of
 from .settings import RobustSettings
-from .verdict import ODD_BITS, Bar, Opinion, PairCount, needed_bits, opinion
+from .verdict import Bar, Opinion, PairCount, needed_bits, opinions
 
 
 @dataclass(slots=True, eq=False)
@@ -44,29 +42,16 @@ class Batch:
         prepared = self.matcher.prepared
         found = self.matcher.pairs(wanted) | {pair: Found() for pair in gone}
         self.found.update(found)
-        same = self._same_bits(found)
-        fresh = {
-            (i, j): _opinion(prepared[i], prepared[j], both, self.level((i, j)), same)
+        cases = [
+            (prepared[i], prepared[j], both.candidates, self.level((i, j)))
             for (i, j), both in found.items()
+        ]
+        fresh = {
+            pair: view if both.faint is None else replace(view, faint=both.faint)
+            for (pair, both), view in zip(found.items(), opinions(cases), strict=True)
         }
         fresh |= {pair: replace(fresh[pair], discarded=True) for pair in gone}
         self.opinions.update(doubt_mirrored(fresh, self._image_bits, self.matcher.settings))
-
-    def _same_bits(self, found: Mapping[Pair, Found]) -> Callable[[Candidate], float]:
-        """What all candidates say to the second question, worked out together."""
-        prepared = self.matcher.prepared
-        cases = [
-            (prepared[i], prepared[j], c)
-            for (i, j), both in found.items()
-            for c in both.candidates
-            if c.bits > ODD_BITS
-        ]
-        if not cases:
-            return lambda _: 0.0
-        copies = self.level(next(iter(found))).copies
-        bits = (same.bits for same in sameness_of(cases, copies))
-        known = dict(zip((id(c) for _, _, c in cases), bits, strict=True))
-        return lambda c: known[id(c)]
 
     def _image_bits(self, pairs: list[Pair]) -> dict[Pair, float]:
         return self.matcher.image_bits(np.array(pairs, np.int64).reshape(-1, 2))
@@ -107,19 +92,6 @@ def match_shard(
     mine = np.array_split(wanted, share[1])[share[0] - 1]
     matcher.pairs(mine)
     return len(mine)
-
-
-def _opinion(
-    a: Prepared,
-    b: Prepared,
-    found: Found,
-    level: Bar,
-    same_bits: Callable[[Candidate], float],
-) -> Opinion:
-    """The verdict on a pair from what matching it found."""
-    if not found.candidates:
-        return Opinion(Verdict.UNRELATED, level.need_bits, faint=found.faint)
-    return opinion(a, b, found.candidates, level, same_bits)
 
 
 def _count(found: Mapping[Pair, Found], pairs: int, settings: RobustSettings) -> PairCount:

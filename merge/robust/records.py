@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..packs import LARGEST
 from .alignment import Candidate
 from .conflicts import Conflicts
-from .prepare import IntArray, Prepared
+from .prepare import Prepared
 from .settings import RobustSettings
 from .support import Support
 from .verdict import ODD_BITS, Faint, beyond_chance_bits, faint_of
@@ -74,9 +74,9 @@ def _candidate_bytes(c: Candidate) -> bytes:
         ]
     ).astype("<f8")
     whole = [
-        *(c.a, c.b, s.corridors.ravel(), s.ends.ravel(), s.along),
-        *(x.extra_b, x.extra_b_in, x.extra_a, x.extra_a_in, x.crossing.ravel()),
-        x.elsewhere.ravel(),
+        *(c.a, c.b, s.corridors.T.ravel(), s.ends.ravel(), s.along + 1),
+        *(x.extra_b, x.extra_b_in, x.extra_a, x.extra_a_in, x.crossing.T.ravel()),
+        x.elsewhere.T.ravel(),
     ]
     return head.tobytes() + floats.tobytes() + np.concatenate(whole).astype("<i4").tobytes()
 
@@ -108,26 +108,24 @@ def _candidate(data: bytes, at: int, a: Prepared, b: Prepared) -> tuple[Candidat
     i = np.frombuffer(data, "<i4", wholes, at + 8 * reals).astype(np.int64)
     if not (np.abs(f) <= LARGEST).all():
         return None
-    turn, links, branches, b_bits, a_bits = _split(f[SCALARS:], (2 * k, m, k, eb, ea))
-    (va, vb, rows, ends, along, extra_b, b_in, extra_a, a_in, crossing, astray) = _split(
-        i, (k, k, 2 * c, 2 * m, m, eb, eb, ea, ea, 2 * cr, 2 * el)
-    )
-    corridors, crossed, elsewhere = (x.reshape(-1, 2) for x in (rows, crossing, astray))
     n_a, n_b, rows_a, rows_b = len(a), len(b), len(a.tail), len(b.tail)
-    bounds = (
-        (va, n_a), (vb, n_b), (corridors[:, 0], rows_a), (corridors[:, 1], rows_b),
-        (ends, k), (along + 1, c + 1), (extra_b, n_b), (b_in, rows_a), (extra_a, n_a),
-        (a_in, rows_b), (crossed[:, 0], rows_a), (crossed[:, 1], rows_b),
-        (elsewhere[:, 0], rows_a), (elsewhere[:, 1], rows_b),
-    )  # fmt: skip
-    if not all(_within(values, limit) for values, limit in bounds):
+    sizes = (k, k, c, c, 2 * m, m, eb, eb, ea, ea, cr, cr, el, el)
+    limits = (n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, *[rows_a, rows_b] * 2)
+    if wholes and not ((i >= 0) & (i < np.repeat(limits, sizes))).all():
         return None
+    turn, links, branches, b_bits, a_bits = _split(f[SCALARS:], (2 * k, m, k, eb, ea))
+    va, vb, *rows, ends, along, extra_b, b_in, extra_a, a_in, cross_a, cross_b, far_a, far_b = (
+        _split(i, sizes)
+    )
+    corridors, crossed, elsewhere = (
+        np.array(columns).T.copy() for columns in (rows, (cross_a, cross_b), (far_a, far_b))
+    )
     candidate = Candidate(
         transform=f[:3],
         a=va,
         b=vb,
         turn=turn.view(np.complex128),
-        support=Support(corridors, ends.reshape(-1, 2), along, links, branches, float(f[6])),
+        support=Support(corridors, ends.reshape(-1, 2), along - 1, links, branches, float(f[6])),
         conflicts=Conflicts(
             extra_b, b_in, b_bits, extra_a, a_in, a_bits, crossed, elsewhere, float(f[7])
         ),
@@ -141,7 +139,3 @@ def _candidate(data: bytes, at: int, a: Prepared, b: Prepared) -> tuple[Candidat
 def _split(values: NDArray[Number], sizes: tuple[int, ...]) -> list[NDArray[Number]]:
     stops = np.cumsum(sizes).tolist()
     return [values[stop - size : stop] for size, stop in zip(sizes, stops, strict=True)]
-
-
-def _within(values: IntArray, limit: int) -> bool:
-    return len(values) == 0 or (int(values.min()) >= 0 and int(values.max()) < limit)

@@ -195,7 +195,7 @@ class _Lengths:
         for variance in (noise, noise + self.built):
             odds = self.odds(NODES[:, None, None] ** 2 * variance, share)  # by node
             flat = odds.reshape(len(NODES), -1)
-            powers = (NODE_WEIGHTS @ np.exp(tilt * flat) for tilt in TILTS)
+            powers = (np.einsum("n,nk", NODE_WEIGHTS, np.exp(tilt * flat)) for tilt in TILTS)
             moments.append(np.stack([moment.reshape(noise.shape) for moment in powers], axis=1))
         exact = np.array(EXACT_SHARES)[:, None, None]
         return np.asarray(np.log(exact * moments[0][:, None] + (1 - exact) * moments[1][:, None]))

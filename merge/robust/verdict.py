@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from ...topology.digits import BITS, rounded
 from ..result import Verdict
 from .alignment import Candidate
 from .prepare import Prepared
-from .repetition import CopyModel, sameness
+from .repetition import CopyModel, Sameness, sameness_of
 from .settings import RobustSettings
 
 ODD_BITS = 4.0
@@ -214,14 +214,17 @@ def _share(level: float) -> float:
     return min(max(level, 0.0), 1.0)
 
 
-def opinion(
-    a: Prepared,
-    b: Prepared,
-    candidates: Sequence[Candidate],
-    level: Bar,
-    same_bits: Callable[[Candidate], float] | None = None,
-) -> Opinion:
-    """The verdict on a pair from its candidate alignments.
+Found = tuple[Prepared, Prepared, Sequence[Candidate], Bar]
+"""Two maps, their candidate alignments, and what they must reach."""
+
+
+def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Bar) -> Opinion:
+    """The verdict on a pair from its candidate alignments."""
+    return opinions([(a, b, candidates, level)])[0]
+
+
+def opinions(pairs: Sequence[Found]) -> list[Opinion]:
+    """Verdicts on pairs of one batch from their candidate alignments.
 
     merged: enough evidence against chance, the same place rather than a copy of it, and a lead
     over every other placement. ambiguous: an alignment that chance hardly offers, but one of the
@@ -229,25 +232,52 @@ def opinion(
 
     The second question is asked where the building has corridors of few sizes, and of alignments
     as small as copies are. Its bits are counted on the scale of the first: with as many bits beyond
-    what either question must yield, both answers are as sure. same_bits: what a candidate answers to
-    the second question, where that was worked out before.
+    what either question must yield, both answers are as sure.
     """
-    odd = _beyond_chance(candidates, level)
+    shown = [_beyond_chance(candidates, level) for _, _, candidates, level in pairs]
+    shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
+    cases = [
+        (a, b, c)
+        for (a, b, _, _), odd, share in zip(pairs, shown, shares, strict=True)
+        if max(share, default=0.0) > 0
+        for c in odd
+    ]
+    same = sameness_of(cases, pairs[0][3].copies) if cases else iter(())
+    told = zip(pairs, shown, shares, strict=True)
+    return [
+        _opinion(candidates, level, odd, share, same)
+        for (_, _, candidates, level), odd, share in told
+    ]
+
+
+def _repetitions(
+    a: Prepared, b: Prepared, _: object, level: Bar, odd: Sequence[Candidate]
+) -> list[float]:
+    """0 to 1 of each alignment: how far the second question is asked of it."""
+    uniform = uniformity(a, b) if odd else 0.0
+    return [max(uniform, level.may_be_copy(c)) for c in odd]
+
+
+def _opinion(
+    candidates: Sequence[Candidate],
+    level: Bar,
+    odd: Sequence[Candidate],
+    shares: Sequence[float],
+    same: Iterator[Sameness],
+) -> Opinion:
+    """The verdict on a pair. odd: alignments beyond chance; shares: how far the second question is
+    asked of each; same: what it yields, if any asks it."""
     if not odd:
         return Opinion(
             Verdict.UNRELATED, level.need_bits, faint=faint_of(candidates, level.settings)
         )
-    uniform = uniformity(a, b)
-    repetition = [max(uniform, level.may_be_copy(c)) for c in odd]
-    asked = max(repetition) > 0
+    asked = max(shares) > 0
     answers = []
-    for c, share in zip(odd, repetition, strict=True):
-        same = None
-        if asked:
-            same = same_bits(c) if same_bits else sameness(a, b, c, level.copies).bits
+    for c, share in zip(odd, shares, strict=True):
+        same_bits = next(same).bits if asked else None
         need_same = share * level.need_copy_bits
         carried = counted_bits(c)
-        answers.append(Answers(level.need_bits, c.bits, carried, share, same, need_same))
+        answers.append(Answers(level.need_bits, c.bits, carried, share, same_bits, need_same))
     ranking = sorted(range(len(odd)), key=lambda i: -answers[i].bits)
     ranked = tuple((odd[i], answers[i].bits) for i in ranking)
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
