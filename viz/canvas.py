@@ -25,6 +25,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
+from .palette import Order
 from .theme import Theme, as_variables
 
 FloatArray = NDArray[np.float64]
@@ -125,7 +126,7 @@ class Canvas:
         colour: str,
         width_pt: float,
         *,
-        order: float = 2.0,
+        order: Order = Order.CORRIDOR,
         told: str = "",
     ) -> None:
         """Polylines [m] in one colour; told: what hovering over them says, in an SVG."""
@@ -149,7 +150,7 @@ class Canvas:
         colour: str,
         size_pt: float,
         *,
-        order: float = 3.0,
+        order: Order = Order.JUNCTION,
         told: str = "",
         ring: bool = False,
     ) -> None:
@@ -187,7 +188,7 @@ class Canvas:
         shown = {
             "ha": "center",
             "va": "center",
-            "zorder": 6.0,
+            "zorder": Order.WORDS,
             "parse_math": False,
             "fontfamily": "sans-serif",
         } | how

@@ -28,7 +28,7 @@ from ..merge.result import shown_bits
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import bounds, pen_m
+from .drawing import SHEET_MARGIN, bounds, pen_m
 from .fused_layers import write_cards, write_own_map
 from .map_summary import bulleted, plain
 from .placements import placements
@@ -290,7 +290,7 @@ def _blueprint(cells: list[Cell], name: str) -> rrb.Blueprint:
     corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
     return rrb.Blueprint(
         rrb.Horizontal(
-            map_view(PLACEMENTS, "Placements", *bounds([corners], margin=0.02)),
+            map_view(PLACEMENTS, "Placements", *bounds([corners], margin=SHEET_MARGIN)),
             rrb.Tabs(
                 rrb.TextDocumentView(origin="/decision", name="Decision"),
                 rrb.TextDocumentView(origin="/evidence", name="Every term"),

@@ -13,16 +13,14 @@ from ..merge.result import Alignment, FusedMap, MergeResult, PairVerdict, shown_
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
-from .drawing import bounds, branch_arrows, driven_branches, ribbon
+from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_branches, ribbon
+from .palette import Order
 from .parts import Part, lay_out, ranks
 from .placements import contradiction_spots, placements
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .theme import Theme
 
 FloatArray = NDArray[np.float64]
-
-MOST_NUMBERS = 150
-"""Above this many junctions their numbers hide more than they tell."""
 
 MOST_TOLD = 3000
 """Above this many corridors or junctions they are drawn together, and do not tell their numbers."""
@@ -42,7 +40,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     """One run's map: corridors, junctions by their branches, branches that were never driven."""
     turn = np.array([0.0, 0.0, upright_rad(topomap.paths)])
     points = [apply(turn, topomap.xy), *(apply(turn, p) for p in topomap.paths)]
-    low, high = bounds(points, margin=0.04)
+    low, high = bounds(points)
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     keys = [*_corridors_of(canvas, topomap, turn), *_unexplored(canvas, topomap, turn)]
     keys += _junctions_of(canvas, topomap, turn)
@@ -89,7 +87,7 @@ def _unexplored(canvas: Canvas, m: TopoMap | FusedMap, T: FloatArray) -> list[Ke
         return []
     origin, vector = branch_arrows(m, 8.0 / canvas.points_per_m)
     ends = [apply(T, np.stack([o, o + v])) for o, v in zip(origin[free], vector[free], strict=True)]
-    canvas.lines(ends, canvas.theme["unexplored"], 1.5, order=2.5)
+    canvas.lines(ends, canvas.theme["unexplored"], 1.5, order=Order.UNEXPLORED)
     return [Key("stub", canvas.theme["unexplored"], "branch never driven")]
 
 
@@ -111,7 +109,7 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
             told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}"
             canvas.dots(xy[i : i + 1], colour, size, told=told)
         keys.append(Key("big dot" if degree >= 3 else "dot", colour, label))
-    if len(m) <= MOST_NUMBERS:
+    if len(m) <= MOST_NUMBERED:
         for i, where in enumerate(_beside(m, T, xy, 8.0 / canvas.points_per_m)):
             canvas.words((float(where[0]), float(where[1])), str(i), size_pt=SMALL_PT)
     return keys
@@ -188,7 +186,7 @@ def _merged_keys(
 
 def _extent(cells: Sequence[Cell]) -> tuple[FloatArray, FloatArray]:
     corners = [corner for cell in cells for corner in (cell.low, cell.high)]
-    return bounds([np.array(corners).reshape(-1, 2)], margin=0.01)
+    return bounds([np.array(corners).reshape(-1, 2)], margin=SHEET_MARGIN)
 
 
 def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:
@@ -198,7 +196,7 @@ def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> Non
     for cell, title in zip(cells, titles, strict=True):
         (x0, y0), (x1, y1) = cell.low, cell.high
         outline = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
-        canvas.lines([outline], canvas.theme["card"], 0.8, order=0.5)
+        canvas.lines([outline], canvas.theme["card"], 0.8, order=Order.CARD)
         size = TEXT_PT if len(cells) < 12 else SMALL_PT
         at = (float(x0 + x1) / 2, float(y1) - 0.8 * size / canvas.points_per_m)
         canvas.words(at, title, size_pt=size, room_m=0.96 * float(x1 - x0))
@@ -228,7 +226,7 @@ def _fused(
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
     xy = apply(T, fused.xy[part.vertices]) if len(part.vertices) else np.zeros((0, 2))
     canvas.dots(xy[~shared], canvas.theme["single"], 1.4 * pen_pt)
-    canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=4.0)
+    canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=Order.TIE)
 
 
 def draw_decision(
@@ -318,9 +316,11 @@ def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray
     one, two = xy[0][pairs[:, 0]], xy[1][pairs[:, 1]]
     ink = canvas.theme["ink"]
     for (u, v), p, q in zip(pairs.tolist(), one, two, strict=True):
-        canvas.lines([np.stack([p, q])], ink, 0.7, order=4.0, told=f"junction {u} = junction {v}")
-    canvas.dots(one, ink, 6.5, order=4.5, ring=True)
-    canvas.dots(two, ink, 6.5, order=4.5, ring=True)
+        canvas.lines(
+            [np.stack([p, q])], ink, 0.7, order=Order.TIE, told=f"junction {u} = junction {v}"
+        )
+    canvas.dots(one, ink, 6.5, order=Order.TIE, ring=True)
+    canvas.dots(two, ink, 6.5, order=Order.TIE, ring=True)
     return True
 
 
@@ -336,7 +336,7 @@ def _links(
                 width = 2.0 + 0.5 * min(t.bits, 6.0)
                 told = f"{t.bits:+.1f} bits: {t.told}"
                 line = xy[side][list(ends)]
-                canvas.lines([line], canvas.theme["agrees"], width, order=1.0, told=told)
+                canvas.lines([line], canvas.theme["agrees"], width, order=Order.EVIDENCE, told=told)
                 drawn = True
     return drawn
 
@@ -349,11 +349,20 @@ def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatAr
             told = f"{t.bits:+.1f} bits: {t.told}"
             if len(ends) == 1:
                 at = xy[side][ends[0]][None]
-                canvas.dots(at, canvas.theme["against"], 9.0, order=5.0, ring=True, told=told)
+                canvas.dots(
+                    at,
+                    canvas.theme["against"],
+                    9.0,
+                    order=Order.CONTRADICTION,
+                    ring=True,
+                    told=told,
+                )
                 drawn = True
             elif len(ends) == 2 and t.kind != "unseen":
                 line = xy[side][list(ends)]
-                canvas.lines([line], canvas.theme["against"], 2.2, order=5.0, told=told)
+                canvas.lines(
+                    [line], canvas.theme["against"], 2.2, order=Order.CONTRADICTION, told=told
+                )
                 drawn = True
     return drawn
 
@@ -379,7 +388,9 @@ def draw_placements(
         matched |= _ties(canvas, alignment, xy)
         for spot in contradiction_spots(alignment, *xy):
             ink = canvas.theme["against"]
-            canvas.dots(spot.xy[None], ink, 9.0, order=5.0, ring=True, told=spot.told)
+            canvas.dots(
+                spot.xy[None], ink, 9.0, order=Order.CONTRADICTION, ring=True, told=spot.told
+            )
             against = True
     canvas.finish(
         [], [_pair_keys(theme, a.run, b.run, matched=matched, links=False, against=against)]

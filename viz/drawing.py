@@ -21,6 +21,12 @@ SAME_BRANCH_RAD = 0.7
 LEAVING_M = 1.5
 """A corridor's direction at its end is taken over this way."""
 
+MOST_NUMBERED = 150
+"""Above this many junctions their numbers hide more than they tell: pointing at them shows them."""
+
+MARGIN, SHEET_MARGIN = 0.05, 0.02
+"""Room around a map, and around a sheet of maps, which have room of their own: shares of it."""
+
 
 class Graph(Protocol):
     """What a TopoMap and a FusedMap have in common; the fields are TopoMap's."""
@@ -120,7 +126,7 @@ def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
     return np.flatnonzero(keep)
 
 
-def bounds(points: Sequence[FloatArray], margin: float) -> tuple[FloatArray, FloatArray]:
+def bounds(points: Sequence[FloatArray], margin: float = MARGIN) -> tuple[FloatArray, FloatArray]:
     """Low and high corner (2,) around all points, with a margin given as a share of the extent."""
     joined = np.concatenate([*points, np.zeros((0, 2))])
     if len(joined) == 0:

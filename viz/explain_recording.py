@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import bounds, pen_m
+from .drawing import SHEET_MARGIN, bounds, pen_m
 from .fused_layers import write_cards, write_own_map
 from .map_summary import plain
 from .recording import HAIR, UP, Recording, map_view, markdown, placed, write_recording
@@ -251,7 +251,7 @@ def _pose(pose: FloatArray) -> str:
 
 def _placements_view(cells: list[Cell]) -> rrb.View:
     corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
-    return map_view(PLACEMENTS, "Placements", *bounds([corners], margin=0.02))
+    return map_view(PLACEMENTS, "Placements", *bounds([corners], margin=SHEET_MARGIN))
 
 
 def _space_view(e: Explanation) -> rrb.View:

@@ -17,7 +17,7 @@ from ..topology.run import Detections
 from ..topology.topomap import TopoMap
 from . import palette
 from .detections import write_detections
-from .drawing import bounds, branch_arrows, driven_branches, pen_m
+from .drawing import MOST_NUMBERED, bounds, branch_arrows, driven_branches, pen_m
 from .growing import light_up
 from .history import History, Question, history, questions
 from .map_summary import Shown, map_summary
@@ -34,9 +34,6 @@ from .recording import (
     write_recording,
 )
 from .robot_track import RobotTrack, robot_track
-
-MOST_LABELS = 150
-"""Above this many vertices, numbers on the map hide more than they tell: hover shows them."""
 
 MOST_NODES = 300
 """Above this many vertices there is no room for a graph of boxes."""
@@ -170,7 +167,7 @@ def _junctions(
             positions=topomap.xy,
             radii=np.where(topomap.degree >= 3, 2.2, 1.6) * pen_m([topomap]),
             labels=[str(i) for i in range(n)],
-            show_labels=n <= MOST_LABELS,
+            show_labels=n <= MOST_NUMBERED,
             draw_order=palette.Order.JUNCTION,
         ),
         rr.AnyValues(
@@ -343,7 +340,7 @@ def _track(recording: Recording, track: RobotTrack) -> None:
 def _blueprint(topomap: TopoMap, track: RobotTrack | None, health: Sequence[Lane]) -> rrb.Blueprint:
     views: list[rrb.View] = [_map_view(topomap, track)]
     if 0 < len(topomap) <= MOST_NODES:
-        low, high = bounds([_on_graph(topomap)], margin=0.05)
+        low, high = bounds([_on_graph(topomap)])
         around = rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[low[1], high[1]])
         views.append(rrb.GraphView(origin="/graph", name="Graph", visual_bounds=around))
     pages: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
@@ -401,9 +398,9 @@ def _event_columns() -> rrb.TextLogColumns:
 
 def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
     shown: list[NDArray[np.float64]] = [topomap.xy, *topomap.paths]
-    low, high = bounds(shown, margin=0.05)
+    low, high = bounds(shown)
     if track is not None:
-        wide_low, wide_high = bounds([*shown, *track.stretches], margin=0.05)
+        wide_low, wide_high = bounds([*shown, *track.stretches])
         if np.all(wide_high - wide_low <= WIDEST * (high - low)):
             low, high = wide_low, wide_high
     hidden = rrb.EntityBehavior(visible=False)

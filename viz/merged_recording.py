@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from ..merge.result import MergeResult
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import bounds
+from .drawing import SHEET_MARGIN, bounds
 from .fused_layers import (
     AGREEMENT,
     FUSED,
@@ -97,7 +97,7 @@ def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]
 
 def _view(root: str, name: str, cells: list[Cell]) -> rrb.Spatial2DView:
     corners = [corner for cell in cells for corner in (cell.low, cell.high)]
-    low, high = bounds([np.array(corners).reshape(-1, 2)], margin=0.02)
+    low, high = bounds([np.array(corners).reshape(-1, 2)], margin=SHEET_MARGIN)
     return map_view(root, name, low, high)
 
 

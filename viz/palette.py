@@ -13,7 +13,7 @@ Colours = NDArray[np.uint8]
 
 
 class Order(IntEnum):
-    """What lies over what in a recording, from below."""
+    """What lies over what, from below."""
 
     CARD = auto()
     CLOSURE = auto()
@@ -27,8 +27,8 @@ class Order(IntEnum):
     UNEXPLORED = auto()
     RING = auto()
     JUNCTION = auto()
-    CONTRADICTION = auto()
     TIE = auto()
+    CONTRADICTION = auto()
     SEEN = auto()
     ROBOT = auto()
     WORDS = auto()
