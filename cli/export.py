@@ -15,6 +15,7 @@ from .output import Screen, count, say_text
 from .workspace import MERGED, Workspace, shortened
 
 if TYPE_CHECKING:
+    from ..ingest.remote.path import LogPath
     from ..merge.document import MergedDocument
     from ..topology.odometry import Odometry
     from ..topology.topomap import TopoMap
@@ -233,7 +234,7 @@ def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[s
     return out
 
 
-def _odometry(place: Workspace, run: str, log: Path | None) -> Odometry:
+def _odometry(place: Workspace, run: str, log: LogPath | None) -> Odometry:
     """The odometry of a run from its log: as it was read for the map, if that is recorded."""
     from ..ingest.reading import ReadSettings, read_run
     from .ingest_worker import READ_OPTIONS

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..topology.errors import LogError
-from .ingest import JunctionFields, JunctionTopic, OdometryTopic
+from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
 from .output import complain, count, say, say_lines, table
 from .scan_options import JunctionsFrom, ScanTopic
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
+    from ..ingest.remote.path import LogPath
 
 WHOLE_BYTES = 64_000_000
 """A log of this size is read in a fraction of a second."""
@@ -25,10 +26,11 @@ WHOLE_BYTES = 64_000_000
 
 def info(
     logs: Annotated[
-        list[Path],
+        list[str],
         typer.Argument(
             metavar="LOG...",
-            help="MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs.",
+            help="MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
+            "elsewhere (s3://, gs://, az://, https://).",
         ),
     ],
     odometry_topic: OdometryTopic = None,
@@ -36,16 +38,18 @@ def info(
     junction_fields: JunctionFields = None,
     junctions_from: JunctionsFrom = None,
     scan_topic: ScanTopic = None,
+    allow_scan: AllowScan = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show what logs hold and what ingest would use.
 
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
     with 1 if a log is seen to be damaged, if ingest could not use its topics, or if what they hold
-    would be refused. That is tried with logs of up to 64 MB; of a larger one with an index, no
-    message is read, and a line says so.
+    would be refused. That is tried with logs of up to 64 MB on this machine; of others with an
+    index, no message is read, and a line says so.
     """
     from ..ingest.reading import ReadSettings, find_logs, inspect_log
+    from ..ingest.remote.path import log_path
 
     settings = ReadSettings(
         odometry_topic=odometry_topic,
@@ -54,8 +58,9 @@ def info(
         junctions_from=junctions_from,
         scan_topic=scan_topic,
     )
+    given = [log_path(log, allow_scan=allow_scan) for log in logs]
     failed, told = False, []
-    for each in _each_log(logs, find_logs):
+    for each in _each_log(given, find_logs):
         try:
             if isinstance(each, LogError):
                 raise each
@@ -64,7 +69,7 @@ def info(
             complain(str(error))
             failed = True
             continue
-        if not found.problems and found.bytes <= WHOLE_BYTES:
+        if not found.problems and _read_whole(found):
             found = replace(found, problems=_refused(each, settings))
         if as_json:
             told.append(_as_json(found))
@@ -78,10 +83,10 @@ def info(
 
 
 def _each_log(
-    given: list[Path], find_logs: Callable[[list[Path]], Iterable[Path]]
-) -> Iterator[Path | LogError]:
+    given: list[LogPath], find_logs: Callable[[list[LogPath]], Iterable[LogPath]]
+) -> Iterator[LogPath | LogError]:
     """Every log once; an error in place of what holds none."""
-    seen: set[Path] = set()
+    seen: set[LogPath] = set()
     for path in given:
         try:
             found = list(find_logs([path]))
@@ -103,11 +108,15 @@ def _show(found: LogInfo) -> None:
         say(line)
     for problem in found.problems:
         say(f"problem: {problem}")
-    if found.bytes > WHOLE_BYTES:
+    if not _read_whole(found):
         say("not read whole: what its messages hold may still be refused by ingest")
 
 
-def _refused(log: Path, settings: ReadSettings) -> tuple[str, ...]:
+def _read_whole(found: LogInfo) -> bool:
+    return isinstance(found.path, Path) and found.bytes <= WHOLE_BYTES
+
+
+def _refused(log: LogPath, settings: ReadSettings) -> tuple[str, ...]:
     """Why ingest would refuse to read a log, nothing if it would not."""
     from ..ingest.reading import read_log
 

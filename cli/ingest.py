@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -18,6 +17,7 @@ from .workspace import Workspace, checked_run_name, shortened
 if TYPE_CHECKING:
     from ..ingest.mapping import MappingSettings
     from ..ingest.reading import ReadSettings
+    from ..ingest.remote.path import LogPath
     from .ingest_worker import IngestJob, IngestOutcome
 
 # A process takes about as long to start as reading this takes.
@@ -60,11 +60,22 @@ Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse damaged logs instead of salvaging what they hold.")
 ]
 
+AllowScan = Annotated[
+    bool,
+    typer.Option(
+        "--allow-scan", help="Read remote logs without an index whole, instead of refusing them."
+    ),
+]
+
 
 def ingest(
     logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG...", help="Logs, or folders to search for logs."),
+        list[str],
+        typer.Argument(
+            metavar="LOG...",
+            help="Logs, or folders to search for logs; here, or elsewhere (s3://, gs://, az://, "
+            "https://).",
+        ),
     ],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     odometry_topic: OdometryTopic = None,
@@ -95,6 +106,7 @@ def ingest(
         bool, typer.Option("--force", help="Redo finished runs; replace maps made from other logs.")
     ] = False,
     strict: Strict = False,
+    allow_scan: AllowScan = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -107,9 +119,13 @@ def ingest(
     Without junction detections, junctions are found in laser scans, clouds of points or a grid.
     Finished runs are skipped unless their log or the settings changed. One bad log does not stop
     the others; the exit code is then 1, or 2 if all that is wrong is a missing option.
+
+    Of a log in a bucket (s3://bucket/prefix/), the index and the chunks that hold wanted topics are
+    read, and nothing is copied here; needs topobatch[remote].
     """
     from ..ingest.mapping import MappingSettings
     from ..ingest.reading import ReadSettings
+    from ..ingest.remote.path import log_path
     from ..ingest.scans.slicing import SliceSettings
 
     read = ReadSettings(
@@ -126,7 +142,8 @@ def ingest(
         strict=strict,
     )
     place, screen = Workspace(workspace), Screen(quiet, verbose)
-    planned = _plan(logs, name, place, read, MappingSettings(closure=closure), force)
+    given = [log_path(log, allow_scan=allow_scan) for log in logs]
+    planned = _plan(given, name, place, read, MappingSettings(closure=closure), force)
     with place.held(screen.warn):
         outcomes = _run_all(planned, jobs, screen)
         new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
@@ -139,7 +156,7 @@ def ingest(
 
 
 def _plan(
-    given: list[Path],
+    given: list[LogPath],
     name: str | None,
     place: Workspace,
     read: ReadSettings,
@@ -151,7 +168,7 @@ def _plan(
     from .ingest_worker import IngestJob, IngestOutcome
 
     planned: list[IngestJob | IngestOutcome] = []
-    logs: dict[Path, None] = {}
+    logs: dict[LogPath, None] = {}
     for path in given:
         try:
             logs |= dict.fromkeys(find_logs([path]))
@@ -162,7 +179,7 @@ def _plan(
             planned.append(IngestOutcome(path, path.name, "failed", text))
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
-    names: dict[str, Path] = {}
+    names: dict[str, LogPath] = {}
     for log in logs:
         try:
             run = checked_run_name(name if name is not None else run_name(log))
@@ -203,11 +220,13 @@ def _run_all(
 ) -> list[IngestOutcome]:
     """Do every job, in this process or in several; a line per finished log."""
     from .ingest_worker import IngestJob, IngestOutcome, job_size, outcomes_of
+    from .remote import announce
 
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
     outcomes = [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:
         _show(outcome, screen)
+    announce(jobs, screen)
     total = sum(job_size(job) for job in jobs)
     with screen.progress("reading", total, "bytes") as advance:
         for outcome in outcomes_of(jobs, _workers(asked, len(jobs), total), advance):

@@ -21,6 +21,7 @@ from .. import __version__
 from ..ingest.grid_log import GridLog
 from ..ingest.mapping import MappingSettings, build_map
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
+from ..ingest.remote.path import LogPath
 from ..topology.document import map_to_document
 from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
@@ -46,7 +47,7 @@ MOST_NAMES = 16
 class IngestJob:
     """One log to turn into a map, and the workspace that it goes to."""
 
-    log: Path
+    log: LogPath
     run: str
     place: Workspace
     read: ReadSettings
@@ -58,7 +59,7 @@ class IngestJob:
 class IngestOutcome:
     """What became of one log; `text` is a summary or, where it failed, the error."""
 
-    log: Path
+    log: LogPath
     run: str
     status: Literal["done", "unchanged", "failed"]
     text: str
@@ -105,8 +106,8 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     job = replace(job, run=_called(job.place, job.run))
     key = _content_key(job)
     before = job.place.ingested(job.run) or {}
-    had = _runs_of(before, job.run)
-    if not job.force and before.get("key") == key and _all_there(job.place, had):
+    had = _kept(job, key)
+    if had:
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
     found = read_log(job.log, job.read, on_bytes=on_bytes)
     found = found if found.name == job.run else replace(found, name=job.run)
@@ -140,6 +141,20 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     return IngestOutcome(
         job.log, job.run, "done", text, tuple(told), maps=len(maps), details=details
     )
+
+
+def is_unchanged(job: IngestJob) -> bool:
+    """Whether `ingest_one` will find nothing to do."""
+    job = replace(job, run=_called(job.place, job.run))
+    return bool(_kept(job, _content_key(job)))
+
+
+def _kept(job: IngestJob, key: str) -> list[str]:
+    """The runs that the same log gave before by the same settings, if all is there; else none."""
+    before = job.place.ingested(job.run) or {}
+    had = _runs_of(before, job.run)
+    same = not job.force and before.get("key") == key and _all_there(job.place, had)
+    return had if same else []
 
 
 def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
@@ -230,7 +245,7 @@ def _runs_of(record: dict[str, Any], run: str) -> list[str]:
     return [name for name in listed if isinstance(name, str) and own.fullmatch(name)]
 
 
-def _origin(log: Path) -> str:
+def _origin(log: LogPath) -> str:
     """Where a log lies; bytes of the path that are no text are written out."""
     return str(log.resolve()).encode("utf-8", "backslashreplace").decode()
 

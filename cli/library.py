@@ -36,7 +36,8 @@ def ingest(
     Parameters
     ----------
     log
-        An MCAP file, a ROS 1 bag, or a ROS 2 bag folder.
+        An MCAP file, a ROS 1 bag, or a ROS 2 bag folder; or the address of one elsewhere
+        (``s3://bucket/run1.mcap``; docs/remote.md).
     name
         What to call the run; after the log by default.
     odometry_topic, junction_topic, junction_fields, base_frame, time, strict
@@ -65,6 +66,7 @@ def ingest(
     """
     from ..ingest.mapping import build_map
     from ..ingest.reading import ReadSettings, read_run
+    from ..ingest.remote.path import log_path
     from ..merge.pieces import joined_pieces
     from .workspace import checked_run_name
 
@@ -76,7 +78,7 @@ def ingest(
         time=time,
         strict=strict,
     )
-    run = read_run(Path(log), settings)
+    run = read_run(log_path(log), settings)
     if name is not None:
         run = replace(run, name=checked_run_name(name))
     return joined_pieces(build_map(run))

@@ -138,7 +138,14 @@ def _log_changes(place: Workspace, run: str) -> list[str]:
 
 
 def _still_there(log: str, size: int) -> bool:
-    """Is there a file of such a size, or a folder? It is not opened: a record can name anything."""
+    """Is there a file of such a size, or a folder? It is not opened: a record can name anything.
+
+    What lies elsewhere is believed to be there: nobody waits for a server to see a list.
+    """
+    from ..ingest.remote.path import is_remote
+
+    if is_remote(log):
+        return True
     try:
         found = os.stat(log)
     except (OSError, ValueError):

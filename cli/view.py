@@ -78,6 +78,8 @@ def _raw_log(place: Workspace, run: str) -> Iterator[Path]:
     from ..viz import write_raw_log
 
     log = place.log_of(run)
+    if not isinstance(log, Path):
+        raise DataError(f"{log}: the viewer reads files only; copy the log here to look at it")
     with tempfile.TemporaryDirectory() as spare:
         raw = place.raw_log_rrd(run)
         try:

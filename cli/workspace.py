@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ..topology.errors import DataError, DocumentError, UsageError
 
 if TYPE_CHECKING:
+    from ..ingest.remote.path import LogPath
     from ..merge.document import MergedDocument
     from ..merge.locks import Lock
     from ..topology.topomap import TopoMap
@@ -138,17 +139,20 @@ class Workspace:
             return None  # a cache: without it the run is just done again
         return found if isinstance(found, dict) else None
 
-    def log_of(self, run: str, otherwise: str = "ingest it again") -> Path:
-        """The log that a run's map was made from.
+    def log_of(self, run: str, otherwise: str = "ingest it again") -> LogPath:
+        """The log that a run's map was made from. Whether one elsewhere is there is not asked.
 
         DataError where that is not recorded, or the log is gone; `otherwise`: what to do then.
         """
+        from ..ingest.remote.path import log_path
+
         log = (self.ingested(run) or {}).get("log")
         if not isinstance(log, str):
             raise DataError(f"run {run}: it is not recorded where its log is; {otherwise}")
-        if not Path(log).exists():
+        place = log_path(log)
+        if isinstance(place, Path) and not place.exists():
             raise DataError(f"{log}: the log of run {run} is not there any more; {otherwise}")
-        return Path(log)
+        return place
 
     @property
     def pairs(self) -> Path:

@@ -15,6 +15,7 @@ from .logs.recording import Recording, recording_at, run_name, sniff
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import choose_odometry
 from .read_settings import DEFAULT_READ, ReadSettings, Way
+from .remote.path import LogPath
 from .survey import Index, surveyed, walk
 
 
@@ -34,7 +35,7 @@ class TopicInfo:
 class LogInfo:
     """What a log holds. `problems`: one sentence each, empty for a whole, usable log."""
 
-    path: Path
+    path: LogPath
     name: str
     format: str
     bytes: int
@@ -44,11 +45,11 @@ class LogInfo:
     problems: tuple[str, ...]
 
 
-def inspect_log(path: Path, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
+def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
     """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
-    recording = recording_at(Path(path))
+    recording = recording_at(path)
     if is_saved_map(recording.path):
-        return _of_saved_map(recording)
+        return _of_saved_map(recording, recording.path)
     recording, survey = surveyed(recording, exact=True)
     problems = list(recording.notes)
     if survey is None:
@@ -75,19 +76,19 @@ def inspect_log(path: Path, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
     )
 
 
-def _of_saved_map(recording: Recording) -> LogInfo:
+def _of_saved_map(recording: Recording, path: Path) -> LogInfo:
     """A saved map, as a log with one message."""
     problems: tuple[str, ...] = ()
     why = ""
     try:
-        grid = read_saved_map(recording.path)
+        grid = read_saved_map(path)
         height, width = grid.free.shape
         why = f"{width} x {height} cells of {grid.resolution_m:g} m"
     except LogError as error:
         problems = (str(error),)
     image = TopicInfo(recording.files[1].name, "map_server", 1, "grid", why)
-    name = run_name(recording.path)
-    return LogInfo(recording.path, name, "saved map", recording.bytes, 0, 0.0, (image,), problems)
+    name = run_name(path)
+    return LogInfo(path, name, "saved map", recording.bytes, 0, 0.0, (image,), problems)
 
 
 def _uses(

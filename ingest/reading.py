@@ -32,6 +32,7 @@ from .odometry.jumps import times
 from .odometry.kidnapping import split_where_carried
 from .odometry.reading import because, described, driven, odometry_topic, source_of
 from .read_settings import DEFAULT_READ, ReadSettings
+from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
 from .sources import Clock, Source, choose_clock, clock_without_jumps
 from .survey import LogRead, surveyed, walk
@@ -53,7 +54,7 @@ OnBytes = Callable[[int], None]
 
 
 def read_run(
-    path: Path, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
+    path: LogPath, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
 ) -> Run:
     """`read_log`, of a log that holds a run; LogError if it holds a grid alone."""
     found = read_log(path, settings, on_bytes=on_bytes)
@@ -63,7 +64,7 @@ def read_run(
 
 
 def read_log(
-    path: Path, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
+    path: LogPath, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
 ) -> Run | GridLog:
     """Read the odometry of one log, and the junction sightings or what shows junctions.
 
@@ -75,9 +76,9 @@ def read_log(
     to use, UsageError if a topic must be named. O(bytes read); memory follows the poses kept.
     """
     log = str(path)
-    recording = recording_at(Path(path))
+    recording = recording_at(path)
     if is_saved_map(recording.path):
-        return _saved_map(recording, on_bytes)
+        return _saved_map(recording, recording.path, on_bytes)
     recording, survey = surveyed(recording)
     accept = acceptance(survey.counts if survey else None, settings, log)
     if survey is not None:
@@ -136,12 +137,12 @@ def _with_scans(read: LogRead, source: JunctionSource) -> Run:
     return with_scans(read, source)
 
 
-def _saved_map(recording: Recording, on_bytes: OnBytes | None) -> GridLog:
-    grid = read_saved_map(recording.path)
+def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> GridLog:
+    grid = read_saved_map(path)
     if on_bytes is not None:
         on_bytes(recording.bytes)
     about = {"from": "grid", "topic": recording.files[1].name, "type": "map_server"}
-    return GridLog(run_name(recording.path), grid, {"junctions": about})
+    return GridLog(run_name(path), grid, {"junctions": about})
 
 
 def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:

@@ -25,9 +25,10 @@ from .inflate import (
     inflate_part,
     pieces,
 )
-from .messages import Block, Bytes, DamageError, FileWindow, Ints, Walking
+from .messages import Block, Bytes, DamageError, Ints, Walking
 from .split import Large, whole_records
 from .walk import bag_listed, bag_records
+from .windows import RemoteWindow, Window
 
 SLAB_BYTES = 1 << 20
 """How much of a run of small chunks is taken at a time."""
@@ -71,7 +72,7 @@ class ChunkReader:
 
     def __init__(
         self,
-        window: FileWindow,
+        window: Window,
         messages: MessageReader,
         record_at: Callable[[int], Record | None],
     ) -> None:
@@ -84,6 +85,8 @@ class ChunkReader:
         self._ahead: Ahead[_Chunk] = Ahead()
         self._allowance = Allowance()
         self._small_run = 0
+        # What lies between them is not there.
+        self._chosen = isinstance(window, RemoteWindow)
         self._patience = PATIENCE
 
     def __enter__(self) -> ChunkReader:
@@ -105,7 +108,7 @@ class ChunkReader:
             # How large the data are is told by the record as well.
             size = record.data_size
             self._findings.repaired += 1
-        small = max(size, record.data_size) <= SMALL_BYTES
+        small = max(size, record.data_size) <= SMALL_BYTES and not self._chosen
         self._small_run = self._small_run + 1 if small else 0
         if self._small_run > RUN:
             yield from self.caught_up(everything=True)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
+from ..remote.path import LogPath, RemotePath
 from .bag_chunks import ChunkReader, is_open
 from .bag_heads import HEAD_BYTES, IN_CHUNKS, BagHeads, compression_of
 from .bag_messages import MessageReader
@@ -28,12 +28,12 @@ from .bag_wire import (
     op_of,
     read_index,
 )
+from .chunk_index import ChunkIndex, passed_over
 from .inflate import keep_freed_memory
 from .messages import (
     Block,
     Bytes,
     DamageError,
-    FileWindow,
     Findings,
     Progress,
     Survey,
@@ -42,6 +42,7 @@ from .messages import (
 )
 from .split import RECORD_BYTES
 from .tally import Tally
+from .windows import RemoteWindow, Window, window_on
 
 SLAB_BYTES = 1 << 20
 """How much of what lies outside chunks is walked at a time."""
@@ -55,14 +56,25 @@ class BagFile:
 
     format = "bag"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: LogPath) -> None:
         self.path = path
 
     @cached_property
     def index(self) -> BagIndex | None:
         """The index section of a closed bag, None where it is missing or wrong."""
-        with FileWindow(self.path) as window:
+        with window_on(self.path) as window:
             return read_index(window)
+
+    @property
+    def _chunks(self) -> ChunkIndex | str:
+        return "it has no index, or a damaged one" if self.index is None else self.index.chunks
+
+    def cost(self, want: Want) -> int:
+        """How many bytes of a remote file are fetched for what is wanted."""
+        assert isinstance(self.path, RemotePath)
+        channels = self.index.channels if self.index is not None else {}
+        wanted = Tally(want, Findings(), channels).wanted()
+        return RemoteWindow(self.path).cost(self._chunks, wanted, HEAD_BYTES)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the chunk infos of the index."""
@@ -72,8 +84,12 @@ class BagFile:
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
         """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
-        with FileWindow(self.path, progress) as window:
-            yield from _Walk(window, want, findings, self.index).run()
+        with window_on(self.path, progress) as window:
+            walk = _Walk(window, want, findings, self.index)
+            if isinstance(window, RemoteWindow):
+                yield from walk.run_remotely(window, self._chunks)
+            else:
+                yield from walk.run()
             window.passed(window.size)
 
 
@@ -81,7 +97,7 @@ class _Walk:
     """One pass over a bag."""
 
     def __init__(
-        self, window: FileWindow, want: Want, findings: Findings, index: BagIndex | None
+        self, window: Window, want: Want, findings: Findings, index: BagIndex | None
     ) -> None:
         self._window = window
         self._findings = findings
@@ -92,11 +108,14 @@ class _Walk:
         self._chunks = ChunkReader(window, self._messages, self._at)
         self._looked_at: tuple[int, Record | None] = (-1, None)
 
-    def run(self) -> Iterator[Block]:
-        """All blocks up to the index, the end, or the last readable place."""
+    def run(self, index: ChunkIndex | None = None) -> Iterator[Block]:
+        """All blocks up to the index, the end, or the last readable place.
+
+        index: only those of the chunks that hold what is wanted, and nothing else is read.
+        """
         keep_freed_memory()
         with self._chunks:
-            yield from self._records()
+            yield from self._records() if index is None else self._chosen(index)
             yield from self._chunks.caught_up(everything=True)
         declared = self._index.counts if self._index is not None else {}
         if (
@@ -111,18 +130,36 @@ class _Walk:
             declared = {}
         self._tally.finish(declared)
 
+    def run_remotely(self, window: RemoteWindow, index: ChunkIndex | str) -> Iterator[Block]:
+        """The blocks of the chunks that hold what is wanted; of all if there is no index."""
+        with window.reading(index, self._tally.wanted(), HEAD_BYTES):
+            yield from self.run(None if isinstance(index, str) else index)
+
+    def _chosen(self, index: ChunkIndex) -> Iterator[Block]:
+        """Go through the chunks that hold anything wanted; of the others the index tells enough."""
+        needed = passed_over(index, self._tally, self._findings)
+        self._chunks.met += int((~needed).sum())
+        for begin, stop, _ in index.places(needed):
+            position = begin
+            while position < stop:
+                position = yield from self._next(position)
+            self._window.passed(stop)
+
     def _records(self) -> Iterator[Block]:
         """Go through the records outside chunks."""
         window, position = self._window, len(MAGIC)
         while position < window.size:
             if self._index is not None and position == self._index.start:
                 break
-            record = self._at(position)
-            if record is None or not self._leads_on(record):
-                position = yield from self._around_damage(position, record)
-            else:
-                position = yield from self._record(position, record)
+            position = yield from self._next(position)
             window.passed(min(position, window.size))
+
+    def _next(self, position: int) -> Walking:
+        """Take in what is at a place; returns where to go on."""
+        record = self._at(position)
+        if record is None or not self._leads_on(record):
+            return (yield from self._around_damage(position, record))
+        return (yield from self._record(position, record))
 
     def _leads_on(self, record: Record) -> bool:
         """Whether a record is all there, and another one behind it."""

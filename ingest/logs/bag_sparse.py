@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from .bag_wire import MESSAGE, U32, Record, fields_of, number, op_of
-from .messages import Bytes, DamageError, FileWindow, Ints
+from .messages import Bytes, DamageError, Ints
+from .windows import Window
 
 LARGE_BYTES = 1 << 16
 """Less is rather read along than skipped."""
@@ -17,7 +18,7 @@ HEAD_BYTES = 512
 
 
 def without_large(
-    window: FileWindow, chunk: Record, listed: Ints, unwanted: Callable[[int], bool]
+    window: Window, chunk: Record, listed: Ints, unwanted: Callable[[int], bool]
 ) -> Bytes | None:
     """The records of an uncompressed chunk, with holes in the data of large unwanted messages.
 

@@ -8,19 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .chunk_index import ChunkIndex
 from .columns import Shape
 from .messages import (
     SCHEMA_BYTES,
     Bytes,
     Channel,
     DamageError,
-    FileWindow,
     Ints,
     Survey,
     normal_topic,
     normal_type,
     text,
 )
+from .tally import NUMBERS
+from .windows import RemoteWindow, Window
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
@@ -94,7 +96,7 @@ class Record(NamedTuple):
         return self.data_at + self.data_size
 
 
-def record_at(window: FileWindow, position: int) -> Record:
+def record_at(window: Window, position: int) -> Record:
     """The record at `position`; its data may reach beyond the file. Raises DamageError."""
     head = window.view(position, 4)
     if len(head) < 4:
@@ -136,7 +138,8 @@ def listed_offsets(entries: Bytes) -> Ints:
 class BagIndex(NamedTuple):
     """The index at the end of a closed bag.
 
-    start: its place; chunk_starts: (c,) ascending; counts: messages per connection.
+    start: its place; chunk_starts: (c,) ascending; counts: messages per connection; chunks: what is
+    in which, each with the index records behind it.
     """
 
     start: int
@@ -144,6 +147,7 @@ class BagIndex(NamedTuple):
     chunk_starts: Ints
     counts: dict[int, int]
     span_ns: tuple[int, int]
+    chunks: ChunkIndex
 
     def survey(self) -> Survey:
         """Counts per channel."""
@@ -153,7 +157,7 @@ class BagIndex(NamedTuple):
         return Survey(counts, *self.span_ns)
 
 
-def read_index(window: FileWindow) -> BagIndex | None:
+def read_index(window: Window) -> BagIndex | None:
     """The index of a bag, None where it is missing or does not agree with the bag's header."""
     try:
         header = record_at(window, len(MAGIC))
@@ -169,12 +173,21 @@ def read_index(window: FileWindow) -> BagIndex | None:
         return None
 
 
-def _parse_index(window: FileWindow, start: int, connections: int, chunks: int) -> BagIndex | None:
+class _ChunkInfo(NamedTuple):
+    """Of one chunk: its place, its log times, and the messages per connection in it."""
+
+    begin: int
+    first_ns: int
+    last_ns: int
+    counts: list[list[int]]
+
+
+def _parse_index(window: Window, start: int, connections: int, chunks: int) -> BagIndex | None:
     channels: dict[int, Channel] = {}
-    counts: dict[int, int] = {}
-    starts: list[int] = []
-    span = [1 << 63, 0]
+    infos: list[_ChunkInfo] = []
     position = start
+    if isinstance(window, RemoteWindow):
+        window.copy(start, window.size - start)  # one request, not one per record
     while position < window.size:
         record = record_at(window, position)
         data = window.view(record.data_at, record.data_size).tobytes()
@@ -184,27 +197,45 @@ def _parse_index(window: FileWindow, start: int, connections: int, chunks: int) 
             key, channel = connection_of(record.fields, data)
             channels[key] = channel
         elif record.op == CHUNK_INFO:
-            starts.append(number(record.fields, b"chunk_pos", 8))
-            _add_counts(counts, data)
-            if data:
-                span[0] = min(span[0], time_ns(record.fields.get(b"start_time", b"")))
-                span[1] = max(span[1], time_ns(record.fields.get(b"end_time", b"")))
+            infos.append(_chunk_info(record.fields, data))
         else:
             return None
         position = record.end
-    if len(channels) != connections or len(starts) != chunks or max(starts, default=0) >= start:
+    infos.sort()
+    starts = [info.begin for info in infos]
+    if len(channels) != connections or len(infos) != chunks or max(starts, default=0) >= start:
         return None
+    counts: dict[int, int] = {}
+    for info in infos:
+        for key, count in info.counts:
+            counts[key] = counts.get(key, 0) + count
     if not counts.keys() <= channels.keys():
         return None
-    first, last = span if span[1] else (0, 0)
-    return BagIndex(start, channels, np.array(sorted(starts), np.int64), counts, (first, last))
+    filled = [info for info in infos if info.counts]
+    first = min((info.first_ns for info in filled), default=0)
+    last = max((info.last_ns for info in filled), default=0)
+    by_chunk = _by_chunk(infos, start)
+    return BagIndex(start, channels, by_chunk.begin, counts, (first, last), by_chunk)
 
 
-def _add_counts(counts: dict[int, int], data: bytes) -> None:
+def _chunk_info(fields: Fields, data: bytes) -> _ChunkInfo:
     if len(data) % 8:
         raise DamageError("a chunk info record is cut")
-    for key, count in np.frombuffer(data, "<u4").reshape(-1, 2).tolist():
-        counts[key] = counts.get(key, 0) + count
+    counts = np.frombuffer(data, "<u4").reshape(-1, 2).tolist()
+    begin = number(fields, b"chunk_pos", 8)
+    first, last = (
+        time_ns(fields.get(name, b"")) if data else 0 for name in (b"start_time", b"end_time")
+    )
+    return _ChunkInfo(begin, first, last, counts)
+
+
+def _by_chunk(infos: list[_ChunkInfo], stop: int) -> ChunkIndex:
+    """What is in which of the chunks; each reaches as far as the next one, the last to `stop`."""
+    begin, first, last = (np.array([info[k] for info in infos], np.int64) for k in range(3))
+    rows = [(k, *pair) for k, info in enumerate(infos) for pair in info.counts]
+    chunk, channel, count = np.array(rows, np.int64).reshape(-1, 3).T
+    channel = np.minimum(channel, NUMBERS - 1)
+    return ChunkIndex(begin, np.append(begin, stop)[1:], first, last, chunk, channel, count)
 
 
 class HeadTemplate(NamedTuple):

@@ -29,9 +29,10 @@ from .mcap_messages import NOT_IN_CHUNKS, MessageReader
 from .mcap_small import RUN, SMALL_BYTES, joined, small_chunks
 from .mcap_summary import McapSummary
 from .mcap_wire import MESSAGE, MESSAGE_HEAD, RECORD_HEAD
-from .messages import UNWANTED, Block, Bytes, DamageError, FileWindow, Ints, Walking
+from .messages import UNWANTED, Block, Bytes, DamageError, Ints, Walking
 from .split import Large, whole_records
 from .walk import mcap_records
+from .windows import RemoteWindow, Window
 
 _HEAD = struct.Struct("<BQ").unpack_from
 _NO_RECORD = frozenset({0})
@@ -68,7 +69,7 @@ def _inflated(head: ChunkHead, read: Callable[[int, int], Bytes | bytes]) -> byt
     return data
 
 
-def _plain(head: ChunkHead, window: FileWindow) -> Bytes:
+def _plain(head: ChunkHead, window: Window) -> Bytes:
     """The records of a chunk that is not compressed, in the window; raises DamageError."""
     data = window.view(head.data_at, head.data_size)
     _check(head, data)
@@ -105,7 +106,7 @@ class ChunkReader:
     """
 
     def __init__(
-        self, window: FileWindow, messages: MessageReader, summary: McapSummary | None
+        self, window: Window, messages: MessageReader, summary: McapSummary | None
     ) -> None:
         self.met = False
         self._window = window
@@ -116,6 +117,8 @@ class ChunkReader:
         self._ahead: Ahead[_Chunk] = Ahead()
         self._allowance = Allowance()
         self._small_run = 0
+        # What lies between them is not there.
+        self._chosen = isinstance(window, RemoteWindow)
         self._patience = PATIENCE
         # What is not described there may be described in a chunk of nothing but images.
         self._index_serves = summary is not None and summary.checked and summary.describes_all
@@ -135,7 +138,7 @@ class ChunkReader:
             self._findings.repaired += 1
         self._messages.packed |= head.compression != ""
         self.met = True
-        small = max(head.size, head.data_size) <= SMALL_BYTES
+        small = max(head.size, head.data_size) <= SMALL_BYTES and not self._chosen
         self._small_run = self._small_run + 1 if small else 0
         if self._small_run > RUN:
             yield from self.caught_up(everything=True)
@@ -204,7 +207,13 @@ class ChunkReader:
             return True
         return any(self._tally.sink(n) != UNWANTED for n in numbers.tolist())
 
-    def listed(self, source: FileWindow | Bytes, position: int, size: int) -> None:
+    def told(self, position: int, counts: dict[int, int]) -> None:
+        """Remember how many messages a chunk holds, where the index behind it is not read."""
+        chunk = self._ahead.last
+        if chunk is not None and chunk.position == position:
+            chunk.counts.update(counts)
+
+    def listed(self, source: Window | Bytes, position: int, size: int) -> None:
         """Remember how many messages the index record behind a chunk lists, and where."""
         chunk = self._ahead.last
         if chunk is None:

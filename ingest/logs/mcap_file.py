@@ -8,14 +8,16 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
+from ..remote.path import LogPath, RemotePath
 from .checksum import agrees, crc32
+from .chunk_index import ChunkIndex, passed_over
 from .inflate import WHOLE_BYTES, keep_freed_memory
 from .mcap_chunks import ChunkReader
 from .mcap_heads import HEAD_BYTES, IN_CHUNKS, OUTSIDE, Heads, chunk_head
+from .mcap_index import chunk_index
 from .mcap_mend import trusted
 from .mcap_messages import NOT_IN_CHUNKS, MessageReader
 from .mcap_summary import McapSummary, read_summary
@@ -34,7 +36,6 @@ from .mcap_wire import (
 )
 from .messages import (
     Block,
-    FileWindow,
     Findings,
     Progress,
     Survey,
@@ -44,6 +45,7 @@ from .messages import (
 from .split import RECORD_BYTES
 from .tally import Tally
 from .walk import mcap_records
+from .windows import RemoteWindow, Window, window_on
 
 _HEAD = struct.Struct("<BQ").unpack_from
 
@@ -66,14 +68,25 @@ class McapFile:
 
     format = "mcap"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: LogPath) -> None:
         self.path = path
 
     @cached_property
     def summary(self) -> McapSummary | None:
         """The summary section if it is there, whole and its checksum is right."""
-        with FileWindow(self.path) as window:
+        with window_on(self.path) as window:
             return read_summary(window)
+
+    @cached_property
+    def _chunks(self) -> ChunkIndex | str:
+        return chunk_index(self.summary)
+
+    def cost(self, want: Want) -> int:
+        """How many bytes of a remote file are fetched for what is wanted."""
+        channels = self.summary.channels if self.summary is not None else {}
+        wanted = Tally(want, Findings(), channels).wanted()
+        assert isinstance(self.path, RemotePath)
+        return RemoteWindow(self.path).cost(self._chunks, wanted)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the statistics record of a sound summary."""
@@ -83,8 +96,12 @@ class McapFile:
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
         """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
-        with FileWindow(self.path, progress) as window:
-            yield from _Walk(window, want, findings, self.summary).run()
+        with window_on(self.path, progress) as window:
+            walk = _Walk(window, want, findings, self.summary)
+            if isinstance(window, RemoteWindow):
+                yield from walk.run_remotely(window, self._chunks)
+            else:
+                yield from walk.run()
             window.passed(window.size)
 
 
@@ -92,7 +109,7 @@ class _Walk:
     """One pass over a file."""
 
     def __init__(
-        self, window: FileWindow, want: Want, findings: Findings, summary: McapSummary | None
+        self, window: Window, want: Want, findings: Findings, summary: McapSummary | None
     ) -> None:
         self._window = window
         self._findings = findings
@@ -103,20 +120,44 @@ class _Walk:
         self._messages = MessageReader(self._heads, self._tally, findings, definitions)
         self._chunks = ChunkReader(window, self._messages, summary)
 
-    def run(self) -> Iterator[Block]:
-        """All blocks from the first record to the footer, the end, or the last readable place."""
-        if self._window.view(0, len(MAGIC)).tobytes() != MAGIC:
-            self._findings.note("the file does not begin with the MCAP magic")
+    def run(self, index: ChunkIndex | None = None) -> Iterator[Block]:
+        """All blocks from the first record to the footer, the end, or the last readable place.
+
+        index: only those of the chunks that hold what is wanted, and nothing else is read.
+        """
         keep_freed_memory()
         with self._chunks:
-            complete = yield from self._records()
+            complete = yield from self._records() if index is None else self._chosen(index)
             yield from self._chunks.caught_up(everything=True)
         self._findings.truncated |= not complete
         self._tally.finish(self._summary.counts if self._summary is not None else {})
 
+    def run_remotely(self, window: RemoteWindow, index: ChunkIndex | str) -> Iterator[Block]:
+        """The blocks of the chunks that hold what is wanted; of all if there is no index."""
+        with window.reading(index, self._tally.wanted()):
+            yield from self.run(None if isinstance(index, str) else index)
+
+    def _chosen(self, index: ChunkIndex) -> Walking:
+        """Go through the chunks that hold anything wanted; of the others the index tells enough."""
+        needed = passed_over(index, self._tally, self._findings)
+        for begin, stop, counts in index.places(needed):
+            position = begin
+            while position < stop:
+                head = self._window.view(position, HEAD_BYTES).tobytes()
+                end = self._heads.end(position, head)
+                if end is None or end > self._window.size:
+                    position = yield from self._around_damage(position, end)
+                else:
+                    position = yield from self._record(position, head, end)
+            self._chunks.told(begin, counts)
+            self._window.passed(stop)
+        return 1
+
     def _records(self) -> Walking:
         """Go through the records outside chunks; returns 1 if the footer was reached."""
         window, position = self._window, len(MAGIC)
+        if window.view(0, position).tobytes() != MAGIC:
+            self._findings.note("the file does not begin with the MCAP magic")
         while position + RECORD_HEAD <= window.size:
             head = window.view(position, HEAD_BYTES).tobytes()
             end = self._heads.end(position, head)

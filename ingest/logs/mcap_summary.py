@@ -20,8 +20,9 @@ from .mcap_wire import (
     Cursor,
     Definitions,
 )
-from .messages import Bytes, Channel, DamageError, FileWindow, Ints, Survey
+from .messages import Bytes, Channel, DamageError, Ints, Survey
 from .walk import mcap_records
+from .windows import Window
 
 FOOTER_BYTES = RECORD_HEAD + 20 + len(MAGIC)
 
@@ -40,7 +41,8 @@ class McapSummary(NamedTuple):
     schema it repeats as well, or that have none; chunk_starts: (c,) ascending places of the chunk
     records; chunk_first, chunk_channels: (c + 1,), (k,) the numbers of the channels in chunk i are
     chunk_channels[chunk_first[i]:chunk_first[i + 1]]; counts: messages per channel number, empty
-    where there are no statistics; checked: whether a checksum vouches for all this.
+    where there are no statistics; checked: whether a checksum vouches for all this; listing: the
+    bytes of all this, and (c,) where the chunk indexes are in it, in the order of their chunks.
     """
 
     start: int
@@ -52,6 +54,7 @@ class McapSummary(NamedTuple):
     counts: dict[int, int]
     span_ns: tuple[int, int]
     checked: bool
+    listing: tuple[Bytes, Ints]
 
     @property
     def describes_all(self) -> bool:
@@ -76,7 +79,7 @@ class McapSummary(NamedTuple):
         return Survey(counts, *self.span_ns)
 
 
-def read_summary(window: FileWindow) -> McapSummary | None:
+def read_summary(window: Window) -> McapSummary | None:
     """The summary of a file, None where there is none or something in it is wrong."""
     tail = window.view(window.size - FOOTER_BYTES, FOOTER_BYTES).tobytes()
     if window.size < FOOTER_BYTES + len(MAGIC) or not tail.endswith(MAGIC):
@@ -114,20 +117,31 @@ def _parse(data: Bytes, start: int, checked: bool) -> McapSummary:
         # A writer may repeat channels here, but not their schemas.
         if found is not None and definitions.has_schema(_NUMBERS(body.data)[1]):
             channels[found[0]] = found[1]
-    starts, first, numbers = _chunk_indexes(data, where[op == CHUNK_INDEX])
+    starts, first, numbers, listed = _chunk_indexes(data, where[op == CHUNK_INDEX])
     if len(starts) and starts[-1] >= start:
         raise DamageError("a chunk index points behind the data")
-    return McapSummary(start, definitions, channels, starts, first, numbers, counts, span, checked)
+    return McapSummary(
+        start,
+        definitions,
+        channels,
+        starts,
+        first,
+        numbers,
+        counts,
+        span,
+        checked,
+        listing=(data, listed),
+    )
 
 
 _PLACE_AT, _OFFSETS_AT = RECORD_HEAD + 16, RECORD_HEAD + 36
 """In a chunk index: the place of the chunk, and the places of its message indexes."""
 
 
-def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints]:
-    """Places of the chunks in ascending order, and the channels in them, as columns."""
+def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    """Places of the chunks in ascending order, the channels in them, and where that is told."""
     if len(where) == 0:
-        return where, np.zeros(1, np.int64), where
+        return where, np.zeros(1, np.int64), where, where
     length = words(data, "<i8", where + 1)
     if length.min() < 36 + 28:
         raise DamageError("a chunk index is cut")
@@ -141,7 +155,7 @@ def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints]:
     first = np.concatenate([[0], np.cumsum(count)])
     within = np.arange(first[-1]) - np.repeat(first[:-1], count)
     at = np.repeat(where + _OFFSETS_AT, count) + 10 * within
-    return place, first, words(data, "<u2", at).astype(np.int64)
+    return place, first, words(data, "<u2", at).astype(np.int64), where
 
 
 def _statistics(cursor: Cursor) -> tuple[dict[int, int], tuple[int, int]]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.errors import LogError
+from ..remote.path import LogPath
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
@@ -201,7 +202,10 @@ class Findings:
 class Container(Protocol):
     """One log file, whatever its format."""
 
-    path: Path
+    @property
+    def path(self) -> LogPath:
+        """Where it lies."""
+
     format: str
 
     def survey(self, exact: bool = False) -> Survey | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...topology.errors import LogError
+from ..remote.path import LogPath, RemotePath, log_path
 from .bag_file import BagFile
 from .bag_wire import MAGIC as BAG_MAGIC
 from .inflate import WINDOW_BYTES, ZSTD_MAGIC
@@ -50,8 +50,8 @@ class Recording:
     declared: how many messages the bag's metadata counts, None where there is none.
     """
 
-    path: Path
-    files: tuple[Path, ...]
+    path: LogPath
+    files: tuple[LogPath, ...]
     notes: tuple[str, ...] = ()
     declared: int | None = None
 
@@ -61,13 +61,16 @@ class Recording:
         return sum(file.stat().st_size for file in self.files)
 
 
-def sniff(path: Path) -> str | None:
+def sniff(path: LogPath) -> str | None:
     """The format of a file by its first bytes: "mcap", "bag", "sqlite3", "zstd", or None."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError:
-        return None
+    if isinstance(path, RemotePath):
+        head = path.magic()
+    else:
+        try:
+            with path.open("rb") as file:
+                head = file.read(16)
+        except OSError:
+            return None
     for format_name, magic in (
         ("mcap", MCAP_MAGIC),
         ("bag", BAG_MAGIC),
@@ -83,18 +86,20 @@ def sniff(path: Path) -> str | None:
     return None
 
 
-def run_name(path: Path) -> str:
+def run_name(path: LogPath) -> str:
     """Name of the run that a log holds: folder name, or file name without its log suffixes."""
-    path = Path(path)
+    path = log_path(path)
     name = (
         (path.name or path.resolve().name) if path.name not in ("", "..") else path.resolve().name
     )
     return name if path.is_dir() else _SUFFIX.sub("", name) or name
 
 
-def recording_at(path: Path) -> Recording:
+def recording_at(path: LogPath) -> Recording:
     """The recording at a path; raises LogError where there is none."""
-    path = Path(path)
+    path = log_path(path)
+    if isinstance(path, RemotePath):
+        path = path.fresh()  # what is read of it goes with the recording
     if _is_folder(path):
         return _folder(path)
     if not path.exists():
@@ -103,13 +108,14 @@ def recording_at(path: Path) -> Recording:
         raise LogError(f"{path}: is neither a file nor a folder")
     if path.stat().st_size == 0:
         raise LogError(f"{path}: the file is empty; was the recorder stopped before it wrote?")
-    try:
-        path.open("rb").close()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
+    if isinstance(path, Path):
+        try:
+            path.open("rb").close()
+        except OSError as error:
+            raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
     if is_saved_map(path):
         return Recording(path, saved_map_files(path))
-    if sniff(path) is None:
+    if not _may_be_log(path):
         raise LogError(
             f"{path}: is no log; an MCAP file, a ROS 1 bag (format 2.0), a ROS 2 bag or a saved "
             "map (map.yaml) is needed"
@@ -117,29 +123,39 @@ def recording_at(path: Path) -> Recording:
     return Recording(path, (path,))
 
 
-def _is_folder(path: Path) -> bool:
+def _may_be_log(path: LogPath) -> bool:
+    """Whether a file begins as a log does; elsewhere than here, it is read to find out."""
+    return isinstance(path, RemotePath) or sniff(path) is not None
+
+
+def _is_folder(path: LogPath) -> bool:
     try:
         return path.is_dir()
     except OSError as error:  # within a folder that may not be entered, for instance
         raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
 
 
-def log_size(path: Path) -> int:
+def log_size(path: LogPath) -> int:
     """Bytes of all files of a log."""
     return recording_at(path).bytes
 
 
-def log_fingerprint(path: Path) -> str:
+def log_fingerprint(path: LogPath) -> str:
     """A hash that changes when the log does, in a fraction of the time that reading takes.
 
     Names and sizes of all files, the whole content of files up to 64 MiB, and of larger ones 256
     blocks of 64 KiB spread evenly, the first and the last included. A larger file that is edited
     in place, keeps its size and differs between the sampled blocks alone has the same fingerprint;
-    recording, truncating, appending or compressing anew changes it.
+    recording, truncating, appending or compressing anew changes it. In a bucket the names, sizes
+    and tags of all files, or their times where they have no tags, stand for the content.
     """
     recording = recording_at(path)
     digest = hashlib.blake2b(digest_size=16)
     for file in recording.files:
+        if isinstance(file, RemotePath):
+            size, tag, modified_s = file.state
+            digest.update(f"{file}\0{size}\0{tag or modified_s}\0".encode())
+            continue
         for part in (file, file.with_name(file.name + "-wal")):
             if part.is_file():
                 relative = part.name if part is not recording.path else ""
@@ -160,32 +176,35 @@ def _sample(path: Path, digest: Any) -> None:
             digest.update(file.read(SAMPLE_BYTES))
 
 
-def find_logs(paths: Sequence[Path]) -> list[Path]:
+def find_logs(paths: Sequence[LogPath]) -> list[LogPath]:
     """Every log at or below the given paths, sorted, each once.
 
     A ROS 2 bag folder is one log, and so is a folder that holds nothing but the parts of one
     split recording (`NAME_0`, `NAME_1`, …, each beginning where the one before ended). Below a
     folder, files are taken by content or, so that what is broken is reported, by name; hidden
     ones are passed over; a folder that cannot be listed stands for itself, and reading it says
-    why. A path given directly is returned as it is. Raises LogError for a path that does not exist
-    and for a folder without any log.
+    why. In a bucket, files are taken by name alone. A path given directly is returned as it is.
+    Raises LogError for a path that does not exist and for a folder without any log.
     """
-    found: dict[Path, None] = {}
-    for path in map(Path, paths):
+    found: dict[LogPath, None] = {}
+    for path in map(log_path, paths):
         if not _is_folder(path):
             recording_at(path)
             found[path] = None
             continue
+        if isinstance(path, RemotePath):
+            path.read_all_named(METADATA)
         below = list(_below(path))
         if not below:
             raise LogError(
                 f"{path}: no log in this folder (MCAP, ROS 1 bag, ROS 2 bag or map.yaml)"
             )
         found |= dict.fromkeys(below)
-    return sorted(found)
+    local = sorted(path for path in found if isinstance(path, Path))
+    return [*local, *sorted(path for path in found if isinstance(path, RemotePath))]
 
 
-def _below(folder: Path) -> Iterator[Path]:
+def _below(folder: LogPath) -> Iterator[LogPath]:
     # No recursion: folders can lie in each other deeper than Python's stack.
     waiting = [folder]
     while waiting:
@@ -194,10 +213,10 @@ def _below(folder: Path) -> Iterator[Path]:
         waiting += folders
 
 
-def _listed(folder: Path) -> tuple[list[Path], list[Path]]:
+def _listed(folder: LogPath) -> tuple[list[LogPath], list[LogPath]]:
     """The logs that lie in a folder itself, and the folders to look through."""
     try:
-        entries = sorted(e for e in folder.iterdir() if not e.name.startswith("."))
+        entries = _entries(folder)
         if _is_bag_folder(folder):
             return [folder], []
         files = [entry for entry in entries if entry.is_file() and _is_log(entry)]
@@ -211,7 +230,14 @@ def _listed(folder: Path) -> tuple[list[Path], list[Path]]:
     return [*files, *others], folders
 
 
-def _is_bag_folder(folder: Path) -> bool:
+def _entries(folder: LogPath) -> list[LogPath]:
+    """What lies in a folder and is not hidden, by name."""
+    if isinstance(folder, Path):
+        return [*sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))]
+    return [*sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))]
+
+
+def _is_bag_folder(folder: LogPath) -> bool:
     """Whether a folder is one ROS 2 bag: data sets have a file of that name as well."""
     path = folder / METADATA
     if not path.is_file():
@@ -220,19 +246,22 @@ def _is_bag_folder(folder: Path) -> bool:
         return BAG_INFORMATION.encode() in file.read(METADATA_BYTES)
 
 
-def _is_log(path: Path) -> bool:
+def _is_log(path: LogPath) -> bool:
     """Whether a file is a log by content; one that is named so but is broken counts as well.
 
     The second half matters: a log whose recorder died early is reported by name, not passed over.
+    Elsewhere than here, looking at every file takes too long.
     """
-    kind = sniff(path)
+    if isinstance(path, RemotePath):
+        return _is_part(path)
     named = _NAMED.search(path.name)
+    kind = sniff(path)
     if kind in ("sqlite3", "zstd"):
         return named is not None
     return kind is not None or named is not None or is_saved_map(path)
 
 
-def _is_split(files: Sequence[Path]) -> bool:
+def _is_split(files: Sequence[LogPath]) -> bool:
     """Whether files are the parts of one recording, by their names and by their times."""
     parts = {}
     stems = set()
@@ -244,17 +273,18 @@ def _is_split(files: Sequence[Path]) -> bool:
         parts[int(match["number"])] = file
     if len(stems) != 1 or sorted(parts) != list(range(len(files))):
         return False
-    spans = []
+    before: int | None = None
     for number in sorted(parts):
         span = _span(parts[number])
         if span is None:
             return False
-        spans.append(span)
-    gaps = [after[0] - before[1] for before, after in itertools.pairwise(spans)]
-    return all(-SPLIT_OVERLAP_NS <= gap <= SPLIT_GAP_NS for gap in gaps)
+        if before is not None and not -SPLIT_OVERLAP_NS <= span[0] - before <= SPLIT_GAP_NS:
+            return False
+        before = span[1]
+    return True
 
 
-def _span(path: Path) -> tuple[int, int] | None:
+def _span(path: LogPath) -> tuple[int, int] | None:
     """First and last log time of a part, None where it has none or is compressed as a whole.
 
     A part that its recorder did not finish has no index and is gone through. A broken one has
@@ -287,7 +317,7 @@ SPLIT_OVERLAP_NS = 10**9 // 2
 """Longest overlap of two parts: messages in flight while the recorder changes files."""
 
 
-def container(path: Path) -> Container:
+def container(path: LogPath) -> Container:
     """The reader for one file; raises LogError if it is no log."""
     kind = sniff(path)
     if kind == "mcap":
@@ -295,20 +325,28 @@ def container(path: Path) -> Container:
     if kind == "bag":
         return BagFile(path)
     if kind == "sqlite3":
-        return SqliteFile(path)
+        return SqliteFile(_here(path, "a database can only be read as a whole"))
     raise LogError(f"{path}: is no log; an MCAP file, a ROS 1 bag or a ROS 2 bag is needed")
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Container]:
+def opened(path: LogPath) -> Iterator[Container]:
     """The reader for one file; a file compressed as a whole is unpacked beside the system's
     temporary files for as long as it is read.
     """
     if sniff(path) != "zstd":
         yield container(path)
         return
+    packed = _here(path, "a file that is compressed as a whole can only be read as a whole")
     with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
-        yield container(_unpack(path, Path(folder) / _SUFFIX.sub("", path.name)))
+        yield container(_unpack(packed, Path(folder) / _SUFFIX.sub("", path.name)))
+
+
+def _here(path: LogPath, why: str) -> Path:
+    """The path of a file on this machine; LogError for one elsewhere."""
+    if isinstance(path, RemotePath):
+        raise LogError(f"{path}: {why}; copy it here, or convert it to MCAP (`ros2 bag convert`)")
+    return path
 
 
 def _unpack(path: Path, target: Path) -> Path:
@@ -329,14 +367,14 @@ def _unpack(path: Path, target: Path) -> Path:
     return target
 
 
-def _folder(path: Path) -> Recording:
+def _folder(path: LogPath) -> Recording:
     """The files of a bag folder: those that metadata.yaml names, and any others that are logs."""
     notes: list[str] = []
     try:
         entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
     except OSError as error:
         raise LogError(f"{path}: cannot be listed ({error.strerror})") from error
-    files = [entry for entry in entries if sniff(entry) is not None]
+    files = [entry for entry in entries if _is_part(entry)]
     metadata = Metadata([], None)
     if (path / METADATA).is_file():
         metadata = _metadata(path / METADATA, notes)
@@ -367,16 +405,23 @@ def _folder(path: Path) -> Recording:
     return Recording(path, tuple(files), tuple(notes), metadata.messages)
 
 
+def _is_part(path: LogPath) -> bool:
+    """Whether a file of a bag folder is a log: by content here, by name elsewhere."""
+    if isinstance(path, RemotePath):
+        return _NAMED.search(path.name) is not None
+    return sniff(path) is not None
+
+
 _SUFFIX_ZSTD = re.compile(r"\.(zstd|zst)$")
 
 
-def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+def _natural(path: LogPath) -> tuple[list[tuple[int, str]], str]:
     """Order in which part 10 comes after part 9."""
     pieces = re.split(r"(\d+)", path.name)
     return [(int(p), "") if p.isdecimal() else (-1, p) for p in pieces], path.name
 
 
-def _metadata(path: Path, notes: list[str]) -> Metadata:
+def _metadata(path: LogPath, notes: list[str]) -> Metadata:
     """What metadata.yaml says; an unreadable one is noted, and the folder believed."""
     try:
         if path.stat().st_size > METADATA_BYTES:

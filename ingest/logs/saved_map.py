@@ -9,12 +9,13 @@ import re
 import struct
 import warnings
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.errors import LogError
+from ..remote.path import LogPath, RemotePath
 from .messages import printable
 
 YAML_BYTES = 1 << 16
@@ -56,9 +57,9 @@ def checked_grid(grid: Grid) -> Grid:
     return grid
 
 
-def is_saved_map(path: Path) -> bool:
-    """Whether a file is the description of a saved map, by its name and its keys."""
-    if not _NAMED.search(path.name) or not path.is_file():
+def is_saved_map(path: LogPath) -> TypeGuard[Path]:
+    """Whether a file on this machine describes a saved map, by its name and its keys."""
+    if isinstance(path, RemotePath) or not _NAMED.search(path.name) or not path.is_file():
         return False
     try:
         found = _keys(_text(path))

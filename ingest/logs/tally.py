@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .messages import Channel, Findings, Ints, Want
+from .messages import UNWANTED, Channel, Findings, Ints, Want
 from .spelling import one_bit_apart
 
 NUMBERS = 1 << 16
@@ -88,6 +88,10 @@ class Tally:
     def sink(self, number: int) -> int:
         """Sink number of a channel: wanted from 0 on, UNWANTED, or UNKNOWN."""
         return int(self._sink[number])
+
+    def wanted(self) -> NDArray[np.bool_]:
+        """(NUMBERS,) whether messages are wanted, or may be, as nothing describes them."""
+        return np.asarray(self._sink != UNWANTED)
 
     def known(self, number: int) -> bool:
         """Whether a channel has been described."""

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import obstore
 import pytest
+from obstore.store import S3Store
+
+from topobatch.ingest.remote import store
+from topobatch.ingest.remote.path import RemotePath
 
 
 def _beside(name: str) -> ModuleType:
@@ -38,3 +47,75 @@ def fuzz() -> ModuleType:
 def sensors() -> ModuleType:
     """Messages of lasers, clouds and grids."""
     return _beside("scan_logs")
+
+
+@pytest.fixture(scope="session")
+def servers() -> ModuleType:
+    """An S3 server, one that fails on demand, and a web server."""
+    return _beside("servers")
+
+
+@pytest.fixture(scope="session")
+def s3_port(servers: ModuleType) -> Iterator[int]:
+    with servers.s3_server() as port:
+        yield port
+
+
+IMPATIENT = store.Patience(
+    read_s=0.5, retries=3, retry_s=10.0, first_pause_s=0.01, longest_pause_s=0.05
+)
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Retries follow each other quickly, and nobody waits long."""
+    monkeypatch.setattr(store, "PATIENCE", IMPATIENT)
+    store.store.cache_clear()
+    yield
+    store.store.cache_clear()
+
+
+@dataclass
+class Bucket:
+    """A bucket; `proxy` records what is asked of it, and spoils answers."""
+
+    name: str
+    proxy: Any
+    upstream: Callable[[Any, bytes], Any]
+    request: Any
+    port: int
+
+    @property
+    def url(self) -> str:
+        return f"s3://{self.name}"
+
+    def put(self, key: str, data: bytes) -> None:
+        """Past the proxy."""
+        obstore.put(S3Store(self.name, endpoint=f"http://127.0.0.1:{self.port}"), key, data)
+
+    def put_as_named(self, key: str, data: bytes) -> None:
+        """A new object, whatever its key, which is encoded as in an address."""
+        answer = self.upstream(self.request("PUT", f"/{self.name}/{key}", {}), data)
+        assert answer.status == 200, answer
+
+    def path(self, key: str = "", *, allow_scan: bool = False) -> RemotePath:
+        return RemotePath.parse(f"{self.url}/{key}", allow_scan=allow_scan)
+
+
+@pytest.fixture
+def bucket(
+    servers: ModuleType, s3_port: int, impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Bucket]:
+    upstream = servers.forwarding(s3_port)
+    with servers.running(servers.Recorder(upstream)) as proxy:
+        for name, value in (
+            ("AWS_ACCESS_KEY_ID", "key"),
+            ("AWS_SECRET_ACCESS_KEY", "secret"),
+            ("AWS_REGION", "us-east-1"),
+            ("AWS_ALLOW_HTTP", "true"),
+            ("AWS_ENDPOINT_URL", f"http://127.0.0.1:{proxy.port}"),
+        ):
+            monkeypatch.setenv(name, value)
+        made = Bucket(f"b{uuid.uuid4().hex}", proxy, upstream, servers.Request, s3_port)
+        assert upstream(servers.Request("PUT", f"/{made.name}", {}), b"").status == 200
+        yield made

@@ -1,0 +1,45 @@
+"""What reading logs in buckets and on web servers will cost, said before it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from ..ingest.read_cost import read_cost
+from ..ingest.remote.path import AT_ONCE, RemotePath
+from ..topology.errors import TopobatchError
+from .ingest_worker import IngestJob, is_unchanged, job_size
+from .output import Screen, count
+
+KEPT_BYTES = 1 << 28
+"""Most that is kept of the indexes looked at; those of further logs are asked for again."""
+
+
+def announce(jobs: Sequence[IngestJob], screen: Screen) -> None:
+    """Look at the indexes of all remote logs that are to be read, and say what that will take."""
+    remote = [job for job in jobs if isinstance(job.log, RemotePath)]
+    if not remote:
+        return
+    logs = fetched = whole = kept = 0
+    with ThreadPoolExecutor(AT_ONCE) as pool, screen.progress("indexes", len(remote), "logs") as at:
+        for done, (job, cost) in enumerate(zip(remote, pool.map(_cost, remote), strict=True)):
+            at(done + 1)
+            if cost is None:
+                continue
+            assert isinstance(job.log, RemotePath)
+            logs, fetched, whole = logs + 1, fetched + cost, whole + job_size(job)
+            kept += job.log.kept_bytes
+            if kept > KEPT_BYTES:
+                job.log.forget()
+    screen.line(
+        f"to read: {fetched / 1e6:,.1f} of {whole / 1e6:,.1f} MB in {count(logs, 'remote log')}"
+    )
+
+
+def _cost(job: IngestJob) -> int | None:
+    """Bytes to be fetched; None for a log that is done already, or cannot be read."""
+    assert isinstance(job.log, RemotePath)
+    try:
+        return None if is_unchanged(job) else read_cost(job.log, job.read)
+    except (TopobatchError, OSError):
+        return None  # reading it will say why

@@ -1,0 +1,77 @@
+"""Which chunks of a log hold which channels, by the log's own index."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .messages import Findings, Ints
+from .tally import Tally
+
+Wanted = NDArray[np.bool_]
+"""By channel number: whether anybody wants its messages, or it is not described."""
+
+
+class ChunkIndex(NamedTuple):
+    """The chunks of a log in the order of the file.
+
+    begin, end: (c,) places of their bytes; first_ns, last_ns: (c,) log times; chunk, channel,
+    messages: (k,) so many messages of a channel are in a chunk, in
+    the order of chunks.
+    """
+
+    begin: Ints
+    end: Ints
+    first_ns: Ints
+    last_ns: Ints
+    chunk: Ints
+    channel: Ints
+    messages: Ints
+
+    def needed(self, wanted: Wanted) -> NDArray[np.bool_]:
+        """(c,) which chunks hold any message that is wanted."""
+        out = np.zeros(len(self.begin), bool)
+        out[self.chunk[wanted[self.channel] & (self.messages > 0)]] = True
+        return out
+
+    def ranges(self, wanted: Wanted) -> tuple[Ints, Ints]:
+        """Begin and end of these chunks."""
+        needed = self.needed(wanted)
+        return self.begin[needed], self.end[needed]
+
+    def places(self, chunks: NDArray[np.bool_]) -> Iterator[tuple[int, int, dict[int, int]]]:
+        """Begin and end of some of the chunks, one by one, and the messages per channel in each."""
+        edges = np.searchsorted(self.chunk, np.arange(len(self.begin) + 1))
+        for k in chunks.nonzero()[0].tolist():
+            rows = slice(edges[k], edges[k + 1])
+            counts = zip(self.channel[rows].tolist(), self.messages[rows].tolist(), strict=True)
+            yield int(self.begin[k]), int(self.end[k]), dict(counts)
+
+    def counts(self, chunks: NDArray[np.bool_]) -> dict[int, int]:
+        """Messages per channel in some of the chunks."""
+        inside = chunks[self.chunk]
+        channel, count = self.channel[inside], self.messages[inside]
+        totals = np.zeros(int(channel.max(initial=-1)) + 1, np.int64)
+        np.add.at(totals, channel, count)
+        return {int(n): int(totals[n]) for n in totals.nonzero()[0]}
+
+    def span_ns(self, chunks: NDArray[np.bool_]) -> tuple[int, int] | None:
+        """First and last log time in some of the chunks, as far as they hold anything."""
+        filled = chunks & (self.first_ns <= self.last_ns)
+        if not filled.any():
+            return None
+        return int(self.first_ns[filled].min()), int(self.last_ns[filled].max())
+
+
+def passed_over(index: ChunkIndex, tally: Tally, findings: Findings) -> NDArray[np.bool_]:
+    """Count the messages in chunks that nobody needs; returns (c,) which are needed."""
+    needed = index.needed(tally.wanted())
+    for number, count in index.counts(~needed).items():
+        tally.passed(number, count)
+    span = index.span_ns(~needed)
+    if span is not None:
+        findings.span(*span)
+    return needed

@@ -1,0 +1,77 @@
+"""Which chunks of an MCAP file hold how many messages of which channels, by its summary alone.
+
+A chunk index tells where the message indexes behind its chunk begin, one per channel. Each takes
+15 bytes and 16 per message, so their places tell how many messages there are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .chunk_index import ChunkIndex
+from .columns import words
+from .mcap_summary import McapSummary
+from .mcap_wire import RECORD_HEAD
+from .messages import Ints
+
+_FIRST_AT, _LAST_AT, _PLACE_AT, _LENGTH_AT, _OFFSETS_AT = (
+    RECORD_HEAD + at for at in (0, 8, 16, 24, 36)
+)
+"""In a chunk index: first and last log time, place and length of the chunk, and the list of its
+channels, each with the place of its message index."""
+
+INDEX_HEAD, INDEX_ENTRY = RECORD_HEAD + 6, 16
+"""Bytes of a message index: what is in front of its entries, and of an entry."""
+
+
+def chunk_index(summary: McapSummary | None) -> ChunkIndex | str:
+    """The chunks of a file and what they hold; or why that is not known.
+
+    It is known if the message indexes fill the room between chunks, and together count as many
+    messages of every channel as the statistics do. So nothing lies outside the chunks, and a wrong
+    number that no checksum caught is noticed.
+    """
+    if summary is None:
+        return "it has no index, or a damaged one"
+    data, where = summary.listing
+    if len(where) == 0 or not summary.counts:
+        return "its index lists no chunks or counts no messages"
+    if not summary.describes_all:
+        return "its index does not describe all channels"
+    begin = words(data, "<i8", where + _PLACE_AT)
+    end = begin + words(data, "<i8", where + _LENGTH_AT)
+    if (end <= begin).any() or end.max() > summary.start or (begin[1:] < end[:-1]).any():
+        return "its index contradicts itself"
+    listed = np.diff(summary.chunk_first)
+    chunk = np.repeat(np.arange(len(begin)), listed)
+    count = _counts(summary, end, listed, chunk)
+    index = ChunkIndex(
+        begin,
+        end,
+        words(data, "<i8", where + _FIRST_AT),
+        words(data, "<i8", where + _LAST_AT),
+        chunk,
+        summary.chunk_channels,
+        count,
+    )
+    held = index.counts(np.ones(len(begin), bool))
+    if held != {number: count for number, count in summary.counts.items() if count}:
+        return "its index does not say which chunk holds which messages"
+    return index
+
+
+def _counts(summary: McapSummary, end: Ints, listed: Ints, chunk: Ints) -> Ints:
+    """(k,) messages of a channel in a chunk; nonsense where the places make none."""
+    data, where = summary.listing
+    within = np.arange(len(chunk)) - summary.chunk_first[chunk]
+    at = words(data, "<i8", where[chunk] + _OFFSETS_AT + 10 * within + 2)
+    # Behind the list stands how long all message indexes of the chunk are together.
+    stop = end + words(data, "<i8", where + _OFFSETS_AT + 10 * listed)
+    order = np.lexsort((at, chunk))
+    behind = np.append(at[order][1:], 0)
+    last = np.append(chunk[1:] != chunk[:-1], True)
+    behind[last] = stop[chunk[last]]
+    length = np.empty_like(at)
+    length[order] = behind - at[order]
+    whole = (length >= INDEX_HEAD) & ((length - INDEX_HEAD) % INDEX_ENTRY == 0)
+    return np.where(whole, (length - INDEX_HEAD) // INDEX_ENTRY, 0)

@@ -1,0 +1,88 @@
+"""A look at the bytes of a log, wherever it lies: a file here, or an object elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from ...topology.errors import LogError
+from ..remote.path import LogPath, RemotePath
+from ..remote.source import ReadAhead
+from .chunk_index import ChunkIndex, Wanted
+from .messages import Bytes, FileWindow, Ints, Progress
+
+ALLOW_SCAN = "--allow-scan"
+
+
+class RemoteWindow:
+    """A `FileWindow` on an object elsewhere. LogError where the server fails."""
+
+    def __init__(self, path: RemotePath, progress: Progress | None = None) -> None:
+        self.path = path
+        self.size = path.file.size
+        self._ahead: ReadAhead | None = None
+        self._progress = progress
+        self._told = 0
+
+    def __enter__(self) -> RemoteWindow:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    @contextmanager
+    def reading(self, index: ChunkIndex | str, wanted: Wanted, margin: int = 0) -> Iterator[None]:
+        """While the body runs, the chunks that hold what is wanted are read ahead of it.
+
+        index: or why there is none; margin: how far behind a chunk is looked as well. LogError
+        where all must be read, and nobody allowed that.
+        """
+        if isinstance(index, str) and not self.path.allow_scan:
+            raise LogError(
+                f"{self.path}: {index}, so that all of its {self.size:,} bytes would have to be "
+                f"read; {ALLOW_SCAN} does that"
+            )
+        with self.path.file.reading_ahead(*self._ranges(index, wanted, margin)) as self._ahead:
+            yield
+        self._ahead = None
+
+    def cost(self, index: ChunkIndex | str, wanted: Wanted, margin: int = 0) -> int:
+        """How many bytes `reading` would fetch."""
+        return self.path.file.cost(*self._ranges(index, wanted, margin))
+
+    def _ranges(self, index: ChunkIndex | str, wanted: Wanted, margin: int) -> tuple[Ints, Ints]:
+        if isinstance(index, str):
+            return np.array([0]), np.array([self.size])
+        begin, end = index.ranges(wanted)
+        return begin, np.minimum(end + margin, self.size)
+
+    def view(self, offset: int, length: int) -> Bytes:
+        """The bytes [offset, offset + length), fewer at the end."""
+        return np.frombuffer(self.copy(offset, length), np.uint8)
+
+    def copy(self, offset: int, length: int) -> bytes:
+        """The same bytes. Other threads may call this."""
+        length = max(0, min(length, self.size - offset))
+        return self.path.file.read(offset, length, self._ahead) if length else b""
+
+    def fill(self, target: Bytes, offset: int) -> None:
+        """Read into all of `target`."""
+        target[:] = self.view(offset, len(target))
+
+    def passed(self, offset: int) -> None:
+        """Tell the progress that everything before `offset` is dealt with."""
+        if self._progress is not None and offset > self._told:
+            self._progress(offset - self._told)
+            self._told = offset
+
+
+Window = FileWindow | RemoteWindow
+
+
+def window_on(path: LogPath, progress: Progress | None = None) -> Window:
+    """The bytes of the file or object at a path."""
+    if isinstance(path, RemotePath):
+        return RemoteWindow(path, progress)
+    return FileWindow(path, progress)

@@ -1,0 +1,1 @@
+"""Logs in buckets and on web servers: addresses, listings, and byte ranges instead of files."""

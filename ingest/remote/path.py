@@ -1,0 +1,356 @@
+"""Addresses of logs in buckets and on web servers, with as much of a path's methods as is used.
+
+What is listed is listed once, whole, and kept as a tree; what is read once of an object's ends (its
+summary, for instance) is kept with it, and goes with it to other processes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit, urlunsplit
+
+from ...topology.errors import LogError, UsageError
+from .source import RemoteFile
+from .store import TAIL_MOST, MissingObjectError, Stat, fetch, listed, require_obstore
+
+_REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
+_LOG = re.compile(r"\.(mcap|bag|db3|active|zstd|zst)$", re.IGNORECASE)
+_HEAD_FIRST = re.compile(r"\.(bag|active)$", re.IGNORECASE)
+
+HEAD_BYTES = 4352
+"""The front of a bag: its magic, and its first record, which says where the index is. Writers pad
+that to 4096 bytes."""
+
+TAIL_BYTES = 1 << 13
+TAIL_SHARE = 2048
+"""How much of the end of an MCAP file is asked for at first, 8 KiB and a share: a summary has 1 to
+3 kB per topic and 200 bytes per chunk of 1 MB. What is missing is asked for then."""
+
+SMALL_FILE_BYTES = 1 << 22
+"""Longest description (metadata.yaml) that is read."""
+
+
+AT_ONCE = 16
+"""Small requests under way at a time: each takes some 30 ms, all but one of them waiting."""
+
+
+def is_remote(text: str) -> bool:
+    """Whether a text is the address of something in a bucket or on a web server."""
+    return _REMOTE.match(text) is not None
+
+
+class _Status(NamedTuple):
+    st_size: int
+
+
+@dataclass(slots=True)
+class Known:
+    """What is known of an object: its state, and bytes of its ends by their places."""
+
+    stat: Stat | None = None
+    ends: dict[int, bytes] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Node:
+    """A place in a bucket: an object, a folder with what lies in it, both, or nothing."""
+
+    known: Known | None = None
+    children: dict[str, _Node] = field(default_factory=dict)
+
+    def at(self, key: str) -> _Node:
+        """The place below; made if it is not there."""
+        node = self
+        for name in key.split("/") if key else ():
+            node = node.children.setdefault(name, _Node())
+        return node
+
+    def kinds(self) -> list[_Node]:
+        """The object and the folder that have this name. An empty object only marks the folder."""
+        if self.known is None or not self.children:
+            return [self]
+        folder = _Node(None, self.children)
+        marks = self.known.stat is not None and self.known.stat.size == 0
+        return [folder] if marks else [_Node(self.known), folder]
+
+    def objects(self) -> list[Known]:
+        """What is known of the object, and of those in the folder itself."""
+        nodes = [self, *self.children.values()]
+        return [node.known for node in nodes if node.known is not None]
+
+    def flat(self) -> _Node:
+        """With what lies in the folder itself."""
+        return _Node(self.known, {name: _Node(n.known) for name, n in self.children.items()})
+
+
+class RemotePath:
+    """A place in a bucket or on a web server.
+
+    root: what a store is opened for, `s3://bucket`; key: the place in it. allow_scan: whether
+    logs without an index may be read whole. Printed without what an address may hold of secrets.
+    Its methods are those of pathlib.Path; they raise LogError where a server must be asked and
+    cannot be.
+    """
+
+    __slots__ = ("_file", "_found", "allow_scan", "key", "root")
+
+    def __init__(
+        self, root: str, key: str, found: _Node | None = None, *, allow_scan: bool = False
+    ) -> None:
+        self.root, self.key, self._found, self.allow_scan = root, key, found, allow_scan
+        self._file: RemoteFile | None = None
+
+    @classmethod
+    def parse(cls, address: str, *, allow_scan: bool = False) -> RemotePath:
+        """The place that an address names; UsageError if it names none, or obstore is missing."""
+        scheme, host, path, query, _ = urlsplit(address)
+        if scheme.lower() not in ("http", "https"):
+            # A key may hold any character: nothing in it is a query.
+            root, _, key = address.partition("://")[2].partition("/")
+            if not root:
+                raise UsageError(f"{address}: names no bucket")
+            require_obstore(address)
+            folder = "/" if key.endswith("/") else ""
+            return cls(f"{scheme.lower()}://{root}", key.strip("/") + folder, allow_scan=allow_scan)
+        folder, _, name = path.rpartition("/")
+        if not host or not name:
+            raise UsageError(
+                f"{_public(address)}: names no file; a web server gives no list of its files, so "
+                "name each log"
+            )
+        require_obstore(_public(address))
+        root = urlunsplit((scheme.lower(), host, folder, query, ""))
+        return cls(root, unquote(name), allow_scan=allow_scan)
+
+    # A path
+
+    @property
+    def name(self) -> str:
+        """The last part of the key; of a whole bucket, its name."""
+        return self.key.rstrip("/").rpartition("/")[2] or self.root.rpartition("/")[2]
+
+    def __str__(self) -> str:
+        base = _public(self.root)
+        return f"{base}/{self.key}".rstrip("/")
+
+    def __repr__(self) -> str:
+        return f"RemotePath({str(self)!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RemotePath) and (self.root, self.key) == (other.root, other.key)
+
+    def __lt__(self, other: RemotePath) -> bool:
+        return (self.root, self.key) < (other.root, other.key)
+
+    def __hash__(self) -> int:
+        return hash((self.root, self.key))
+
+    def __reduce__(self) -> Any:
+        # Of a bag folder, its files are used; trees may be deeper than pickle goes.
+        found = self._found.flat() if self._found is not None else None
+        return _path, (self.root, self.key, found, self.allow_scan)
+
+    def __truediv__(self, name: str) -> RemotePath:
+        node = self._node.children.get(name, _Node()).kinds()[0]
+        return RemotePath(self.root, self._below(name), node, allow_scan=self.allow_scan)
+
+    def _below(self, name: str) -> str:
+        return f"{self.key.rstrip('/')}/{name}".lstrip("/")
+
+    def resolve(self) -> RemotePath:
+        """Itself."""
+        return self
+
+    def is_file(self) -> bool:
+        """Whether an object is there."""
+        return self._node.known is not None
+
+    def is_dir(self) -> bool:
+        """Whether there is no object, but some lie below."""
+        return self._node.known is None and bool(self._node.children)
+
+    def is_symlink(self) -> bool:
+        """No."""
+        return False
+
+    def exists(self) -> bool:
+        """Whether there is an object, or one below it."""
+        return self.is_file() or self.is_dir()
+
+    def iterdir(self) -> Iterator[RemotePath]:
+        """What lies below it. An object may have the name of a folder; both are given."""
+        for name, node in self._node.children.items():
+            for each in node.kinds():
+                yield RemotePath(self.root, self._below(name), each, allow_scan=self.allow_scan)
+
+    def stat(self) -> _Status:
+        """With `st_size`."""
+        return _Status(self.state.size)
+
+    def open(self, mode: str = "rb") -> io.BytesIO:
+        """All of a small file, to read."""
+        assert mode == "rb"
+        if self.state.size > SMALL_FILE_BYTES:
+            raise LogError(f"{self}: is implausibly long for what it is")
+        return io.BytesIO(self.end(0, self.state.size))
+
+    def read_text(self, encoding: str, errors: str) -> str:
+        """All of a small file, as text."""
+        return self.open().read().decode(encoding, errors)
+
+    def read_all_named(self, name: str) -> None:
+        """Read all small files of a name below, many at a time; who opens them then has them."""
+        found, waiting = [], [self]
+        while waiting:
+            for each in waiting.pop().iterdir():
+                waiting += [each] if each.is_dir() else []
+                if each.name == name and each.is_file() and each.state.size <= SMALL_FILE_BYTES:
+                    found.append(each)
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            for file in found:
+                pool.submit(file.open)  # what fails does so again when it is wanted
+
+    # An object
+
+    @property
+    def state(self) -> Stat:
+        """Size, tag and time of the object; asked for with its more telling end."""
+        known = self._object
+        if known.stat is None:
+            self._first_look(known)
+        assert known.stat is not None
+        return known.stat
+
+    @property
+    def file(self) -> RemoteFile:
+        """The object to read from; what was read of it is kept as long as this path is."""
+        if self._file is None:
+            self._file = RemoteFile(self)
+        return self._file
+
+    def fresh(self) -> RemotePath:
+        """The same place, with none of its bytes but its ends."""
+        return RemotePath(self.root, self.key, self._node, allow_scan=self.allow_scan)
+
+    @property
+    def kept_bytes(self) -> int:
+        """What `file` and `state` have left of this object, and of those in this folder."""
+        return sum(len(data) for known in self._node.objects() for data in known.ends.values())
+
+    def forget(self) -> None:
+        """Drop these bytes; they are asked for when they are wanted again."""
+        for known in self._node.objects():
+            known.ends.clear()
+
+    @property
+    def ends(self) -> dict[int, bytes]:
+        """The bytes of its ends that are there, by their places."""
+        return self._object.ends
+
+    def magic(self) -> bytes:
+        """The first bytes that tell its format, or the last: MCAP files end as they begin."""
+        known = self._object
+        if not known.ends:
+            self._first_look(known)
+        start, data = max(known.ends.items())
+        size = self.state.size
+        if start + len(data) == size and not _HEAD_FIRST.search(self.name):
+            return data[-8:] if data[-8:-3] == b"\x89MCAP" else self.end(0, min(size, 16))
+        return self.end(0, min(size, 16))
+
+    def end(self, start: int, stop: int) -> bytes:
+        """Bytes of one of its ends, to be kept with it."""
+        for at, data in self.ends.items():
+            if at <= start and stop <= at + len(data):
+                return data[start - at : stop - at]
+        self._keep((start, stop)) if stop > start else None
+        return self.ends[start][: stop - start] if stop > start else b""
+
+    def _first_look(self, known: Known) -> None:
+        """Ask for the end of the object that tells what it holds: a bag's first, others' last."""
+        size = known.stat.size if known.stat is not None else TAIL_SHARE * TAIL_BYTES
+        if size == 0:
+            known.ends[0] = b""
+        elif _HEAD_FIRST.search(self.name):
+            self._keep((0, min(size, HEAD_BYTES)))
+        else:
+            self._keep(min(TAIL_BYTES + size // TAIL_SHARE, TAIL_MOST))
+
+    def _keep(self, wanted: tuple[int, int] | int) -> None:
+        known = self._object
+        got = fetch(self.root, self.key.rstrip("/"), wanted, known.stat, named=str(self))
+        known.stat = known.stat or got.stat
+        known.ends[got.start] = got.data
+
+    @property
+    def _object(self) -> Known:
+        known = self._node.known
+        if known is None:
+            raise MissingObjectError(f"{self}: no such object")
+        return known
+
+    @property
+    def _node(self) -> _Node:
+        if self._found is None:
+            self._found = self._looked_up()
+        return self._found
+
+    def _looked_up(self) -> _Node:
+        """What is there: an object if it is called like a log, else a folder, else an object."""
+        alone = _Node(Known())
+        http = self.root.startswith("http")
+        named = bool(self.key) and not self.key.endswith("/")
+        if named and (http or _LOG.search(self.key)) and self._is_there(alone):
+            return alone
+        if http:
+            raise LogError(f"{self}: no such file on the server")
+        folder = _Node()
+        prefix = self.key.rstrip("/")
+        skip = len(prefix) + 1 if prefix else 0
+        for key, stat in listed(self.root, prefix, named=str(self)):
+            if key[skip:]:
+                folder.at(key[skip:]).known = Known(stat)
+        if folder.children or not named or _LOG.search(self.key) or not self._is_there(alone):
+            return folder
+        return alone
+
+    def _is_there(self, node: _Node) -> bool:
+        self._found = node
+        try:
+            self._first_look(self._object)
+        except MissingObjectError:
+            return False
+        finally:
+            self._found = None
+        return True
+
+
+def _path(root: str, key: str, found: _Node | None, allow_scan: bool) -> RemotePath:
+    return RemotePath(root, key, found, allow_scan=allow_scan)
+
+
+def _public(address: str) -> str:
+    """An address without user, password and question, which may be a signature."""
+    scheme, host, path, _, _ = urlsplit(address)
+    if scheme not in ("http", "https"):
+        return address
+    return urlunsplit((scheme, host.rpartition("@")[2], path, "", ""))
+
+
+LogPath = Path | RemotePath
+"""Where a log lies."""
+
+
+def log_path(place: str | LogPath, *, allow_scan: bool = False) -> LogPath:
+    """The place that a text names: on this machine, or by an address elsewhere."""
+    if isinstance(place, RemotePath):
+        return place
+    if isinstance(place, str) and is_remote(place):
+        return RemotePath.parse(place, allow_scan=allow_scan)
+    return Path(place)

@@ -1,0 +1,60 @@
+"""Which byte ranges to ask for: close ones together, long ones in parts."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
+
+WASTE = 1 / 32
+"""Share of what is wanted that may be read besides, to save requests. It leaves room in the tenth
+that reading may cost for the end of a file, which is read before it is known what is there."""
+
+GAP_BYTES = 1 << 20
+"""A longer gap is not read: at 100 MB/s it takes as long as another request, some 10 ms."""
+
+
+def coalesced(begin: Ints, end: Ints) -> tuple[Ints, Ints]:
+    """Ranges in ascending order, with the smallest gaps between them closed. O(n log n).
+
+    begin, end: (n,) in any order; they may overlap. What the gaps hold is at most WASTE of what
+    the ranges do.
+    """
+    begin, end = begin[end > begin], end[end > begin]
+    if len(begin) == 0:
+        return begin, end
+    order = np.argsort(begin, kind="stable")
+    begin, end = begin[order], np.maximum.accumulate(end[order])
+    gap = begin[1:] - end[:-1]
+    wanted = int(end[-1] - begin[0] - np.maximum(gap, 0).sum())
+    closed = np.argsort(gap, kind="stable")
+    affordable = np.cumsum(np.maximum(gap[closed], 0)) <= WASTE * wanted
+    closed = closed[affordable & (gap[closed] <= GAP_BYTES)]
+    kept = np.ones(len(gap), bool)
+    kept[closed] = False
+    return begin[np.r_[True, kept]], end[np.r_[kept, True]]
+
+
+def without(begin: Ints, end: Ints, held: list[tuple[int, int]]) -> tuple[Ints, Ints]:
+    """Ranges in ascending order, less what is there already. O(n) per piece that is there."""
+    for first, last in held:
+        left = begin, np.minimum(end, first)
+        right = np.maximum(begin, last), end
+        begin = np.concatenate([left[0], right[0]])
+        end = np.concatenate([left[1], right[1]])
+        begin, end = begin[end > begin], end[end > begin]
+    order = np.argsort(begin, kind="stable")
+    return begin[order], end[order]
+
+
+def in_parts(begin: Ints, end: Ints, most: int) -> list[tuple[int, int]]:
+    """Ranges with those longer than `most` cut into parts of equal length."""
+    out = []
+    for first, last in zip(begin.tolist(), end.tolist(), strict=True):
+        count = -(-(last - first) // most)
+        edges = [first + (last - first) * k // count for k in range(count + 1)]
+        out += list(itertools.pairwise(edges))
+    return out

@@ -1,0 +1,184 @@
+"""The bytes of one remote log: what is wanted is said in advance, and read ahead in few requests.
+
+Pieces that were read are kept as long as memory allows, for logs are gone through more than once.
+"""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from .ranges import Ints, coalesced, in_parts, without
+from .store import TAIL_MOST, fetch
+
+if TYPE_CHECKING:
+    from .path import RemotePath
+
+PART_BYTES = 1 << 22
+"""Longest request: the usual size of parts in buckets, and 40 ms at 100 MB/s, so that what a
+request takes to begin is small beside it."""
+
+AHEAD = 4
+"""Requests under way: one connection to a bucket gives 50 to 100 MB/s, which decoding outruns."""
+
+HELD_BYTES = 1 << 26
+"""What is kept of a log: more than its walk has in hand at a time (`logs.ahead.AHEAD_BYTES`)."""
+
+LEAST_BYTES = 1 << 12
+"""A request that nobody announced brings so much: heads of records lie close together."""
+
+
+class _Held:
+    """Pieces of an object that do not overlap; the least recently used ones go first."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._bytes = 0
+        self._pieces: OrderedDict[int, bytes] = OrderedDict()
+        self._starts: list[int] = []
+
+    def put(self, start: int, data: bytes) -> None:
+        """Keep a piece, and the last few others."""
+        if not data or start in self._pieces:
+            return
+        self._pieces[start] = data
+        self._starts.insert(bisect_right(self._starts, start), start)
+        self._bytes += len(data)
+        while self._bytes > self._most and len(self._pieces) > 1:
+            old, gone = self._pieces.popitem(last=False)
+            self._starts.remove(old)
+            self._bytes -= len(gone)
+
+    def at(self, offset: int) -> tuple[int, bytes] | None:
+        """The piece that holds the byte at `offset`, with its place."""
+        k = bisect_right(self._starts, offset) - 1
+        if k < 0:
+            return None
+        start = self._starts[k]
+        data = self._pieces[start]
+        if offset >= start + len(data):
+            return None
+        self._pieces.move_to_end(start)
+        return start, data
+
+    def after(self, offset: int) -> int | None:
+        """Where the next piece behind `offset` begins."""
+        k = bisect_right(self._starts, offset)
+        return self._starts[k] if k < len(self._starts) else None
+
+    def spans(self) -> list[tuple[int, int]]:
+        """First byte, and the one behind the last, of every piece."""
+        return [(start, start + len(self._pieces[start])) for start in self._starts]
+
+
+class ReadAhead:
+    """Parts of an object that are read one after the other, the next few of them meanwhile."""
+
+    def __init__(self, parts: list[tuple[int, int]], request: Callable[[int, int], bytes]) -> None:
+        self._parts = parts
+        self._request = request
+        self._begun: dict[int, Future[bytes]] = {}
+        self._pool = ThreadPoolExecutor(AHEAD)
+
+    def at(self, offset: int) -> tuple[int, bytes] | None:
+        """The part that holds the byte at `offset`, with its place; those behind it are begun."""
+        k = bisect_right(self._parts, offset, key=lambda part: part[0]) - 1
+        if k < 0 or offset >= self._parts[k][1]:
+            return None
+        for n in range(k, min(k + AHEAD, len(self._parts))):
+            if n not in self._begun:
+                self._begun[n] = self._pool.submit(self._request, *self._parts[n])
+        # What does not fit into memory any more when it is wanted again is asked for again.
+        return self._parts[k][0], self._begun.pop(k).result()
+
+    def after(self, offset: int) -> int | None:
+        """Where the next part behind `offset` begins."""
+        k = bisect_right(self._parts, offset, key=lambda part: part[0])
+        return self._parts[k][0] if k < len(self._parts) else None
+
+    def end(self) -> Iterator[tuple[int, bytes]]:
+        """Begin nothing more, and give what was on its way."""
+        self._pool.shutdown(cancel_futures=True)
+        for k, part in self._begun.items():
+            if not part.cancelled() and part.exception() is None:
+                yield self._parts[k][0], part.result()
+
+
+class RemoteFile:
+    """One object to read from. Any thread may read; LogError where the server fails."""
+
+    def __init__(self, path: RemotePath) -> None:
+        self.path = path
+        self.size = path.state.size
+        self._lock = threading.Lock()
+        self._held = _Held(HELD_BYTES)
+        for start, data in sorted(path.ends.items()):
+            self._put(start, data)
+
+    def cost(self, begin: Ints, end: Ints) -> int:
+        """Bytes that reading these ranges takes, gaps included, beyond what is there."""
+        return sum(stop - start for start, stop in self._planned(begin, end))
+
+    def _planned(self, begin: Ints, end: Ints) -> list[tuple[int, int]]:
+        with self._lock:
+            held = self._held.spans()
+        return in_parts(*coalesced(*without(begin, end, held)), PART_BYTES)
+
+    @contextmanager
+    def reading_ahead(self, begin: Ints, end: Ints) -> Iterator[ReadAhead]:
+        """While the body runs, these ranges are read ahead of it, in their order."""
+        ahead = ReadAhead(self._planned(begin, end), self._request)
+        try:
+            yield ahead
+        finally:
+            with self._lock:
+                for start, data in ahead.end():
+                    self._put(start, data)
+
+    def read(self, offset: int, length: int, ahead: ReadAhead | None = None) -> bytes:
+        """The bytes of a place, which must be inside the object."""
+        out: list[bytes] = []
+        at, stop = offset, offset + length
+        with self._lock:
+            while at < stop:
+                start, data = self._held.at(at) or self._fetched(at, stop, ahead)
+                out.append(data[at - start : stop - start])
+                at += len(out[-1])
+        return out[0] if len(out) == 1 else b"".join(out)
+
+    def _fetched(self, at: int, stop: int, ahead: ReadAhead | None) -> tuple[int, bytes]:
+        """A piece that holds the byte at `at`, which is in no piece that is there."""
+        found = ahead.at(at) if ahead is not None else None
+        if found is None:
+            # Nobody announced it: a little more is read along, but nothing twice.
+            behind = (self._held.after(at), ahead.after(at) if ahead is not None else None)
+            most = min(max(stop, at + LEAST_BYTES), self.size)
+            end = min([most, *(place for place in behind if place is not None)])
+            found = at, self._request(at, end)
+            if ahead is None and end - at <= TAIL_MOST:
+                self.path.ends[at] = found[1]  # part of an index
+        self._put(*found)
+        return found
+
+    def _put(self, start: int, data: bytes) -> None:
+        """Keep what of a piece is not there yet."""
+        at, stop = start, start + len(data)
+        while at < stop:
+            there = self._held.at(at)
+            if there is not None:
+                at = there[0] + len(there[1])
+                continue
+            behind = self._held.after(at)
+            end = stop if behind is None else min(stop, behind)
+            self._held.put(at, data[at - start : end - start])
+            at = end
+
+    def _request(self, start: int, stop: int) -> bytes:
+        path = self.path
+        key = path.key.rstrip("/")
+        return fetch(path.root, key, (start, stop), path.state, named=str(path)).data

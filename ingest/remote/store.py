@@ -1,0 +1,254 @@
+"""Requests to object stores and web servers, by obstore: one range, or all keys below a prefix.
+
+What goes wrong becomes a LogError that names bucket and key. Requests that fail, stall or are cut
+off are tried again by obstore; what was sent is checked: its place, its length, and that the object
+is the same as before.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ...topology.errors import LogError, UsageError
+
+if TYPE_CHECKING:
+    from obstore import GetOptions
+    from obstore.store import ObjectStore
+
+PIECE_BYTES = 1 << 20
+"""What is taken out of an answer at a time: one that is longer than asked for is not kept whole."""
+
+
+TAIL_MOST = 1 << 19
+"""Most of an end of an object that is asked for unseen, or kept with its address."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long a server is waited for, and how often it is asked again.
+
+    read_s: without a single byte, as botocore's 60 s by default, but for stalls; request_s: for
+    one whole answer, so that 4 MiB still come at 14 kB/s; retries, retry_s: tries after the first
+    one, and the time after which none is begun.
+    """
+
+    connect_s: float = 10.0
+    read_s: float = 30.0
+    request_s: float = 300.0
+    retries: int = 6
+    retry_s: float = 120.0
+    first_pause_s: float = 0.2
+    longest_pause_s: float = 10.0
+
+
+class Stat(NamedTuple):
+    """What tells one state of an object from another.
+
+    etag: empty if there is none; modified_s: Unix time, 0 if there is none. Listings tell it more
+    finely than answers, so it is in whole seconds.
+    """
+
+    size: int
+    etag: str
+    modified_s: int
+
+
+class Got(NamedTuple):
+    """Bytes from `start` on, and what the object was when they were sent."""
+
+    start: int
+    data: bytes
+    stat: Stat
+
+
+class MissingObjectError(LogError):
+    """There is no such object, bucket or page."""
+
+
+def fetch(
+    root: str,
+    key: str,
+    wanted: tuple[int, int] | int,
+    known: Stat | None = None,
+    *,
+    named: str,
+) -> Got:
+    """One request. wanted: first byte and the one behind the last, or so many at the end.
+
+    known: what the object must still be, if anything is known of it. Raises MissingObjectError,
+    or LogError with `named` in front.
+    """
+    import obstore
+
+    options: GetOptions = {"range": {"suffix": wanted} if isinstance(wanted, int) else wanted}
+    if known is not None and known.etag and not known.etag.startswith("W/"):
+        options["if_match"] = known.etag
+    with _told(named):
+        answer = obstore.get(store(root), key, options=options)
+        start, stop = answer.range
+        stat = _stat(answer.meta)
+        if known is not None and not _same(known, stat):
+            raise LogError(f"{named}: changed while it was read; read it again")
+        data = _exactly(answer.stream(PIECE_BYTES), stop - start, named)
+    if isinstance(wanted, tuple) and (start, stop) != (wanted[0], min(wanted[1], stat.size)):
+        raise LogError(f"{named}: the server sent bytes {start} to {stop} in place of {wanted}")
+    return Got(start, data, stat)
+
+
+def _same(known: Stat, now: Stat) -> bool:
+    """Whether an object is what it was, by its tag or, where there is none, its time."""
+    if known.etag and now.etag:
+        return (known.size, known.etag) == (now.size, now.etag)
+    times = known.modified_s, now.modified_s
+    return known.size == now.size and (times[0] == times[1] or not all(times))
+
+
+def _exactly(pieces: Iterator[bytes], length: int, named: str) -> bytes:
+    found: list[bytes] = []
+    size = 0
+    for piece in pieces:
+        found.append(bytes(piece))
+        size += len(piece)
+        if size > length:
+            raise LogError(f"{named}: the server sent more than the {length} bytes it announced")
+    if size < length:
+        raise LogError(f"{named}: the server sent {size} of the {length} bytes it announced")
+    return b"".join(found)
+
+
+def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
+    """Every key below a prefix, which is taken as a folder, with what its object is."""
+    import obstore
+
+    with _told(named):
+        for page in obstore.list(store(root), prefix or None, chunk_size=1000):
+            for meta in page:
+                yield meta["path"], _stat(meta)
+
+
+def _stat(meta: Any) -> Stat:
+    return Stat(meta["size"], meta["e_tag"] or "", int(meta["last_modified"].timestamp()))
+
+
+def require_obstore(named: str) -> None:
+    """UsageError where the extra is not installed."""
+    try:
+        import obstore  # noqa: F401
+    except ImportError as error:
+        raise UsageError(
+            f"{named}: reading it needs obstore: python -m pip install 'topobatch[remote]'"
+        ) from error
+
+
+@lru_cache(maxsize=64)
+def store(root: str) -> ObjectStore:
+    """The store of a bucket or server; what it needs besides comes from the environment."""
+    from obstore.store import from_url
+
+    patience = PATIENCE
+    return from_url(
+        root,
+        client_options={
+            "connect_timeout": timedelta(seconds=patience.connect_s),
+            "read_timeout": timedelta(seconds=patience.read_s),
+            "timeout": timedelta(seconds=patience.request_s),
+            **({"allow_http": True} if _plain_http(root) else {}),
+        },
+        retry_config={
+            "max_retries": patience.retries,
+            "retry_timeout": timedelta(seconds=patience.retry_s),
+            "backoff": {
+                "init_backoff": timedelta(seconds=patience.first_pause_s),
+                "max_backoff": timedelta(seconds=patience.longest_pause_s),
+                "base": 2,
+            },
+        },
+    )
+
+
+PATIENCE = Patience()
+
+_ENDPOINTS = {
+    "s3": ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"),
+    "az": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
+}
+
+
+def _plain_http(root: str) -> bool:
+    """Whether an address, or the endpoint that the environment names, is http:// on purpose."""
+    import os
+
+    scheme = root.partition("://")[0]
+    named = [root, *(os.environ.get(name, "") for name in _ENDPOINTS.get(scheme, ()))]
+    return any(url.startswith("http://") for url in named)
+
+
+@contextmanager
+def _told(named: str) -> Iterator[None]:
+    """Errors of obstore as ours. Its own tell the request, what came back, and inner structures."""
+    from obstore.exceptions import BaseError
+
+    try:
+        yield
+    except FileNotFoundError as error:
+        what = "no such bucket" if _code(str(error)) == "NoSuchBucket" else "no such object"
+        raise MissingObjectError(f"{named}: {what}") from error
+    except (BaseError, ValueError, OSError) as error:
+        raise LogError(f"{named}: {_why(error)}") from error
+
+
+_CREDENTIALS = (
+    "no credentials were found in the environment (AWS_ACCESS_KEY_ID and so on, "
+    "AWS_SKIP_SIGNATURE=true for a public bucket; see docs/remote.md)"
+)
+_RANGES = "the server does not send parts of files (range requests); copy the log here"
+_MEANT = (
+    ("PreconditionError", "changed while it was read; read it again"),
+    ("NoSuchBucket", "no such bucket"),
+    ("Range request not supported", _RANGES),
+    ("non-partial response", _RANGES),
+    ("http://169.254.169.254/", _CREDENTIALS),
+    ("MissingAccount", _CREDENTIALS),
+    ("TokenRequest", _CREDENTIALS),
+)
+"""What an error means whose kind or text has such a word."""
+
+
+def _why(error: Exception) -> str:
+    """What went wrong, from the kind of an error and the telling parts of its text."""
+    kind, text = type(error).__name__, str(error)
+    for word, meaning in _MEANT:
+        if word in f"{kind} {text}":
+            return meaning
+    head, _, inner = text.partition("Debug source")
+    if kind == "InvalidPathError":
+        return f"a key cannot be read by its name ({_first_line(head)}); name other prefixes"
+    again = re.search(r"after (\d+) retries", head)
+    tried = f", after {again[1]} retries" if again and again[1] != "0" else ""
+    status = re.search(r"status code: (\d{3}[A-Za-z ]*)", head)
+    answer = _code(head) or (status[1].strip() if status else "")
+    if kind in ("PermissionDeniedError", "UnauthenticatedError"):
+        return f"access is denied ({answer or kind}{tried})"
+    cause = re.search(r'message: "([^"]+)"|(TimedOut)|(dns error)', inner)
+    silent = {"TimedOut": "the server does not answer"}
+    found = next((group for group in cause.groups() if group), "") if cause else ""
+    told = ", ".join(part for part in (answer, silent.get(found, found)) if part)
+    return f"cannot be read: {told or _first_line(head)}{tried}"
+
+
+def _code(text: str) -> str:
+    """The code of an error in the XML of an answer, as S3 and Azure have it; empty if none."""
+    found = re.search(r"<Code>([A-Za-z0-9.]{1,60})</Code>", text)
+    return found[1] if found else ""
+
+
+def _first_line(text: str) -> str:
+    """Without addresses: what stands behind their question mark may be a signature."""
+    line = text.strip().partition("\n")[0]
+    return re.sub(r"https?://\S+", "the server", line)[:200]

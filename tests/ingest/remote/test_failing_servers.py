@@ -1,0 +1,282 @@
+"""Servers that are slow, fail, cut connections, lie, or change what they serve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.reading import find_logs, log_fingerprint, read_run
+from topobatch.ingest.remote.path import RemotePath, log_path
+from topobatch.topology.errors import LogError, UsageError
+
+SAMPLES = Path(__file__).parents[3] / "sample_logs"
+LOG = SAMPLES / "maze-1.mcap"
+
+
+@pytest.fixture
+def remote(bucket: Any) -> RemotePath:
+    bucket.put("night/maze-1.mcap", LOG.read_bytes())
+    found = bucket.path("night/maze-1.mcap")
+    assert isinstance(found, RemotePath)
+    return found
+
+
+def same_odometry(remote: RemotePath) -> None:
+    assert (read_run(remote).odometry.pose == read_run(LOG).odometry.pose).all()
+
+
+def test_a_server_that_fails_now_and_then_is_asked_again(
+    bucket: Any, servers: ModuleType, remote: RemotePath
+) -> None:
+    busy = servers.Fault(answer=lambda answer: servers.Answer(503, {}, b""))
+    bucket.proxy.fault = lambda request, before: busy if before % 3 else None
+    same_odometry(remote)
+    assert {request.status for request in bucket.proxy.gets} == {206, 503}
+
+
+@pytest.mark.parametrize("after", [0, 5000])
+def test_a_connection_that_is_cut_is_taken_up_again(
+    bucket: Any, servers: ModuleType, remote: RemotePath, after: int
+) -> None:
+    cut: list[str] = []
+
+    def once_per_range(request: Any, before: int) -> Any:
+        if request.range in cut or len(cut) > 2:
+            return None
+        cut.append(request.range)
+        return servers.Fault(cut_at=after)
+
+    bucket.proxy.fault = once_per_range
+    same_odometry(remote)
+    assert len(cut) == 3
+
+
+def test_a_slow_server_is_waited_for(bucket: Any, servers: ModuleType, remote: RemotePath) -> None:
+    bucket.proxy.fault = lambda request, before: servers.Fault(pause_s=0.02)
+    same_odometry(remote)
+
+
+def faults(servers: ModuleType) -> dict[str, tuple[Any, str]]:
+    def lying(**headers: str) -> Any:
+        return servers.Fault(answer=lambda a: replace(a, headers=a.headers | headers))
+
+    def longer(answer: Any) -> Any:
+        return replace(
+            answer,
+            body=answer.body + b"x",
+            headers={
+                name: value
+                for name, value in answer.headers.items()
+                if name.lower() != "content-length"
+            },
+        )
+
+    return {
+        "fails": (servers.Fault(answer=lambda a: servers.Answer(500, {}, b"")), "500 Internal"),
+        "cuts": (servers.Fault(cut_at=100), "cannot be read"),
+        "stalls": (servers.Fault(stall_at=100), "does not answer"),
+        "denies": (
+            servers.Fault(
+                answer=lambda a: servers.Answer(
+                    403, {}, b"<Error><Code>AccessDenied</Code></Error>"
+                )
+            ),
+            "access is denied (AccessDenied)",
+        ),
+        "sends all": (servers.Fault(answer=lambda a: replace(a, status=200)), "range requests"),
+        "another place": (lying(**{"Content-Range": "bytes 0-16/192641"}), "cannot be read"),
+        "another size": (lying(**{"Content-Range": "bytes 1-2/999999999999"}), "cannot be read"),
+        "too much": (servers.Fault(answer=longer), "sent more than"),
+    }
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "fails",
+        "cuts",
+        "stalls",
+        "denies",
+        "sends all",
+        "another place",
+        "another size",
+        "too much",
+    ],
+)
+@pytest.mark.parametrize("first", [0, 1])
+def test_what_cannot_be_read_is_an_error_that_names_bucket_and_key(
+    bucket: Any, servers: ModuleType, remote: RemotePath, kind: str, first: int
+) -> None:
+    """first: whether the index fails, or the chunks do."""
+    fault, told = faults(servers)[kind]
+    bucket.proxy.fault = lambda request, before: fault if before >= first else None
+    with pytest.raises(LogError) as caught:
+        read_run(remote)
+    assert str(caught.value).startswith(f"{bucket.url}/night/maze-1.mcap: ")
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_object_that_changes_while_it_is_read_is_refused(
+    bucket: Any, remote: RemotePath
+) -> None:
+    def changing(request: Any, before: int) -> None:
+        if before == 1:
+            bucket.put("night/maze-1.mcap", (SAMPLES / "streets-1.mcap").read_bytes())
+
+    bucket.proxy.fault = changing
+    with pytest.raises(LogError, match=r"maze-1.mcap: changed while it was read"):
+        read_run(remote)
+    assert bucket.proxy.gets[-1].headers["if-match"].startswith('"')
+
+
+def test_a_server_that_does_not_heed_conditions_is_found_out(
+    bucket: Any, servers: ModuleType, remote: RemotePath
+) -> None:
+    tag = servers.Fault(answer=lambda a: replace(a, headers=a.headers | {"Etag": '"other"'}))
+    bucket.proxy.fault = lambda request, before: tag if before else None
+    with pytest.raises(LogError, match=r"maze-1.mcap: changed while it was read"):
+        read_run(remote)
+
+
+def test_no_bucket_and_no_server(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(LogError, match=r"^s3://no-such-bucket-here/x: no such bucket"):
+        find_logs([log_path("s3://no-such-bucket-here/x/")])
+    with pytest.raises(LogError, match=r"^http://127.0.0.1:9/log.mcap: cannot be read: .*refused"):
+        find_logs([log_path("http://127.0.0.1:9/log.mcap")])
+
+
+# Names
+
+
+@pytest.mark.parametrize(
+    "key", ["a b.mcap", "50%25.mcap", "ünïcode.mcap", "q?x=1.mcap", "plus+.mcap", "#1.mcap"]
+)
+def test_keys_may_hold_any_letter(bucket: Any, key: str) -> None:
+    bucket.put(f"runs/{key}", LOG.read_bytes())
+    (found,) = find_logs([bucket.path("runs")])
+    assert str(found) == f"{bucket.url}/runs/{key}"
+    assert read_run(found).name == key.removesuffix(".mcap")
+    assert read_run(bucket.path(f"runs/{key}")).name == key.removesuffix(".mcap")
+
+
+@pytest.mark.parametrize("key", ["runs/x%01y.mcap", "runs//double.mcap", "runs/../up.mcap"])
+def test_keys_that_are_no_path_are_an_error_that_names_them(bucket: Any, key: str) -> None:
+    bucket.put_as_named(key, b"x")
+    with pytest.raises(LogError, match=rf"^{bucket.url}/runs: a key cannot be read by its name"):
+        find_logs([bucket.path("runs")])
+
+
+def test_markers_of_folders_are_no_objects(bucket: Any) -> None:
+    bucket.put_as_named("runs/", b"")
+    bucket.put_as_named("runs/monday/", b"")
+    bucket.put("runs/monday/maze-1.mcap", LOG.read_bytes())
+    bucket.put("runs/monday/maze-1.mcap.notes/text", b"x")
+    (found,) = find_logs([bucket.path("runs")])
+    assert found.name == "maze-1.mcap"
+
+
+def listing(keys: list[str], servers: ModuleType) -> Callable[[Any, bytes], Any]:
+    """An S3 server that can list, a thousand keys at a time."""
+    from urllib.parse import parse_qs, urlsplit
+
+    def upstream(request: Any, body: bytes) -> Any:
+        asked = parse_qs(urlsplit(request.path).query)
+        start = int(asked.get("continuation-token", ["0"])[0])
+        entries = "".join(
+            f"<Contents><Key>{key}</Key><Size>1000</Size><ETag>&quot;{key}&quot;</ETag>"
+            "<LastModified>2026-01-01T00:00:00.000Z</LastModified></Contents>"
+            for key in keys[start : start + 1000]
+        )
+        more = f"<NextContinuationToken>{start + 1000}</NextContinuationToken>"
+        body = (
+            f"<ListBucketResult>{entries}{more if start + 1000 < len(keys) else ''}"
+            "</ListBucketResult>"
+        ).encode()
+        return servers.Answer(200, {"Content-Type": "application/xml"}, body)
+
+    return upstream
+
+
+@pytest.mark.parametrize("count", [5_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_many_keys_are_listed_a_thousand_at_a_time(
+    bucket: Any, servers: ModuleType, count: int
+) -> None:
+    kinds = ("run{0}.mcap", "run{0}.jpg")
+    keys = [f"runs/{k % 100}/{kinds[k % 2].format(k)}" for k in range(count)]
+    bucket.proxy.upstream = listing(keys, servers)
+    found = find_logs([bucket.path("runs")])
+    assert len(found) == count / 2
+    assert len(bucket.proxy.requests) == count / 1000
+    assert log_fingerprint(found[0]) != log_fingerprint(found[1])
+    assert len(bucket.proxy.requests) == count / 1000
+
+
+# Web servers
+
+
+@pytest.fixture
+def web(servers: ModuleType, impatient: None) -> Iterator[Any]:
+    upstream = servers.files({"/logs/maze 1.mcap": LOG.read_bytes()})
+
+    def decoded(request: Any, body: bytes) -> Any:
+        return upstream(replace(request, path=request.path.replace("%20", " ")), body)
+
+    with servers.running(servers.Recorder(decoded)) as recorder:
+        yield recorder
+
+
+def test_a_log_on_a_web_server(web: Any) -> None:
+    address = f"http://user:word@127.0.0.1:{web.port}/logs/maze%201.mcap?signature=s3cret"
+    (found,) = find_logs([log_path(address)])
+    assert str(found) == f"http://127.0.0.1:{web.port}/logs/maze 1.mcap"
+    assert read_run(found).name == "maze 1"
+    assert (read_run(found).odometry.pose == read_run(LOG).odometry.pose).all()
+    assert {request.path.partition("?")[2] for request in web.requests} == {"signature=s3cret"}
+    assert {request.method for request in web.requests} == {"GET"}
+
+
+def test_secrets_of_an_address_are_not_told(web: Any, servers: ModuleType) -> None:
+    place = log_path(f"http://user:word@127.0.0.1:{web.port}/logs/maze%201.mcap?signature=s3cret")
+    for status in (400, 403, 404, 500):
+        web.fault = lambda request, before, status=status: servers.Fault(
+            answer=lambda a: servers.Answer(status, {}, b"")
+        )
+        with pytest.raises(LogError) as caught:
+            read_run(place)
+        assert not {"s3cret", "word"} & set(str(caught.value).replace("=", " ").split())
+        assert "s3cret" not in str(caught.value)
+
+
+def test_web_servers_give_no_list(web: Any) -> None:
+    with pytest.raises(UsageError, match="a web server gives no list of its files"):
+        log_path(f"http://127.0.0.1:{web.port}/logs/")
+    with pytest.raises(LogError, match="no such file on the server"):
+        find_logs([log_path(f"http://127.0.0.1:{web.port}/logs/none.mcap")])
+
+
+def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    with pytest.raises(UsageError, match=r"^s3://b/x: .*pip install 'topobatch\[remote\]'$"):
+        log_path("s3://b/x")
+
+
+def test_nothing_was_read_in_vain(bucket: Any, remote: RemotePath) -> None:
+    """No byte is asked for twice."""
+    read_run(remote)
+    asked = np.zeros(LOG.stat().st_size, np.int64)
+    for request in bucket.proxy.gets:
+        first, last = request.range.removeprefix("bytes=").split("-")
+        if first:
+            asked[int(first) : int(last) + 1] += 1
+        else:
+            asked[-int(last) :] += 1
+    assert asked.max() == 1

@@ -1,0 +1,307 @@
+"""Logs in a bucket: the same maps as from files, with few requests and few bytes."""
+
+from __future__ import annotations
+
+import pickle
+import struct
+from itertools import zip_longest
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.logs.mcap_file import McapFile
+from topobatch.ingest.logs.messages import Findings
+from topobatch.ingest.mapping import build_map
+from topobatch.ingest.read_cost import read_cost
+from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, log_fingerprint, read_run
+from topobatch.ingest.remote import source
+from topobatch.topology.document import map_to_document
+from topobatch.topology.errors import LogError
+from topobatch.topology.run import Run
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
+IMAGE_BYTES = 1 << 18
+
+
+def mcap_with_images(path: Path, logs: ModuleType, images: int, **options: Any) -> Path:
+    """Odometry and junctions in chunks of their own, as far as the writer lets them: first some
+    images, then the drive, then the rest."""
+    from mcap.writer import CompressionType, Writer
+
+    random = np.random.default_rng(7)
+    store = logs.store_of(False)
+    options["compression"] = CompressionType[options.pop("compression", "ZSTD")]
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=100_000, **options)
+        writer.start(profile="ros2", library="test")
+        camera = writer.register_channel(
+            "/camera", "cdr", writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+        )
+        channels: dict[str, int] = {}
+        messages = logs.drive(3000)
+
+        def image(k: int) -> None:
+            raw = random.integers(0, 256, IMAGE_BYTES, np.uint8).tobytes()
+            writer.add_message(camera, messages[k].log_ns, raw, messages[k].log_ns)
+
+        for k in range(images // 2):
+            image(k)
+        for message in messages:
+            if message.topic not in channels:
+                schema = logs._schema(writer, message, "cdr", store, True)
+                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+            raw = logs.payload(message, "cdr", store)
+            writer.add_message(channels[message.topic], message.log_ns, raw, message.log_ns)
+        for k in range(images // 2):
+            image(k)
+        writer.finish()
+    return path
+
+
+def lower_bound(path: Path, wanted: set[str]) -> int:
+    """Bytes of the summary, and of the chunks that hold wanted topics, by mcap's own reader."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        file.seek(-37, 2)
+        _, _, start, _, _ = struct.unpack_from("<BQQQI", file.read())
+    numbers = {number for number, c in summary.channels.items() if c.topic in wanted}
+    chunks = [c for c in summary.chunk_indexes if numbers & set(c.message_index_offsets)]
+    return path.stat().st_size - start + sum(chunk.chunk_length for chunk in chunks)
+
+
+def same_runs(a: Run, b: Run) -> None:
+    assert map_to_document(build_map(a)) == map_to_document(build_map(b))
+
+
+def same_readings(a: Run, b: Run) -> None:
+    assert (a.name, a.source, a.warnings) == (b.name, b.source, b.warnings)
+    assert (a.odometry.time_ns == b.odometry.time_ns).all()
+    assert (a.odometry.pose == b.odometry.pose).all()
+    assert (a.detections.time_ns == b.detections.time_ns).all()
+    assert (a.detections.centre == b.detections.centre).all()
+    assert (a.detections.branches.values == b.detections.branches.values).all()
+
+
+@pytest.mark.parametrize("name", ["maze-1.mcap", "maze-2.bag", "streets-1.mcap"])
+def test_the_map_is_that_of_the_file(bucket: Any, name: str) -> None:
+    bucket.put(f"night/{name}", (SAMPLES / name).read_bytes())
+    (found,) = find_logs([bucket.path("night/")])
+    assert str(found) == f"{bucket.url}/night/{name}"
+    same_runs(read_run(found), read_run(SAMPLES / name))
+
+
+def test_a_bag_folder_is_one_log(bucket: Any, logs: ModuleType, tmp_path: Path) -> None:
+    folder = logs.ros2_folder(tmp_path / "drive", logs.drive(), "MCAP")
+    for file in folder.iterdir():
+        bucket.put(f"runs/drive/{file.name}", file.read_bytes())
+        bucket.put(f"runs/again/{file.name}", file.read_bytes())
+    bucket.put("runs/notes/metadata.yaml", b"title: not a bag\n")
+    bucket.put("runs/notes/alone.mcap", (SAMPLES / "maze-1.mcap").read_bytes())
+    found = find_logs([bucket.path("runs")])
+    names = ["runs/again", "runs/drive", "runs/notes/alone.mcap"]
+    assert [str(f) for f in found] == [f"{bucket.url}/{name}" for name in names]
+    same_readings(read_run(found[1]), read_run(folder))
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4", "NONE"])
+def test_only_the_chunks_that_hold_wanted_topics_are_read(
+    bucket: Any, logs: ModuleType, tmp_path: Path, compression: str
+) -> None:
+    path = mcap_with_images(tmp_path / "camera.mcap", logs, 120, compression=compression)
+    size, bound = path.stat().st_size, lower_bound(path, {"/odom", "/junctions"})
+    bucket.put("camera.mcap", path.read_bytes())
+    (found,) = find_logs([bucket.path()])
+    bucket.proxy.clear()
+    said = read_cost(found, ReadSettings())  # type: ignore[arg-type]
+    (index,) = bucket.proxy.gets
+    assert index.range.startswith("bytes=-")
+    assert inspect_log(found).topics == inspect_log(path).topics
+    assert len(bucket.proxy.gets) == 1
+    same_readings(read_run(found), read_run(path))
+    assert bucket.proxy.sent == index.sent + said
+    assert bucket.proxy.sent <= 1.1 * bound
+    assert bound < 0.15 * size
+
+
+def test_topics_with_chunks_of_their_own_take_3_percent_of_the_file(
+    bucket: Any, logs: ModuleType, tmp_path: Path
+) -> None:
+    path = mcap_with_images(tmp_path / "camera.mcap", logs, 200)
+    bucket.put("camera.mcap", path.read_bytes())
+    (found,) = find_logs([bucket.path()])
+    bucket.proxy.clear()
+    read_run(found)
+    assert bucket.proxy.sent <= 0.03 * path.stat().st_size
+
+
+def test_a_named_log_takes_one_request_for_its_summary(
+    bucket: Any, logs: ModuleType, tmp_path: Path
+) -> None:
+    path = mcap_with_images(tmp_path / "camera.mcap", logs, 20)
+    bucket.put("camera.mcap", path.read_bytes())
+    inspect_log(bucket.path("camera.mcap"))
+    (only,) = bucket.proxy.requests
+    assert only.range.startswith("bytes=-")
+
+
+def test_a_bag_is_read_by_its_index(bucket: Any, logs: ModuleType, tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Writer
+
+    path, store = tmp_path / "camera.bag", logs.store_of(True)
+    writer = Writer(path)
+    writer.chunk_threshold = 100_000
+    with writer:
+        camera = writer.add_connection("/camera", "sensor_msgs/msg/Image", typestore=store)
+        links: dict[str, Any] = {}
+        for k, message in enumerate(logs.drive(1000)):
+            if message.topic not in links:
+                links[message.topic] = writer.add_connection(
+                    message.topic, message.type_name, typestore=store
+                )
+            raw = logs.payload(message, "ros1", store)
+            writer.write(links[message.topic], message.log_ns, raw)
+            if k in (300, 600):
+                for _ in range(20):
+                    writer.write(camera, message.log_ns, bytes(IMAGE_BYTES))
+    bucket.put("camera.bag", path.read_bytes())
+    same_readings(read_run(bucket.path("camera.bag")), read_run(path))
+    assert len(bucket.proxy.gets) <= 6
+    assert bucket.proxy.sent < 0.2 * path.stat().st_size
+
+
+def without_summary(data: bytes) -> bytes:
+    """The same MCAP file, whose footer says that there is no summary."""
+    footer = struct.pack("<BQQQI", 2, 20, 0, 0, 0)
+    return data[: -(len(footer) + 8)] + footer + data[-8:]
+
+
+def test_a_log_without_index_is_only_read_whole_when_that_is_allowed(bucket: Any) -> None:
+    data = (SAMPLES / "maze-1.mcap").read_bytes()
+    bucket.put("maze-1.mcap", without_summary(data))
+    with pytest.raises(LogError, match=rf"{bucket.name}/maze-1.mcap: it has no index.*--allow-sc"):
+        read_run(bucket.path("maze-1.mcap"))
+    assert bucket.proxy.sent < 0.2 * len(data)
+    whole = read_run(bucket.path("maze-1.mcap", allow_scan=True))
+    same_runs(whole, read_run(SAMPLES / "maze-1.mcap"))
+
+
+def test_a_bag_without_index_is_only_read_whole_when_that_is_allowed(
+    bucket: Any, tmp_path: Path
+) -> None:
+    data = (SAMPLES / "maze-2.bag").read_bytes()
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    cut = data[:at] + bytes(8) + data[at + 8 :]
+    bucket.put("open.bag", cut)
+    with pytest.raises(LogError, match=r"open.bag: it has no index.*--allow-scan"):
+        read_run(bucket.path("open.bag"))
+    (tmp_path / "open.bag").write_bytes(cut)
+    whole = read_run(bucket.path("open.bag", allow_scan=True))
+    same_readings(whole, read_run(tmp_path / "open.bag"))
+
+
+def test_databases_are_refused_with_advice(bucket: Any) -> None:
+    for file in (SAMPLES / "maze-3").iterdir():
+        bucket.put(f"maze-3/{file.name}", file.read_bytes())
+    with pytest.raises(LogError, match=r"maze-3/.*db3: .*copy it here, or convert it to MCAP"):
+        read_run(bucket.path("maze-3/", allow_scan=True))
+
+
+def test_a_file_that_is_no_log(bucket: Any) -> None:
+    bucket.put("text.mcap", b"hello" * 1000)
+    with pytest.raises(LogError, match=r"/text.mcap: is no log"):
+        read_run(bucket.path("text.mcap"))
+    with pytest.raises(LogError, match=r"/gone.mcap: no such"):
+        read_run(bucket.path("gone.mcap"))
+    with pytest.raises(LogError, match=r"/empty: no such file or folder"):
+        find_logs([bucket.path("empty/")])
+
+
+def test_memory_is_bounded_and_what_was_dropped_is_read_again(
+    bucket: Any, logs: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = mcap_with_images(tmp_path / "camera.mcap", logs, 4)
+    data = path.read_bytes()
+    bucket.put("camera.mcap", data)
+    monkeypatch.setattr(source, "HELD_BYTES", 100_000)
+    monkeypatch.setattr(source, "PART_BYTES", 80_000)
+    (found,) = find_logs([bucket.path()])
+    same_readings(read_run(found), read_run(path))
+    file, random = found.fresh().file, np.random.default_rng(1)  # type: ignore[union-attr]
+    with file.reading_ahead(np.array([1000, 200_000]), np.array([150_000, 500_000])) as ahead:
+        for offset in random.integers(0, len(data) - 50_000, 40).tolist():
+            length = int(random.integers(1, 50_000))
+            assert file.read(offset, length, ahead) == data[offset : offset + length]
+        assert file._held._bytes <= 100_000 + 50_000
+
+
+def test_what_was_looked_at_goes_with_the_log_to_other_processes(bucket: Any) -> None:
+    bucket.put("a/maze-1.mcap", (SAMPLES / "maze-1.mcap").read_bytes())
+    (found,) = find_logs([bucket.path("a")])
+    read_cost(found, ReadSettings())  # type: ignore[arg-type]
+    sent = pickle.loads(pickle.dumps(found))
+    assert (sent, log_fingerprint(sent)) == (found, log_fingerprint(found))
+    bucket.proxy.clear()
+    read_run(sent)
+    assert not [r for r in bucket.proxy.requests if r.range.startswith("bytes=-")]
+
+
+def test_the_fingerprint_follows_the_object(bucket: Any) -> None:
+    prints = []
+    for data in (b"one", b"two", b"one"):
+        bucket.put("log.mcap", data)
+        prints.append(log_fingerprint(find_logs([bucket.path()])[0]))
+    assert prints[0] == prints[2] != prints[1]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_damage_in_chunks_that_are_read_is_found_as_in_a_file(
+    bucket: Any, tmp_path: Path, seed: int
+) -> None:
+    data = bytearray((SAMPLES / "maze-1.mcap").read_bytes())
+    summary = McapFile(SAMPLES / "maze-1.mcap").summary
+    assert summary is not None
+    random = np.random.default_rng(seed)
+    data[int(random.integers(summary.chunk_starts[0], summary.start))] ^= 1 << int(
+        random.integers(8)
+    )
+    path = tmp_path / "maze-1.mcap"
+    path.write_bytes(bytes(data))
+    bucket.put("maze-1.mcap", bytes(data))
+    remote, local = read_run(bucket.path("maze-1.mcap")), read_run(path)
+    assert (remote.odometry.pose == local.odometry.pose).all()
+    assert set(remote.warnings) <= set(local.warnings)
+
+
+def test_two_walks_side_by_side_do_not_disturb_each_other(
+    bucket: Any, logs: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As those over the scans of two lasers do."""
+    path = mcap_with_images(tmp_path / "camera.mcap", logs, 6, compression="NONE")
+    bucket.put("camera.mcap", path.read_bytes())
+    monkeypatch.setattr(source, "PART_BYTES", 100_000)
+    place = bucket.path("camera.mcap").fresh()
+    topics = ("/odom", "/camera")
+
+    def walks(where: Any) -> list[Any]:
+        return [
+            McapFile(where).blocks(
+                lambda channel, topic=topic: 0 if channel.topic == topic else -1, Findings()
+            )
+            for topic in topics
+        ]
+
+    def sizes(where: Any) -> list[tuple[int, int]]:
+        pairs = zip_longest(*walks(where))
+        return [tuple(len(b.start) if b else 0 for b in pair) for pair in pairs]
+
+    assert sizes(place) == sizes(path)
+    first = walks(place)[0]
+    next(first)
+    first.close()
+    assert sizes(place) == sizes(path)
