@@ -21,18 +21,16 @@ from .result import Alignment, PairVerdict
 DECISION_SCHEMA: Literal["topobatch.decision/1"] = "topobatch.decision/1"
 
 TermKind = Literal[
-    "corridor", "position", "branches", "unseen", "crossing", "elsewhere",
-    "hypotheses", "few", "copies",
+    "corridor", "position", "branches", "unseen", "elsewhere", "hypotheses", "few", "copies",
 ]  # fmt: skip
 """What a term counts. corridor: the length of a corridor that both runs have; position: where one
 matched junction lies, seen from another near it; branches: those of one matched junction; unseen: a
-junction in the middle of the other run's corridor; crossing: corridors that cross where neither run
-saw a junction; elsewhere: corridors that leave a matched junction by the same branch and lead to
-others; hypotheses: among how many the placement was chosen; few: what so few junctions
-cannot carry; copies: what a copy of the place would offer as well."""
+junction in the middle of the other run's corridor; elsewhere: corridors that leave a matched
+junction by the same branch and lead to others; hypotheses: among how many the placement was chosen;
+few: what so few junctions cannot carry; copies: what a copy of the place would offer as well."""
 
 LINKS: tuple[TermKind, ...] = ("corridor", "position")
-AGAINST: tuple[TermKind, ...] = ("unseen", "crossing", "elsewhere")
+AGAINST: tuple[TermKind, ...] = ("unseen", "elsewhere")
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,9 +20,6 @@ SAME_PLACE_M = 3.0
 SAME_TURN_RAD = 0.35
 """Two alignments that differ by less are versions of one placement."""
 
-FAINT_SHARE = 0.15
-"""Seeds with less than this share of the bits of a match already found are dropped."""
-
 CHANCE_BITS = 4.0
 """Matches with no more support than this beyond chance are not searched for contradictions."""
 
@@ -89,12 +86,8 @@ def best_of(
 ) -> tuple[Candidate, ...]:
     """Grow and judge hypotheses; `tested` is the number of links they were chosen from."""
     tested_bits = float(np.log2(tested + 1.0))
-    found: list[Candidate] = []
     matches = grow_all(a, b, hypotheses, settings)
-    for seed, grown in zip(hypotheses, matches, strict=True):
-        faint = bool(found) and seed.bits < FAINT_SHARE * found[0].bits
-        if len(grown) > 1 and not faint:
-            found.append(_judge(a, b, grown, tested_bits))
+    found = [_judge(a, b, grown, tested_bits) for grown in matches if len(grown) > 1]
     found.sort(key=lambda c: (-c.bits, c.transform.tolist()))
     kept: list[Candidate] = []
     for candidate in found:

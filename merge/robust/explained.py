@@ -308,7 +308,6 @@ def _branches(naming: _Naming, c: Candidate) -> list[Term]:
 def _against(naming: _Naming, c: Candidate) -> list[Term]:
     told = {
         "unseen": "junction unseen in a corridor",
-        "crossing": "corridors that only cross",
         "elsewhere": "corridors that lead elsewhere",
     }
     found = one_by_one(c.conflicts, naming.one, naming.two)

@@ -1,7 +1,9 @@
 """Mirrored copies: a wing built the other way round has the same lengths, but is another place.
 
 Along a straight line a map and its mirror image agree, corridor by corridor; chance does not offer
-that, and nothing there contradicts. What gives it away is that the mirror image fits better still.
+that, and nothing there contradicts. What gives it away is that the mirror image fits as well. So it
+counts as any other placement does: it must be as far behind. Of 144 pairs of equal rows and tunnels
+of which the one was mirrored two were merged otherwise.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from .verdict import Opinion
 
 Pair = tuple[int, int]
 
-WHY = "its mirror image fits better: this may be a copy built the other way round"
+WHY = "its mirror image fits nearly as well: this may be a copy built the other way round"
 
 
 def mirrored(m: TopoMap) -> TopoMap:
@@ -53,7 +55,7 @@ def doubt_mirrored(
     settings: RobustSettings,
 ) -> dict[Pair, Opinion]:
     """The opinions, with "merged" made "ambiguous" where the second map's mirror image fits the
-    first one clearly better than the map itself does.
+    first one nearly as well as the map itself does, or better.
 
     image_bits: the evidence of the best alignments with mirror images, of some pairs.
     """
@@ -61,14 +63,14 @@ def doubt_mirrored(
     out = dict(opinions)
     for pair, bits in image_bits(merged).items():
         view = opinions[pair]
-        if view.best is not None and fits_better(bits, view.best, settings):
+        if view.best is not None and fits_as_well(bits, view.best, settings):
             out[pair] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
     return out
 
 
-def fits_better(image_bits: float, best: Candidate, settings: RobustSettings) -> bool:
-    """Does the mirror image of a map fit another one clearly better than the map itself does?
+def fits_as_well(image_bits: float, best: Candidate, settings: RobustSettings) -> bool:
+    """Does the mirror image of a map fit another one nearly as well as the map itself does?
 
     image_bits: the evidence of the image's best alignment; best: the alignment of the map itself.
     """
-    return image_bits > best.bits + settings.lead_bits
+    return image_bits > best.bits - settings.lead_bits

@@ -26,9 +26,8 @@ SCALARS = 8
 """Numbers of a candidate that are no arrays: transform (3), tested, bits, rmse, support's bits,
 bits of a corridor that leads elsewhere."""
 
-SIZES = 7
-"""Matches, corridors, links, vertices of b and of a that contradict, crossings, corridors that lead
-elsewhere."""
+SIZES = 6
+"""Matches, corridors, links, vertices of b and of a that contradict, corridors that lead astray."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +60,7 @@ def to_bytes(candidates: tuple[Candidate, ...]) -> bytes:
 def _candidate_bytes(c: Candidate) -> bytes:
     s, x = c.support, c.conflicts
     sizes = (len(c), len(s.corridors), len(s.links), len(x.extra_b), len(x.extra_a))
-    head = np.array([*sizes, len(x.crossing), len(x.elsewhere)], "<u4")
+    head = np.array([*sizes, len(x.elsewhere)], "<u4")
     floats = np.concatenate(
         [
             c.transform,
@@ -75,8 +74,7 @@ def _candidate_bytes(c: Candidate) -> bytes:
     ).astype("<f8")
     whole = [
         *(c.a, c.b, s.corridors.T.ravel(), s.ends.ravel(), s.along + 1),
-        *(x.extra_b, x.extra_b_in, x.extra_a, x.extra_a_in, x.crossing.T.ravel()),
-        x.elsewhere.T.ravel(),
+        *(x.extra_b, x.extra_b_in, x.extra_a, x.extra_a_in, x.elsewhere.T.ravel()),
     ]
     return head.tobytes() + floats.tobytes() + np.concatenate(whole).astype("<i4").tobytes()
 
@@ -97,9 +95,9 @@ def _candidate(data: bytes, at: int, a: Prepared, b: Prepared) -> tuple[Candidat
     """The candidate that begins at a byte, and where it ends."""
     if len(data) - at < 4 * SIZES:
         return None
-    k, c, m, eb, ea, cr, el = np.frombuffer(data, "<u4", SIZES, at).tolist()
+    k, c, m, eb, ea, el = np.frombuffer(data, "<u4", SIZES, at).tolist()
     reals = SCALARS + 3 * k + m + eb + ea
-    wholes = 2 * k + 2 * c + 3 * m + 2 * eb + 2 * ea + 2 * cr + 2 * el
+    wholes = 2 * k + 2 * c + 3 * m + 2 * eb + 2 * ea + 2 * el
     at += 4 * SIZES
     end = at + 8 * reals + 4 * wholes
     if end > len(data) or k < 1:
@@ -109,26 +107,20 @@ def _candidate(data: bytes, at: int, a: Prepared, b: Prepared) -> tuple[Candidat
     if not (np.abs(f) <= LARGEST).all():
         return None
     n_a, n_b, rows_a, rows_b = len(a), len(b), len(a.tail), len(b.tail)
-    sizes = (k, k, c, c, 2 * m, m, eb, eb, ea, ea, cr, cr, el, el)
-    limits = (n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, *[rows_a, rows_b] * 2)
+    sizes = (k, k, c, c, 2 * m, m, eb, eb, ea, ea, el, el)
+    limits = (n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, rows_a, rows_b)
     if wholes and not ((i >= 0) & (i < np.repeat(limits, sizes))).all():
         return None
     turn, links, branches, b_bits, a_bits = _split(f[SCALARS:], (2 * k, m, k, eb, ea))
-    va, vb, *rows, ends, along, extra_b, b_in, extra_a, a_in, cross_a, cross_b, far_a, far_b = (
-        _split(i, sizes)
-    )
-    corridors, crossed, elsewhere = (
-        np.array(columns).T.copy() for columns in (rows, (cross_a, cross_b), (far_a, far_b))
-    )
+    va, vb, *rows, ends, along, extra_b, b_in, extra_a, a_in, far_a, far_b = _split(i, sizes)
+    corridors, elsewhere = (np.array(columns).T.copy() for columns in (rows, (far_a, far_b)))
     candidate = Candidate(
         transform=f[:3],
         a=va,
         b=vb,
         turn=turn.view(np.complex128),
         support=Support(corridors, ends.reshape(-1, 2), along - 1, links, branches, float(f[6])),
-        conflicts=Conflicts(
-            extra_b, b_in, b_bits, extra_a, a_in, a_bits, crossed, elsewhere, float(f[7])
-        ),
+        conflicts=Conflicts(extra_b, b_in, b_bits, extra_a, a_in, a_bits, elsewhere, float(f[7])),
         tested_bits=float(f[3]),
         bits=float(f[4]),
         rmse_m=float(f[5]),

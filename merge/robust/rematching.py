@@ -18,7 +18,7 @@ from ..result import Alignment, Verdict
 from .alignment import Candidate, match
 from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
-from .mirror import fits_better
+from .mirror import fits_as_well
 from .prepare import Prepared
 from .settings import RobustSettings
 from .verdict import ODD_BITS, Bar, Opinion, opinion
@@ -114,7 +114,7 @@ class Rematcher:
         if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):
             return None
         image = self._merged.image_bits(one, two, self.settings)
-        return None if fits_better(image, view.best, self.settings) else (one, two, view)
+        return None if fits_as_well(image, view.best, self.settings) else (one, two, view)
 
     def _open(self) -> list[tuple[Runs, Runs]]:
         """Pairs of components, not both single runs, with an undecided pair across them."""

@@ -153,7 +153,8 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) 
     In a building on a grid the corridors between two lines are all equally long, and a diagonal is
     as long as two of them say: once those fit, the others fit by construction. So every place
     counts as the crossing of two lines, one along the best link and one across it, and a link
-    tells something only if the better ones leave the lines of its two ends free to move.
+    tells something only if the better ones leave the lines of its two ends free to move. Without
+    this a row is merged with its mirror image, and offices fit theirs.
     """
     if not bits:
         return []

@@ -49,11 +49,6 @@ def _told(c: Contradiction, run_a: str, run_b: str) -> str:
         inside = len(c.of_a) == 1
         vertex, run, row, other = (one, run_a, two, run_b) if inside else (two, run_b, one, run_a)
         return f"junction {vertex} of {run} falls inside corridor {row} of {other}, unseen there"
-    if c.kind == "crossing":
-        return (
-            f"corridor {one} of {run_a} crosses corridor {two} of {run_b} "
-            "where neither run saw a junction"
-        )
     return (
         f"corridor {one} of {run_a} and corridor {two} of {run_b} "
         "leave the same junction by the same branch and lead to different ones"

@@ -18,7 +18,7 @@ def placement(bits: float, matched: np.ndarray = EVERY) -> Placement:
     terms = (
         Term("corridor", bits - 1.0, "corridor", (0, 1), (0, 1), (10.0, 10.1)),
         Term("unseen", -2.0, "junction unseen in a corridor", (2, 3), (4,)),
-        Term("crossing", -1.0, "corridors that only cross", (0, 1), (2, 3)),
+        Term("elsewhere", -1.0, "corridors that lead elsewhere", (0, 1), (2, 3)),
         *(Term("branches", 1.0, "3 and 3 branches", (v,), (v,)) for v in range(len(matched))),
         Term("hypotheses", 4.0 - len(matched), "chosen from 3"),
     )
