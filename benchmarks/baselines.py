@@ -11,10 +11,9 @@ import networkx as nx
 import numpy as np
 from scipy.spatial import cKDTree
 
-from topobatch.merge.paper.registration import register
 from topobatch.topology.matching.correspondence import candidate_nodes, node_rotations
 from topobatch.topology.matching.structure import prepare
-from topobatch.topology.se2 import apply, wrap
+from topobatch.topology.se2 import apply, fit_rigid, wrap
 
 
 def single_vertex_transform(a, b, gate_m=0.75):
@@ -40,7 +39,7 @@ def single_vertex_transform(a, b, gate_m=0.75):
         count = hit.sum(axis=1)
         k = int(count.argmax())
         if count[k] > best[0]:
-            best = (int(count[k]), register(a.xy[nearest[k][hit[k]]], b.xy[hit[k]]))
+            best = (int(count[k]), fit_rigid(a.xy[nearest[k][hit[k]]], b.xy[hit[k]]))
     return best[1]
 
 
@@ -52,7 +51,7 @@ def icp(a, b, start, gate_m=3.0, rounds=50):
         hit = np.isfinite(distance)
         if hit.sum() < 2:
             return None
-        new = register(a.xy[nearest[hit]], b.xy[hit])
+        new = fit_rigid(a.xy[nearest[hit]], b.xy[hit])
         if np.abs(wrap(new - T)).max() < 1e-6:
             return new
         T = new
@@ -97,4 +96,4 @@ def largest_common_subgraph(a, b, tolerance=0.05):
         return None
     onto, from_ = list(found), list(found.values())
     pairs = (onto, from_) if large is graphs[0] else (from_, onto)
-    return register(a.xy[pairs[0]], b.xy[pairs[1]])
+    return fit_rigid(a.xy[pairs[0]], b.xy[pairs[1]])

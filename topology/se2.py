@@ -67,25 +67,20 @@ def apply(T_a_b: Any, xy_b: Any) -> FloatArray:
     return np.stack([x, y], axis=-1)
 
 
-def fit_rigid(xy_a: Any, xy_b: Any, weights: Any = None) -> FloatArray:
+def fit_rigid(xy_a: Any, xy_b: Any) -> FloatArray:
     """Least-squares T_a_b with `xy_a ≈ apply(T_a_b, xy_b)` (§3.1; no scaling, no reflection).
 
     In the plane the rotation of the orthogonal Procrustes problem has a closed form, equal to the
-    SVD solution restricted to det R = +1. xy_a, xy_b: (n, 2); weights: (n,), not negative.
-    One pair, or pairs that all coincide, leave the rotation undetermined: theta is 0 then.
-    Raises ValueError on no pairs or on shapes that differ.
+    SVD solution restricted to det R = +1. xy_a, xy_b: (n, 2). One pair, or pairs that all coincide,
+    leave the rotation undetermined: theta is 0 then. Raises ValueError on no pairs, and on
+    shapes that differ.
     """
     a, b = np.asarray(xy_a, np.float64), np.asarray(xy_b, np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 2 or len(a) == 0:
         raise ValueError(f"fit_rigid needs two equal (n, 2) arrays, got {a.shape} and {b.shape}")
-    w = np.ones(len(a)) if weights is None else np.asarray(weights, np.float64)
-    total = w.sum()
-    if not total > 0:
-        raise ValueError("fit_rigid needs a positive total weight")
-    mean_a, mean_b = w @ a / total, w @ b / total
+    mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     p, q = a - mean_a, b - mean_b
-    cross = w @ (q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0])
-    theta = float(np.arctan2(cross, w @ (p * q).sum(axis=1)))
+    theta = float(np.arctan2((q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]).sum(), (p * q).sum()))
     shift = mean_a - rotation(theta) @ mean_b
     return np.array([shift[0], shift[1], wrap(theta)])
 

@@ -1,4 +1,4 @@
-"""Registration and clustering: against closed forms, brute force and examples by hand."""
+"""Clustering: against brute force and examples by hand."""
 
 from __future__ import annotations
 
@@ -7,61 +7,9 @@ import pytest
 
 from topobatch.merge.paper.clustering import ClusterSettings, cluster, transform_distances
 from topobatch.merge.paper.hypotheses import Hypotheses
-from topobatch.merge.paper.registration import fit_groups, register, register_groups
+from topobatch.merge.paper.registration import fit_groups
 from topobatch.topology.matching.correspondence import Nodes
-from topobatch.topology.se2 import apply, fit_rigid
-
-
-def test_registration_recovers_a_motion_and_agrees_with_the_closed_form():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        xy, w = rng.normal(0, 5, (6, 2)), rng.uniform(0, 2, 6)
-        T = rng.uniform(-3, 3, 3)
-        assert register(apply(T, xy), xy) == pytest.approx(T, abs=1e-9)
-        noisy = apply(T, xy) + rng.normal(0, 0.5, (6, 2))
-        assert register(noisy, xy, w) == pytest.approx(fit_rigid(noisy, xy, w), abs=1e-9)
-
-
-def test_registration_of_mirrored_points_is_a_rotation_never_a_reflection():
-    rng = np.random.default_rng(1)
-    for _ in range(8):
-        xy = rng.normal(0, 5, (5, 2))
-        mirrored = xy * [1.0, -1.0]
-        T = register(mirrored, xy)
-        best = ((apply(T, xy) - mirrored) ** 2).sum()
-        for theta in np.linspace(-np.pi, np.pi, 181):
-            R = np.array([0.0, 0.0, theta])
-            shift = mirrored.mean(axis=0) - apply(R, xy).mean(axis=0)
-            assert ((apply(R, xy) + shift - mirrored) ** 2).sum() >= best - 1e-9
-
-
-def test_registration_of_collinear_single_and_coinciding_points():
-    line = np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]])
-    T = np.array([2.0, -1.0, 2.5])
-    assert register(apply(T, line), line) == pytest.approx(T)
-    assert register([[3.0, 4.0]], [[1.0, 1.0]]) == pytest.approx([2.0, 3.0, 0.0])
-    assert register(np.ones((3, 2)), np.zeros((3, 2))) == pytest.approx([1.0, 1.0, 0.0])
-
-
-def test_registration_leaves_out_pairs_of_no_weight_and_refuses_nonsense():
-    a = np.array([[0.0, 0.0], [1.0, 0.0], [50.0, 9.0]])
-    b = np.array([[0.0, 0.0], [0.0, 1.0], [-7.0, 3.0]])
-    assert register(a, b, [1, 1, 0]) == pytest.approx([0.0, 0.0, -np.pi / 2])
-    for bad in ([0, 0, 0], [1, 1], [1, -1, 1]):
-        with pytest.raises(ValueError, match="weight"):
-            register(a, b, bad)
-    with pytest.raises(ValueError, match="two equal"):
-        register(a, b[:2])
-
-
-def test_groups_are_registered_as_if_alone():
-    rng = np.random.default_rng(2)
-    group = np.array([0, 1, 0, 1, 1, 0, 2])
-    a, b = rng.normal(0, 3, (7, 2)), rng.normal(0, 3, (7, 2))
-    together = register_groups(a, b, group, 3)
-    for k in range(3):
-        assert together[k] == pytest.approx(register(a[group == k], b[group == k]))
-
+from topobatch.topology.se2 import apply
 
 # --- clusters -------------------------------------------------------------------------------------
 
