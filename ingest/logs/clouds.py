@@ -1,14 +1,28 @@
-"""The points of sensor_msgs/PointCloud2, whatever its fields, in CDR and ROS 1's encoding."""
+"""The points of clouds, whatever their fields: sensor_msgs/PointCloud2, foxglove.PointCloud."""
 
 from __future__ import annotations
 
+import base64
+import binascii
+import struct
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .foxglove import as_text, get, integer, sequence, stamp_of
-from .messages import DamageError
+from .foxglove import (
+    as_text,
+    get,
+    integer,
+    load_json,
+    pose_of,
+    protobuf_fields,
+    protobuf_pose,
+    protobuf_time,
+    sequence,
+    stamp_of,
+)
+from .messages import DamageError, text
 from .wire import WireParser
 
 FIELDS = 256
@@ -16,6 +30,10 @@ FIELDS = 256
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's kinds of the datatypes of sensor_msgs/PointField."""
+
+FOXGLOVE_NUMBERS = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
+"""Datatypes of sensor_msgs/PointField by those of foxglove.PackedElementField, which begin with
+the unsigned ones."""
 
 
 class Cloud(NamedTuple):
@@ -59,6 +77,8 @@ def wire_cloud(raw: bytes, ros1: bool) -> Cloud:
 
 def object_cloud(message: Any) -> Cloud:
     """The cloud of a decoded message, by the names of its fields; raises DamageError."""
+    if get(message, "point_stride") is not None:
+        return _foxglove_cloud(message)
     header, data = get(message, "header"), get(message, "data")
     if not isinstance(data, np.ndarray) or data.dtype != np.uint8:
         raise DamageError("a cloud without data")
@@ -78,6 +98,101 @@ def object_cloud(message: Any) -> Cloud:
     )
     frame = as_text(get(header, "frame_id")).lstrip("/")
     return Cloud(stamp_of(header), frame, _points(layout, data))
+
+
+def json_cloud(raw: bytes) -> Cloud:
+    """The cloud of a foxglove.PointCloud in JSON, its data in base64; raises DamageError."""
+    message = load_json(raw)
+    if get(message, "point_stride") is None:
+        raise DamageError("a cloud without a point_stride")
+    return _foxglove_cloud(message)
+
+
+def _foxglove_cloud(message: Any) -> Cloud:
+    """The cloud of a decoded foxglove.PointCloud, by the names of its fields."""
+    data = get(message, "data")
+    if isinstance(data, str):
+        try:
+            data = np.frombuffer(base64.b64decode(data, validate=True), np.uint8)
+        except (binascii.Error, ValueError) as error:
+            raise DamageError("the data of a cloud is no base64") from error
+    if not isinstance(data, np.ndarray) or data.dtype != np.uint8:
+        raise DamageError("a cloud without data")
+    fields = {
+        as_text(get(each, "name")): (integer(get(each, "offset")), integer(get(each, "type")))
+        for each in sequence(get(message, "fields"))[:FIELDS]
+    }
+    pose = get(message, "pose")
+    return _placed(
+        stamp_of(message),
+        as_text(get(message, "frame_id")),
+        None if pose is None else pose_of(pose),
+        _packed(integer(get(message, "point_stride")), fields, data),
+    )
+
+
+# foxglove.PointCloud {1: timestamp, 2: frame_id, 3: pose, 4: fixed32 point_stride, 5: repeated
+# PackedElementField {1: name, 2: fixed32 offset, 3: type}, 6: data}
+
+
+def protobuf_cloud(raw: bytes) -> Cloud:
+    """The cloud of a foxglove.PointCloud in protobuf; raises DamageError."""
+    stamp_ns, frame, stride, data = 0, "", 0, b""
+    pose: tuple[float, ...] | None = None
+    fields: dict[str, tuple[int, int]] = {}
+    for number, value in protobuf_fields(raw):
+        if isinstance(value, float) and number == 4:
+            stride = _fixed32(value)
+        if not isinstance(value, bytes):
+            continue
+        if number == 1:
+            stamp_ns = protobuf_time(value)
+        elif number == 2:
+            frame = text(value)
+        elif number == 3:
+            pose = protobuf_pose(value)
+        elif number == 5 and len(fields) < FIELDS:
+            part = dict(protobuf_fields(value))
+            name, offset, kind = part.get(1, b""), part.get(2, 0.0), part.get(3, 0)
+            if isinstance(name, bytes) and isinstance(offset, float) and isinstance(kind, int):
+                fields[text(name)] = _fixed32(offset), kind
+        elif number == 6:
+            data = value
+    return _placed(stamp_ns, frame, pose, _packed(stride, fields, np.frombuffer(data, np.uint8)))
+
+
+def _fixed32(value: float) -> int:
+    """The whole number of four bytes that were taken for a float32."""
+    return int.from_bytes(struct.pack("<f", value), "little")
+
+
+def _packed(
+    stride: int, fields: dict[str, tuple[int, int]], data: NDArray[np.uint8]
+) -> NDArray[np.float64]:
+    """(k, 3) the points of a foxglove.PointCloud."""
+    if len(data) == 0:
+        return np.zeros((0, 3))
+    if stride <= 0:
+        raise DamageError("the points of a cloud take up no room")
+    known = {name: (at, FOXGLOVE_NUMBERS.get(kind, 0)) for name, (at, kind) in fields.items()}
+    return _points(_Layout(1, len(data) // stride, known, False, stride, 0), data)
+
+
+def _placed(
+    stamp_ns: int, frame: str, pose: tuple[float, ...] | None, xyz: NDArray[np.float64]
+) -> Cloud:
+    """Points as they lie in their frame; a pose of zeros, as protobuf leaves it out, is none."""
+    if pose is not None and any(pose):
+        if not np.isfinite(pose).all():
+            raise DamageError("a pose holds numbers that are not finite")
+        x, y, z, w = pose[3:] if any(pose[3:]) else (0.0, 0.0, 0.0, 1.0)
+        # v + 2 w (u × v) + 2 u × (u × v), u the vector part of the unit quaternion.
+        length = float(np.sqrt(x * x + y * y + z * z + w * w))
+        u, w = np.array([x, y, z]) / length, w / length
+        with np.errstate(invalid="ignore", over="ignore"):
+            aside = np.cross(u, xyz)
+            xyz = xyz + 2 * (w * aside + np.cross(u, aside)) + np.array(pose[:3])
+    return Cloud(stamp_ns, frame.lstrip("/"), xyz)
 
 
 def _points(layout: _Layout, data: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .clouds import Cloud, object_cloud, wire_cloud
+from .clouds import Cloud, json_cloud, object_cloud, protobuf_cloud, wire_cloud
 from .columns import words
 from .inflate import ZSTD_MAGIC, inflate_message
 from .laser_wire import LaserDecoder
@@ -54,13 +54,20 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
 
 def _cloud_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     ros1 = channel.encoding == "ros1"
+    foxglove = channel.type_name.startswith("foxglove")
+    if channel.encoding == "json":
+        return ObjectScanDecoder(lambda raw: slicer(json_cloud(raw)))
+    if channel.encoding == "protobuf" and foxglove:
+        return ObjectScanDecoder(lambda raw: slicer(protobuf_cloud(raw)))
     if channel.encoding not in ("cdr", "ros1"):
         raise DamageError(f"clouds encoded as {channel.encoding[:40]!r} are not read")
-    if as_expected(channel, "cloud"):
+    if not foxglove and as_expected(channel, "cloud"):
         return ObjectScanDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
     try:
         decode = object_decoder(channel)
     except UnreadableError:
+        if foxglove:
+            raise
         return ObjectScanDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
     return ObjectScanDecoder(lambda raw: slicer(object_cloud(decode(raw))))
 

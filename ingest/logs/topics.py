@@ -51,14 +51,18 @@ SCAN_KINDS: Mapping[str, LaserKind | None] = {
 }
 """Types of planar scans; None: they are decoded message by message."""
 
-CLOUD_KINDS: Mapping[str, None] = {"sensor_msgs/msg/PointCloud2": None}
+CLOUD_KINDS: Mapping[str, None] = {
+    "sensor_msgs/msg/PointCloud2": None,
+    "foxglove.PointCloud": None,
+    "foxglove_msgs/msg/PointCloud": None,
+}
 
 GRID_KINDS: Mapping[str, None] = {"nav_msgs/msg/OccupancyGrid": None}
 
 ODOMETRY_TYPES = "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped or foxglove.PoseInFrame"
 JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
 SCAN_TYPES = "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan"
-CLOUD_TYPES = "sensor_msgs/PointCloud2"
+CLOUD_TYPES = "sensor_msgs/PointCloud2 or foxglove.PointCloud"
 GRID_TYPES = "nav_msgs/OccupancyGrid"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 from pathlib import Path
@@ -220,6 +221,44 @@ def foxglove_protobuf(
     if whole:
         return out + _field(6, 2, b"".join(numbers))
     return out + b"".join(_field(6, 1, raw) for raw in numbers)
+
+
+def foxglove_cloud(
+    xyz: Any, encoding: str, frame: str = "laser", pose: tuple[float, ...] = (0, 0, 0, 0, 0, 0, 1)
+) -> bytes:
+    """A foxglove.PointCloud of a byte of intensity, then x, y as float32, z as float64."""
+    points = np.zeros(len(xyz), np.dtype("u1, <f4, <f4, <f8"))
+    points["f1"], points["f2"], points["f3"] = np.asarray(xyz, np.float64).T
+    fields = [("intensity", 0, 1), ("x", 1, 7), ("y", 5, 7), ("z", 9, 8)]
+    names = "position", "orientation"
+    if encoding == "json":
+        parts = dict(zip("xyz", pose[:3], strict=True)), dict(zip("xyzw", pose[3:], strict=True))
+        return json.dumps(
+            {
+                "timestamp": {"sec": START_NS // 10**9, "nsec": START_NS % 10**9},
+                "frame_id": frame,
+                "pose": dict(zip(names, parts, strict=True)),
+                "point_stride": points.itemsize,
+                "fields": [{"name": n, "offset": at, "type": t} for n, at, t in fields],
+                "data": base64.b64encode(points.tobytes()).decode(),
+            }
+        ).encode()
+    stamp = b"\x08" + _varint(START_NS // 10**9) + b"\x10" + _varint(START_NS % 10**9)
+    parts = (
+        b"".join(_field(k + 1, 1, struct.pack("<d", v)) for k, v in enumerate(part))
+        for part in (pose[:3], pose[3:])
+    )
+    out = _field(1, 2, stamp) + _field(2, 2, frame.encode())
+    out += _field(3, 2, b"".join(_field(k, 2, part) for k, part in enumerate(parts, 1)))
+    out += _fixed32(4, points.itemsize)
+    for name, at, kind in fields:
+        told = _field(1, 2, name.encode()) + _fixed32(2, at) + _varint(3 << 3) + _varint(kind)
+        out += _field(5, 2, told)
+    return out + _field(6, 2, points.tobytes())
+
+
+def _fixed32(number: int, value: int) -> bytes:
+    return _varint(number << 3 | 5) + struct.pack("<I", value)
 
 
 def mcap(path: Path, rows: list[Row], encoding: str = "cdr") -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -206,6 +207,34 @@ def test_clouds_of_any_layout(
     assert batch.free_m.tolist() == [0.0], "no point is no free way"
 
 
+@pytest.mark.parametrize("encoding", ["json", "protobuf"])
+def test_clouds_of_foxglove(sensors: ModuleType, tmp_path: Path, encoding: str) -> None:
+    payload = sensors.foxglove_cloud(RING, encoding)
+    found = {"kind": "foxglove.PointCloud", "encoding": encoding}
+    _, (batch,) = one(sensors, tmp_path, payload, **found)
+    seen = np.flatnonzero(np.isfinite(batch.ranges_m[0]))
+    np.testing.assert_allclose(batch.ranges_m[0, seen], np.full(8, 3.0), rtol=1e-6)
+    assert batch.times_ns.tolist() == [sensors.START_NS]
+    # Its pose places the points in the frame: a quarter turn, then a metre ahead.
+    turned = (1.0, 0.0, 0.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+    payload = sensors.foxglove_cloud([(3.0, 0.0, 0.0)], encoding, pose=turned)
+    _, (batch,) = one(sensors, tmp_path, payload, **found)
+    (beam,) = np.flatnonzero(np.isfinite(batch.ranges_m[0]))
+    assert batch.ranges_m[0, beam] == pytest.approx(np.hypot(1, 3), rel=1e-6)
+    assert batch.angles_rad[beam] == pytest.approx(np.arctan2(3, 1), abs=0.01)
+
+
+def test_clouds_of_foxglove_that_do_not_fit() -> None:
+    from topobatch.ingest.logs.clouds import json_cloud, protobuf_cloud
+
+    told = {"point_stride": 4, "fields": [], "data": "AAAAAA=="}
+    for change in ({"data": "?"}, {"data": 3}, {"point_stride": 0}, {"point_stride": None}, {}):
+        with pytest.raises(DamageError):
+            json_cloud(json.dumps(told | change).encode())
+    assert len(json_cloud(json.dumps(told | {"data": ""}).encode()).xyz) == 0
+    assert len(protobuf_cloud(b"").xyz) == 0
+
+
 def test_a_cloud_is_sliced_at_the_sensors_height_in_the_robots_frame() -> None:
     from topobatch.ingest.logs.clouds import Cloud
 
@@ -359,6 +388,8 @@ def test_any_bytes_are_scans_or_damage(sensors: ModuleType, data: st.DataObject)
                 (sensors.CLOUD, "cdr", sensors.cloud(RING)),
                 ("foxglove.LaserScan", "protobuf", sensors.foxglove_protobuf([1, 2, 3])),
                 ("foxglove.LaserScan", "json", sensors.foxglove_json([1, 2, 3])),
+                ("foxglove.PointCloud", "json", sensors.foxglove_cloud(RING, "json")),
+                ("foxglove.PointCloud", "protobuf", sensors.foxglove_cloud(RING, "protobuf")),
             ]
         )
     )
