@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from ..topology.errors import LogError
+from ..topology.errors import LogError, UsageError
 from .logs.messages import Channel
 from .logs.topics import (
     CLOUD_KINDS,
@@ -70,6 +70,16 @@ def junction_source(
         f"{listing(counts)}; if one of them holds junctions, name it by --junction-topic and its "
         "fields by --junction-fields"
     )
+
+
+def walks(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> int:
+    """How often a log is walked through whose index says that it holds `counts`: scans are read
+    after all else."""
+    try:
+        way = junction_source(counts, settings, log).way
+    except (LogError, UsageError):
+        return 1
+    return 2 if way in ("scan", "cloud") else 1
 
 
 def _asked(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple[Way, ...]:

@@ -13,7 +13,7 @@ from .channels import acceptance, check_mapping, decoders, kept_whole
 from .frames import FixedTransforms
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
-from .junction_source import JunctionSource, junction_source
+from .junction_source import JunctionSource, junction_source, walks
 from .logs.grids import last_grid
 from .logs.intake import Intake
 from .logs.messages import Findings
@@ -35,7 +35,7 @@ from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
 from .sources import Clock, Source, choose_clock, clock_without_jumps
-from .survey import LogRead, surveyed, walk
+from .survey import LogRead, Progress, surveyed, walk
 
 __all__ = [
     "LogInfo",
@@ -84,15 +84,19 @@ def read_log(
     if survey is not None:
         check_mapping(recording, survey.counts, settings, log)
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
-    findings = walk(recording, intake, on_bytes)
+    counts = survey.counts if survey else {}
+    progress = Progress(recording.bytes, walks(counts, settings, log), on_bytes)
+    findings = walk(recording, intake, progress)
     warnings = _damage(recording, findings, settings)
-    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings))
+    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     try:
         source = junction_source(findings.counts, settings, log)
         return WAYS[source.way](read, source)
     except LogError as error:
         # What is missing may be what is damaged.
         raise LogError("; ".join([str(error), *warnings])) from error
+    finally:
+        progress.finish()
 
 
 def _with_detections(read: LogRead, junction: JunctionSource) -> Run:

@@ -54,6 +54,8 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
                 clock=clock,
                 stamp=read.settings.scan_stamp,
                 slices=read.settings.slices,
+                # Every laser's stream walks through all of the log.
+                on_bytes=read.progress if laser is first else None,
             )
             for laser in used
         ]

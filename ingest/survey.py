@@ -69,15 +69,45 @@ def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Find
     return findings
 
 
+@dataclass(slots=True, eq=False)
+class Progress:
+    """Bytes of a log that is walked through several times, told as if it were once.
+
+    size: of the log; walks: through all of it.
+    """
+
+    size: int
+    walks: int
+    on_bytes: OnBytes | None
+    told: int = 0
+    _read: int = 0
+
+    def __call__(self, count: int) -> None:
+        """So many more bytes have been read, by any of the walks."""
+        self._read += count
+        self._tell(min(self._read // self.walks, self.size))
+
+    def finish(self) -> None:
+        """All walks are done."""
+        self._tell(self.size)
+
+    def _tell(self, upto: int) -> None:
+        if self.on_bytes is not None and upto > self.told:
+            self.on_bytes(upto - self.told)
+            self.told = upto
+
+
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """What one walk through a log has brought to light; warnings: what is damaged."""
+    """What one walk through a log has brought to light; warnings: what is damaged; progress: for
+    further walks."""
 
     recording: Recording
     intake: Intake
     counts: Mapping[Channel, int]
     settings: ReadSettings
     warnings: tuple[str, ...]
+    progress: Progress
 
     @property
     def log(self) -> str:

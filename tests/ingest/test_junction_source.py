@@ -16,7 +16,7 @@ from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.mounting import mounting
 from topobatch.ingest.read_settings import ReadSettings
-from topobatch.ingest.reading import inspect_log, read_log, read_run
+from topobatch.ingest.reading import inspect_log, log_size, read_log, read_run
 from topobatch.simulation import (
     LaserSettings,
     MotionSettings,
@@ -128,6 +128,15 @@ def test_with_detections_and_scans_the_detections_win(both: Path) -> None:
     uses = {topic.topic: (topic.use, topic.why) for topic in inspect_log(both).topics}
     assert uses["/junctions"][0] == "junctions"
     assert uses["/scan"] == ("scans", "not used; --junctions-from scan finds junctions in it")
+
+
+def test_progress_counts_both_walks_through_a_log_with_scans(both: Path) -> None:
+    size, told = log_size(both), list[int]()
+    read_run(both, ReadSettings(junctions_from="scan"), on_bytes=told.append)
+    assert sum(told) == size
+    # Scans are read as they are matched: the second half comes bit by bit, too.
+    assert max(told) < 0.6 * size
+    assert sum(each > 0 for each in np.cumsum(told) > 0.5 * size) > 1
 
 
 def test_scans_become_a_map(both: Path) -> None:
