@@ -114,9 +114,11 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     if isinstance(found, GridLog):
         from ..ingest.grid_map import map_of_grid
 
-        topomap, odometry, seen = map_of_grid(found), None, None
+        topomap = map_of_grid(found)
+        beside: dict[str, Any] = {}
     else:
-        topomap, odometry, seen = build_map(found, job.mapping), found.odometry, found.detections
+        topomap = build_map(found, job.mapping)
+        beside = {name: getattr(found, name) for name in ("odometry", "detections", "scanned")}
     maps = _in_one_piece(topomap)
     runs = [m.run for m in maps]
     docs = {m.run: map_to_document(m) for m in maps}
@@ -124,7 +126,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         _refuse_other_log(job, name, doc)
     writes: dict[Path, Callable[[Path], object]] = {}
     for m in maps:
-        drawn = partial(write_map_recording, topomap=m, odometry=odometry, detections=seen)
+        drawn = partial(write_map_recording, topomap=m, **beside)
         writes[job.place.map_rrd(m.run)] = drawn
         writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
     write_together(writes)
@@ -134,7 +136,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     doc |= {"version": __version__, "bytes": job_size(job)}
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
-    text = f"{_summary(maps, odometry)} ({time.monotonic() - started:.1f} s)"
+    text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"
     text += source_told(maps[0].info.get("source", {}))
     told = maps[0].info.get("warnings", ())
     details = _details(job, topomap)

@@ -71,7 +71,7 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
         NO_DETECTIONS,
         about,
         tuple(warnings),
-        scanned=Scanned(found.passes, found.noise),
+        scanned=Scanned(found.passes, found.noise, found.picture),
     )
 
 

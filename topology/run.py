@@ -87,11 +87,53 @@ class ScanPasses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Anchored:
+    """Points that hang on the robot's pose at some times, so that they follow when it is corrected.
+
+    anchor_ns: (k,) ascending times; anchor: (n,) index into them; xy: (n, 2) float32 [m] in the
+    robot's frame at that time.
+    """
+
+    anchor_ns: IntArray
+    anchor: IntArray
+    xy: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        anchor_ns = frozen_array(self.anchor_ns, np.int64, (None,), "anchor_ns")
+        anchor = frozen_array(self.anchor, np.int64, (None,), "anchor")
+        xy = frozen_array(self.xy, np.float32, (len(anchor), 2), "xy")
+        if len(anchor) and not 0 <= int(anchor.min()) <= int(anchor.max()) < len(anchor_ns):
+            raise ValueError("every point must hang on one of the times")
+        for name, value in (("anchor_ns", anchor_ns), ("anchor", anchor), ("xy", xy)):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.anchor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanPicture:
+    """What the detector of junctions looked at, thinned, for drawing.
+
+    walls: points of scans, one per cell of the grid; skeleton: pixels of the skeleton nearest to
+    the way driven; window_m: half the side of the window about a junction [m].
+    """
+
+    walls: Anchored
+    skeleton: Anchored
+    window_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scanned:
-    """Junctions that scans show, beside the odometry that the scans corrected; noise: of both."""
+    """Junctions that scans show, beside the odometry that the scans corrected; noise: of both.
+
+    picture: what was looked at, if it was kept.
+    """
 
     passes: ScanPasses
     noise: RunNoise
+    picture: ScanPicture | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..merge.paper.explain import Explanation
     from ..merge.result import MergeResult
     from ..topology.odometry import Odometry
-    from ..topology.run import Detections
+    from ..topology.run import Detections, Scanned
     from ..topology.topomap import TopoMap
 
 
@@ -25,16 +25,17 @@ def write_map_recording(
     *,
     odometry: Odometry | None = None,
     detections: Detections | None = None,
+    scanned: Scanned | None = None,
 ) -> None:
     """Write the recording of one run's map, `maps/<run>.rrd`, atomically.
 
-    odometry, detections: the run's own, as recorded; with them the recording shows what closing the
-    loops changed, where the robot is on the map at any time, and what its detector saw there.
-    Raises OSError if the file cannot be written.
+    odometry, detections, scanned: the run's own, as recorded; with them the recording shows what
+    closing the loops changed, where the robot is on the map at any time, and what its detector or
+    its laser saw there. Raises OSError if the file cannot be written.
     """
-    from .map_recording import write
+    from .map_recording import Beside, write
 
-    write(path, topomap, odometry, detections)
+    write(path, topomap, Beside(odometry, detections, scanned))
 
 
 def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from ..topology.odometry import Odometry
-from ..topology.run import Detections
+from ..topology.run import Detections, Scanned
 from ..topology.topomap import TopoMap
 from . import palette
 from .detections import write_detections
@@ -34,6 +35,7 @@ from .recording import (
     write_recording,
 )
 from .robot_track import RobotTrack, robot_track
+from .scan_layers import overrides_of_scans, scan_layers, write_scans
 
 MOST_NODES = 300
 """Above this many vertices there is no room for a graph of boxes."""
@@ -68,14 +70,25 @@ HEALTH_COLOURS = {
 MAP: PathParts = ("map",)
 
 
-def write(
-    path: Path, topomap: TopoMap, odometry: Odometry | None, detections: Detections | None
-) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """What of a run is drawn beside its map."""
+
+    odometry: Odometry | None = None
+    detections: Detections | None = None
+    scanned: Scanned | None = None
+
+
+def write(path: Path, topomap: TopoMap, beside: Beside) -> None:
     """Write the recording of a map; see `topobatch.viz.write_map_recording`."""
+    odometry, detections = beside.odometry, beside.detections
     track = robot_track(topomap, odometry) if odometry is not None else None
     known = history(topomap)
     asked = questions(topomap, known.visit)
     health = lanes(odometry, topomap) if odometry is not None else []
+    seen = None
+    if track is not None and odometry is not None and beside.scanned is not None:
+        seen = scan_layers(beside.scanned, topomap, odometry, track)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
@@ -91,6 +104,8 @@ def write(
             _drift(recording, track, topomap)
             if detections is not None:
                 write_detections(recording, MAP, detections, track)
+        if seen is not None:
+            write_scans(recording, MAP, seen)
         for lane in health:
             _lane(recording, lane)
         shown = Shown(
@@ -99,9 +114,10 @@ def write(
             accepted=any(q.closure.accepted for q in asked),
             refused=any(not q.closure.accepted for q in asked),
             health=bool(health),
+            scans=seen is not None,
         )
         recording.static(("summary",), markdown(map_summary(topomap, asked, shown)))
-        return _blueprint(topomap, track, health)
+        return _blueprint(topomap, track, health, scans=seen is not None)
 
     write_recording(path, topomap.run, fill)
 
@@ -337,8 +353,10 @@ def _track(recording: Recording, track: RobotTrack) -> None:
     recording.static((*MAP, "trail"), trail)
 
 
-def _blueprint(topomap: TopoMap, track: RobotTrack | None, health: Sequence[Lane]) -> rrb.Blueprint:
-    views: list[rrb.View] = [_map_view(topomap, track)]
+def _blueprint(
+    topomap: TopoMap, track: RobotTrack | None, health: Sequence[Lane], *, scans: bool
+) -> rrb.Blueprint:
+    views: list[rrb.View] = [_map_view(topomap, track, scans=scans)]
     if 0 < len(topomap) <= MOST_NODES:
         low, high = bounds([_on_graph(topomap)])
         around = rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[low[1], high[1]])
@@ -396,7 +414,7 @@ def _event_columns() -> rrb.TextLogColumns:
     )
 
 
-def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
+def _map_view(topomap: TopoMap, track: RobotTrack | None, *, scans: bool) -> rrb.Spatial2DView:
     shown: list[NDArray[np.float64]] = [topomap.xy, *topomap.paths]
     low, high = bounds(shown)
     if track is not None:
@@ -430,4 +448,6 @@ def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
             ]
         )
         overrides[entity((*MAP, "trail"))] = trail
+    if scans:
+        overrides |= overrides_of_scans(MAP)
     return map_view(MAP[0], "Map", low, high, overrides)

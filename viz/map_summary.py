@@ -26,6 +26,7 @@ class Shown:
     accepted: bool = False
     refused: bool = False
     health: bool = False
+    scans: bool = False
 
 
 def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: Shown) -> str:
@@ -119,6 +120,12 @@ def _legend(topomap: TopoMap, shown: Shown) -> str:
     if shown.detections:
         lines.append(
             "**Violet** dots: raw detections; those at the cursor are stars, a ray for each branch."
+        )
+    if shown.scans:
+        lines.append(
+            "Under the map: walls that the laser saw up to then (**slate**), the skeleton of the "
+            "free space (**teal**), junctions that it shows (**violet** dots, dull where variants "
+            "of the detector do not agree), and the window about the last one."
         )
     if shown.accepted:
         lines.append("**Green** rings: closures; one for each time that it was recognised.")

@@ -164,7 +164,7 @@ def _result(
         recorded.frame if recorded is not None else "odom",
         recorded.child_frame if recorded is not None else "base_link",
     )
-    picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven))
+    picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), settings.windows.half_m)
     return ScanResult(odometry, passes, noise, statistics, picture, _warnings(statistics))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...topology.frozen import frozen_array
 from ...topology.odometry import Odometry
-from ...topology.run import ScanPasses
+from ...topology.run import Anchored, ScanPasses, ScanPicture
 from ...topology.topomap import RunNoise
 
 FloatArray = NDArray[np.float64]
@@ -63,34 +63,6 @@ class ScanBatch:
 
     def __len__(self) -> int:
         return len(self.times_ns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Anchored:
-    """Points that hang on the robot's pose at some times, so that they follow when it is corrected.
-
-    anchor_ns: (k,) ascending times; anchor: (n,) index into them; xy: (n, 2) [m] in the robot's
-    frame at that time.
-    """
-
-    anchor_ns: IntArray
-    anchor: IntArray
-    xy: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.anchor)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanPicture:
-    """What the detector looked at, thinned, for drawing.
-
-    walls: scan points, one per cell of the grid; skeleton: pixels of the skeleton nearest to the
-    way driven.
-    """
-
-    walls: Anchored
-    skeleton: Anchored
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,136 @@
+"""What a laser saw, under the map."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Anchored, Scanned, ScanPasses, ScanPicture
+from topobatch.topology.se2 import apply
+from topobatch.topology.topomap import TopoMap
+from topobatch.viz import scan_layers, write_map_recording
+
+from .readback import Readback
+
+Make = Callable[..., TopoMap]
+Drive = Callable[[TopoMap], Odometry]
+
+LEFT = [(0.0, 1.0), (0.03, 1.02), (0.5, 1.0)]
+"""Points of a wall on the robot's left, the second in the cell of the first."""
+
+
+def scanned(topomap: TopoMap, odometry: Odometry, picture: bool = True) -> Scanned:
+    """A junction for each but the last of the map's observations, and the same three points of a
+    wall at every hundredth pose."""
+    time_ns = topomap.observation_time_ns[:-1]
+    p = len(time_ns)
+    branches = Ragged.from_rows([[0.0, 1.5, 3.0]] * p)
+    passes = ScanPasses(
+        time_ns=time_ns,
+        start_ns=time_ns,
+        end_ns=time_ns,
+        centre=np.zeros((p, 2)),
+        branches=branches,
+        support=Ragged.from_rows([[1.0, 1.0, 1.0]] * p),
+        confidence=np.linspace(0.4, 1.0, p),
+        windows=np.full(p, 3),
+        clearance_m=np.ones(p),
+    )
+    anchor_ns = odometry.time_ns[::100]
+    k = len(anchor_ns)
+    points = Anchored(
+        anchor_ns, np.repeat(np.arange(k), 3), np.tile(LEFT, (k, 1)).astype(np.float32)
+    )
+    return Scanned(passes, topomap.noise, ScanPicture(points, points, 6.0) if picture else None)
+
+
+def test_scans_lie_where_the_corrected_odometry_puts_them(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1", (2.0, 1.0, 0.5))
+    odometry = drive(topomap)
+    found = scanned(topomap, odometry)
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, scanned=found)
+    got = Readback(tmp_path / "a.rrd")
+    walls = np.array(
+        [at for row in got.rows("/map/scans/walls", "Points2D:positions") for at in row]
+    )
+    pose = odometry.at(found.picture.walls.anchor_ns)
+    wanted = apply(np.repeat(pose, 3, axis=0), np.tile(LEFT, (len(pose), 1)))
+    off = np.hypot(*(walls[:, None] - wanted).transpose(2, 0, 1))
+    assert off.min(axis=1).max() < 0.25
+    assert off.min(axis=0).max() < 0.25
+    cells = np.round(walls / 0.1 - 0.5).astype(int)
+    assert len(np.unique(cells, axis=0)) == len(cells) < len(wanted)
+    times = got.times("/map/scans/walls", "message_log_time")
+    assert np.all(np.diff(times) >= 0)
+    assert set(times.tolist()) <= set(found.picture.walls.anchor_ns.tolist())
+    assert len(got.value("/map/scans/skeleton", "Points2D:positions")) == len(wanted)
+
+
+def test_junctions_tell_their_confidence_and_their_window(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1", (2.0, 1.0, 0.5))
+    odometry = drive(topomap)
+    found = scanned(topomap, odometry)
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, scanned=found)
+    got = Readback(tmp_path / "a.rrd")
+    sure = found.passes.confidence
+    for layer in ("junctions", "windows"):
+        assert got.value(f"/map/scans/{layer}", "confidence") == pytest.approx(sure)
+        assert got.value(f"/map/scans/{layer}", "branches") == [3] * len(sure)
+    (first, *_), outlines = (
+        found.passes.time_ns,
+        got.value("/map/scans/windows", "LineStrips2D:strips"),
+    )
+    square = np.array(outlines[0])
+    assert square.mean(axis=0)[:2] == pytest.approx(odometry.at(np.array([first]))[0, :2], abs=2.5)
+    assert np.hypot(*np.diff(square, axis=0).T) == pytest.approx([12.0] * 4, abs=1e-3)
+    assert (
+        got.times("/map/scans/window", "message_log_time").tolist() == found.passes.time_ns.tolist()
+    )
+    # By vertex: the mean of its passes; the last observation is no pass, its vertex has another.
+    vertex = topomap.observation_vertex[:-1]
+    mean = [sure[vertex == v].mean() for v in range(len(topomap))]
+    assert got.value("/map/junctions", "confidence") == pytest.approx(mean)
+    assert "walls that the laser saw" in got.value("/summary", "TextDocument:text")[0]
+
+
+def test_without_a_picture_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: Drive) -> None:
+    topomap = make_map("run1")
+    odometry = drive(topomap)
+    found = scanned(topomap, odometry, picture=False)
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, scanned=found)
+    got = Readback(tmp_path / "a.rrd")
+    assert not [entity for entity in got.entities if "scans" in entity]
+    assert "laser" not in got.value("/summary", "TextDocument:text")[0]
+
+
+def test_many_walls_are_drawn_by_larger_cells(
+    make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from topobatch.viz.robot_track import robot_track
+
+    topomap = make_map("run1")
+    odometry = drive(topomap)
+    track = robot_track(topomap, odometry)
+    assert track is not None
+    found = scanned(topomap, odometry)
+    fine = scan_layers.scan_layers(found, topomap, odometry, track)
+    assert fine is not None
+    monkeypatch.setattr(scan_layers, "MOST_CELLS", len(fine.walls) - 1)
+    coarse = scan_layers.scan_layers(found, topomap, odometry, track)
+    assert coarse is not None
+    assert (fine.cell_m, coarse.cell_m) == (0.1, 0.2)
+    assert 0 < len(coarse.walls) < len(fine.walls)
+
+
+def test_points_must_hang_on_a_time() -> None:
+    with pytest.raises(ValueError, match="hang on"):
+        Anchored(np.array([5]), np.array([0, 1]), np.zeros((2, 2), np.float32))
+    with pytest.raises(ValueError, match="xy"):
+        Anchored(np.array([5]), np.array([0]), np.zeros((2, 2), np.float32))
