@@ -16,6 +16,9 @@ class Order(IntEnum):
     """What lies over what, from below."""
 
     CARD = auto()
+    WALL = auto()
+    SKELETON = auto()
+    WINDOW = auto()
     CLOSURE = auto()
     RECORDED = auto()
     CORRECTED = auto()

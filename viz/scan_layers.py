@@ -14,13 +14,13 @@ from ..topology.run import Anchored, Scanned, ScanPasses
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .recording import CLOCKS, PathParts, Recording, entity
+from .recording import CLOCKS, HAIR, PathParts, Recording, entity
 from .robot_track import RobotTrack
 
 CELL_M = 0.1
-"""Walls are drawn by cells of this size, as the detector's grid has them; larger ones where there
-are more than MOST_CELLS."""
+"""Walls are drawn by cells of this size, as the detector's grid has them."""
 MOST_CELLS = 150_000
+"""Of 8 bytes each; where there are more, cells are larger."""
 MOST_STEPS = 400
 """Walls appear in so many steps over the whole run."""
 SURE = 5.5 / 7
@@ -109,9 +109,9 @@ def write_scans(recording: Recording, root: PathParts, layers: ScanLayers) -> No
     if len(layers.skeleton):
         points = rr.Points2D(
             layers.skeleton.astype(np.float32),
-            radii=rr.Radius.ui_points(0.75),
+            radii=HAIR,
             colors=palette.SKELETON,
-            draw_order=0.4,
+            draw_order=palette.Order.SKELETON,
         )
         recording.static((*here, "skeleton"), points)
     passes = layers.passes
@@ -128,17 +128,20 @@ def write_scans(recording: Recording, root: PathParts, layers: ScanLayers) -> No
     sure = (passes.confidence > SURE)[:, None]
     colours = np.where(sure, palette.DETECTION, palette.DOUBTFUL).astype(np.uint8)
     dots = rr.Points2D(
-        layers.centre, radii=rr.Radius.ui_points(2.5), colors=colours, draw_order=22.0
+        layers.centre, radii=rr.Radius.ui_points(2.5), colors=colours, draw_order=palette.Order.TIE
     )
     recording.static((*here, "junctions"), dots, told)
-    thin = rr.Radius.ui_points(0.75)
-    outlines = rr.LineStrips2D(list(layers.windows), radii=thin, colors=colours, draw_order=0.6)
+    outlines = rr.LineStrips2D(
+        list(layers.windows), radii=HAIR, colors=colours, draw_order=palette.Order.WINDOW
+    )
     recording.static((*here, "windows"), outlines, told)
     last = rr.LineStrips2D.columns(strips=list(layers.windows)).partition(
         np.ones(len(passes), np.int64)
     )
     recording.over_time((*here, "window"), passes.time_ns, last)
-    look = rr.LineStrips2D.from_fields(radii=thin, colors=palette.DETECTION, draw_order=0.7)
+    look = rr.LineStrips2D.from_fields(
+        radii=HAIR, colors=palette.DETECTION, draw_order=palette.Order.WINDOW
+    )
     recording.static((*here, "window"), look)
 
 
@@ -151,7 +154,9 @@ def _walls(recording: Recording, path: PathParts, layers: ScanLayers) -> None:
     columns = rr.Points2D.columns(positions=layers.walls.astype(np.float32))
     # Every step at the time of its last cell: nothing shows before it was seen.
     recording.over_time(path, layers.time_ns[steps[1:] - 1], columns.partition(np.diff(steps)))
-    look = rr.Points2D.from_fields(radii=layers.cell_m / 2, colors=palette.WALL, draw_order=0.3)
+    look = rr.Points2D.from_fields(
+        radii=layers.cell_m / 2, colors=palette.WALL, draw_order=palette.Order.WALL
+    )
     recording.static(path, look)
 
 
