@@ -31,8 +31,8 @@ from topobatch.merge.cache import ResultCache
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
-from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, index, match, prepare
-from topobatch.merge.robust.index import likely_pairs, pairs_to_match
+from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, match, prepare, screening
+from topobatch.merge.robust.screening import pairs_to_match
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
 from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance
@@ -143,13 +143,13 @@ def recall(count, first):
     """What merging with the index finds of what merging all pairs does."""
     maps = [topomap for topomap, _ in fleet_of(count, first=first)]
     screened = merge_maps(maps)
-    usual, index.MOST_PAIRS = index.MOST_PAIRS, pairs_of(count)
+    usual, screening.MOST_PAIRS = screening.MOST_PAIRS, pairs_of(count)
     try:
         clock = Clock()
         whole = merge_maps(maps)
         spent = clock.lap()
     finally:
-        index.MOST_PAIRS = usual
+        screening.MOST_PAIRS = usual
     accepted = [{(v.a, v.b) for v in r.verdicts if v.accepted} for r in (whole, screened)]
     joined = [joined_pairs(r) for r in (whole, screened)]
     print(f"{count} maps, {pairs_of(count):,} pairs; all of them in {spent:.0f} s")
@@ -165,7 +165,7 @@ def index_only(count, first):
     """How many pairs have a chance, and what it takes to know."""
     ready = [prepare(topomap) for topomap, _ in fleet_of(count, first=first)]
     clock = Clock()
-    wanted = likely_pairs(ready, needed_bits(pairs_of(count), DEFAULT_ROBUST))
+    wanted = pairs_to_match(ready, DEFAULT_ROBUST)
     spent = clock.lap()
     pairs = pairs_of(count)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
@@ -180,7 +180,7 @@ def beyond(count, first):
     """How many of the pairs beyond chance the index gives none."""
     ready = [prepare(topomap) for topomap, _ in fleet_of(count, first=first)]
     need = needed_bits(pairs_of(count), DEFAULT_ROBUST)
-    seen = {(i, j) for i, j in likely_pairs(ready, need).tolist()}
+    seen = {(i, j) for i, j in screening.chances(ready, screening.SHARE * need).pairs.tolist()}
     found = [
         (i, j)
         for i, a in enumerate(ready)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +30,9 @@ LEAST_LIVE = 0.5
 """More files than this, or a smaller share of records that are of use, and all are made one."""
 
 
+Record = tuple[Pack, int]
+
+
 @dataclass(slots=True, eq=False)
 class ResultCache:
     """Results of merging the maps of a workspace, of one era. say: is told what could not be
@@ -43,7 +46,7 @@ class ResultCache:
     _new: list[Pack] = field(default_factory=list)
     _failed: bool = False
     _packs: dict[Path, Pack | None] = field(default_factory=dict)
-    _rows: dict[Kind, dict[Key, list[tuple[Pack, int]]]] = field(default_factory=dict)
+    _rows: dict[Kind, dict[Key, list[Record]]] = field(default_factory=dict)
     _wanted: set[bytes] = field(default_factory=set)
 
     def packs(self, digests: Sequence[bytes]) -> list[Pack]:
@@ -53,13 +56,12 @@ class ResultCache:
 
     def find(self, kind: Kind, key: Key) -> bytes | None:
         """The payload of a record, wanted from now on; None if there is no undamaged one."""
-        if kind not in self._rows:
-            self._rows[kind] = {}
-            for pack in (*self.packs(()), *self._new):
-                self._enter(pack, kind)
         self._wanted.update(key)
-        payloads = (pack.payload(row) for pack, row in self._rows[kind].get(key, ()))
-        return next((payload for payload in payloads if payload is not None), None)
+        return next(_undamaged(self._of(kind).get(key, ())), None)
+
+    def every(self, kind: Kind) -> Iterator[bytes]:
+        """The payloads of all undamaged records of a kind."""
+        return _undamaged(record for known in self._of(kind).values() for record in known)
 
     def keep(self, pack: Pack) -> None:
         """Add results; they are written some at a time."""
@@ -89,6 +91,14 @@ class ResultCache:
             for path in files:
                 if path != kept:
                     path.unlink(missing_ok=True)
+
+    def _of(self, kind: Kind) -> dict[Key, list[Record]]:
+        """The records of a kind by their keys."""
+        if kind not in self._rows:
+            self._rows[kind] = {}
+            for pack in (*self.packs(()), *self._new):
+                self._enter(pack, kind)
+        return self._rows[kind]
 
     def _enter(self, pack: Pack, kind: Kind) -> None:
         """Find the records of a kind by their keys from now on."""
@@ -131,3 +141,9 @@ class ResultCache:
             return None
         self._packs[path] = pack
         return path
+
+
+def _undamaged(records: Iterable[Record]) -> Iterator[bytes]:
+    """The payloads of records, as far as they are whole."""
+    found = (pack.payload(row) for pack, row in records)
+    return (payload for payload in found if payload is not None)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Protocol
@@ -52,7 +52,7 @@ LARGEST = 1e9
 
 class Kind(IntEnum):
     """What a record of a pack tells of its key: two maps, by their digests, or twice the digest of
-    what a component is made of."""
+    all that something is made of."""
 
     PAIR = 0
     ITSELF = 1
@@ -60,11 +60,13 @@ class Kind(IntEnum):
     """The first map against the mirror image of the second."""
     COMPONENT = 3
     """Several maps fused into one."""
+    CHANCES = 4
+    """What the index gives pairs of many maps."""
 
     @property
     def told(self) -> str:
         """What is matched, in words."""
-        return ("pairs of maps", "maps with themselves", "mirror images", "components")[self]
+        return ("pairs of maps", "maps with themselves", "mirror images")[self]
 
 
 NOT_CONTENT = frozenset({"run", "frame", "closures", "info"})
@@ -218,6 +220,10 @@ class Store(Protocol):
         """The payload of one record, if it is known."""
         ...
 
+    def every(self, kind: Kind) -> Iterator[bytes]:
+        """The payloads of all records of a kind."""
+        ...
+
     def keep(self, pack: Pack) -> None:
         """Add results."""
         ...
@@ -246,6 +252,10 @@ class Kept:
     def find(self, kind: Kind, key: Key) -> bytes | None:
         """The payload of a record, if it is known."""
         return self.store.find(kind, key)
+
+    def every(self, kind: Kind) -> Iterator[bytes]:
+        """The payloads of all records of a kind."""
+        return self.store.every(kind)
 
     def add(self, kind: Kind, key: Key, payload: bytes) -> None:
         """Keep a result."""

@@ -10,11 +10,11 @@ import numpy as np
 from ...topology.topomap import TopoMap
 from ..result import Verdict, pairs_of
 from .components import ELSEWHERE, Components, Refusal, agrees, lying_over
-from .index import beyond_chance, pairs_to_match
 from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise, in_tiles
 from .prepare import IntArray
 from .records import Found
+from .screening import beyond_chance, pairs_to_match
 from .settings import RobustSettings
 from .verdict import Bar, Opinion, PairCount, needed_bits, opinions
 
@@ -78,7 +78,7 @@ class Batch:
 def wanted_pairs(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
     """(k, 2) pairs to be matched: all of a small batch; of a large one those that have a chance,
     and those that a person spoke of."""
-    likely = pairs_to_match(matcher.prepared, matcher.settings)
+    likely = pairs_to_match(matcher.prepared, matcher.settings, matcher.digests, matcher.means.kept)
     asked = np.array(sorted(locked), np.int64).reshape(-1, 2)
     return np.unique(np.concatenate([likely, asked]), axis=0)
 

@@ -25,9 +25,9 @@ from .conflicts import one_by_one
 from .decide import Assessment, assess, bars
 from .forced import forced_alignment
 from .growth import FEWEST, LEAST_SHARE, given_up
-from .index import beyond_chance
 from .prepare import FloatArray, Prepared, prepare
 from .rematching import view_of_components
+from .screening import beyond_chance
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import JUNCTION_BITS, Answers, Bar, PairCount, counted_bits, needed_bits
 

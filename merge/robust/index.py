@@ -8,7 +8,6 @@ would not have been merged.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,28 +16,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from ...topology.se2 import wrap
-from ..result import pairs_of
 from .links import LENGTH_SIGMAS, SAG_M, TURN_RAD, length_bits, windows
 from .prepare import LENGTH_SCALE, FloatArray, IntArray, Prepared
-from .settings import RobustSettings
-from .verdict import needed_bits
-
-MOST_PAIRS = 5000
-"""Of more pairs only those are matched that have a chance: 100 runs take some seconds without."""
-
-BLOCK = 500
-"""Maps that are looked through at once: what a map has in common with them fits the memory."""
-
-SHARE = 0.6
-"""Links that hang together must have this share of the bits that merging needs. With 0.75 still
-nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py
---recall 400 --first 5000`).
-"""
-
-UNSEEN = 1.1
-"""For one pair beyond chance that was matched so many are counted: of 692 such pairs, nearly all
-copies in offices, the index gives 29 no chance (`benchmarks/fleet.py --beyond 160 --first 5000`).
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,33 +144,3 @@ class Corridors:
         count = int(fresh.sum()) + 1
         graph = csr_array((np.ones(k, np.int8), (node[:k], node[k:])), shape=(count, count))
         return np.asarray(connected_components(graph, directed=False)[1][node[:k]], np.int64)
-
-
-def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArray:
-    """(k, 2) pairs i < j, sorted: all of a small batch, of a large one those with a chance."""
-    pairs = pairs_of(len(maps))
-    if pairs <= MOST_PAIRS:
-        return np.stack(np.triu_indices(len(maps), 1), axis=1)
-    return likely_pairs(maps, needed_bits(pairs, settings))
-
-
-def beyond_chance(seen: int, pairs: int) -> int:
-    """How many of all pairs are beyond chance, where so many of the matched ones are."""
-    return seen if pairs <= MOST_PAIRS else math.ceil(UNSEEN * seen)
-
-
-def likely_pairs(maps: Sequence[Prepared], need_bits: float) -> IntArray:
-    """(k, 2) pairs i < j that have a chance, sorted. O(links of all pairs).
-
-    Which of two maps is looked up makes no difference but for which of both directions of a
-    corridor is; the first one is.
-    """
-    least = SHARE * need_bits
-    found = []
-    for start in range(0, len(maps), BLOCK):
-        block = Corridors.of(maps[start : start + BLOCK])
-        for i in range(min(start + BLOCK, len(maps))):
-            other = start + np.flatnonzero(block.chances(maps[i], least, i - start) >= least)
-            found.append(np.stack([np.full(len(other), i), other], axis=1))
-    pairs = np.concatenate([*found, np.zeros((0, 2), np.int64)])
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

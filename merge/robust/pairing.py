@@ -122,14 +122,14 @@ class Pairwise:
         self.settings = settings
         self.means = means or Means()
         self.prepared = [prepare(m) for m in maps]
-        self._digests = [self.means.digest(m) for m in maps]
-        self._row = {digest: k for k, digest in enumerate(self._digests)}
+        self.digests = [self.means.digest(m) for m in maps]
+        self._row = {digest: k for k, digest in enumerate(self.digests)}
         self._images: dict[int, Prepared] = {}
         self._packs: list[Pack] = []
         if self.means.store is not None:
             if self.means.store.era != era_of(settings):
                 raise ValueError("what the store keeps is of other settings")
-            self._packs = self.means.store.packs(self._digests)
+            self._packs = self.means.store.packs(self.digests)
 
     def pairs(self, wanted: IntArray) -> dict[Pair, Found]:
         """What matching each of (k, 2) pairs finds."""
@@ -173,8 +173,8 @@ class Pairwise:
         """Records for some of the pairs: of each pack its rows, and the places of the pairs."""
         if not self._packs or not len(wanted):
             return
-        number = {digest: k for k, digest in enumerate(dict.fromkeys(self._digests))}
-        mine = np.array([number[digest] for digest in self._digests])
+        number = {digest: k for k, digest in enumerate(dict.fromkeys(self.digests))}
+        mine = np.array([number[digest] for digest in self.digests])
         key = mine[wanted[:, 0]] * len(number) + mine[wanted[:, 1]]
         for pack in self._packs:
             to = np.array([number.get(d, -1) for d in pack.digests], np.int64)
@@ -247,13 +247,13 @@ class Pairwise:
                 places,
                 MatchTask(
                     kind=kind,
-                    runs=tuple((self.maps[k].run, self._digests[k]) for k in maps.tolist()),
+                    runs=tuple((self.maps[k].run, self.digests[k]) for k in maps.tolist()),
                     pairs=rows.reshape(-1, 2),
                     settings=self.settings,
                     maps=self.means.maps,
                     sent={}
                     if self.means.maps is not None or self.means.workers is None
-                    else {self._digests[k]: self.maps[k] for k in maps.tolist()},
+                    else {self.digests[k]: self.maps[k] for k in maps.tolist()},
                 ),
             )
 

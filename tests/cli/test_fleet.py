@@ -151,7 +151,7 @@ def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
 @pytest.fixture
 def large(monkeypatch):
     """Eighteen runs are a large merge."""
-    monkeypatch.setattr("topobatch.merge.robust.index.MOST_PAIRS", 100)
+    monkeypatch.setattr("topobatch.merge.robust.screening.MOST_PAIRS", 100)
     monkeypatch.setattr("topobatch.merge.merging.MOST_LISTED", 100)
 
 

@@ -5,10 +5,12 @@ import pytest
 
 from topobatch.merge.document import MergedDocument, merged_to_document
 from topobatch.merge.merging import merge_maps
+from topobatch.merge.packs import Kept, Kind, digest_of
 from topobatch.merge.result import Standing, pairs_of
-from topobatch.merge.robust import prepare
-from topobatch.merge.robust.index import Corridors, likely_pairs
+from topobatch.merge.robust import DEFAULT_ROBUST, prepare
+from topobatch.merge.robust.index import Corridors
 from topobatch.merge.robust.links import _components, candidate_links
+from topobatch.merge.robust.screening import chances, pairs_to_match
 from topobatch.simulation import make_world
 
 
@@ -48,9 +50,9 @@ def test_it_is_the_first_step_of_matching_for_all_maps_at_once(buildings):
 
 def test_blocks_make_no_difference(buildings, monkeypatch):
     ready = [prepare(m) for m in buildings]
-    whole = likely_pairs(ready, 20.0)
-    monkeypatch.setattr("topobatch.merge.robust.index.BLOCK", 4)
-    np.testing.assert_array_equal(likely_pairs(ready, 20.0), whole)
+    whole = chances(ready, 12.0).pairs
+    monkeypatch.setattr("topobatch.merge.robust.screening.BLOCK", 4)
+    np.testing.assert_array_equal(chances(ready, 12.0).pairs, whole)
     assert (whole[:, 0] < whole[:, 1]).all()
     assert 0 < len(whole) < pairs_of(len(ready))
 
@@ -58,14 +60,14 @@ def test_blocks_make_no_difference(buildings, monkeypatch):
 def test_maps_without_corridors_have_no_chance(buildings, see, maze):
     lone = prepare(see(maze, [0], 1, "lone"))
     ready = [lone, prepare(buildings[0]), lone]
-    assert likely_pairs(ready, 10.0).shape == (0, 2)
-    assert likely_pairs([], 10.0).shape == (0, 2)
+    assert chances(ready, 6.0).pairs.shape == (0, 2)
+    assert chances([], 6.0).pairs.shape == (0, 2)
 
 
 @pytest.fixture
 def large(monkeypatch):
     """Fifteen runs are a large merge."""
-    monkeypatch.setattr("topobatch.merge.robust.index.MOST_PAIRS", 50)
+    monkeypatch.setattr("topobatch.merge.robust.screening.MOST_PAIRS", 50)
     monkeypatch.setattr("topobatch.merge.merging.MOST_LISTED", 50)
 
 
@@ -104,3 +106,66 @@ def test_the_threshold_is_that_of_all_pairs(buildings, request):
     (need,) = {v.threshold_bits for v in merge_maps(buildings).verdicts}
     request.getfixturevalue("large")
     assert {v.threshold_bits for v in merge_maps(buildings).verdicts} == {need}
+
+
+class Shelf:
+    """A store in memory that counts what is added to it."""
+
+    era = b"e" * 16
+
+    def __init__(self):
+        self.known = {}
+
+    def find(self, kind, key):
+        return self.known.get((kind, key))
+
+    def every(self, kind):
+        return (payload for (of, _), payload in self.known.items() if of is kind)
+
+    def keep(self, pack):
+        for k, row in enumerate(pack.rows):
+            key = pack.digests[row["a"]], pack.digests[row["b"]]
+            self.known[Kind(row["kind"]), key] = pack.payload(k)
+
+
+def test_beside_known_maps_only_new_ones_are_looked_up(buildings, large, monkeypatch):
+    maps = sorted(buildings, key=lambda m: m.run)
+    ready, digests = [prepare(m) for m in maps], [digest_of(m) for m in maps]
+    asked = []
+    chances_of = Corridors.chances
+
+    def counted(self, a, least, after=-1):
+        asked.append(self.maps - 1 - after)
+        return chances_of(self, a, least, after)
+
+    monkeypatch.setattr(Corridors, "chances", counted)
+    kept, looked = Kept(Shelf()), []
+    for left_out in ({3, 7}, {7}, set(), {1, 2}, set()):
+        rows = [k for k in range(len(maps)) if k not in left_out]
+        some, names = [ready[k] for k in rows], [digests[k] for k in rows]
+        right = pairs_to_match(some, DEFAULT_ROBUST)
+        asked.clear()
+        np.testing.assert_array_equal(pairs_to_match(some, DEFAULT_ROBUST, names, kept), right)
+        looked.append(sum(asked))
+    # Of 13 maps all pairs, of one more 13 and 14; then nothing new, or what was there before.
+    assert looked == [78, 13, 14, 0, 0]
+
+
+def test_chances_of_other_bytes_are_refused(buildings, large):
+    maps = sorted(buildings, key=lambda m: m.run)
+    ready, digests = [prepare(m) for m in maps], [digest_of(m) for m in maps]
+    kept = Kept(Shelf())
+    right = pairs_to_match(ready, DEFAULT_ROBUST, digests, kept)
+    ((key, data),) = kept.store.known.items()
+    for at in range(0, len(data), 8):
+        for junk in (b"\xff" * 8, b"\xff" * 7 + b"\x7f", data[: len(data) // 2]):
+            kept.store.known[key] = (data[:at] + junk + data[at + 8 :])[: max(len(data), at)]
+            pairs = pairs_to_match(ready, DEFAULT_ROBUST, digests, kept)
+            assert ((pairs >= 0) & (pairs < len(maps))).all()
+    kept.store.known.clear()
+    turned = pairs_to_match(ready[::-1], DEFAULT_ROBUST, digests[::-1], kept)
+    kept.store.known.update({key: data})
+    np.testing.assert_array_equal(
+        pairs_to_match(ready[::-1], DEFAULT_ROBUST, digests[::-1], kept), turned
+    )
+    assert len(right) == len(turned)
