@@ -13,7 +13,7 @@ from ...topology.odometry import Odometry
 from ...topology.se2 import apply, compose, inverse
 from .junctions import Driven, JunctionSettings, junction_passes
 from .matching import Matched, MatchingSettings, matched, posed
-from .noise import matched_noise, position_sigma, recorded_drift
+from .noise import expected_drift, matched_noise, recorded_drift
 from .scan import Anchored, ScanBatch, ScanPicture, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
@@ -150,7 +150,7 @@ def _result(
         drift_before_m=recorded_drift(
             np.concatenate(track.recorded), driven.pose, driven.way, DRIFT_M
         ),
-        drift_after_m=position_sigma(noise, DRIFT_M),
+        drift_after_m=expected_drift(noise, driven.pose, driven.way, DRIFT_M),
         bias_rad_per_m=track.bias_rad_per_m,
         covered=_covered(driven, fit >= settings.least_fit),
         searched=track.searched,

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from ...topology.digits import significant
-from ...topology.se2 import between
+from ...topology.se2 import between, wrap
 from ...topology.topomap import RunNoise
 from .scan import ScanPasses
 from .step_errors import SpanErrors
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07, miss_rate=0.06, phantom_rate=0.03)
 """Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by
@@ -56,10 +57,34 @@ def matched_noise(
     )
 
 
-def position_sigma(noise: RunNoise, way_m: float) -> float:
-    """1 sigma of the position after a straight way, by a run's noise [m]."""
-    across = noise.heading_rad_per_sqrt_m**2 * way_m**3 / 3
-    return float(np.sqrt(noise.along_m_per_sqrt_m**2 * way_m + across))
+HALF = 0.6745
+"""Of the sigma of a normal error, within which half of all lie: errors of position are mostly
+across the way, hardly along it."""
+
+
+def expected_drift(noise: RunNoise, pose: FloatArray, way: FloatArray, way_m: float) -> float:
+    """Median distance [m] to which a run's noise knows where `way_m` led, over all stretches of the
+    poses (n, 3) so long; NaN if there is not so much way. O(n) by sums over what turns the end."""
+    first, last = _stretches(way, way_m)
+    if len(first) == 0:
+        return float("nan")
+    turned = np.abs(wrap(np.diff(pose[:, 2])))
+    q = noise.heading_rad_per_sqrt_m**2 * np.diff(way)
+    q = q + noise.heading_rad_per_sqrt_rad**2 * turned
+    xy = pose[:, :2] - pose[:, :2].mean(axis=0)
+    terms = np.column_stack([q, q[:, None] * xy[:-1], q * np.sum(xy[:-1] ** 2, axis=1)])
+    sums = np.concatenate([np.zeros((1, 4)), np.cumsum(terms, axis=0)])
+    (s0, sx, sy, s2), end = (sums[last] - sums[first]).T, xy[last]
+    across = s0 * np.sum(end**2, axis=1) - 2 * (sx * end[:, 0] + sy * end[:, 1]) + s2
+    along = noise.along_m_per_sqrt_m**2 * (way[last] - way[first])
+    return HALF * float(np.median(np.sqrt(np.maximum(across, 0.0) + along)))
+
+
+def _stretches(way: FloatArray, way_m: float) -> tuple[IntArray, IntArray]:
+    """First and last rows of all stretches of so much way."""
+    last = np.searchsorted(way, way + way_m)
+    first = np.flatnonzero(last < len(way))
+    return first, last[first]
 
 
 def recorded_drift(
@@ -67,12 +92,10 @@ def recorded_drift(
 ) -> float:
     """Median distance [m] between where odometry as recorded (n, 3) and as corrected lead to
     after `way_m`; NaN if there is not so much way."""
-    last = np.searchsorted(way, way + way_m)
-    first = np.flatnonzero(last < len(way))
+    first, last = _stretches(way, way_m)
     if len(first) == 0:
         return float("nan")
     off = between(
-        between(corrected[first], corrected[last[first]]),
-        between(recorded[first], recorded[last[first]]),
+        between(corrected[first], corrected[last]), between(recorded[first], recorded[last])
     )
     return float(np.median(np.hypot(off[:, 0], off[:, 1])))

@@ -69,12 +69,13 @@ class ScanBatch:
 class ScanStatistics:
     """What scan matching made of a run.
 
-    scans: read; matched: of these, used and found to fit; drift_before_m, drift_after_m: 1 sigma of
-    the position error after 20 m of way [m], of the odometry as recorded (by what was corrected)
-    and as corrected (by its own covariance), NaN where the run is shorter; bias_rad_per_m: heading
-    error of the odometry that was found and taken out; covered: share of the way driven where the
-    scans show the surroundings well enough to tell a junction; searched: times that matching had
-    lost its way and searched for it; odometry: whether there was any beside the scans.
+    scans: read; matched: of these, used and found to fit; drift_before_m, drift_after_m: median
+    of the position error after 20 m of way [m], of the odometry as recorded (by what was corrected)
+    and as corrected (by its own covariance, over the same ways), NaN where the run is shorter;
+    bias_rad_per_m: heading error of the odometry that was found and taken out; covered: share of
+    the way driven where the scans show the surroundings well enough to tell a junction; searched:
+    times that matching had lost its way and searched for it; odometry: whether there was any
+    beside the scans.
     """
 
     scans: int = 0
