@@ -1,14 +1,21 @@
-"""Junctions from scans of real logs: python benchmarks/laser.py FOLDER... [--alone] [--kiss]
+"""Junctions from scans: python benchmarks/laser.py FOLDER... [--alone] [--kiss]
 
-Folders hold `logs/*.mcap` with odometry and a laser, `truth.json` with corrected paths. Per run:
+Folders hold `logs/*.mcap` with odometry and a laser, `truth.json` with corrected paths; or are what
+`topobatch simulate OUT --laser --format mcap` writes, of which the truth is exact. Per run:
 
   drift       error of the position after 5 and 20 m of way, of the odometry as recorded and as
               corrected: median and 90 % of all stretches, and of those between moments at which the
               robot drives straight (the truth is interpolated between scans far apart: in turns it
-              is off by degrees); `bent`: what is left at the ends of a stretch after the best
-              rigid fit of all of it, which no wrong heading of the truth at one end swings around
-  claimed     shares of heading errors after 20 m within 1 and 2 sigma as the run's noise claims
-              them, with the truth's own scatter (measured over 0.5 m) in it
+              is off by degrees); `framed`: the same between rigid fits of 4 m of way around both
+              ends, which a single wrong heading of the truth does not swing around; `bent`: what is
+              left at the ends of a stretch after the best rigid fit of all of it
+  truth       heading of scans 5 m of way apart: how far the truth, and the corrected odometry, is
+              off what matching the two with each other alone says; whose pose they fit better in
+  claimed     shares of heading errors after 20 m within the 68.3 and 95.4 % that the run's noise
+              claims, with the truth's own scatter (as it is over 0.5 m, no normal one) in it
+  junctions   of simulated worlds: passes within 0.7 m, or within a corridor's width, of a crossing;
+              crossings passed (not in the first or last 8 s) that were found; with the branches
+              that they have
   repeat      of the times that a place with a junction was passed again: found within 0.5 m, and
               with the same number of branches. A place counts as passed when the truth comes within
               0.9 m; "sure": of junctions on which 6 of 7 variants agree
@@ -34,14 +41,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
+from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map
+from topobatch.ingest.scans.alignment import Steps, match_steps
+from topobatch.ingest.scans.association import Gate, Swept, pair_terms
 from topobatch.ingest.scans.detection import detect
+from topobatch.ingest.scans.keyframes import join
+from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
 from topobatch.ingest.scans.scan import ScanBatch, ScanResult
+from topobatch.ingest.scans.stream import Mounting, ScanStream
+from topobatch.ingest.scans.surfaces import surfaces
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, Run, Scanned
-from topobatch.topology.se2 import apply, between, compose, fit_rigid, wrap
+from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import TopoMap
 from topobatch.topology.track import way_at
 
@@ -54,13 +69,26 @@ ONE_PLACE_M, APART_M = 0.6, 2.0
 
 
 @dataclass(frozen=True)
+class Crossings:
+    """Of a simulated world: xy (v, 2) and number of branches (v,) of all vertices; passes of them
+    by time, [ns]."""
+
+    xy: FloatArray
+    degree: IntArray
+    vertex: IntArray
+    start_ns: IntArray
+    end_ns: IntArray
+
+
+@dataclass(frozen=True)
 class Log:
-    """Odometry, scans, and the corrected path of a run."""
+    """Odometry, scans, and the corrected path of a run; crossings: of a simulated one."""
 
     name: str
     odometry: Odometry
     scans: list[ScanBatch]
     truth: Odometry
+    crossings: Crossings | None = None
 
     @property
     def seconds(self) -> float:
@@ -68,29 +96,54 @@ class Log:
 
 
 def logs(folder: Path) -> Iterator[Log]:
-    """The runs of a folder, read by rosbags: scans in the robot's frame, no echo beyond the
-    range."""
-    from rosbags.highlevel import AnyReader
-
-    runs = json.loads((folder / "truth.json").read_text())["runs"]
-    for name, run in sorted(runs.items()):
-        odometry, scans = [], []
-        with AnyReader([folder / "logs" / f"{name}.mcap"]) as reader:
-            for connection, _, raw in reader.messages():
-                if connection.msgtype.endswith("/Odometry"):
-                    odometry.append(_pose(reader.deserialize(raw, connection.msgtype)))
-                elif connection.msgtype.endswith("/LaserScan"):
-                    scans.append(reader.deserialize(raw, connection.msgtype))
+    """The runs of a folder, their odometry and real scans read by rosbags."""
+    told = json.loads((folder / "truth.json").read_text())
+    for name, run in sorted(told["runs"].items()):
+        simulated = "laser" in run.get("settings", {})
+        path = folder / ("" if simulated else "logs") / f"{name}.mcap"
+        odometry, scans = _read(path)
         rows = {row[0]: row[1:] for row in odometry}
         times = np.array(sorted(rows), np.int64)
         track = Odometry(times, np.array([rows[t] for t in times]), np.zeros(0, np.int64))
-        path = run["path"]
         real = Odometry(
-            np.array([row[0] for row in path], np.int64),
-            np.array([row[1:] for row in path]),
+            np.array([row[0] for row in run["path"]], np.int64),
+            np.array([row[1:] for row in run["path"]]),
             np.zeros(0, np.int64),
         )
-        yield Log(name, track, list(_batches(scans)), real)
+        if simulated:
+            crossings = _crossings(told["worlds"][run["world"]], run)
+            batches = _mounted(path, run["settings"]["laser"]["mount"])
+            yield Log(f"{folder.name}/{name}", track, batches, real, crossings)
+        else:
+            yield Log(name, track, list(_batches(scans)), real)
+
+
+def _read(path: Path) -> tuple[list[tuple[int, float, float, float]], list[Any]]:
+    from rosbags.highlevel import AnyReader
+
+    odometry, scans = [], []
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            if connection.msgtype.endswith("/Odometry"):
+                odometry.append(_pose(reader.deserialize(raw, connection.msgtype)))
+            elif connection.msgtype.endswith("/LaserScan"):
+                scans.append(reader.deserialize(raw, connection.msgtype))
+    return odometry, scans
+
+
+def _mounted(path: Path, mount: list[float]) -> list[ScanBatch]:
+    """Simulated scans, which begin at their stamps, as `topobatch ingest` reads them."""
+    x, y, yaw = mount
+    pose = np.array([x, y, 0.0, 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
+    return list(ScanStream(recording_at(path), "/scan", Mounting(otherwise=lambda _: pose)))
+
+
+def _crossings(world: Any, run: Any) -> Crossings:
+    xy = np.array(world["vertices"], float)[:, :2]
+    open_ = [e for k, e in enumerate(world["edges"]) if k not in set(run["closed_edges"])]
+    ends = np.array([edge[:2] for edge in open_])
+    passes = {k: np.array(run["passes"][k], np.int64) for k in ("vertex", "start_ns", "end_ns")}
+    return Crossings(xy, np.bincount(ends.ravel(), minlength=len(xy)), **passes)
 
 
 def _ns(stamp: Any) -> int:
@@ -136,6 +189,7 @@ class Stretches:
     straight: NDArray[np.bool_]
     bent: FloatArray
     turned: FloatArray
+    framed: FloatArray
 
     @classmethod
     def of(cls, log: Log, time_ns: IntArray, ours: FloatArray, way_m: float) -> Stretches:
@@ -150,7 +204,10 @@ class Stretches:
         total = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(real[:, 2]))))])
         error = between(between(real[first], real[last]), between(ours[first], ours[last]))
         bent = [_bent(real[a : b + 1], ours[a : b + 1]) for a, b in zip(first, last, strict=True)]
-        return cls(error, calm[first] & calm[last], np.array(bent), total[last] - total[first])
+        framed = _framed(real, ours, way, np.stack([first, last]))
+        return cls(
+            error, calm[first] & calm[last], np.array(bent), total[last] - total[first], framed
+        )
 
     @property
     def off_m(self) -> FloatArray:
@@ -163,7 +220,8 @@ class Stretches:
         calm = calm if len(calm) else np.array([np.nan])
         return (
             f"median {np.median(everywhere):.3f} p90 {np.percentile(everywhere, 90):.3f}; straight "
-            f"{np.median(calm):.3f} {np.percentile(calm, 90):.3f}; bent p90 "
+            f"{np.median(calm):.3f} {np.percentile(calm, 90):.3f}; framed "
+            f"{np.median(self.framed):.3f} {np.percentile(self.framed, 90):.3f}; bent p90 "
             f"{np.percentile(self.bent, 90):.3f} m"
         )
 
@@ -174,18 +232,100 @@ def _bent(real: FloatArray, ours: FloatArray) -> float:
     return float(np.hypot(*off.T).max())
 
 
+def _framed(
+    real: FloatArray, ours: FloatArray, way: FloatArray, ends: IntArray, half_m: float = 2.0
+) -> FloatArray:
+    """(q,) error [m] of the last places seen from the first, both by fits of the way around."""
+    around = [np.searchsorted(way, [w - half_m, w + half_m]) for w in way]
+    fits = np.array(
+        [fit_rigid(real[a:b, :2], ours[a:b, :2]) if b - a > 3 else [np.nan] * 3 for a, b in around]
+    )
+    first, last = ends
+    off = apply(fits[first], ours[last, :2]) - apply(fits[last], ours[last, :2])
+    distance = np.hypot(off[:, 0], off[:, 1])
+    return distance[np.isfinite(distance)]
+
+
+def judged_truth(log: Log, apart_m: float = 5.0) -> str:
+    """Scans matched with each other alone, where they tell all three numbers, beside the truth."""
+    settings = MatchingSettings()
+    parts = list(matched(posed(log.odometry, log.scans, settings), settings))
+    frames = join([part.keyframes for part in parts])
+    pose = np.concatenate([part.pose for part in parts])
+    scans = Swept(frames.xy, frames.start, frames.increment, surfaces(frames.xy, frames.increment))
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
+    inside = (frames.time_ns >= log.truth.time_ns[0]) & (frames.time_ns <= log.truth.time_ns[-1])
+    last = np.searchsorted(way, way + apart_m)
+    first = np.flatnonzero(inside & (last < len(way)))
+    last = last[first]
+    pairs = last[inside[last]], first[inside[last]]
+    real = compose(log.truth.at(frames.time_ns), frames.mount)
+    claims = [between(P[pairs[1]], P[pairs[0]]) for P in (real, pose)]
+    loose = np.tile(np.diag([0.04, 0.04, 1.0]), (len(pairs[0]), 1, 1))
+    found = match_steps(scans, pairs, Steps(claims[1], loose), settings.alignment)
+    good = (found.fit > 0.5) & (found.loose_m < 0.03)
+    if not good.any():
+        return "no two scans that tell"
+    still = np.zeros_like(found.motion)
+    off = [np.degrees(np.abs(wrap(found.motion - c)[good, 2])) for c in claims]
+    fit = [pair_terms(scans, *pairs, (c, still), Gate(0.3, 0.05)).fit[good] for c in claims]
+    told = "; ".join(
+        f"{name} off by median {np.median(o):.2f} p90 {np.percentile(o, 90):.2f} deg"
+        for name, o in zip(("truth", "ours"), off, strict=True)
+    )
+    return f"{told}; ours fits better in {np.mean(fit[1] > fit[0]):.2f} of {good.sum()}"
+
+
 def claimed(log: Log, result: ScanResult, time_ns: IntArray, ours: FloatArray) -> str:
-    """Shares of heading errors after 20 m within 1 and 2 sigma."""
+    """Shares of heading errors after 20 m within the central 68.3 and 95.4 % claimed."""
     noise = result.noise
     base = Stretches.of(log, time_ns, ours, 0.5)
     far = Stretches.of(log, time_ns, ours, 20.0)
-    if not far.straight.any():
-        return "too short"
-    own = 1.4826 * np.median(np.abs(base.error[base.straight, 2]))
-    walk = noise.heading_rad_per_sqrt_m**2 * 20 + noise.heading_rad_per_sqrt_rad**2 * far.turned
-    z = np.abs(far.error[:, 2]) / np.sqrt(walk + own**2)
-    z = z[far.straight]
-    return f"{np.mean(z < 1):.2f} within 1, {np.mean(z < 1.96):.2f} within 2 sigma (n {len(z)})"
+    told = []
+    for name, near_rows, rows in (
+        ("straight", base.straight, far.straight),
+        ("all", base.straight | True, far.straight | True),
+    ):
+        if not rows.any() or not near_rows.any():
+            return "too short"
+        own = base.error[near_rows, 2]
+        own = np.quantile(own - np.median(own), np.linspace(0.005, 0.995, 100))
+        walk = noise.heading_rad_per_sqrt_m**2 * 20
+        walk = walk + noise.heading_rad_per_sqrt_rad**2 * far.turned[rows]
+        sigma, off = np.sqrt(walk)[:, None], np.abs(far.error[rows, 2])[:, None]
+        p = (ndtr((off - own) / sigma) - ndtr((-off - own) / sigma)).mean(axis=1)
+        told.append(f"{name} {np.mean(p < 0.683):.3f} {np.mean(p < 0.954):.3f} (n {len(p)})")
+    return "within 68.3 and 95.4 %: " + ", ".join(told)
+
+
+def junctions(log: Log, result: ScanResult) -> str:
+    """Passes against the crossings of a simulated world."""
+    known, passes = log.crossings, result.passes
+    assert known is not None
+    centre, degree = true_centres(log, result), passes.branches.counts
+    away = np.hypot(*(centre[:, None] - known.xy).transpose(2, 0, 1))
+    real = np.where(known.degree >= 3, away, np.inf)
+    nearest = real.argmin(axis=1)
+    ends = log.truth.time_ns[[0, -1]] + np.array([8, -8]) * 10**9
+    inner = (known.start_ns > ends[0]) & (known.end_ns < ends[1])
+    asked = np.flatnonzero(inner & (known.degree[known.vertex] >= 3))
+    told = []
+    for reach_m in (0.7, 1.4):
+        right = real.min(axis=1) < reach_m
+        found, same = [], []
+        for k in asked.tolist():
+            then = (passes.end_ns >= known.start_ns[k] - 3 * 10**9) & (
+                passes.start_ns <= known.end_ns[k] + 3 * 10**9
+            )
+            there = then & (away[:, known.vertex[k]] < reach_m)
+            found.append(bool(there.any()))
+            same.append(bool((degree[there] == known.degree[known.vertex[k]]).any()))
+        alike = right & (degree == known.degree[nearest])
+        told.append(
+            f"{reach_m} m: precision {np.mean(right):.3f} recall {np.mean(found):.3f}, with the "
+            f"same branches {np.mean(alike):.3f} {np.mean(same):.3f}"
+        )
+    return "; ".join(told) + f" (of {len(centre)}, {len(asked)})"
 
 
 def true_centres(log: Log, result: ScanResult) -> FloatArray:
@@ -274,6 +414,8 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> None:
         print(f"  drift {way_m:2.0f} m recorded  {recorded.told()}")
         print(f"  drift {way_m:2.0f} m corrected {Stretches.of(log, t, ours, way_m).told()}")
     print(f"  claimed  {claimed(log, result, t, ours)}")
+    if log.crossings is not None:
+        print(f"  junctions {junctions(log, result)}")
     print(f"  repeat   {repeatability(log, result)}")
     print(f"  closure  {closure(log, result, topomap)}")
     way = way_at(result.odometry, result.odometry.time_ns[-1:])[0]
@@ -286,6 +428,8 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> None:
         f"peak {peak:.0f} MB with all scans held",
         flush=True,
     )
+    if log.crossings is None and not alone:
+        print(f"  truth    {judged_truth(log)}")
     if pictures is not None:
         draw(pictures / f"{log.name}.png", result, topomap)
 
@@ -356,13 +500,14 @@ def kiss(log: Log) -> None:
             seen = np.isfinite(r)
             points = np.column_stack([r * np.cos(batch.angles_rad), r * np.sin(batch.angles_rad)])
             cloud = np.column_stack([points[seen], np.zeros(seen.sum())])
-            wheel = log.odometry.at(batch.times_ns[row : row + 1])[0]
+            wheel = compose(log.odometry.at(batch.times_ns[row : row + 1])[0], batch.T_body_laser)
             if last is not None:
                 odometry.last_delta = _lifted(between(last, wheel))
             last = wheel
             odometry.register_frame(cloud, np.zeros(len(cloud)))
             T = odometry.last_pose
-            poses.append([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+            laser = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+            poses.append(compose(laser, inverse(batch.T_body_laser)))
             times.append(int(batch.times_ns[row]))
     spent = time.process_time() - began
     keep = np.concatenate([[True], np.diff(times) > 0])
