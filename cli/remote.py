@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from ..ingest.read_cost import read_cost
-from ..ingest.remote.path import AT_ONCE, RemotePath
+from ..ingest.remote.path import RemotePath
+from ..ingest.remote.threads import side_by_side
 from ..topology.errors import TopobatchError
 from .ingest_worker import IngestJob, is_unchanged, job_size
 from .output import Screen, count
@@ -21,8 +21,9 @@ def announce(jobs: Sequence[IngestJob], screen: Screen) -> None:
     if not remote:
         return
     logs = fetched = whole = kept = 0
-    with ThreadPoolExecutor(AT_ONCE) as pool, screen.progress("indexes", len(remote), "logs") as at:
-        for done, (job, cost) in enumerate(zip(remote, pool.map(_cost, remote), strict=True)):
+    with screen.progress("indexes", len(remote), "logs") as at:
+        costs = side_by_side(_cost, remote)
+        for done, (job, cost) in enumerate(zip(remote, costs, strict=True)):
             at(done + 1)
             if cost is None:
                 continue

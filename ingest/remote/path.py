@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +17,8 @@ from urllib.parse import unquote, urlsplit, urlunsplit
 
 from ...topology.errors import LogError, UsageError
 from .source import RemoteFile
-from .store import TAIL_MOST, MissingObjectError, Stat, fetch, listed, require_obstore
+from .store import TAIL_MOST, MissingObjectError, Stat, asked, listed, require_obstore
+from .threads import side_by_side
 
 _REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
 _LOG = re.compile(r"\.(mcap|bag|db3|active|zstd|zst)$", re.IGNORECASE)
@@ -34,10 +35,6 @@ TAIL_SHARE = 2048
 
 SMALL_FILE_BYTES = 1 << 22
 """Longest description (metadata.yaml) that is read."""
-
-
-AT_ONCE = 16
-"""Small requests under way at a time: each takes some 30 ms, all but one of them waiting."""
 
 
 def is_remote(text: str) -> bool:
@@ -212,9 +209,8 @@ class RemotePath:
                 waiting += [each] if each.is_dir() else []
                 if each.name == name and each.is_file() and each.state.size <= SMALL_FILE_BYTES:
                     found.append(each)
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            for file in found:
-                pool.submit(file.open)  # what fails does so again when it is wanted
+        for _ in side_by_side(_read_if_there, found):
+            pass
 
     # An object
 
@@ -284,7 +280,8 @@ class RemotePath:
 
     def _keep(self, wanted: tuple[int, int] | int) -> None:
         known = self._object
-        got = fetch(self.root, self.key.rstrip("/"), wanted, known.stat, named=str(self))
+        key = self.key.rstrip("/")
+        got = asked(self.root, key, wanted, known.stat, named=str(self)).result()
         known.stat = known.stat or got.stat
         known.ends[got.start] = got.data
 
@@ -329,6 +326,11 @@ class RemotePath:
         finally:
             self._found = None
         return True
+
+
+def _read_if_there(file: RemotePath) -> None:
+    with suppress(LogError):  # what fails does so again when it is wanted
+        file.open()
 
 
 def _path(root: str, key: str, found: _Node | None, allow_scan: bool) -> RemotePath:

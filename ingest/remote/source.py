@@ -9,12 +9,12 @@ import threading
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from .ranges import Ints, coalesced, in_parts, without
-from .store import TAIL_MOST, fetch
+from .store import TAIL_MOST, Got, asked
 
 if TYPE_CHECKING:
     from .path import RemotePath
@@ -23,8 +23,9 @@ PART_BYTES = 1 << 22
 """Longest request: the usual size of parts in buckets, and 40 ms at 100 MB/s, so that what a
 request takes to begin is small beside it."""
 
-AHEAD = 4
-"""Requests under way: one connection to a bucket gives 50 to 100 MB/s, which decoding outruns."""
+AHEAD_BYTES, AHEAD = 4 * PART_BYTES, 16
+"""What is under way at a time, in bytes and in requests: one connection to a bucket gives 50 to
+100 MB/s, which decoding outruns, and short requests are nothing but waiting."""
 
 HELD_BYTES = 1 << 26
 """What is kept of a log: more than its walk has in hand at a time (`logs.ahead.AHEAD_BYTES`)."""
@@ -79,34 +80,38 @@ class _Held:
 class ReadAhead:
     """Parts of an object that are read one after the other, the next few of them meanwhile."""
 
-    def __init__(self, parts: list[tuple[int, int]], request: Callable[[int, int], bytes]) -> None:
+    def __init__(
+        self, parts: list[tuple[int, int]], ask: Callable[[int, int], Future[Got]]
+    ) -> None:
         self._parts = parts
-        self._request = request
-        self._begun: dict[int, Future[bytes]] = {}
-        self._pool = ThreadPoolExecutor(AHEAD)
+        self._ask = ask
+        self._begun: dict[int, Future[Got]] = {}
 
     def at(self, offset: int) -> tuple[int, bytes] | None:
         """The part that holds the byte at `offset`, with its place; those behind it are begun."""
         k = bisect_right(self._parts, offset, key=lambda part: part[0]) - 1
         if k < 0 or offset >= self._parts[k][1]:
             return None
-        for n in range(k, min(k + AHEAD, len(self._parts))):
+        left = AHEAD_BYTES
+        for n, (start, stop) in enumerate(self._parts[k : k + AHEAD], k):
+            left -= stop - start
+            if n > k and left < 0:
+                break
             if n not in self._begun:
-                self._begun[n] = self._pool.submit(self._request, *self._parts[n])
+                self._begun[n] = self._ask(start, stop)
         # What does not fit into memory any more when it is wanted again is asked for again.
-        return self._parts[k][0], self._begun.pop(k).result()
+        return self._parts[k][0], self._begun.pop(k).result().data
 
     def after(self, offset: int) -> int | None:
         """Where the next part behind `offset` begins."""
         k = bisect_right(self._parts, offset, key=lambda part: part[0])
         return self._parts[k][0] if k < len(self._parts) else None
 
-    def end(self) -> Iterator[tuple[int, bytes]]:
-        """Begin nothing more, and give what was on its way."""
-        self._pool.shutdown(cancel_futures=True)
+    def left(self) -> Iterator[tuple[int, bytes]]:
+        """What was on its way when nobody wanted more; what failed is asked for when it is."""
         for k, part in self._begun.items():
-            if not part.cancelled() and part.exception() is None:
-                yield self._parts[k][0], part.result()
+            if part.exception() is None:
+                yield self._parts[k][0], part.result().data
 
 
 class RemoteFile:
@@ -132,13 +137,18 @@ class RemoteFile:
     @contextmanager
     def reading_ahead(self, begin: Ints, end: Ints) -> Iterator[ReadAhead]:
         """While the body runs, these ranges are read ahead of it, in their order."""
-        ahead = ReadAhead(self._planned(begin, end), self._request)
+        ahead = ReadAhead(self._planned(begin, end), self._asked)
         try:
             yield ahead
-        finally:
-            with self._lock:
-                for start, data in ahead.end():
-                    self._put(start, data)
+        except GeneratorExit:
+            self._keep_left(ahead)
+            raise
+        self._keep_left(ahead)
+
+    def _keep_left(self, ahead: ReadAhead) -> None:
+        with self._lock:
+            for start, data in ahead.left():
+                self._put(start, data)
 
     def read(self, offset: int, length: int, ahead: ReadAhead | None = None) -> bytes:
         """The bytes of a place, which must be inside the object."""
@@ -159,7 +169,7 @@ class RemoteFile:
             behind = (self._held.after(at), ahead.after(at) if ahead is not None else None)
             most = min(max(stop, at + LEAST_BYTES), self.size)
             end = min([most, *(place for place in behind if place is not None)])
-            found = at, self._request(at, end)
+            found = at, self._asked(at, end).result().data
             if ahead is None and end - at <= TAIL_MOST:
                 self.path.ends[at] = found[1]  # part of an index
         self._put(*found)
@@ -178,7 +188,6 @@ class RemoteFile:
             self._held.put(at, data[at - start : end - start])
             at = end
 
-    def _request(self, start: int, stop: int) -> bytes:
+    def _asked(self, start: int, stop: int) -> Future[Got]:
         path = self.path
-        key = path.key.rstrip("/")
-        return fetch(path.root, key, (start, stop), path.state, named=str(path)).data
+        return asked(path.root, path.key.rstrip("/"), (start, stop), path.state, named=str(path))

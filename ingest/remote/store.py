@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...topology.errors import LogError, UsageError
+from .threads import begun
 
 if TYPE_CHECKING:
     from obstore import GetOptions
@@ -71,21 +73,26 @@ class MissingObjectError(LogError):
     """There is no such object, bucket or page."""
 
 
-def fetch(
-    root: str,
-    key: str,
-    wanted: tuple[int, int] | int,
-    known: Stat | None = None,
-    *,
-    named: str,
-) -> Got:
+def asked(
+    root: str, key: str, wanted: tuple[int, int] | int, known: Stat | None, *, named: str
+) -> Future[Got]:
     """One request. wanted: first byte and the one behind the last, or so many at the end.
 
-    known: what the object must still be, if anything is known of it. Raises MissingObjectError,
-    or LogError with `named` in front.
+    known: what the object must still be, if anything is known of it. The answer raises
+    MissingObjectError, or LogError with `named` in front.
     """
+    return begun(partial(_answer, root, key, wanted, known, named))
+
+
+def _answer(
+    root: str, key: str, wanted: tuple[int, int] | int, known: Stat | None, named: str
+) -> Got:
     import obstore
 
+    if isinstance(wanted, int) and root.startswith("az:"):
+        # Azure does not know requests for the end of an object.
+        known = known or _head(root, key, named)
+        wanted = max(0, known.size - wanted), known.size
     options: GetOptions = {"range": {"suffix": wanted} if isinstance(wanted, int) else wanted}
     if known is not None and known.etag and not known.etag.startswith("W/"):
         options["if_match"] = known.etag
@@ -99,6 +106,13 @@ def fetch(
     if isinstance(wanted, tuple) and (start, stop) != (wanted[0], min(wanted[1], stat.size)):
         raise LogError(f"{named}: the server sent bytes {start} to {stop} in place of {wanted}")
     return Got(start, data, stat)
+
+
+def _head(root: str, key: str, named: str) -> Stat:
+    import obstore
+
+    with _told(named):
+        return _stat(obstore.head(store(root), key))
 
 
 def _same(known: Stat, now: Stat) -> bool:
@@ -127,7 +141,8 @@ def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
     import obstore
 
     with _told(named):
-        for page in obstore.list(store(root), prefix or None, chunk_size=1000):
+        pages = obstore.list(store(root), prefix or None, chunk_size=1000)
+        while page := begun(partial(next, pages, ())).result():
             for meta in page:
                 yield meta["path"], _stat(meta)
 
@@ -177,6 +192,7 @@ PATIENCE = Patience()
 _ENDPOINTS = {
     "s3": ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"),
     "az": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
+    "gs": ("GOOGLE_SERVICE_ACCOUNT_KEY",),
 }
 
 
@@ -186,7 +202,7 @@ def _plain_http(root: str) -> bool:
 
     scheme = root.partition("://")[0]
     named = [root, *(os.environ.get(name, "") for name in _ENDPOINTS.get(scheme, ()))]
-    return any(url.startswith("http://") for url in named)
+    return any("http://" in url for url in named)
 
 
 @contextmanager
@@ -204,8 +220,9 @@ def _told(named: str) -> Iterator[None]:
 
 
 _CREDENTIALS = (
-    "no credentials were found in the environment (AWS_ACCESS_KEY_ID and so on, "
-    "AWS_SKIP_SIGNATURE=true for a public bucket; see docs/remote.md)"
+    "no credentials were found in the environment: AWS_ACCESS_KEY_ID, AZURE_STORAGE_ACCOUNT_NAME, "
+    "GOOGLE_APPLICATION_CREDENTIALS and so on, or AWS_SKIP_SIGNATURE=true for a public bucket; see "
+    "docs/remote.md"
 )
 _RANGES = "the server does not send parts of files (range requests); copy the log here"
 _MEANT = (

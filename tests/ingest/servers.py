@@ -8,10 +8,12 @@ import subprocess
 import sys
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import unquote
 
 MOTO = """
 import sys
@@ -185,10 +187,10 @@ def files(contents: dict[str, bytes]) -> Callable[[Request, bytes], Answer]:
     """A web server that knows ranges. contents: by path, without what is behind `?`."""
 
     def upstream(request: Request, body: bytes) -> Answer:
-        data = contents.get(request.path.partition("?")[0])
+        data = contents.get(unquote(request.path.partition("?")[0]))
         if data is None:
             return Answer(404, {}, b"not here")
-        tag = f'"{len(data)}-{hash(data)}"'
+        tag = f'"{zlib.crc32(data)}"'
         if request.headers.get("if-match", tag) != tag:
             return Answer(412, {}, b"")
         headers = {"ETag": tag, "Last-Modified": "Mon, 01 Jan 2024 00:00:00 GMT"}

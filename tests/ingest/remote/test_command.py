@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -127,3 +129,25 @@ def test_wrong_addresses(tmp_path: Path) -> None:
         assert done.returncode == 2
         assert done.stderr.startswith(f"error: {address}")
         assert done.stderr.count("\n") == 1
+
+
+def test_ctrl_c_does_not_wait_for_a_server_that_does_not_answer(
+    fleet: Any, servers: ModuleType, tmp_path: Path
+) -> None:
+    asked = threading.Event()
+
+    def stalls(request: Any, before: int) -> Any:
+        if request.range:
+            asked.set()
+            return servers.Fault(stall_at=0)
+        return None
+
+    fleet.proxy.fault = stalls
+    call = [sys.executable, "-m", "topobatch.cli", "ingest", f"{fleet.url}/fleet", "-w", tmp_path]
+    with subprocess.Popen(list(map(str, call)), stderr=subprocess.PIPE) as process:
+        assert asked.wait(60)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=20)  # retries take two minutes
+    assert process.returncode == 130
+    assert b"Traceback" not in error
+    assert not list((tmp_path / "maps").glob("*"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.reading import find_logs, log_fingerprint, read_run
-from topobatch.ingest.remote.path import RemotePath, log_path
+from topobatch.ingest.remote.path import LogPath, RemotePath, log_path
 from topobatch.topology.errors import LogError, UsageError
 
 SAMPLES = Path(__file__).parents[3] / "sample_logs"
@@ -27,7 +29,7 @@ def remote(bucket: Any) -> RemotePath:
     return found
 
 
-def same_odometry(remote: RemotePath) -> None:
+def same_odometry(remote: LogPath) -> None:
     assert (read_run(remote).odometry.pose == read_run(LOG).odometry.pose).all()
 
 
@@ -224,11 +226,7 @@ def test_many_keys_are_listed_a_thousand_at_a_time(
 @pytest.fixture
 def web(servers: ModuleType, impatient: None) -> Iterator[Any]:
     upstream = servers.files({"/logs/maze 1.mcap": LOG.read_bytes()})
-
-    def decoded(request: Any, body: bytes) -> Any:
-        return upstream(replace(request, path=request.path.replace("%20", " ")), body)
-
-    with servers.running(servers.Recorder(decoded)) as recorder:
+    with servers.running(servers.Recorder(upstream)) as recorder:
         yield recorder
 
 
@@ -259,6 +257,42 @@ def test_web_servers_give_no_list(web: Any) -> None:
         log_path(f"http://127.0.0.1:{web.port}/logs/")
     with pytest.raises(LogError, match="no such file on the server"):
         find_logs([log_path(f"http://127.0.0.1:{web.port}/logs/none.mcap")])
+
+
+# Other stores
+
+
+def test_a_log_in_google_cloud_storage(
+    servers: ModuleType, impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    upstream = servers.files({"/bucket/a/maze-1.mcap": LOG.read_bytes()})
+    with servers.running(servers.Recorder(upstream)) as server:
+        key = {"gcs_base_url": f"http://127.0.0.1:{server.port}", "disable_oauth": True}
+        key |= dict.fromkeys(("client_email", "private_key", "private_key_id"), "")
+        monkeypatch.setenv("GOOGLE_SERVICE_ACCOUNT_KEY", json.dumps(key))
+        same_odometry(log_path("gs://bucket/a/maze-1.mcap"))
+        assert [request.range[:7] for request in server.gets][:1] == ["bytes=-"]
+
+
+def test_a_log_in_azure_which_does_not_know_suffixes(
+    servers: ModuleType, impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    upstream = servers.files({"/me/container/a/maze-1.mcap": LOG.read_bytes()})
+    with servers.running(servers.Recorder(upstream)) as server:
+        monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_NAME", "me")
+        monkeypatch.setenv("AZURE_STORAGE_ENDPOINT", f"http://127.0.0.1:{server.port}/me")
+        monkeypatch.setenv("AZURE_SKIP_SIGNATURE", "true")
+        same_odometry(log_path("az://container/a/maze-1.mcap"))
+        assert [request.method for request in server.requests][:2] == ["HEAD", "GET"]
+
+
+def test_a_store_without_an_account_says_what_is_missing(
+    impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in os.environ if name.startswith("AZURE_")]:
+        monkeypatch.delenv(name)
+    with pytest.raises(LogError, match=r"^az://c/x.mcap: no credentials .*AZURE_STORAGE_ACCOUNT"):
+        read_run(log_path("az://c/x.mcap"))
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,45 @@
+"""Requests on threads that nothing waits for when the program ends.
+
+Whoever waits for an answer can be interrupted, which who asks obstore for it cannot; and Ctrl-C
+ends the program at once, which an executor of the standard library keeps until all is answered.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
+from functools import partial
+from threading import Thread
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+AT_ONCE = 16
+"""Small requests under way at a time: each takes some 30 ms, all but one of them waiting."""
+
+
+def begun(call: Callable[[], R]) -> Future[R]:
+    """A call begun on a thread of its own."""
+    future: Future[R] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(call())
+        except BaseException as error:
+            future.set_exception(error)
+
+    Thread(target=run, daemon=True).start()
+    return future
+
+
+def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """The results of a function, in the order of the items."""
+    waiting: deque[Future[R]] = deque()
+    for item in items:
+        if len(waiting) == AT_ONCE:
+            yield waiting.popleft().result()
+        waiting.append(begun(partial(function, item)))
+    while waiting:
+        yield waiting.popleft().result()
