@@ -129,15 +129,13 @@ def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatAr
     return out
 
 
-def draw_merged(
-    result: MergeResult, theme: Theme, *, name: str = "merged", headed: bool = True
-) -> Canvas:
+def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Canvas:
     """The fused map of every component: each corridor a ribbon with a strand for each run that
     drove it, junctions seen by several runs large; headed: with what it holds above it."""
     parts = lay_out(result, for_paper=True)
     low, high = _extent([part.cell for part in parts])
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
-    canvas = Canvas(low, high, theme, width, name)
+    canvas = Canvas(low, high, theme, width, "merged")
     rank = ranks(result)
     _frames(canvas, [part.cell for part in parts], [_title(canvas, part) for part in parts])
     pen = _pen_pt(canvas, result.fused)
@@ -229,17 +227,15 @@ def _fused(
     canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=Order.TIE)
 
 
-def draw_decision(
-    a: TopoMap, b: TopoMap, decision: Decision, theme: Theme, *, name: str = "pair"
-) -> Canvas:
+def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
     """Why two runs were merged or not: the placements, with matched junctions tied, the links that
     speak for them and what speaks against them."""
     drawn = placements(a, b, decision)
     heading = [headline(decision), because(decision), missing(decision)]
     if not drawn:
-        return _side_by_side(a, b, heading, theme, name)
+        return _side_by_side(a, b, heading, theme, "pair")
     laid = [(p.title, p.T_a_b) for p in drawn]
-    canvas, cells = _over(a, b, laid, theme, name)
+    canvas, cells = _over(a, b, laid, theme, "pair")
     links = against = matched = False
     for picture, cell in zip(drawn, cells, strict=True):
         T_b = compose(cell.T_sheet_map, picture.T_a_b)

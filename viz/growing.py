@@ -42,14 +42,13 @@ def light_up_by_step(
     when: NDArray[np.int64],
     colours: Colours,
     *,
-    steps: NDArray[np.int64] | None = None,
     now: tuple[int, int, int] | None = None,
     dim: tuple[int, int, int] = palette.UNLIT,
 ) -> None:
     """The same on the timeline JOIN, from step 0 on: things that are never dim have when = 0.
-    steps: further numbers at which a row stands; now: colour of what lights up at the cursor."""
+    now: colour of what lights up at the cursor."""
     more = [when + 1] if now is not None else []
-    numbers = np.unique(np.concatenate([[0], when, *more, *([] if steps is None else [steps])]))
+    numbers = np.unique(np.concatenate([[0], when, *more]))
     rows = _lit(numbers, when, colours, dim)
     if now is not None:
         rows[numbers[:, None] == when[None, :]] = now

@@ -92,8 +92,8 @@ def text(value: object) -> str:
     return escape(legible(" ".join(str(value).split())), quote=True)
 
 
-def _several(count: int, one: str, many: str = "") -> str:
-    return f"{count:,} {one if count == 1 else many or one + 's'}"
+def _several(count: int, one: str) -> str:
+    return f"{count:,} {one}{'s' * (count != 1)}"
 
 
 def _title(report: Report, runs: Sequence[str]) -> str:

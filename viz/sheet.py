@@ -64,15 +64,14 @@ def arrange(
     margin_m: float,
     legends_m: Sequence[float] | None = None,
     *,
-    aspect: float = ASPECT,
     groups: Sequence[int] | None = None,
 ) -> list[Cell]:
     """A cell for each map, given its points (n, 2) and its turn; the order of reading is kept.
 
     legends_m: room to leave at the right of each map; groups: a number for each map, the same for
     neighbours that are to stay in one row. Cells fill rows from the left to the right,
-    the top row first (y points up); rows are as long as lets a sheet of the aspect, width
-    over height, show them largest. O(points).
+    the top row first (y points up); rows are as long as lets a sheet of ASPECT show
+    them largest. O(points).
     """
     lows, sizes = [], []
     legends = [0.0] * len(point_sets) if legends_m is None else legends_m
@@ -85,7 +84,7 @@ def arrange(
         sizes.append(high - low + 2 * spare + 2 * margin_m + np.array([legend, 0.0]))
     cells = []
     for corner, low, size, turn in zip(
-        _shelves(sizes, aspect, groups), lows, sizes, turns_rad, strict=True
+        _shelves(sizes, groups), lows, sizes, turns_rad, strict=True
     ):
         shift = corner + margin_m - low
         cells.append(Cell(np.array([*shift, turn]), corner, corner + size))
@@ -93,7 +92,7 @@ def arrange(
 
 
 def _shelves(
-    sizes: Sequence[NDArray[np.float64]], aspect: float, groups: Sequence[int]
+    sizes: Sequence[NDArray[np.float64]], groups: Sequence[int]
 ) -> list[NDArray[np.float64]]:
     """The low corner of every box, laid in rows; a row's boxes hang from its top.
 
@@ -106,9 +105,9 @@ def _shelves(
     widths = np.linspace(widest, max(widest, sum(float(w) for w, _ in sizes)), WIDTHS_TRIED)
     if len(sizes) > WIDTHS_TRIED:
         area = sum(float(w * h) for w, h in sizes)
-        widths = np.maximum(widest, np.sqrt(area * aspect) * np.linspace(0.9, 1.4, WIDTHS_TRIED))
+        widths = np.maximum(widest, np.sqrt(area * ASPECT) * np.linspace(0.9, 1.4, WIDTHS_TRIED))
     laid = [_rows(sizes, ahead, float(width)) for width in widths]
-    best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / aspect, laid[i][2]), i))
+    best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / ASPECT, laid[i][2]), i))
     return laid[best][0]
 
 
