@@ -156,7 +156,7 @@ def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings())
         return found
     usual = _Usual.of(time_ns, pose, settings)
     way, turn = _excess(time_ns, pose, rows, usual)
-    driven = float(np.hypot(*np.diff(pose[:, :2], axis=0).T).sum())
+    driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
     often = 1 + int(driven / settings.usual_way_m)
     out = way > max(settings.least_m, settings.factor * _at_rank(way, often))
     fast = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
@@ -169,23 +169,36 @@ def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings())
 def _large(pose: Floats, settings: JumpSettings) -> Ints:
     """Steps that may leave the range of their neighbours by so much that it matters.
 
-    They differ from the step before by no less, which is cheap to bound. In blocks that stay in the
-    processor's cache, so that no large array is made.
+    The range holds standing still and the steps before and after: what is out of it differs from
+    all three by no less, which is cheap to bound. The first and the last step lie in their own. In
+    blocks that stay in the processor's cache, so that no large array is made.
     """
     share = 0.99 / settings.factor
     least_m, least_rad = share * settings.least_m, share * settings.least_rad
     found = [np.zeros(0, np.int64)]
-    for first in range(0, len(pose) - 2, BLOCK_STEPS):
-        step = np.diff(pose[first : first + BLOCK_STEPS + 2], axis=0)
-        x, y, turn = np.abs(step[:-1].T)
-        # From one end of the range of angles to the other is a short turn as well.
-        turn = np.minimum(turn, np.abs(turn - 2 * np.pi))
-        dx, dy, other = np.abs(np.diff(step, axis=0).T)
-        # Seen from the robot, the step before is turned by what it turned.
-        large = dx + dy + (x + y) * turn > least_m
-        large |= (other > least_rad) & (np.abs(other - 2 * np.pi) > least_rad)
+    for first in range(0, len(pose) - 3, BLOCK_STEPS):
+        x, y, turn = np.diff(pose[first : first + BLOCK_STEPS + 3].T.copy(), axis=1)
+        large = _off_both(turn, least_rad) & (_turned(turn[1:-1]) > least_rad)
+        far = np.abs(x) + np.abs(y)
+        if far.max() > least_m:
+            # Seen from the robot, a step is turned by what the one before it turned.
+            off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * _turned(turn[:-1])
+            large |= (np.minimum(off[:-1], off[1:]) > least_m) & (far[1:-1] > least_m)
         found.append(first + 1 + np.flatnonzero(large))
     return np.concatenate(found)
+
+
+def _turned(turn: Floats) -> Floats:
+    """Sizes of turns: from one end of the range of angles to the other is a short one as well."""
+    size = np.abs(turn)
+    return np.minimum(size, np.abs(size - 2 * np.pi))
+
+
+def _off_both(turn: Floats, least_rad: float) -> Bools:
+    """(n - 2,) which turns but the first and last differ by more from the one on either side."""
+    other = np.abs(np.diff(turn))
+    off = (other > least_rad) & (np.abs(other - 2 * np.pi) > least_rad)
+    return np.asarray(off[:-1] & off[1:])
 
 
 def _at_rank(values: Floats, rank: int) -> float:
