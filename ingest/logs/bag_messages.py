@@ -65,8 +65,10 @@ class MessageReader:
         if len(conn) == 0:
             return
         conn = np.minimum(conn, NUMBERS - 1)
-        self.tally.adopt(conn)
-        for sink, rows in self.tally.met(conn, time):
+        counts = np.bincount(conn)
+        if not self.tally.all_usual(counts):
+            self.tally.adopt(conn)
+        for sink, rows in self.tally.met(conn, time, counts):
             at = size_at[rows]
             size = words(data, "<u4", at).astype(np.int64)
             yield Block(data, sink, time[rows], at + 4, size)

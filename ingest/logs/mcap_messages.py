@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import words
+from .columns import column, gather, words
 from .mcap_heads import IN_CHUNKS, Heads
 from .mcap_mend import mended
 from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
@@ -43,22 +43,27 @@ class MessageReader:
 
     def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: where an index says they are."""
-        data, where = self._walked(data, offsets)
-        positions, size = self._sizes(data, where)
+        data, where, op = self._walked(data, offsets)
+        positions, heads = self._heads(data, where, op)
         if len(positions) == 0:
             return
-        number = words(data, "<u2", positions + RECORD_HEAD)
-        first = self.tally.first(number, again=self.ended)
-        if first:
+        size = column(heads, "<i8", 1) - MESSAGE_HEAD
+        number = column(heads, "<u2", RECORD_HEAD)
+        log_time = column(heads, "<i8", LOG_TIME_AT)
+        counts = np.bincount(number)
+        if self.ended or not self.tally.all_usual(counts):
+            first = self.tally.first(number, again=self.ended)
             kept = self.without_descriptions(data, positions, size, first)
             self.findings.repaired += int((~kept).sum())
-            number, positions, size = (a[kept] for a in (number, positions, size))
-        self.tally.adopt(number)
+            positions, size, number, log_time = (
+                a[kept] for a in (positions, size, number, log_time)
+            )
+            self.tally.adopt(number)
+            counts = np.bincount(number)
         if len(number) == 0:
             return
-        log_time = words(data, "<i8", positions + LOG_TIME_AT)
         start = positions + (RECORD_HEAD + MESSAGE_HEAD)
-        for sink, rows in self.tally.met(number, log_time):
+        for sink, rows in self.tally.met(number, log_time, counts):
             yield Block(data, sink, log_time[rows], start[rows], size[rows])
 
     def without_descriptions(
@@ -79,8 +84,8 @@ class MessageReader:
                 self.define(record, np.zeros(1, np.int64))
         return kept
 
-    def _walked(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Bytes, Ints]:
-        """The places of the records in `data`, which is mended first where it is broken.
+    def _walked(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Bytes, Ints, Bytes]:
+        """The places and kinds of the records in `data`, which is mended first where it is broken.
 
         Schemas and channels met are taken in.
         """
@@ -88,13 +93,15 @@ class MessageReader:
         stop = len(data)
         if where is None:
             where, stop = mcap_records(data, NOT_IN_CHUNKS)
-        messages = self.define(data, where)
+        op = data[where]
+        messages = [] if (op == MESSAGE).all() else self.define(data, where)
         if stop == len(data):
             if messages:
                 self.findings.repaired += len(messages)
                 data = data.copy()
                 data[messages] = MESSAGE
-            return data, where
+                op = data[where]
+            return data, where, op
         found = mended(data, self.heads.within(data), self.define)
         self.findings.unreadable_bytes += found.unreadable
         self.findings.repaired += found.repaired
@@ -102,21 +109,28 @@ class MessageReader:
             # What a broken stream gives may be records that were never written.
             for number in found.lost:
                 self.tally.lost(number, 1)
-        return found.data, found.where
+        return found.data, found.where, found.data[found.where]
 
-    def _sizes(self, data: Bytes, where: Ints) -> tuple[Ints, Ints]:
-        """Places and payload sizes of the message records among others.
+    def _heads(self, data: Bytes, where: Ints, op: Bytes) -> tuple[Ints, Bytes]:
+        """Places of the message records among others, and their heads as rows.
 
         Records that call themselves messages but are shorter than a message's head are left out.
         """
-        is_message = data[where] == MESSAGE
+        is_message = op == MESSAGE
         if not is_message.all():
             where = where[is_message]
-        size = words(data, "<i8", where + 1) - MESSAGE_HEAD
-        if len(size) and size.min() < 0:
-            self.findings.unreadable_bytes += RECORD_HEAD * int((size < 0).sum())
-            where, size = where[size >= 0], size[size >= 0]
-        return where, size
+        if len(where) and where[-1] + (RECORD_HEAD + MESSAGE_HEAD) > len(data):
+            where = self._long_enough(data, where)
+        heads = gather(data, where, LOG_TIME_AT + 8)
+        if len(where) and column(heads, "<i8", 1).min() < MESSAGE_HEAD:
+            where = self._long_enough(data, where)
+            heads = gather(data, where, LOG_TIME_AT + 8)
+        return where, heads
+
+    def _long_enough(self, data: Bytes, where: Ints) -> Ints:
+        fits = words(data, "<i8", where + 1) >= MESSAGE_HEAD
+        self.findings.unreadable_bytes += RECORD_HEAD * int((~fits).sum())
+        return where[fits]
 
     def define_more(self, data: Bytes, where: Ints) -> list[int]:
         """Take in channels that no sound bytes described so far."""

@@ -97,9 +97,24 @@ class Tally:
         """Whether a channel has been described."""
         return number < NUMBERS and self.sink(number) != UNKNOWN
 
-    def met(self, number: NDArray[Any], time_ns: Ints) -> list[tuple[int, Ints]]:
-        """Count messages by their channel numbers; returns the wanted sinks, each with its rows."""
-        counts = np.bincount(number)
+    def all_usual(self, counts: Ints) -> bool:
+        """Whether every number that messages have is described and was met before.
+
+        counts: messages per number. Then there is no `first` one of a channel, and none to `adopt`.
+        """
+        end = len(counts)
+        new = (self._met[:end] == 0) | (self._sink[:end] == UNKNOWN)
+        return not counts[new].any()
+
+    def met(
+        self, number: NDArray[Any], time_ns: Ints, counts: Ints | None = None
+    ) -> list[tuple[int, Ints]]:
+        """Count messages by their channel numbers; returns the wanted sinks, each with its rows.
+
+        counts: of each number, if they are known.
+        """
+        if counts is None:
+            counts = np.bincount(number)
         self._met[: len(counts)] += counts
         self._findings.span(int(time_ns.min()), int(time_ns.max()))
         numbers: dict[int, list[int]] = {}

@@ -154,8 +154,12 @@ def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings())
     rows = _large(pose, settings)
     if len(rows) == 0:
         return found
+    steps = _Steps.of(pose, rows)
+    way, turn = steps.beyond(steps.around, 0.0)
+    if not ((way > settings.least_m) | (turn > settings.least_rad)).any():
+        return found  # nothing that is known of times widens what they leave
     usual = _Usual.of(time_ns, pose, settings)
-    way, turn = _excess(time_ns, pose, rows, usual)
+    way, turn = _excess(time_ns, pose, steps, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
     often = 1 + int(driven / settings.usual_way_m)
     out = way > max(settings.least_m, settings.factor * _at_rank(way, often))
@@ -213,25 +217,49 @@ def _moved(pose: Floats, rows: Ints) -> Floats:
     return between(pose[rows], pose[rows + 1])
 
 
-def _excess(time_ns: Ints, pose: Floats, rows: Ints, usual: _Usual) -> tuple[Floats, Floats]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Steps:
+    """The steps that begin at rows (k,), and those around them.
+
+    beside: (k, 4) rows; moved: (k, 3), around: (k, 4, 3) motions as `_moved` gives them.
+    """
+
+    rows: Ints
+    beside: Ints
+    moved: Floats
+    around: Floats
+
+    @classmethod
+    def of(cls, pose: Floats, rows: Ints) -> _Steps:
+        beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
+        around = _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
+        return cls(rows, beside, _moved(pose, rows), around)
+
+    def beyond(self, span: Floats, spare: Floats | float) -> tuple[Floats, Floats]:
+        """(k,) way [m] and turn [rad] by which the steps leave the range of motions (k, s, 3).
+
+        It holds standing still, and is wider by `spare` on either side.
+        """
+        least, most = np.minimum(span.min(axis=1), 0.0), np.maximum(span.max(axis=1), 0.0)
+        off = self.moved - np.clip(self.moved, least - spare, most + spare)
+        way: Floats = np.hypot(off[:, 0], off[:, 1])
+        turn: Floats = np.abs(off[:, 2])
+        return way, turn
+
+
+def _excess(time_ns: Ints, pose: Floats, steps: _Steps, usual: _Usual) -> tuple[Floats, Floats]:
     """(k,) way [m] and turn [rad] by which steps leave the range that their neighbours span.
 
     The range holds standing still, and the neighbours' motion both per step and per second: stamps
     may be wrong. Beyond the usual period anything may have been driven, at the usual speed.
     """
-    beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
-    around = _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
+    rows, beside = steps.rows, steps.beside
     own = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
     theirs = (time_ns[beside + 1] - time_ns[beside]) * SECOND_S
-    scaled = around * (own[:, None] / np.maximum(theirs, 0.5 * usual.period))[:, :, None]
-    span = np.concatenate([around, scaled, np.zeros((len(rows), 1, 3))], axis=1)
+    per_second = (own[:, None] / np.maximum(theirs, 0.5 * usual.period))[:, :, None]
+    span = np.concatenate([steps.around, steps.around * per_second], axis=1)
     spare = np.maximum(_waited(time_ns, pose, rows) - usual.period, 0.0)
-    spare = spare[:, None] * np.array([usual.speed, usual.speed, usual.rate])
-    moved = _moved(pose, rows)
-    off = moved - np.clip(moved, span.min(axis=1) - spare, span.max(axis=1) + spare)
-    way: Floats = np.hypot(off[:, 0], off[:, 1])
-    turn: Floats = np.abs(off[:, 2])
-    return way, turn
+    return steps.beyond(span, spare[:, None] * np.array([usual.speed, usual.speed, usual.rate]))
 
 
 def _waited(time_ns: Ints, pose: Floats, rows: Ints) -> Floats:
@@ -312,6 +340,8 @@ def without_jumps(
     The uncertainty of such a step is the size of the jump, and what the robot usually drives in the
     time. Rows before the first jump stay as they are. O(n).
     """
+    if len(jumps.rows) == 0:
+        return odometry
     breaks = np.union1d(odometry.breaks, jumps.rows[jumps.reset]).astype(np.int64)
     known = ~jumps.reset
     rows = jumps.rows[known]

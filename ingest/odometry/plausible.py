@@ -50,7 +50,10 @@ def _any_fast(odometry: Odometry) -> bool:
     most = 0.99e-9 * FASTEST_M_PER_S
     for first in range(0, len(odometry.pose) - 1, BLOCK_STEPS):
         rows = slice(first, first + BLOCK_STEPS + 1)
-        x, y = np.abs(np.diff(odometry.pose[rows, :2].T))
-        if (x + y > most * np.diff(odometry.time_ns[rows])).any():
+        step, duration = np.diff(odometry.pose[rows], axis=0), np.diff(odometry.time_ns[rows])
+        if 2 * max(float(step.max()), -float(step.min())) <= most * float(duration.min()):
+            continue
+        x, y = np.abs(step[:, :2].T)
+        if (x + y > most * duration).any():
             return True
     return False

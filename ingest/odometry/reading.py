@@ -82,7 +82,8 @@ def driven(topic: OdometryTopic, clock: Clock, settings: ReadSettings, log: str)
     track = _track(topic.choice, topic.source, frames=topic.frames, clock=clock, settings=settings)
     odometry = without_jumps(track.odometry, track.jumps)
     # As recorded, but drive by drive: a reset may lead anywhere.
-    drives = replace(track.odometry, breaks=odometry.breaks)
+    resets = odometry.breaks
+    drives = replace(track.odometry, breaks=resets) if len(resets) else track.odometry
     check_plausible(drives, topic.choice.topic, log)
     return Driven(track.odometry, odometry, track.warnings)
 
