@@ -28,7 +28,7 @@ from .mcap_mend import mended
 from .mcap_messages import NOT_IN_CHUNKS, MessageReader
 from .mcap_small import RUN, SMALL_BYTES, joined, small_chunks
 from .mcap_summary import McapSummary
-from .mcap_wire import MESSAGE, MESSAGE_HEAD, RECORD_HEAD
+from .mcap_wire import MESSAGE, MESSAGE_HEAD, MESSAGE_INDEX, RECORD_HEAD
 from .messages import UNWANTED, Block, Bytes, DamageError, Ints, Walking
 from .split import Large, whole_records
 from .walk import mcap_records
@@ -39,7 +39,8 @@ _NO_RECORD = frozenset({0})
 
 INDEX_HEAD = 6
 _INDEX = struct.Struct("<HI").unpack_from
-"""Channel and bytes of a message index record."""
+_INDEX_RECORD = struct.Struct("<BQHI").unpack_from
+"""Channel and bytes of a message index record; the same with the head in front of them."""
 
 SLAB_BYTES = 1 << 20
 """How much of a run of small chunks is taken at a time."""
@@ -69,11 +70,11 @@ def _inflated(head: ChunkHead, read: Callable[[int, int], Bytes | bytes]) -> byt
     return data
 
 
-def _plain(head: ChunkHead, window: Window) -> Bytes:
+def _plain(head: ChunkHead, window: Window, crc: int) -> Bytes:
     """The records of a chunk that is not compressed, in the window; raises DamageError."""
-    data = window.view(head.data_at, head.data_size)
-    _check(head, data)
-    return data
+    if head.crc and not agrees(crc, head.crc):
+        raise _WrongChecksumError
+    return window.view(head.data_at, head.data_size)
 
 
 def _check(head: ChunkHead, data: Bytes | bytes) -> None:
@@ -145,28 +146,53 @@ class ChunkReader:
             stop = yield from self._small_chunks(position)
             if stop > position:
                 return stop
-        self._queue(_Chunk(position, head, self._needed(position), {}, []))
-        yield from self.caught_up()
+        at_once = self._queue(_Chunk(position, head, self._needed(position), {}, []))
+        end = self._listed_behind(end)
+        yield from self.caught_up(everything=at_once)
         return end
 
-    def _queue(self, chunk: _Chunk) -> None:
-        """Have a chunk that is slow to inflate begun on another thread; others wait their turn."""
-        head = chunk.head
+    def _queue(self, chunk: _Chunk) -> bool:
+        """Have a chunk that is slow to inflate begun on another thread; others are read here.
+
+        Returns whether it is best used at once, while its bytes and those behind it are at hand.
+        """
+        head, window = chunk.head, self._window
         if not chunk.needed or max(head.size, head.data_size) > WHOLE_BYTES:
             self._ahead.put(chunk, None)
         elif head.compression == "":
-            self._ahead.put(chunk, functools.partial(_plain, head, self._window))
+            crc = window.checked(head.data_at, head.data_size)[1] if head.crc else 0
+            self._ahead.put(chunk, functools.partial(_plain, head, window, crc))
+            return not self._chosen
         else:
             try:
                 self._allowance.take(head.compression, head.data_size, head.size)
             except DamageError as damage:
                 self._ahead.put(chunk, _damaged_task(str(damage)))
-                return
+                return False
             if head.compression in SLOW:
-                task = functools.partial(_inflated, head, self._window.copy)
+                task = functools.partial(_inflated, head, window.copy)
                 self._ahead.begin(chunk, task, head.data_size + head.size)
             else:
-                self._ahead.put(chunk, functools.partial(_inflated, head, self._window.view))
+                window.view(head.data_at, head.data_size)
+                self._ahead.put(chunk, functools.partial(_inflated, head, window.view))
+                return not self._chosen
+        return False
+
+    def _listed_behind(self, position: int) -> int:
+        """Take in the index records behind a chunk, as far as they are sound; where they end."""
+        window = self._window
+        while not self._chosen:
+            head = window.view(position, RECORD_HEAD + INDEX_HEAD)
+            if len(head) < RECORD_HEAD + INDEX_HEAD:
+                break
+            op, length, _, entries = _INDEX_RECORD(head.data)
+            end = position + RECORD_HEAD + length
+            if op != MESSAGE_INDEX or length != INDEX_HEAD + entries or end > window.size:
+                break
+            if end - position <= WHOLE_BYTES:
+                self.listed(window, position, end - position)
+            position = end
+        return position
 
     def _small_chunks(self, position: int) -> Walking:
         """The messages of small chunks one behind the other; returns where they end."""

@@ -172,11 +172,7 @@ class _Walk:
                 if self._summary is None and Cursor(window.view(position + RECORD_HEAD, 8)).u64():
                     self._findings.note("the summary is damaged")
                 return 1
-            if head[0] == MESSAGE_INDEX and end - position <= WHOLE_BYTES:
-                self._chunks.listed(window, position, end - position)
-                position = end
-            else:
-                position = yield from self._record(position, head, end)
+            position = yield from self._record(position, head, end)
             window.passed(position)
         return 0
 

@@ -154,9 +154,6 @@ class Heads:
                 return None
             number = head[RECORD_HEAD] | head[RECORD_HEAD + 1] << 8
             return position + RECORD_HEAD + length if self._known(number) else None
-        if op == MESSAGE_INDEX and len(head) >= RECORD_HEAD + 6:
-            # The commonest record of all: two numbers, then as many bytes as the second one says.
-            return position + RECORD_HEAD + length if _U32(head, 11)[0] == length - 6 else None
         if self._inside(position, head, _LAYOUTS[op], RECORD_HEAD + length):
             return int(position + RECORD_HEAD + length)
         return None

@@ -10,6 +10,7 @@ import numpy as np
 from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
 from ..remote.source import ReadAhead
+from .checksum import crc32
 from .chunk_index import ChunkIndex, Wanted
 from .messages import Bytes, FileWindow, Ints, Progress
 
@@ -61,6 +62,11 @@ class RemoteWindow:
     def view(self, offset: int, length: int) -> Bytes:
         """The bytes [offset, offset + length), fewer at the end."""
         return np.frombuffer(self.copy(offset, length), np.uint8)
+
+    def checked(self, offset: int, length: int) -> tuple[Bytes, int]:
+        """The same, and the checksum (CRC-32) of the bytes."""
+        data = self.view(offset, length)
+        return data, crc32(data)
 
     def copy(self, offset: int, length: int) -> bytes:
         """The same bytes. Other threads may call this."""
