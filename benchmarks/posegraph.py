@@ -1,10 +1,9 @@
 """The pose graph on public graphs, beside GTSAM: python benchmarks/posegraph.py FILE.g2o…
 
-    pip install --no-deps --target /tmp/gtsam gtsam
-    OMP_NUM_THREADS=1 python benchmarks/posegraph.py --gtsam /tmp/gtsam graphs/*.g2o
+    OMP_NUM_THREADS=1 python benchmarks/posegraph.py graphs/*.g2o
 
-GTSAM is no dependency of the project; without `--gtsam` its columns are left out. Files: intel,
-CSAIL, MIT, manhattan (M3500) and others, for instance from github.com/david-m-rosen/SE-Sync.
+GTSAM comes with the tools of the tests. Files: intel, CSAIL, MIT, manhattan (M3500) and others, for
+instance from github.com/david-m-rosen/SE-Sync.
 
 Times are the best process CPU times of one thread, ours from arrays to convergence (chordal start,
 ordering, Gauss–Newton), GTSAM's for `optimize()` alone, without building its graph; both begin from
@@ -20,6 +19,7 @@ import sys
 import time
 from pathlib import Path
 
+import gtsam
 import numpy as np
 
 from topobatch.topology.posegraph.graph import edge_errors, squared
@@ -44,7 +44,7 @@ def chi2(graph, pose):
     return float(squared(edge_errors(graph, pose, np.zeros(0)), graph.information).sum())
 
 
-def gtsam_problem(gtsam, graph, diagonal=False):
+def gtsam_problem(graph, diagonal=False):
     """GTSAM's factor graph, first pose held, and its first guess.
 
     diagonal: forget the correlations, which its LAGO cannot take.
@@ -87,23 +87,21 @@ def with_false_loops(graph, share, seed=0):
     return false, np.concatenate([odometry, np.zeros(k, bool)])
 
 
-def row(path, gtsam, repeats):
+def row(path, repeats):
     graph = read_g2o(path)
     solution, ours = best_ms(lambda: solve(graph), repeats)
     cells = [path.stem, f"{len(graph):,}", f"{len(graph.source):,}", f"{ours:.1f}"]
     cells += [f"{solution.chi2:,.3f}", str(solution.iterations)]
-    if gtsam is not None:
-        factors, values = gtsam_problem(gtsam, graph)
-        optimizer = gtsam.LevenbergMarquardtOptimizer
-        from_file, plain = best_ms(lambda: optimizer(factors, values).optimize(), repeats)
-        cells += [f"{plain:.1f}", f"{chi2(graph, gtsam_poses(from_file, len(graph))):,.3f}"]
-        rough, _ = gtsam_problem(gtsam, graph, diagonal=True)
-        lago, started = best_ms(
-            lambda: optimizer(factors, gtsam.lago.initialize(rough)).optimize(), repeats
-        )
-        cells += [f"{started:.1f}", f"{chi2(graph, gtsam_poses(lago, len(graph))):,.3f}"]
-        cells.append(f"{min(plain, started) / ours:.1f}")
-    return cells
+    factors, values = gtsam_problem(graph)
+    optimizer = gtsam.LevenbergMarquardtOptimizer
+    from_file, plain = best_ms(lambda: optimizer(factors, values).optimize(), repeats)
+    cells += [f"{plain:.1f}", f"{chi2(graph, gtsam_poses(from_file, len(graph))):,.3f}"]
+    rough, _ = gtsam_problem(graph, diagonal=True)
+    lago, started = best_ms(
+        lambda: optimizer(factors, gtsam.lago.initialize(rough)).optimize(), repeats
+    )
+    cells += [f"{started:.1f}", f"{chi2(graph, gtsam_poses(lago, len(graph))):,.3f}"]
+    return [*cells, f"{min(plain, started) / ours:.1f}"]
 
 
 def further_row(path, repeats):
@@ -139,19 +137,12 @@ def table(head, rows):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="+", type=Path)
-    parser.add_argument("--gtsam", type=Path, help="folder that GTSAM was installed to")
     parser.add_argument("--robust", action="store_true", help="also with 20 %% false loops; slow")
     parser.add_argument("--repeats", type=int, default=7)
     arguments = parser.parse_args()
-    gtsam = None
-    if arguments.gtsam is not None:
-        # At the end: numpy stays the project's own.
-        sys.path.append(str(arguments.gtsam))
-        import gtsam
     head = ["graph", "poses", "edges", "ours ms", "χ²", "steps"]
-    if gtsam is not None:
-        head += ["GTSAM ms", "χ²", "LAGO+GTSAM ms", "χ²", "times faster"]
-    table(head, [row(path, gtsam, arguments.repeats) for path in arguments.files])
+    head += ["GTSAM ms", "χ²", "LAGO+GTSAM ms", "χ²", "times faster"]
+    table(head, [row(path, arguments.repeats) for path in arguments.files])
     if not arguments.robust:
         return
     head = ["20 % false loops", "ms", "false kept", "true lost", "moved m", "10,000 covariances ms"]
