@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +24,7 @@ from ..topology.map_schema import (
     Undirected,
     validated,
 )
-from .result import AcceptedBy, Alignment, MergeResult, PairVerdict, Verdict
+from .result import AcceptedBy, Alignment, FusedMap, MergeResult, PairVerdict, Verdict
 
 MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
 
@@ -315,11 +316,12 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
 
 def merged_to_document(result: MergeResult) -> dict[str, Any]:
     """The node-link dict of a merge, ready for `json`."""
-    fused = result.fused
-    xy = rounded(np.asarray(fused.xy).reshape(-1, 2), METRES)
-    edges = edges_to_document(fused)
-    for edge, members in zip(edges, fused.edge_members, strict=True):
-        edge["members"] = _by_run(members)
+    parts = _parts(result)
+    return {key: list(part) if isinstance(part, Iterator) else part for key, part in parts.items()}
+
+
+def _parts(result: MergeResult) -> dict[str, Any]:
+    """The document; lists that may be long are made entry by entry."""
     graph: dict[str, Any] = {
         "components": [
             {"id": c.id, "runs": {run: pose_to_document(c.poses[run]) for run in sorted(c.poses)}}
@@ -334,24 +336,33 @@ def merged_to_document(result: MergeResult) -> dict[str, Any]:
         "directed": False,
         "multigraph": True,
         "graph": graph,
-        "nodes": [
-            {
-                "id": i,
-                "component": int(fused.component[i]),
-                "x": xy[i][0],
-                "y": xy[i][1],
-                "kind": fused.kind[i],
-                "branches": rounded(fused.branches[i], BRANCH),
-                "members": {run: list(ids) for run, ids in sorted(fused.members[i].items())},
-                "observations": [
-                    {"run": run, "time_ns": time_ns} for run, time_ns in fused.observations[i]
-                ],
-            }
-            for i in range(len(fused))
-        ],
-        "edges": edges,
-        "merges": [_merge_entry(pair) for pair in result.verdicts],
+        "nodes": _nodes(result.fused),
+        "edges": _edges(result.fused),
+        "merges": map(_merge_entry, result.verdicts),
     }
+
+
+def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
+    xy = rounded(np.asarray(fused.xy).reshape(-1, 2), METRES)
+    branches, stops = rounded(fused.branches.values, BRANCH), fused.branches.offsets.tolist()
+    for i, component in enumerate(fused.component.tolist()):
+        yield {
+            "id": i,
+            "component": component,
+            "x": xy[i][0],
+            "y": xy[i][1],
+            "kind": fused.kind[i],
+            "branches": branches[stops[i] : stops[i + 1]],
+            "members": {run: list(ids) for run, ids in sorted(fused.members[i].items())},
+            "observations": [
+                {"run": run, "time_ns": time_ns} for run, time_ns in fused.observations[i]
+            ],
+        }
+
+
+def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:
+    for edge, members in zip(edges_to_document(fused), fused.edge_members, strict=True):
+        yield edge | {"members": _by_run(members)}
 
 
 def _by_run(members: tuple[tuple[str, int], ...]) -> dict[str, list[int]]:
@@ -431,4 +442,4 @@ def read_merged(path: Path) -> MergedDocument:
 
 def write_merged(path: Path, result: MergeResult) -> None:
     """Write `merged.json`."""
-    write_json(path, merged_to_document(result))
+    write_json(path, _parts(result))

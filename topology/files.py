@@ -9,6 +9,7 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,12 @@ LARGEST_BYTES = 1 << 30
 
 LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
 """Names of the files that `write_atomically` fills; only a process that was killed leaves any."""
+
+
+ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+WRITTEN_TOGETHER = 1000
+"""Entries of a long list."""
 
 
 def read_json(path: Path) -> Any:
@@ -58,9 +65,36 @@ def kind_of(path: Path) -> str:
 
 
 def write_json(path: Path, doc: Any) -> None:
-    """Write a document atomically: after a crash the old file or the new one is there, whole."""
-    text = json.dumps(doc, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-    write_atomically(path, lambda temporary: temporary.write_text(text + "\n", encoding="utf-8"))
+    """Write a document atomically: after a crash the old file or the new one is there, whole.
+
+    Lists in it that are iterators are made, and written, some entries at a time.
+    """
+
+    def fill(temporary: Path) -> None:
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.writelines(_json(doc))
+
+    write_atomically(path, fill)
+
+
+def _json(doc: Any) -> Iterator[str]:
+    if isinstance(doc, dict) and any(isinstance(part, Iterator) for part in doc.values()):
+        before = "{"
+        for key, part in doc.items():
+            yield f"{before}{ENCODER.encode(key)}:"
+            yield from _listed(part) if isinstance(part, Iterator) else [ENCODER.encode(part)]
+            before = ","
+        yield "}\n"
+    else:
+        yield f"{ENCODER.encode(doc)}\n"
+
+
+def _listed(entries: Iterator[Any]) -> Iterator[str]:
+    before = "["
+    while some := list(islice(entries, WRITTEN_TOGETHER)):
+        yield f"{before}{ENCODER.encode(some)[1:-1]}"
+        before = ","
+    yield "]" if before == "," else "[]"
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -5,7 +5,8 @@ The pydantic models validate what is read, and publish the JSON Schema.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeVar
+import re
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -189,8 +190,17 @@ class MapDocument(Model):
 M = TypeVar("M", bound=BaseModel)
 
 
+WAY_OUT = {"map": "ingest its log again with --force", "merged": "topobatch merge --all"}
+"""What makes a document anew, by its kind."""
+
+
 def validated(model: type[M], doc: Any, name: str) -> M:
-    """`doc` as the given model, or a DocumentError that names the place of the first fault."""
+    """`doc` as the given model, or a DocumentError that names the place of the first fault, or what
+    to do about a document of another version."""
+    schema = model.model_fields.get("schema_name")
+    if schema is not None and isinstance(doc, dict):
+        (right,) = get_args(schema.annotation)
+        _check_version(doc.get("schema"), right, name)
     try:
         return model.model_validate(doc)
     except ValidationError as error:
@@ -198,3 +208,17 @@ def validated(model: type[M], doc: Any, name: str) -> M:
         place = ".".join(str(part) for part in first["loc"]) or "document"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         raise DocumentError(f"{name}: {place}: {first['msg']}{more}") from error
+
+
+def _check_version(found: Any, right: str, name: str) -> None:
+    """DocumentError on a document of the same kind and another version, with the way out."""
+    version = re.fullmatch(rf"{re.escape(right.rpartition('/')[0])}/([0-9]{{1,9}})", str(found))
+    if version is None or found == right:
+        return
+    kind = right.partition(".")[2].partition("/")[0]
+    newer = int(version[1]) > int(right.rpartition("/")[2])
+    made = "a newer topobatch: install that" if newer else "an older topobatch: make it anew"
+    raise DocumentError(
+        f"{name}: is {found}, and this topobatch reads {right}; made by {made}"
+        f"{', or make it anew' if newer else ''} ({WAY_OUT[kind]})"
+    )

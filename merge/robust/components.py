@@ -48,7 +48,7 @@ class Components:
 
     def forbidden(self, i: int, j: int) -> Pair | None:
         """The `never` pair that joining i and j would bring together, if any."""
-        for x in self.members[self.head[i]]:
+        for x in self.members[self.head[i]] if self.never else ():
             for y in self.members[self.head[j]]:
                 pair = (min(x, y), max(x, y))
                 if pair in self.never:

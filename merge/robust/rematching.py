@@ -6,7 +6,7 @@ Two components with an open pair across them are joined where their merged maps 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +21,7 @@ from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
 from .settings import RobustSettings
-from .verdict import ODD_BITS, Bar, Opinion, opinion
+from .verdict import ODD_BITS, Bar, Opinion, opinion, opinions
 from .wording import summary
 
 Pair = tuple[int, int]
@@ -42,6 +42,12 @@ class Reunion:
     sides: tuple[tuple[str, ...], tuple[str, ...]]
 
 
+Sides = tuple[Runs, Runs]
+"""Two components, each by its runs, in order."""
+
+Said = tuple[MergedMap, MergedMap, Opinion]
+
+
 @dataclass(slots=True, eq=False)
 class Rematcher:
     """Matches the fused maps of components with open pairs between them, until nothing joins.
@@ -59,20 +65,18 @@ class Rematcher:
     discarded: frozenset[Pair] = frozenset()
     kept: Kept | None = None
     _merged: MergedMaps = field(init=False)
-    _failed: set[tuple[Runs, Runs]] = field(default_factory=set)
-    _undecided: list[Pair] = field(init=False)
 
     def __post_init__(self) -> None:
-        views = self.opinions.items()
         self._merged = MergedMaps(self.maps, self.prepared, self.kept)
-        self._undecided = [p for p, v in views if v.bits > OPEN_BITS and v.best is not None]
 
     def run(self, joined: Mapping[Pair, Candidate]) -> dict[Pair, Reunion]:
         """The pairs that components say belong together; `joined` are those that already do."""
         accepted = {pair: _plain(c) for pair, c in joined.items()}
         reunions: dict[Pair, Reunion] = {}
-        while (found := self._strongest(accepted)) is not None:
-            one, two, view = found
+        open_ = self._open()
+        found = self._said(open_, accepted)
+        while found:
+            one, two, view = max(found.values(), key=_strength)
             links = _links(one, two, view)
             for pair, alignment in links.items():
                 accepted[pair] = alignment
@@ -80,53 +84,64 @@ class Rematcher:
                 reunions[pair] = Reunion(alignment, reason, view.margin, (one.names, two.names))
             (i, j), first = next(iter(links.items()))
             self.components.join(i, j, first.transform)
+            # What others say of each other stays as it was.
+            gone = {one.runs, two.runs}
+            whole = tuple(sorted((*one.runs, *two.runs)))
+            others = {side for sides in open_ if gone & {*sides} for side in sides} - gone
+            kept = {sides for sides in open_ if not gone & {*sides}}
+            fresh = {(min(whole, side), max(whole, side)) for side in others}
+            found = {sides: f for sides, f in found.items() if sides in kept}
+            found |= self._said(fresh, accepted)
+            open_ = kept | fresh
         return reunions
 
-    def _strongest(
-        self, accepted: Mapping[Pair, Alignment]
-    ) -> tuple[MergedMap, MergedMap, Opinion] | None:
-        """The best-founded reunion of two components; those that fail are not tried again."""
-        found: list[tuple[MergedMap, MergedMap, Opinion]] = []
-        for x, y in self._open():
-            if (x, y) in self._failed:
-                continue
-            reunion = self._reunion(x, y, accepted)
-            if reunion is None:
-                self._failed.add((x, y))
-            else:
-                found.append(reunion)
-        return max(found, key=lambda f: (f[2].bits, f[0].runs, f[1].runs), default=None)
+    def _open(self) -> set[Sides]:
+        """Pairs of components with an undecided pair across them."""
+        members, head = self.components.members, self.components.head
+        across = {
+            (head[i], head[j])
+            for (i, j), view in self.opinions.items()
+            if view.best is not None and view.bits > OPEN_BITS and head[i] != head[j]
+        }
+        runs = {k: tuple(sorted(members[k])) for pair in across for k in pair}
+        return {(min(runs[x], runs[y]), max(runs[x], runs[y])) for x, y in across}
 
-    def _reunion(
-        self, x: Runs, y: Runs, accepted: Mapping[Pair, Alignment]
-    ) -> tuple[MergedMap, MergedMap, Opinion] | None:
+    def _said(
+        self, open_: Iterable[Sides], accepted: Mapping[Pair, Alignment]
+    ) -> dict[Sides, Said]:
+        """Which pairs of components, not both single runs, are joined by what they say together."""
+        asked, found = [], []
+        for x, y in sorted(open_):
+            if len(x) + len(y) == 2 or self._apart(x, y):
+                continue
+            one, two = (self._merged.of(runs, accepted) for runs in (x, y))
+            candidates = self._merged.matched(one, two, self.settings)
+            if candidates:
+                asked.append((one, two))
+                across = (self.level((min(i, j), max(i, j))) for i in x for j in y)
+                level = max(across, key=lambda bar: (bar.need_bits, bar.copied))
+                found.append((one.prepared, two.prepared, candidates, level))
+        told = zip(asked, opinions(found), strict=True)
+        said = [(one, two, view) for (one, two), view in told if self._joins(one, two, view)]
+        return {(one.runs, two.runs): (one, two, view) for one, two, view in said}
+
+    def _apart(self, x: Runs, y: Runs) -> bool:
+        """Whether a person said that two components are not to be joined, or took that back: it
+        would be found again."""
         if self.components.forbidden(x[0], y[0]) is not None:
-            return None
-        if any((min(i, j), max(i, j)) in self.discarded for i in x for j in y):
-            return None  # what was taken back would be found again
-        one, two = (self._merged.of(runs, accepted) for runs in (x, y))
-        across = [self.level((min(i, j), max(i, j))) for i in x for j in y]
-        level = max(across, key=lambda bar: (bar.need_bits, bar.copied))
-        candidates = self._merged.matched(one, two, self.settings)
-        if not candidates:
-            return None
-        view = opinion(one.prepared, two.prepared, candidates, level)
-        if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):
-            return None
-        image = self._merged.image_bits(one, two, self.settings)
-        return None if fits_as_well(image, view.best, self.settings) else (one, two, view)
+            return True
+        return any((min(i, j), max(i, j)) in self.discarded for i in x for j in y)
 
-    def _open(self) -> list[tuple[Runs, Runs]]:
-        """Pairs of components, not both single runs, with an undecided pair across them."""
-        pairs = set()
-        for i, j in self._undecided:
-            if self.components.together(i, j):
-                continue
-            heads = (self.components.head[i], self.components.head[j])
-            x, y = sorted(tuple(sorted(self.components.members[h])) for h in heads)
-            if len(x) + len(y) > 2:
-                pairs.add((x, y))
-        return sorted(pairs)
+    def _joins(self, one: MergedMap, two: MergedMap, view: Opinion) -> bool:
+        if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):
+            return False
+        image = self._merged.image_bits(one, two, self.settings)
+        return not fits_as_well(image, view.best, self.settings)
+
+
+def _strength(said: Said) -> tuple[float, Runs, Runs]:
+    one, two, view = said
+    return view.bits, one.runs, two.runs
 
 
 def view_of_components(

@@ -14,10 +14,11 @@ import networkx as nx
 import numpy as np
 import pytest
 
+from topobatch.merge.document import MergedDocument
 from topobatch.topology.document import map_from_document, map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError
-from topobatch.topology.files import write_atomically, write_together
-from topobatch.topology.map_schema import MapDocument
+from topobatch.topology.files import write_atomically, write_json, write_together
+from topobatch.topology.map_schema import MapDocument, validated
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import Closure, TopoMap
 
@@ -99,6 +100,22 @@ def test_negative_zero_is_written_as_zero():
     doc["nodes"][0]["x"] = -0.0
     text = json.dumps(map_to_document(map_from_document(doc)))
     assert "-0.0" not in text
+
+
+@pytest.mark.parametrize(
+    ("model", "version", "told"),
+    [
+        (MapDocument, "topobatch.map/0", "older topobatch.*ingest its log again with --force"),
+        (MapDocument, "topobatch.map/2", "newer topobatch.*ingest its log again with --force"),
+        (MergedDocument, "topobatch.merged/0", "older topobatch.*topobatch merge --all"),
+        (MergedDocument, "topobatch.merged/10", "newer topobatch.*topobatch merge --all"),
+        (MapDocument, "topobatch.merged/1", "Input should be 'topobatch.map/1'"),
+        (MapDocument, "topobatch.map/1.5", "Input should be 'topobatch.map/1'"),
+    ],
+)
+def test_other_versions_are_refused_with_the_way_out(model, version, told):
+    with pytest.raises(DocumentError, match=told):
+        validated(model, {"schema": version}, "run1.json")
 
 
 @pytest.mark.parametrize(
@@ -202,3 +219,17 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path):
         write_atomically(path, fail)
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["x.json"]
+
+
+@pytest.mark.parametrize("entries", [[], [{"x": 1.5}], [{"ü": k} for k in range(2001)]])
+def test_lists_written_entry_by_entry_are_the_same_bytes(tmp_path, entries):
+    whole = {"schema": "a", "nodes": entries, "edges": [1, None], "merges": entries}
+    write_json(tmp_path / "whole.json", whole)
+    write_json(tmp_path / "parts.json", whole | {k: iter(entries) for k in ("nodes", "merges")})
+    data = (tmp_path / "parts.json").read_bytes()
+    assert data == (tmp_path / "whole.json").read_bytes()
+    assert json.loads(data) == whole
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "whole.json", {"nodes": iter([float("nan")])})
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["parts.json", "whole.json"]
+    assert (tmp_path / "whole.json").read_bytes() == data
