@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -131,7 +132,7 @@ class PairVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Errors of the placements of r runs, all in one frame.
+    """Errors of the placements of r runs, sorted by name, all in one frame.
 
     middle: (r, 2) middles of their maps [m]; covariance: (3 r, 3 r) of x, y of the middle and of
     the turn of each map [m, rad].
@@ -143,7 +144,7 @@ class Spread:
 
     def between(self, a: str, b: str) -> tuple[float, float]:
         """1 sigma [m] of where the middle of b's map lies, seen from a's, and [rad] of the turn."""
-        i, j = 3 * self.runs.index(a), 3 * self.runs.index(b)
+        i, j = (3 * bisect_left(self.runs, run) for run in (a, b))
         x, y = self.middle[j // 3] - self.middle[i // 3]
         seen = np.zeros((3, 6))
         seen[:, :3] = [[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]]

@@ -8,6 +8,7 @@ measurements across runs.
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -99,17 +100,25 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
 
     The frame is that of the first run by name; runs that no verdict reaches are left out.
     """
+    of: dict[str, list[tuple[float, str, str, FloatArray]]] = {}
+    for v in verdicts:
+        if v.accepted and v.best is not None:
+            link = (-v.evidence_bits, v.a, v.b, v.best.transform)
+            of.setdefault(v.a, []).append(link)
+            of.setdefault(v.b, []).append(link)
     start = min(runs)
-    poses = {start: np.zeros(3)}
-    links = sorted((v for v in verdicts if v.accepted), key=lambda v: (-v.evidence_bits, v.a, v.b))
-    while True:  # Prim: the strongest verdict that reaches a new run
-        step = next((v for v in links if (v.a in poses) != (v.b in poses)), None)
-        if step is None or step.best is None:
-            return poses
-        if step.a in poses:
-            poses[step.b] = compose(poses[step.a], step.best.transform)
-        else:
-            poses[step.a] = compose(poses[step.b], inverse(step.best.transform))
+    poses, ahead = {start: np.zeros(3)}, list(of.get(start, ()))
+    heapq.heapify(ahead)
+    while ahead:  # Prim: the strongest verdict that reaches a new run
+        _, a, b, T_a_b = heapq.heappop(ahead)
+        if a in poses and b in poses:
+            continue
+        new = b if a in poses else a
+        poses[new] = compose(poses[a], T_a_b) if new == b else compose(poses[b], inverse(T_a_b))
+        for link in of[new]:
+            if link[1] not in poses or link[2] not in poses:
+                heapq.heappush(ahead, link)
+    return poses
 
 
 def settle(
