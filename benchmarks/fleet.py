@@ -21,6 +21,7 @@ import json
 import resource
 import tempfile
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -143,13 +144,14 @@ def recall(count, first):
     """What merging with the index finds of what merging all pairs does."""
     maps = [topomap for topomap, _ in fleet_of(count, first=first)]
     screened = merge_maps(maps)
-    usual, screening.MOST_PAIRS = screening.MOST_PAIRS, pairs_of(count)
+    usual = screening.SCREENING
+    screening.SCREENING = replace(usual, most_pairs=pairs_of(count))
     try:
         clock = Clock()
         whole = merge_maps(maps)
         spent = clock.lap()
     finally:
-        screening.MOST_PAIRS = usual
+        screening.SCREENING = usual
     accepted = [{(v.a, v.b) for v in r.verdicts if v.accepted} for r in (whole, screened)]
     joined = [joined_pairs(r) for r in (whole, screened)]
     print(f"{count} maps, {pairs_of(count):,} pairs; all of them in {spent:.0f} s")
@@ -180,7 +182,7 @@ def beyond(count, first):
     """How many of the pairs beyond chance the index gives none."""
     ready = [prepare(topomap) for topomap, _ in fleet_of(count, first=first)]
     need = needed_bits(pairs_of(count), DEFAULT_ROBUST)
-    seen = {(i, j) for i, j in screening.chances(ready, screening.SHARE * need).pairs.tolist()}
+    seen = {(i, j) for i, j in screening.chances(ready, screening.SCREENING.share * need).pairs.tolist()}
     found = [
         (i, j)
         for i, a in enumerate(ready)

@@ -7,8 +7,8 @@ import numpy as np
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from .alignment import Candidate
-from .branches import GATE_RAD
 from .prepare import NO_HEADING, IntArray, Prepared
+from .settings import MATCH
 from .verdict import Opinion
 
 
@@ -68,9 +68,9 @@ def _unexplored(
     tail = known.tail[row]
     vertex, theirs = partner[tail], other.heading[partner[tail]]
     gap = np.abs(wrap(theirs - (known.heading[tail, known.leave[row]] - turn)[:, None]))
-    gap[theirs > NO_HEADING / 2] = 9.0
+    gap[theirs > NO_HEADING / 2] = np.pi  # as far off as can be
     branch = gap.argmin(axis=1)
-    open_ = (gap.min(axis=1) < GATE_RAD) & (other.by_branch[vertex, branch] < 0)
+    open_ = (gap.min(axis=1) < MATCH.branch_gate_rad) & (other.by_branch[vertex, branch] < 0)
     columns = (known.length[row], known.head[row], vertex, tail)
     return [
         (known, length, head, other, v, t)

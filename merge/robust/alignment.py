@@ -13,15 +13,8 @@ from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Match, grow_all, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
-from .settings import RobustSettings
+from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .support import Support, support
-
-SAME_PLACE_M = 3.0
-SAME_TURN_RAD = 0.35
-"""Two alignments that differ by less are versions of one placement."""
-
-CHANCE_BITS = 4.0
-"""Matches with no more support than this beyond chance are not searched for contradictions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +106,7 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
     """The evidence of a grown match."""
     agree = support(a, b, grown)
     bits = agree.bits - tested_bits
-    against = conflicts(a, b, grown) if bits > CHANCE_BITS else NO_CONFLICTS
+    against = conflicts(a, b, grown) if bits > DEFAULT_ROBUST.chance_bits else NO_CONFLICTS
     pa, pb = a.z[grown.a], b.z[grown.b]
     mean_a, mean_b = np.add.reduce(pa) / len(pa), np.add.reduce(pb) / len(pb)
     turn = np.vdot(pb - mean_b, pa - mean_a)
@@ -135,7 +128,7 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
 
 def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
     """Are two candidates versions of one placement of b, seen from where each matches?"""
-    if abs(float(wrap(x.transform[2] - y.transform[2]))) > SAME_TURN_RAD:
+    if abs(float(wrap(x.transform[2] - y.transform[2]))) > MATCH.turn_rad:
         return False
     partner = np.full(len(b), -1)
     partner[x.b] = x.a
@@ -144,7 +137,7 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
     if both:
         return bool(np.count_nonzero(mine == y.a) >= 0.5 * both)
     one, two = complex(b.z[x.b].mean()), complex(b.z[y.b].mean())
-    slack = SAME_PLACE_M + 0.1 * abs(one - two)
+    slack = MATCH.place_m + DEFAULT_ROBUST.gate_per_m * abs(one - two)
     return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
 
 
@@ -152,8 +145,8 @@ def self_matches(m: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]
     """Alignments of a map with itself, elsewhere: how much the building repeats itself."""
     links = candidate_links(m, m)
     one, two = m.middle[links.a_row], m.middle[links.b_row]
-    here = (np.abs(links.theta) < SAME_TURN_RAD) & (np.abs(one - two) < SAME_PLACE_M)
+    here = (np.abs(links.theta) < MATCH.turn_rad) & (np.abs(one - two) < MATCH.place_m)
     away = Links(links.a_row[~here], links.b_row[~here], links.theta[~here], links.bits[~here])
     away_seeds = seeds(m, m, away, settings.hypotheses)
     found = best_of(m, m, away_seeds, tested=len(away), settings=settings)
-    return tuple(c for c in found if np.count_nonzero(c.a == c.b) < 0.2 * len(c))
+    return tuple(c for c in found if np.count_nonzero(c.a == c.b) < 0.5 * len(c))

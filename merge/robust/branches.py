@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
-
-GATE_RAD = 0.45
-"""Branches this close in heading may be the same."""
-
-MOST_BITS = 6.0
-FOREIGN_BITS = 4.0
-"""Against two junctions of which no branch agrees."""
+from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared, density_bits
+from .settings import MATCH
 
 
 def branch_bits(
@@ -29,16 +23,15 @@ def branch_bits(
     branches, variance, faults, _ = (of_a + of_b).T
     lonely = branches - 2 * agree
     q = chord2 / variance[:, None]
-    density = 0.95 * np.exp(-0.5 * q) + 0.0125 * np.exp(-q / 32)
-    fit = np.log2(density) - 0.5 * np.log2(2 * np.pi * variance)[:, None]
+    fit = density_bits(q, variance[:, None])
     turn_b = b.turn_bits.reshape(-1).take(nearest_b + (vb * b.turn_bits.shape[1])[:, None])
     free = np.minimum(a.turn_bits.take(va, axis=0), turn_b)
-    angle = np.add.reduce(np.where(pair, np.minimum(fit + free, 3.0), 0.0), axis=1)
+    angle = np.add.reduce(np.where(pair, np.minimum(fit + free, MATCH.most_bits / 2), 0.0), axis=1)
     # One branch of each junction is taken up by the alignment itself.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
     chance = np.minimum(of_a[:, 3], of_b[:, 3])
-    bits = chance + angle + lonely * np.log2(faults) - FOREIGN_BITS * (agree == 0)
-    return np.asarray(np.minimum(bits, MOST_BITS))
+    bits = chance + angle + lonely * np.log2(faults)
+    return np.asarray(np.minimum(bits, MATCH.most_bits))
 
 
 def lonely_branches(
@@ -79,4 +72,4 @@ def _pairing(
     return nearest_b, 2 - 2 * best, (best > COS_GATE) & mutual
 
 
-COS_GATE = float(np.cos(GATE_RAD))
+COS_GATE = float(np.cos(MATCH.branch_gate_rad))

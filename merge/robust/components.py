@@ -12,18 +12,9 @@ from scipy.spatial import cKDTree
 from ...topology.se2 import compose, inverse, wrap
 from .alignment import Candidate
 from .prepare import ComplexArray, Prepared
+from .settings import DEFAULT_ROBUST, MATCH
 
 Pair = tuple[int, int]
-
-CYCLE_M = 2.5
-CYCLE_PER_M = 0.06
-CYCLE_RAD = 0.4
-"""Two ways to place a run agree within this much, plus drift per metre between the maps' middles:
-chained rigid transforms of maps that drift cannot agree better."""
-
-
-FEWEST_SHARED = 3
-"""Junctions that two runs must have near each other to be worth a match that others suggest."""
 
 
 class Components:
@@ -90,7 +81,7 @@ def agrees(candidate: Candidate, T_a_b: NDArray[np.float64], b: Prepared) -> boo
     gap = abs(candidate.move(middle) - (x + 1j * y + np.exp(1j * theta) * middle))
     reach = abs(middle - complex(b.z.mean()))
     turn = abs(float(wrap(candidate.transform[2] - theta)))
-    return gap < CYCLE_M + CYCLE_PER_M * reach and turn < CYCLE_RAD
+    return gap < MATCH.place_m + DEFAULT_ROBUST.gate_per_m * reach and turn < MATCH.turn_rad
 
 
 def join_all(
@@ -125,7 +116,7 @@ def join_all(
 
 
 def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[Pair]:
-    """Pairs i < j of one component that have FEWEST_SHARED junctions near each other as their
+    """Pairs i < j of one component that have `fewest` junctions near each other as their
     component places them. places: of every run its junctions (x + iy)."""
     out: list[Pair] = []
     for members in components.members.values():
@@ -135,11 +126,11 @@ def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[P
         laid = [_laid(components.pose[k], places[k]) for k in runs]
         owner = np.arange(len(runs)).repeat([len(z) for z in laid])
         near = cKDTree(np.concatenate(laid).view(np.float64).reshape(-1, 2)).query_pairs(
-            CYCLE_M, output_type="ndarray"
+            MATCH.place_m, output_type="ndarray"
         )
         both = np.sort(owner[near], axis=1)
         pair, shared = np.unique(both[both[:, 0] < both[:, 1]], axis=0, return_counts=True)
-        out += [(runs[i], runs[j]) for i, j in pair[shared >= FEWEST_SHARED].tolist()]
+        out += [(runs[i], runs[j]) for i, j in pair[shared >= MATCH.fewest].tolist()]
     return sorted(out)
 
 

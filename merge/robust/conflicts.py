@@ -9,32 +9,11 @@ import numpy as np
 
 from .branches import common_branches
 from .growth import Match
-from .prepare import SAMPLE_M, BoolArray, ComplexArray, FloatArray, IntArray, Prepared
+from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
+from .settings import DEFAULT_ROBUST, MATCH
 
-TRUSTED_M = 10.0
-"""Contradictions count only this near to a match: farther off the prediction is too vague."""
-
-VAGUE_PER_M = 0.04
-"""What a prediction may be off by, per metre to the nearest match."""
-
-OFF_END_M = 1.2
-"""Nearer than this to a junction a corridor is that junction's own."""
-
-ON_ROAD_M = 0.45
-"""A junction this near to the line of a corridor lies in it."""
-
-BESIDE_M = float(np.hypot(SAMPLE_M / 2, ON_ROAD_M))
-"""So far from one of the points that stand for the corridor."""
-
-ELSEWHERE_SHARE = 0.25
-"""Of the corridors that two runs drove by one branch of a falsely matched junction so many lead
-elsewhere (mazes .45, tiles .28, offices .12, on maps made by `benchmarks/observed.py`)."""
-
-ELSEWHERE_FAULT = 0.02
-"""Of a rightly matched one, beside those that a missed or an invented junction explains."""
-
-CONFLICT_BITS = 6.0
-"""No single contradiction weighs more: each may be a fault that no rate foresaw."""
+BESIDE_M = float(np.hypot(MATCH.sample_m / 2, MATCH.beside_m))
+"""What lies in a corridor lies so near to one of the points that stand for it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +83,7 @@ NO_CONFLICTS = Conflicts(_NONE, _NONE, _FREE, _NONE, _NONE, _FREE, _NO_PAIRS, 0.
 def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
     """The contradictions of a match. O(points · log points). A corridor tells one thing once: where
     it passes a junction unseen, it does not lead elsewhere as well."""
-    near = match.support_m < TRUSTED_M
+    near = match.support_m < MATCH.near_m
     extra_b, in_a, bits_b = _extra_b(a, b, match, near)
     extra_a, in_b, bits_a = _extra_a(a, b, match, near)
     found = Conflicts(extra_b, in_a, bits_b, extra_a, in_b, bits_a, _NO_PAIRS, 0.0)
@@ -126,8 +105,8 @@ def _with_elsewhere(a: Prepared, b: Prepared, match: Match, found: Conflicts) ->
     explained = np.isin(leave_a % half_a, told_a % half_a) | np.isin(far_a, found.extra_a)
     explained |= np.isin(leave_b % half_b, told_b % half_b) | np.isin(far_b, found.extra_b)
     astray = (partner[far_b] != far_a) & ~explained
-    fault = ELSEWHERE_FAULT + sum(m.noise.miss_rate + m.noise.phantom_rate for m in (a, b))
-    weight = min(max(float(np.log2(ELSEWHERE_SHARE / fault)), 0.0), CONFLICT_BITS)
+    fault = sum(MATCH.fault_floor + m.noise.miss_rate + m.noise.phantom_rate for m in (a, b))
+    weight = min(max(float(np.log2(MATCH.elsewhere_share / fault)), 0.0), MATCH.most_bits)
     rows = np.column_stack([leave_a[astray], leave_b[astray]])
     return replace(found, elsewhere=rows, elsewhere_bits=weight)
 
@@ -140,17 +119,19 @@ def _placed_road(b: Prepared, match: Match, rows: IntArray) -> tuple[ComplexArra
     tail, head, road = b.road_tail[rows], b.road_head[rows], b.road[rows]
     by_tail = match.place[tail] + match.turn[tail] * (road - b.z[tail])
     by_head = match.place[head] + match.turn[head] * (road - b.z[head])
-    vague = VAGUE_PER_M * np.maximum(match.support_m[tail], match.support_m[head])
+    vague = DEFAULT_ROBUST.gate_per_m * np.maximum(match.support_m[tail], match.support_m[head])
     return by_tail + b.road_share[rows] * (by_head - by_tail), vague
 
 
 def _weight(missing: Prepared, edge: IntArray, extra: Prepared, vertex: IntArray) -> FloatArray:
     """(k,) bits against: the one run drove the corridor and missed it each time, or the other one
     invented it at each look."""
-    missed = (missing.noise.miss_rate + 0.015) ** np.minimum(missing.traversals[edge], 3)
-    invented = (extra.noise.phantom_rate + 0.01) ** np.minimum(extra.looks[vertex], 3)
+    missed = (missing.noise.miss_rate + MATCH.fault_floor) ** np.minimum(
+        missing.traversals[edge], 3
+    )
+    invented = (extra.noise.phantom_rate + MATCH.fault_floor) ** np.minimum(extra.looks[vertex], 3)
     bits = -np.log2(np.minimum(missed + invented, 1.0))
-    return np.asarray(np.minimum(bits, CONFLICT_BITS))
+    return np.asarray(np.minimum(bits, MATCH.most_bits))
 
 
 def _extra_b(
@@ -163,12 +144,12 @@ def _extra_b(
     if len(lone) == 0 or len(a.road) == 0:
         return _NONE, _NONE, _FREE
     where = match.place[lone]
-    off_end = OFF_END_M + VAGUE_PER_M * match.support_m[lone]
+    off_end = MATCH.clear_m + DEFAULT_ROBUST.gate_per_m * match.support_m[lone]
     gap, road = a.road_sites.nearest(where, BESIDE_M)
     beside = (gap < BESIDE_M).nonzero()[0]
     lone, where, road, off_end = lone[beside], where[beside], road[beside], off_end[beside]
     across = np.abs(((where - a.road[road]) * a.road_dir[road].conj()).imag)
-    inside = (across < ON_ROAD_M) & (
+    inside = (across < MATCH.beside_m) & (
         a.sites.nearest(where, float(off_end.max(initial=0)))[0] > off_end
     )
     vertex, edge = lone[inside], a.road_edge[road[inside]]
@@ -181,7 +162,7 @@ def _extra_a(
     """Unmatched vertices of a beside points of b's corridors."""
     rows = (near[b.road_tail] & near[b.road_head]).nonzero()[0]
     place, vague = _placed_road(b, match, rows)
-    inner = b.road_end[rows] > OFF_END_M + vague
+    inner = b.road_end[rows] > MATCH.clear_m + vague
     rows, place = rows[inner], place[inner]
     gap, vertex = a.sites.nearest(place, BESIDE_M)
     taken = np.zeros(len(a) + 1, np.bool_)  # the last is what the search calls none
@@ -189,7 +170,7 @@ def _extra_a(
     beside = ((gap < BESIDE_M) & ~taken[vertex]).nonzero()[0]
     rows, place, vertex = rows[beside], place[beside], vertex[beside]
     turned = match.turn[b.road_tail[rows]] * b.road_dir[rows]
-    hit = np.abs(((a.z[vertex] - place) * turned.conj()).imag) < ON_ROAD_M
+    hit = np.abs(((a.z[vertex] - place) * turned.conj()).imag) < MATCH.beside_m
     extra, first = np.unique(vertex[hit], return_index=True)
     edge = b.road_edge[rows[hit][first]]
     return extra, edge, _weight(b, edge, a, extra)

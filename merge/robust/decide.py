@@ -25,7 +25,6 @@ from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import (
-    ODD_BITS,
     Bar,
     Opinion,
     PairCount,
@@ -34,11 +33,6 @@ from .verdict import (
     opinion,
 )
 from .wording import contradictions, nothing, summary
-
-FLEET_SHARE = 0.75
-"""A batch has copies as large as its map at this quantile shows: most maps repeat, or few do. Pairs
-are many more than maps, and meet larger copies than the two maps show by themselves: without it
-`benchmarks/aliasing.py --kinds tiles` joins tunnels wrongly."""
 
 
 def decide(
@@ -212,10 +206,15 @@ def _repetition(
     """How copies differ in these buildings, and the junctions of every map's largest copy of a part
     of itself, no fewer than most maps of the batch have."""
     samples = [
-        (m, c) for m, own in zip(prepared, found, strict=True) for c in own if c.bits > ODD_BITS
+        (m, c)
+        for m, own in zip(prepared, found, strict=True)
+        for c in own
+        if c.bits > settings.chance_bits
     ]
-    copied = [max((len(c) for c in own if c.bits > ODD_BITS), default=0) for own in found]
-    batch = float(np.quantile(copied, FLEET_SHARE)) if copied else 0.0
+    copied = [
+        max((len(c) for c in own if c.bits > settings.chance_bits), default=0) for own in found
+    ]
+    batch = float(np.quantile(copied, settings.copied_share)) if copied else 0.0
     return copy_model(samples, settings), [max(junctions, batch) for junctions in copied]
 
 
@@ -263,7 +262,11 @@ def _seconded(
     if not components.together(i, j):
         return None
     T_i_j = components.relative(i, j)
-    fitting = (c for c in candidates if c.bits > ODD_BITS and agrees(c, T_i_j, prepared[j]))
+    fitting = (
+        c
+        for c in candidates
+        if c.bits > DEFAULT_ROBUST.chance_bits and agrees(c, T_i_j, prepared[j])
+    )
     return next(fitting, None)
 
 

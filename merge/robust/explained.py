@@ -20,16 +20,16 @@ from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
 from ..wording import counted, told_bits
-from .alignment import CHANCE_BITS, Candidate, best_seed, same_placement
+from .alignment import Candidate, best_seed, same_placement
 from .conflicts import one_by_one
 from .decide import Assessment, assess, bars
 from .forced import forced_alignment
-from .growth import FEWEST, LEAST_SHARE, given_up
+from .growth import given_up
 from .prepare import FloatArray, Prepared, prepare
 from .rematching import view_of_components
 from .screening import beyond_chance
-from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import JUNCTION_BITS, Answers, Bar, PairCount, counted_bits, needed_bits
+from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
+from .verdict import Answers, Bar, PairCount, counted_bits, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -166,7 +166,7 @@ def _placement_of(own: Assessment, c: Candidate) -> Shown:
         Answers(view.need_bits, c.bits, counted_bits(c)),
     )
     terms = _terms(_Naming(own.a, own.b), c, answers)
-    searched = c.support.bits - c.tested_bits > CHANCE_BITS
+    searched = c.support.bits - c.tested_bits > DEFAULT_ROBUST.chance_bits
     return Placement(own.alignment(c, answers.bits), terms, searched), answers
 
 
@@ -177,7 +177,7 @@ def _of_seed(own: Assessment, settings: RobustSettings) -> tuple[list[Shown], St
         return [], None
     seed, candidate, count = best
     found, expected = given_up(own.a, own.b, seed, settings)
-    needed = max(FEWEST, ceil(LEAST_SHARE * expected))
+    needed = max(MATCH.fewest, ceil(MATCH.least_share * expected))
     return [_placement_of(own, candidate)], Start(found, expected, needed, count)
 
 
@@ -263,7 +263,7 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
     terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if few < 0:
-        told = f"what agrees counts {JUNCTION_BITS} bits a junction at most"
+        told = f"what agrees counts {DEFAULT_ROBUST.junction_bits} bits a junction at most"
         terms.append(naming.term("few", few, told))
     if answers.same_place is not None:
         bits, need = told_bits(answers.same_place, answers.need_same).split(", ")
@@ -323,7 +323,7 @@ def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requireme
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
         lead_bits=settings.lead_bits,
-        junction_bits=JUNCTION_BITS,
+        junction_bits=settings.junction_bits,
         repetition=0.0 if answers is None else answers.repetition,
         same_place_bits=answers.same_place if answers is not None and asked else None,
         same_place_needed=answers.need_same if answers is not None and asked else None,

@@ -10,24 +10,7 @@ import numpy as np
 from .branches import branch_bits
 from .links import Seed
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
-from .settings import RobustSettings
-
-FEWEST = 3
-"""A match that does not reach this many junctions in a round is given up."""
-
-LEAST_SHARE = 0.5
-"""So is one in which fewer of the junctions that lie where the other run has been are found: chance
-alone finds about a fifth of them."""
-
-COVERED_M = 3.5
-"""A junction this near to one of the other map lies where that run has been."""
-
-ACTIVE_M = 15.0
-"""Predictions farther from a match than this are not looked at yet."""
-
-MOST_GATE_M = 2.5
-WORST_BRANCH_BITS = -7.0
-"""Two junctions whose branches disagree more than this are not the same one."""
+from .settings import MATCH, RobustSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +64,7 @@ def grow_all(
         fresh, found, expected = _rematch(a, b, place, support, settings)
         going = []
         for row, k in enumerate(live):
-            if found[row] < max(FEWEST, LEAST_SHARE * expected[row]):
+            if found[row] < max(MATCH.fewest, MATCH.least_share * expected[row]):
                 continue
             if left and (fresh[row] != partner[row]).any():
                 going.append(row)
@@ -104,7 +87,7 @@ def given_up(a: Prepared, b: Prepared, seed: Seed, settings: RobustSettings) -> 
     for _ in range(settings.growth_rounds):
         place, _, near = predict(a, b, partner, [seed.unit])
         partner, (found,), (expected,) = _rematch(a, b, place, near, settings)
-        if found < max(FEWEST, LEAST_SHARE * expected):
+        if found < max(MATCH.fewest, MATCH.least_share * expected):
             break
     return found, expected
 
@@ -130,7 +113,7 @@ def _grown(
     place, turn, support = predicted
     matched = (partner >= 0).nonzero()[0]
     bits = branch_bits(a, b, partner[matched], matched, turn[matched])
-    fair = bits > WORST_BRANCH_BITS
+    fair = bits > -MATCH.contradicted_bits
     matched, bits = matched[fair], bits[fair]
     return Match(partner[matched], matched, place, turn, support, bits)
 
@@ -142,14 +125,14 @@ def predict(
     (s, n_b) like `partner`, by s matches independent of each other.
 
     Strategy: weighted complex Procrustes for all vertices at once. What a match adds to the sums
-    is a row of eight numbers (1 and |z|², position in a, position in b, their product); each vertex
+    is a row of eight numbers (1, position in a, position in b, their product); each vertex
     takes the weighted sum of the rows of its precomputed neighbours. The fit to all matches enters
     with a small weight, and alone where no neighbour is matched.
     """
     many, n = partner.shape
     has = partner >= 0
     rows = np.empty((many, n, 4), np.complex128)
-    np.multiply(has, b.counted, out=rows[:, :, 0])
+    rows[:, :, 0] = has
     np.multiply(has, a.z[partner], out=rows[:, :, 1])
     np.multiply(has, b.z, out=rows[:, :, 2])
     np.multiply(rows[:, :, 1], b.z.conj(), out=rows[:, :, 3])
@@ -179,13 +162,12 @@ def predict(
 
 def _fit(sums: list[complex], start: complex) -> tuple[complex, complex, complex, complex]:
     """Of the sums over all matches of a seed: turn, shift, middle of the matches in b, and what the
-    fit counts beside the local ones: like a spread of 3 m and of a share of its own extent."""
-    count, extent = max(sums[0].real, 1.0), sums[0].imag
+    fit counts beside the local ones: like a match at the distance that parts two placements."""
+    count = max(sums[0].real, 1.0)
     ma, mb, lever = sums[1] / count, sums[2] / count, sums[3] / count
-    turn = count * (lever - mb.conjugate() * ma) + 4.0 * start
+    turn = count * (lever - mb.conjugate() * ma) + MATCH.start_weight * start
     turn = turn / abs(turn) if abs(turn) > 1e-9 else start
-    share = 9.0 + 0.02 * min(extent - count * abs(mb) ** 2, 2000.0)
-    return turn, ma - turn * mb, mb, share * turn
+    return turn, ma - turn * mb, mb, MATCH.place_m**2 * turn
 
 
 def _rematch(
@@ -197,12 +179,12 @@ def _rematch(
     many, n, n_a = len(place), len(b), len(a)
     partner = np.empty(place.shape, np.int64)
     partner.fill(-1)
-    active = (support.reshape(-1) < ACTIVE_M).nonzero()[0]
+    active = (support.reshape(-1) < MATCH.near_m).nonzero()[0]
     if n_a == 0 or len(active) == 0:
         return partner, [0] * many, [0] * many
     gate = settings.gate_m + settings.gate_per_m * support.reshape(-1)[active]
-    gap, nearest = a.sites.nearest(place.reshape(-1)[active], COVERED_M)
-    near = (gap < np.minimum(gate, MOST_GATE_M)).nonzero()[0]
+    gap, nearest = a.sites.nearest(place.reshape(-1)[active], MATCH.place_m)
+    near = (gap < gate).nonzero()[0]
     near = near[(-gap[near]).argsort(kind="stable")]
     chooser = active[near]
     owner = np.empty(many * n_a, np.int64)
@@ -211,5 +193,5 @@ def _rematch(
     taken = (owner >= 0).nonzero()[0]
     partner.reshape(-1)[owner[taken]] = taken % n_a
     found = np.bincount(taken // n_a, minlength=many)
-    expected = np.bincount(active[gap < COVERED_M] // n, minlength=many)
+    expected = np.bincount(active[gap < MATCH.place_m] // n, minlength=many)
     return partner, found.tolist(), expected.tolist()

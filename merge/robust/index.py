@@ -16,8 +16,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from ...topology.se2 import wrap
-from .links import LENGTH_SIGMAS, SAG_M, TURN_RAD, length_bits, windows
-from .prepare import LENGTH_SCALE, FloatArray, IntArray, Prepared
+from .links import KEY_STEP, windows
+from .prepare import LENGTH_SCALE, FloatArray, IntArray, Prepared, length_bits
+from .settings import MATCH
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,7 @@ class Corridors:
         """The largest variance of corridors that could be as long as these."""
         if not len(self.worst):
             return np.zeros(len(length))
-        at = np.searchsorted(self.length_step, 1.25 * length + 1.0, side="right") - 1
+        at = np.searchsorted(self.length_step, 2 * length, side="right") - 1
         return np.asarray(self.worst[np.maximum(at, 0)])
 
     def chances(self, a: Prepared, least: float, after: int = -1) -> FloatArray:
@@ -95,7 +96,7 @@ class Corridors:
         bits = length_bits(d, a.variance[row] + self.variance[other])
         bits += np.minimum(a.rarity[row], self.rarity[other])
         ends = np.minimum(a.end_surprise[row], self.surprise[other])
-        bits = np.minimum(bits, 6.0) + 0.5 * ends
+        bits = np.minimum(bits, MATCH.most_bits) + 0.5 * ends
         owner = self.owner[other]
         choice = np.log2(np.bincount(owner, minlength=self.maps) + 1.0)
         together = np.bincount(owner, np.maximum(bits, 0.0), self.maps)
@@ -113,14 +114,14 @@ class Corridors:
         """Corridors of a map, in one direction, and rows here that could be the same one."""
         half = len(a.tail) // 2
         length = a.length[:half]
-        reach = LENGTH_SIGMAS * np.sqrt(a.variance[:half] + self.worst_variance(length))
+        reach = MATCH.length_sigmas * np.sqrt(a.variance[:half] + self.worst_variance(length))
         key = a.pattern[:half] * LENGTH_SCALE + length
         row, other = windows(self.key.searchsorted(key - reach), self.key.searchsorted(key + reach))
         late = np.flatnonzero(self.owner[other] > after)
         row, other = row[late], other[late]
         d = a.length[row] - self.length[other]
-        fits = d * d < LENGTH_SIGMAS**2 * (a.variance[row] + self.variance[other])
-        ok = np.flatnonzero(fits & (np.abs(a.sag[row] - self.sag[other]) < SAG_M))
+        fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[other])
+        ok = np.flatnonzero(fits & (np.abs(a.sag[row] - self.sag[other]) < MATCH.sag_m))
         return row[ok], other[ok]
 
     def _hanging_together(
@@ -135,10 +136,10 @@ class Corridors:
                 a.head[row] * self.vertices + self.head[other],
             ]
         )
-        key = pair * 8.0 + np.concatenate([theta, theta])
+        key = pair * KEY_STEP + np.concatenate([theta, theta])
         order = key.argsort()
         fresh = np.zeros(2 * k, np.int64)
-        fresh[1:] = np.diff(key[order]) > TURN_RAD
+        fresh[1:] = np.diff(key[order]) > MATCH.turn_rad
         node = np.empty(2 * k, np.int64)
         node[order] = fresh.cumsum()
         count = int(fresh.sum()) + 1

@@ -8,26 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.se2 import wrap
-from .prepare import LENGTH_SCALE, BoolArray, ComplexArray, FloatArray, IntArray, Prepared
+from .prepare import (
+    LENGTH_SCALE,
+    BoolArray,
+    ComplexArray,
+    FloatArray,
+    IntArray,
+    Prepared,
+    length_bits,
+)
+from .settings import DEFAULT_ROBUST, MATCH
 
-LENGTH_SIGMAS = 3.0
-SAG_M = 0.75
-MOST_LINKS = 20_000
-"""Where more pairs of corridors than this look alike, those of the commonest patterns are left out:
-a link to a corridor of which there are hundreds tells nothing."""
+COS_TURN = float(np.cos(MATCH.turn_rad))
 
-WEAK_SHARE = 0.3
-"""Components with less than this share of the best one's bits are not grown."""
-
-MOST_VOTES = 40
-TORN_M = 1.0
-TORN_PER_M = 0.1
-"""Two components whose transforms differ by no more than this, seen from each other, may be one
-match that drift has torn."""
-
-TURN_RAD = 0.3
-COS_TURN = float(np.cos(TURN_RAD))
-"""Links whose rotations differ by less may belong to one alignment."""
+KEY_STEP = 4 * np.pi
+"""Separates pairs of vertices in a sort key that ends with a rotation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,36 +70,26 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
     the window of compatible ones. Each corridor of a is looked up in one direction, b's in both.
     """
     half = len(a.tail) // 2
-    tolerance = LENGTH_SIGMAS * np.sqrt(a.variance[:half] + b.worst_variance)
+    tolerance = MATCH.length_sigmas * np.sqrt(a.variance[:half] + b.worst_variance)
     key = a.pattern[:half] * LENGTH_SCALE + a.length[:half]
     low = b.probe_key.searchsorted(key - tolerance)
     high = b.probe_key.searchsorted(key + tolerance)
     size = high - low
-    if np.add.reduce(size) > MOST_LINKS:
+    if np.add.reduce(size) > MATCH.most_links:
         order = size.argsort(kind="stable")
-        common = order[size[order].cumsum() > MOST_LINKS]
+        common = order[size[order].cumsum() > MATCH.most_links]
         high[common] = low[common]
     i, right = windows(low, high)
     j = b.probe_row[right]
     variance = a.variance[i] + b.variance[j]
     d = a.length[i] - b.length[j]
-    fits = (d * d < LENGTH_SIGMAS**2 * variance) & (np.abs(a.sag[i] - b.sag[j]) < SAG_M)
+    fits = (d * d < MATCH.length_sigmas**2 * variance) & (np.abs(a.sag[i] - b.sag[j]) < MATCH.sag_m)
     ok = fits.nonzero()[0]
     i, j = i[ok], j[ok]
     theta = np.asarray(wrap(a.angle[i] - b.angle[j]))
     bits = length_bits(d[ok], variance[ok]) + np.minimum(a.rarity[i], b.rarity[j])
     ends = np.minimum(a.end_surprise[i], b.end_surprise[j])
-    return Links(i, j, theta, np.minimum(bits, 6.0) + 0.5 * ends)
-
-
-def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
-    """log2 density [1/m] of a length difference between two looks at one corridor.
-
-    A normal distribution with 5 % of outliers of four times its width.
-    """
-    q = difference * difference / variance
-    core = 0.95 * np.exp(-0.5 * q) + (0.05 / 4) * np.exp(-q / 32)
-    return np.asarray(np.log2(core) - 0.5 * np.log2(2 * np.pi * variance))
+    return Links(i, j, theta, np.minimum(bits, MATCH.most_bits) + 0.5 * ends)
 
 
 def seeds(a: Prepared, b: Prepared, links: Links, most: int) -> list[Seed]:
@@ -118,7 +103,7 @@ def seeds(a: Prepared, b: Prepared, links: Links, most: int) -> list[Seed]:
     label = _components(a, b, links)
     total = np.bincount(label, weights=links.bits)
     best = (-total).argsort(kind="stable")[:most]
-    best = best[total[best] > WEAK_SHARE * total[best[0]]]
+    best = best[total[best] > MATCH.weak_share * total[best[0]]]
     crowd = np.bincount(label)[label] > 1
     mid_a, mid_b = a.middle[links.a_row], b.middle[links.b_row]
     found: list[Seed] = []
@@ -145,11 +130,11 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
             a.head[links.a_row] * len(b) + b.head[links.b_row],
         ]
     )
-    key = pair * 8.0 + np.concatenate([links.theta, links.theta])
+    key = pair * KEY_STEP + np.concatenate([links.theta, links.theta])
     order = key.argsort(kind="stable")
     key = key[order]
     fresh = np.zeros(2 * k, np.int64)
-    fresh[1:] = key[1:] - key[:-1] > TURN_RAD
+    fresh[1:] = key[1:] - key[:-1] > MATCH.turn_rad
     number = fresh.cumsum()
     node = np.empty(2 * k, np.int64)
     node[order] = number
@@ -166,19 +151,25 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
         label = sunk
 
 
+def _slack(apart_m: FloatArray) -> FloatArray:
+    """How far apart [m] two links of one alignment may place b, seen from each other: twice what
+    growth allows, for either may be off."""
+    return 2 * (DEFAULT_ROBUST.gate_m + DEFAULT_ROBUST.gate_per_m * apart_m)
+
+
 def _agreeing(
     links: Links, mid_a: ComplexArray, mid_b: ComplexArray, rows: IntArray
 ) -> tuple[IntArray, float]:
     """Of a component's links those that share the transform with the most bits; its rotation."""
     if len(rows) == 1:
         return rows, float(links.theta[rows[0]])
-    if len(rows) > MOST_VOTES:
-        rows = rows[(-links.bits[rows]).argsort(kind="stable")[:MOST_VOTES]]
+    if len(rows) > MATCH.most_votes:
+        rows = rows[(-links.bits[rows]).argsort(kind="stable")[: MATCH.most_votes]]
     theta, za, zb = links.theta[rows], mid_a[rows], mid_b[rows]
     gap_b = zb[None, :] - zb[:, None]
     unit = np.exp(1j * theta)
     apart = np.abs(za[:, None] + unit[:, None] * gap_b - za)
-    votes = (apart < 0.6 + 0.12 * np.abs(gap_b)) & ((unit[:, None] * unit.conj()).real > COS_TURN)
+    votes = (apart < _slack(np.abs(gap_b))) & ((unit[:, None] * unit.conj()).real > COS_TURN)
     at = int((votes @ links.bits[rows]).argmax())
     agree = rows[votes[at]]
     return agree, float(theta[at] + wrap(links.theta[agree] - theta[at]).sum() / len(agree))
@@ -203,8 +194,8 @@ def _seed(
     shift = middle_a - unit * middle_b
     strength = sum(links.bits[rows].tolist())
     if others.any():
-        torn = np.abs(unit * mid_b + shift - mid_a) < TORN_M + TORN_PER_M * np.abs(mid_b - middle_b)
-        near = others & torn & (np.abs(wrap(links.theta - turn)) < TURN_RAD)
+        torn = np.abs(unit * mid_b + shift - mid_a) < _slack(np.abs(mid_b - middle_b))
+        near = others & torn & (np.abs(wrap(links.theta - turn)) < MATCH.turn_rad)
         rows = np.concatenate([rows, near.nonzero()[0]])
     row_a, row_b = links.a_row[rows], links.b_row[rows]
     va = np.concatenate([a.tail[row_a], a.head[row_a]]).tolist()
@@ -218,4 +209,5 @@ def _seed(
 
 def _differ(x: Seed, y: Seed) -> bool:
     """Do two seeds place b differently (seen from where the first one matches)?"""
-    return abs(float(wrap(x.theta - y.theta))) > 0.2 or abs(x.shift - y.shift) > 3.0
+    turned = abs(float(wrap(x.theta - y.theta)))
+    return turned > MATCH.turn_rad or abs(x.shift - y.shift) > MATCH.place_m

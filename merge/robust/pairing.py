@@ -34,18 +34,6 @@ IntArray = NDArray[np.int64]
 Ready = Callable[[bytes, bool], Prepared]
 """The prepared map of a digest, or its mirror image."""
 
-TILE = 32
-"""Maps per side of the tiles in which pairs are taken: a map that is read serves a row of them."""
-
-TASK_PAIRS = 1000
-"""Pairs of a task at most: a second of work, against which asking for it does not count."""
-
-FEWEST_TASKS = 32
-"""Into so many tasks even few pairs are divided, for the sake of several workers."""
-
-MOST_READY = 256
-"""Prepared maps that a worker remembers, some 100 kB each."""
-
 
 class Maps(Protocol):
     """Where workers find the maps of runs."""
@@ -53,6 +41,22 @@ class Maps(Protocol):
     def read_map(self, run: str) -> TopoMap:
         """The map of a run."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSettings:
+    """How pairs are divided among workers, which changes no result."""
+
+    tile: int = 32
+    """Maps per side of the tiles in which pairs are taken, and pairs of a task at most a tile: a
+    map that is read serves a row of it, and asking for a second of work does not count."""
+    fewest: int = 32
+    """Into so many tasks even few pairs are divided, for the sake of several workers."""
+    most_ready: int = 256
+    """Prepared maps that a worker remembers, some 100 kB each."""
+
+
+TASKS = TaskSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +243,7 @@ class Pairwise:
     ) -> Iterator[tuple[IntArray, MatchTask]]:
         """The missing pairs tile by tile, with their places."""
         order = missing[tile_order(wanted[missing])]
-        size = min(TASK_PAIRS, max(-(-len(order) // FEWEST_TASKS), 1))
+        size = min(TASKS.tile**2, max(-(-len(order) // TASKS.fewest), 1))
         for start in range(0, len(order), size):
             places = order[start : start + size]
             maps, rows = np.unique(wanted[places], return_inverse=True)
@@ -260,7 +264,7 @@ class Pairwise:
 
 def tile_order(pairs: IntArray) -> IntArray:
     """The order in which (k, 2) pairs are taken, tile by tile."""
-    tile = pairs // TILE
+    tile = pairs // TASKS.tile
     return np.lexsort((tile[:, 1], tile[:, 0]))
 
 
@@ -282,7 +286,7 @@ def matched(task: MatchTask) -> bytes:
     def ready(digest: bytes, image: bool) -> Prepared:
         found = _ready.get((digest, image))
         if found is None:
-            if len(_ready) >= MOST_READY:
+            if len(_ready) >= TASKS.most_ready:
                 _ready.clear()
             topomap = task.sent.get(digest) or _read(task.maps, run_of[digest], digest)
             found = prepare(mirrored(topomap) if image else topomap)

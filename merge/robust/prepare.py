@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
+from .settings import MATCH
 from .sites import Sites
 
 ComplexArray = NDArray[np.complex128]
@@ -20,30 +21,13 @@ BoolArray = NDArray[np.bool_]
 LENGTH_KERNEL = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0]) / 16
 """Smooths a histogram of lengths in cells of 10 cm: a triangle of ± 0.4 m."""
 
-NEIGHBOURS = 20
-"""Junctions around each junction whose matches predict where it lies in the other map."""
-
-REACH_M = 8.0
-FAR_WEIGHT = 0.005
-"""Matches weigh exp(-d²/2 REACH_M²) + FAR_WEIGHT in predicting a junction d metres away."""
-
-SAMPLE_M = 1.0
-"""Spacing of the points that stand for a corridor."""
-
-FLOOR_M = 0.01
-CLEAR_M = 1.3
-"""Points of a corridor nearer to its ends than this belong to the junctions there."""
-
 SECTOR_RAD = np.pi / 2
 """Branches are sorted into four sectors around the one by which a corridor leaves."""
 
-SOFT_RAD = 0.21
-"""Branches this close to the border of two sectors are looked up in both."""
-
-LENGTH_SCALE = 1024.0
+LENGTH_SCALE = 2.0**10
 """Separates the pattern from the length in a sort key; above any corridor's length [m]."""
 
-NO_HEADING = 1e3
+NO_HEADING = 2.0**10
 """Fills the rows of `heading` behind the last branch; no gate ever reaches it."""
 
 
@@ -58,7 +42,6 @@ class Prepared:
     headings as unit numbers, 0 behind the last; branch_variance: (n,) [rad²] of one heading;
     fault_rate: (n,) chance of a branch too many or too few. traits: (n, 4) count,
     branch_variance, fault_rate and surprise side by side.
-    counted: (n,) 1 + i |z|², what each match adds to the sums of `predict` first.
     neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances;
     near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
     near_weight: (n, q) what their matches weigh in predicting this one.
@@ -90,7 +73,6 @@ class Prepared:
     branch_variance: FloatArray
     fault_rate: FloatArray
     traits: FloatArray
-    counted: ComplexArray
     neighbour: IntArray
     near_m: FloatArray
     near_rarity: FloatArray
@@ -141,7 +123,8 @@ def prepare(topomap: TopoMap) -> Prepared:
     z = m.xy[:, 0] + 1j * m.xy[:, 1]
     heading, count = _padded(m)
     looks = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(np.int64)
-    rows = np.flatnonzero((m.source != m.target) & (np.abs(z[m.source] - z[m.target]) > 0.05))
+    long = np.abs(z[m.source] - z[m.target]) > MATCH.floor_m
+    rows = np.flatnonzero((m.source != m.target) & long)
     tail = np.concatenate([m.source[rows], m.target[rows]])
     head = np.concatenate([m.target[rows], m.source[rows]])
     leave = np.concatenate([m.source_branch[rows], m.target_branch[rows]])
@@ -158,7 +141,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     mask = near_masks[0]
     pattern = mask * 16 + mask[twin]
     surprise, turn_bits = _pattern_bits(heading, count)
-    branch_variance = m.noise.branch_rad**2 * (0.5 + 1 / looks) + 0.03**2
+    branch_variance = m.noise.branch_rad**2 * (0.5 + 1 / looks) + MATCH.floor_rad**2
     fault_rate = _fault_rate(m.noise, looks)
     alike, alike_pairs = _equally_long(length)
     probe_key, probe_row = _probes(near_masks[1], twin, length)
@@ -178,11 +161,10 @@ def prepare(topomap: TopoMap) -> Prepared:
         branch_variance=branch_variance,
         fault_rate=fault_rate,
         traits=np.column_stack([count, branch_variance, fault_rate, surprise]),
-        counted=1 + 1j * (z.real**2 + z.imag**2),
         neighbour=neighbour,
         near_m=near_m,
         near_rarity=_rarity(near_m.reshape(-1)).reshape(near_m.shape),
-        near_weight=np.exp(-0.5 * (near_m / REACH_M) ** 2) + FAR_WEIGHT,
+        near_weight=np.exp(-0.5 * (near_m / MATCH.reach_m) ** 2),
         tail=tail,
         head=head,
         length=length,
@@ -227,7 +209,7 @@ def _by_branch(shape: tuple[int, ...], tail: IntArray, leave: IntArray) -> IntAr
 
 def _fault_rate(noise: RunNoise, looks: IntArray) -> FloatArray:
     """Doors that stood otherwise all the run, and what single looks get wrong."""
-    return np.asarray(0.01 + (noise.branch_fault_rate + 0.005) / np.minimum(looks, 3))
+    return np.asarray(MATCH.fault_floor + noise.branch_fault_rate / np.minimum(looks, 3))
 
 
 def _padded(m: TopoMap) -> tuple[FloatArray, IntArray]:
@@ -245,11 +227,11 @@ def _length_variance(
 ) -> FloatArray:
     """Variance [m²] of a corridor's chord: centres at both ends, odometry along it, its scale.
 
-    `FLOOR_M` stands for what no estimate holds: detectors that shift with the view.
+    `MATCH.floor_m` stands for what no estimate holds: detectors that shift with the view.
     """
     centres = noise.centre_m**2 * (1 / np.minimum(looks_u, 4) + 1 / np.minimum(looks_v, 4))
     along = noise.along_m_per_sqrt_m**2 * length / np.minimum(traversals, 4)
-    return np.asarray(FLOOR_M**2 + centres + along + (noise.scale * length) ** 2)
+    return np.asarray(MATCH.floor_m**2 + centres + along + (noise.scale * length) ** 2)
 
 
 def _corridor_shapes(
@@ -272,8 +254,8 @@ def _corridor_shapes(
     arc = np.cumsum(step)
     start, end = arc[first], arc[first + size - 1]
     # A strictly rising abscissa for np.interp: the jump between two polylines costs nothing.
-    at = arc + np.repeat(np.arange(len(rows)), size) * 1e-3
-    shift = np.arange(len(rows)) * 1e-3
+    at = arc + np.repeat(np.arange(len(rows)), size) * 1e-6
+    shift = np.arange(len(rows)) * 1e-6
 
     def point(s: FloatArray) -> ComplexArray:
         return np.asarray(np.interp(s, at, line.real) + 1j * np.interp(s, at, line.imag))
@@ -282,12 +264,12 @@ def _corridor_shapes(
     unit = chord / np.abs(chord)
     middle = point((start + end) / 2 + shift)
     bow = ((middle - (z[m.source[rows]] + z[m.target[rows]]) / 2) * unit.conj()).imag
-    inner = np.maximum(end - start - 2 * CLEAR_M, 0.0)
-    pieces = np.where(inner > 0.2, np.ceil(inner / SAMPLE_M), 0).astype(np.int64)
+    inner = np.maximum(end - start - 2 * MATCH.clear_m, 0.0)
+    pieces = np.ceil(inner / MATCH.sample_m).astype(np.int64)
     owner = np.repeat(np.arange(len(rows)), pieces)
     nth = np.arange(len(owner)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    s = (start + shift)[owner] + CLEAR_M + (nth + 0.5) / pieces[owner] * inner[owner]
-    tangent = point(s + 0.3) - point(s - 0.3)
+    s = (start + shift)[owner] + MATCH.clear_m + (nth + 0.5) / pieces[owner] * inner[owner]
+    tangent = point(s + MATCH.sample_m / 2) - point(s - MATCH.sample_m / 2)
     tangent = tangent / np.maximum(np.abs(tangent), 1e-9)
     return np.concatenate([bow, -bow]), point(s), tangent, owner.astype(np.int64)
 
@@ -312,7 +294,7 @@ def _masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
     there = np.isfinite(offset)
     turn = np.where(there, offset, 0.0) / SECTOR_RAD
     sector = np.where(there, np.round(turn), 0).astype(np.int64) % 4
-    slack = np.where(there, 0.5 - np.abs(turn - np.round(turn)), 9.0) * SECTOR_RAD
+    slack = np.where(there, 0.5 - np.abs(turn - np.round(turn)), np.inf) * SECTOR_RAD
     second = (np.where(turn > np.round(turn), sector + 1, sector - 1)) % 4
     mask = _mask_of(sector, there)
     if offset.shape[1] == 0 or len(offset) == 0:
@@ -326,7 +308,7 @@ def _masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
         moved, soft = sector.copy(), np.ones(len(offset), np.bool_)
         for c in choice:
             column = worst[:, c]
-            soft &= slack[rows, column] < SOFT_RAD
+            soft &= slack[rows, column] < MATCH.soft_rad
             moved[rows, column] = second[rows, column]
         variants.append(np.where(soft, _mask_of(moved, there), -1))
     return mask, np.stack(variants, axis=1)
@@ -367,7 +349,7 @@ def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Flo
     seen = np.bincount(mask[used], minlength=16) + 0.5
     frequency = (seen / seen.sum())[mask].reshape(n, d)
     mean = (frequency * there).sum(axis=1) / np.maximum(count, 1)
-    surprise = np.where(count > 0, -np.log2(np.maximum(mean, 1e-3)), 0.0)
+    surprise = np.where(count > 0, -np.log2(np.where(count > 0, mean, 1.0)), 0.0)
     bins = 24
     fold = (offset / SECTOR_RAD - np.round(offset / SECTOR_RAD) + 0.5) * bins
     cell = np.clip(fold.astype(np.int64), 0, bins - 1)
@@ -395,8 +377,22 @@ def _rarity(length: FloatArray) -> FloatArray:
     cell = np.minimum((length * 10).astype(np.int64), 999)
     histogram = np.bincount(cell, minlength=int(cell.max()) + 5).astype(np.float64)
     density = np.convolve(histogram, LENGTH_KERNEL, mode="same") / len(length) * 10
-    density = 0.9 * density + 0.1 / max(float(length.max()), 1.0)
+    spread = MATCH.outlier_share
+    density = (1 - spread) * density + spread / max(float(length.max()), 1.0)
     return np.asarray(-np.log2(density)[cell])
+
+
+def density_bits(q: FloatArray, variance: FloatArray) -> FloatArray:
+    """log2 density of a difference between two looks at one thing; q: its square over the variance.
+    A normal distribution with a share of outliers."""
+    share, width = MATCH.outlier_share, MATCH.outlier_width
+    core = (1 - share) * np.exp(-0.5 * q) + share / width * np.exp(-0.5 * q / width**2)
+    return np.asarray(np.log2(core) - 0.5 * np.log2(2 * np.pi * variance))
+
+
+def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
+    """log2 density [1/m] of a length difference between two looks at one corridor."""
+    return density_bits(difference * difference / variance, variance)
 
 
 def _equally_long(length: FloatArray) -> tuple[float, float]:
@@ -417,6 +413,6 @@ def _equally_long(length: FloatArray) -> tuple[float, float]:
 def _neighbours(sites: Sites) -> tuple[IntArray, FloatArray]:
     if sites.tree is None:
         return np.zeros((0, 0), np.int64), np.zeros((0, 0))
-    most = np.arange(1, min(NEIGHBOURS, len(sites)) + 1)
+    most = np.arange(1, min(MATCH.neighbours, len(sites)) + 1)
     near_m, neighbour = sites.tree.query(sites.across.T, k=most)
     return np.asarray(neighbour, np.int64), np.asarray(near_m)

@@ -18,16 +18,17 @@ from .conflicts import Conflicts
 from .prepare import Prepared
 from .settings import RobustSettings
 from .support import Support
-from .verdict import ODD_BITS, Faint, beyond_chance_bits, faint_of
+from .verdict import Faint, beyond_chance_bits, faint_of
 
 Number = TypeVar("Number", np.float64, np.int64)
 
-SCALARS = 8
-"""Numbers of a candidate that are no arrays: transform (3), tested, bits, rmse, support's bits,
-bits of a corridor that leads elsewhere."""
 
-SIZES = 6
-"""Matches, corridors, links, vertices of b and of a that contradict, corridors that lead astray."""
+SCALARS = len(("x", "y", "theta", "tested", "bits", "rmse", "support", "elsewhere"))
+"""Numbers of a candidate that are no arrays: its transform, log2 of the hypotheses, bits, error,
+bits of its support and of a corridor that leads elsewhere."""
+
+SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere"))
+"""Arrays of different lengths."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +48,7 @@ class Found:
 
 def in_short(candidates: tuple[Candidate, ...], settings: RobustSettings) -> Found:
     """What is kept of the candidates of a pair: all, or next to nothing."""
-    if any(c.bits > ODD_BITS for c in candidates):
+    if any(c.bits > settings.chance_bits for c in candidates):
         return Found(candidates)
     return Found(faint=faint_of(candidates, settings))
 

@@ -21,13 +21,10 @@ from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
 from .settings import RobustSettings
-from .verdict import ODD_BITS, Bar, Opinion, opinion, opinions
+from .verdict import Bar, Opinion, opinion, opinions
 from .wording import summary
 
 Pair = tuple[int, int]
-
-OPEN_BITS = ODD_BITS
-"""Components are matched again where some pair across them has more evidence than this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +98,9 @@ class Rematcher:
         across = {
             (head[i], head[j])
             for (i, j), view in self.opinions.items()
-            if view.best is not None and view.bits > OPEN_BITS and head[i] != head[j]
+            if view.best is not None
+            and view.bits > self.settings.chance_bits
+            and head[i] != head[j]
         }
         runs = {k: tuple(sorted(members[k])) for pair in across for k in pair}
         return {(min(runs[x], runs[y]), max(runs[x], runs[y])) for x, y in across}

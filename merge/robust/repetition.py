@@ -20,30 +20,41 @@ from .settings import RobustSettings
 if TYPE_CHECKING:
     from .alignment import Candidate
 
-NOISE_FACTORS = (0.75, 0.87, 1.0, 1.15, 1.33)
-NOISE_ODDS = (0.03, 0.2, 0.54, 0.2, 0.03)
-"""The noise [m] that a run reports may be wrong by such factors, with these odds."""
 
-EXACT_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0)
-"""Of the corridors of two copies so many may be built exactly alike, the others as the settings
-say …"""
+@dataclass(frozen=True, slots=True)
+class CopySettings:
+    """What is assumed of copies, beside `copy_variation` and `copy_change_rate`."""
 
-EXACT_PRIOR = (0.15, 0.25, 0.26, 0.22, 0.1, 0.019, 0.001)
-"""… with these odds, as long as no map has shown how exactly it repeats itself."""
+    noise_factors: tuple[float, ...] = (0.75, 0.87, 1.0, 1.15, 1.33)
+    """The noise that a run reports may be wrong by such factors …"""
+    noise_odds: tuple[float, ...] = (0.03, 0.2, 0.54, 0.2, 0.03)
+    """… with these odds: a ninth, 1 sigma, as sigmas stray in `benchmarks/uncertainty.py`."""
+    exact_shares: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0)
+    """Of the corridors of two copies so many may be built exactly alike, the others as the settings
+    say …"""
+    exact_prior: tuple[float, ...] = (0.15, 0.25, 0.26, 0.22, 0.1, 0.019, 0.001)
+    """… with these odds, as long as no map has shown how exactly it repeats itself: two fifths on
+    average. Cautious: with it offices keep their promise (`benchmarks/calibration.py`)."""
+    temper: float = 0.5
+    """Weight of a repeated corridor in learning: every pair is found twice."""
+    prior_places: float = 40.0
+    """The change rate is shrunk towards the settings as by so many more junctions, a map's."""
+    most_faults: float = 0.3
+    """A detector that errs more often tells nothing of changes."""
+    most_changed: float = 0.5
+    """No copies are taken to differ in more of their junctions, whatever the maps' matches with
+    themselves show: many of these are chance, not copies (`benchmarks/calibration.py`)."""
+    worst_nats: float = 8.0
+    """No single corridor decides: it may have been measured past a junction."""
 
-TEMPER = 0.5
-"""Weight of a repeated corridor in learning: neighbours share a junction, and every pair may be
-found twice."""
 
-PRIOR_PLACES = 40.0
-"""The change rate is shrunk towards the settings as by so many more junctions."""
+COPIES = CopySettings()
 
-MOST_FAULTS = 0.3
-"""A detector that errs more often tells nothing of changes."""
+ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
+"""The bound is never negative; of what a typical copy reaches it is 0 but for rounding."""
 
-MOST_CHANGED = 0.5
-"""No copies are taken to differ in more of their junctions, whatever the maps' matches with
-themselves show: many of these are chance, not copies (`benchmarks/calibration.py`)."""
+TOGETHER = 2**8
+"""Alignments taken at once: what is worked out of them fits the processor's cache."""
 
 TILTS = np.concatenate([np.linspace(0.0, 1.0, 6), [1.25, 1.6, 2.0, 2.5, 3.2, 4.0]])
 """Exponents tried in bounding how often a copy looks the same."""
@@ -52,15 +63,6 @@ NODES, NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(17)
 NODES, NODE_WEIGHTS = NODES[8:], NODE_WEIGHTS[8:] * [1, *[2] * 8]
 NODE_WEIGHTS = NODE_WEIGHTS / NODE_WEIGHTS.sum()
 """Of quadrature over differences whose sign tells nothing: each node stands for two."""
-
-TYPICAL_NATS = 1e-9
-"""The bound is never negative; of what a typical copy reaches it is 0 but for rounding."""
-
-TOGETHER = 256
-"""Alignments taken at once: what is worked out of them fits the processor's cache."""
-
-WORST_NATS = 8.0
-"""No single corridor decides: it may have been measured past a junction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +79,8 @@ class Sameness:
 @dataclass(frozen=True, slots=True)
 class CopyModel:
     """How copies of one design differ. variation: relative 1 sigma of lengths not built exactly
-    alike; exact_odds: odds of each of EXACT_SHARES, adding up to 1; change_rate: share of junctions
-    that differ."""
+    alike; exact_odds: odds of each of the `exact_shares`, adding up to 1; change_rate: share
+    of junctions that differ."""
 
     variation: float
     exact_odds: tuple[float, ...]
@@ -87,7 +89,7 @@ class CopyModel:
 
 def default_copies(settings: RobustSettings) -> CopyModel:
     """What is assumed of copies before any was seen."""
-    return CopyModel(settings.copy_variation, EXACT_PRIOR, settings.copy_change_rate)
+    return CopyModel(settings.copy_variation, COPIES.exact_prior, settings.copy_change_rate)
 
 
 def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sameness:
@@ -118,12 +120,12 @@ def _sameness_of(
     against = np.array([len(c.conflicts) for _, _, c in cases])
     changed = np.array([np.count_nonzero(some) for some in lonely]) + against
     compared = np.array([len(c) for _, _, c in cases]) + against
-    fault = np.minimum(faults, MOST_FAULTS)
+    fault = np.minimum(faults, COPIES.most_faults)
     change = fault + (1 - fault) * copies.change_rate
     kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
     parts = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]
     shape, ends = _Lengths.joined(parts), np.cumsum([0, *(len(part.d2) for part in parts)])
-    share = float(np.dot(copies.exact_odds, EXACT_SHARES))
+    share = float(np.dot(copies.exact_odds, COPIES.exact_shares))
     nats = _sums(shape.odds(shape.d2, share), ends)
     nats += (compared - changed) * kept_nats + changed * changed_nats
     tilts = TILTS[:, None]
@@ -131,10 +133,10 @@ def _sameness_of(
         (1 - change) * np.exp(tilts * kept_nats) + change * np.exp(tilts * changed_nats)
     )
     tilted = tilts * nats - spread - _sums(shape.tilted(share), ends)  # (factor, share, tilt, case)
-    weight = np.log(np.outer(NOISE_ODDS, copies.exact_odds))[:, :, None]
+    weight = np.log(np.outer(COPIES.noise_odds, copies.exact_odds))[:, :, None]
     bound = -np.logaddexp.reduce((weight - tilted.max(axis=2)).reshape(-1, len(cases)), axis=0)
     # Below what is typical of copies: how far below, to rank by.
-    bits = np.where(bound <= TYPICAL_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
+    bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
     return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
 
 
@@ -175,35 +177,35 @@ class _Lengths:
         """log odds [nats] of the same place against a copy of which `share` is exactly alike."""
         whole = self.noise + self.built
         ahead = 0.5 * np.log(self.noise / whole)  # of the varied density over the exact one
-        ahead = ahead - np.minimum(d2 * (0.5 / whole), WORST_NATS)
-        ahead += np.minimum(d2 * (0.5 / self.noise), WORST_NATS)
+        ahead = ahead - np.minimum(d2 * (0.5 / whole), COPIES.worst_nats)
+        ahead += np.minimum(d2 * (0.5 / self.noise), COPIES.worst_nats)
         return np.asarray(-np.log(share + (1 - share) * np.exp(ahead)))
 
     def averaged(self, share: float) -> float:
         """log likelihood [nats] of the differences between copies, over factors of the noise."""
-        noise = self.noise * np.array(NOISE_FACTORS)[:, None] ** 2
+        noise = self.noise * np.array(COPIES.noise_factors)[:, None] ** 2
         exact = np.exp(_normal(self.d2, noise))
         varied = np.exp(_normal(self.d2, noise + self.built))
         each = np.log(share * exact + (1 - share) * varied).sum(axis=1)
-        return float(np.logaddexp.reduce(each + np.log(NOISE_ODDS)))
+        return float(np.logaddexp.reduce(each + np.log(COPIES.noise_odds)))
 
     def tilted(self, share: float) -> FloatArray:
         """(factor, exact share, tilt, corridor) log E[exp(tilt · odds)] over copies, for all
-        NOISE_FACTORS, EXACT_SHARES and TILTS; by Gaussian quadrature over each difference."""
-        noise = self.noise * np.array(NOISE_FACTORS)[:, None] ** 2
+        factors of the noise, exact shares and tilts; by Gaussian quadrature over differences."""
+        noise = self.noise * np.array(COPIES.noise_factors)[:, None] ** 2
         moments = []
         for variance in (noise, noise + self.built):
             odds = self.odds(NODES[:, None, None] ** 2 * variance, share)  # by node
             flat = odds.reshape(len(NODES), -1)
             powers = (np.einsum("n,nk", NODE_WEIGHTS, np.exp(tilt * flat)) for tilt in TILTS)
             moments.append(np.stack([moment.reshape(noise.shape) for moment in powers], axis=1))
-        exact = np.array(EXACT_SHARES)[:, None, None]
+        exact = np.array(COPIES.exact_shares)[:, None, None]
         return np.asarray(np.log(exact * moments[0][:, None] + (1 - exact) * moments[1][:, None]))
 
 
 def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:
     """log of the normal density, but for a constant; what one corridor says is bounded."""
-    return np.asarray(-0.5 * np.log(variance) - np.minimum(0.5 * d2 / variance, WORST_NATS))
+    return np.asarray(-0.5 * np.log(variance) - np.minimum(0.5 * d2 / variance, COPIES.worst_nats))
 
 
 def copy_model(
@@ -216,13 +218,17 @@ def copy_model(
     """
     prior = default_copies(settings)
     odds = np.log(prior.exact_odds)
-    changed, places = settings.copy_change_rate * PRIOR_PLACES, PRIOR_PLACES
+    changed, places = settings.copy_change_rate * COPIES.prior_places, COPIES.prior_places
     for m, c in samples:
         shape = _Lengths.of(m, m, c.corridors, prior.variation)
-        odds = odds + TEMPER * np.array([shape.averaged(share) for share in EXACT_SHARES])
+        odds = odds + COPIES.temper * np.array(
+            [shape.averaged(share) for share in COPIES.exact_shares]
+        )
         same = sameness(m, m, c, prior)
         fault = 2 * float(np.mean(m.fault_rate))
         changed += max(same.changed - fault * same.compared, 0.0)
         places += same.compared
     odds = np.exp(odds - np.logaddexp.reduce(odds))
-    return CopyModel(prior.variation, tuple(odds.tolist()), min(changed / places, MOST_CHANGED))
+    return CopyModel(
+        prior.variation, tuple(odds.tolist()), min(changed / places, COPIES.most_changed)
+    )

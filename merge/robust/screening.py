@@ -20,25 +20,29 @@ from .prepare import FloatArray, IntArray, Prepared
 from .settings import RobustSettings
 from .verdict import needed_bits
 
-MOST_PAIRS = 5000
-"""Of more pairs only those are matched that have a chance: 100 runs take some seconds without."""
 
-BLOCK = 500
-"""Maps that are looked through at once: what a map has in common with them fits the memory."""
+@dataclass(frozen=True, slots=True)
+class ScreeningSettings:
+    """Which pairs of a large batch are matched at all."""
 
-SHARE = 0.6
-"""Links that hang together must have this share of the bits that merging needs. With 0.75 still
-nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py
---recall 400 --first 5000`).
-"""
+    most_pairs: int = 5000
+    """Of more pairs only those are matched that have a chance: 100 runs take some seconds
+    without."""
+    block: int = 500
+    """Maps that are looked through at once: what a map has in common with them fits the memory."""
+    share: float = 0.6
+    """Links that hang together must have this share of the bits that merging needs. With 0.75 still
+    nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins
+    (`benchmarks/fleet.py --recall 400 --first 5000`)."""
+    spare_bits: float = 0.5
+    """Pairs that lack so much are kept, too: of a batch with a third fewer runs less is asked."""
+    unseen: float = 1.1
+    """For one pair beyond chance that was matched so many are counted: of 692 such pairs, nearly
+    all copies in offices, the index gives 29 no chance (`benchmarks/fleet.py --beyond 160 --first
+    5000`)."""
 
-SPARE_BITS = 0.5
-"""Pairs that lack so much are kept, too: of a batch with a third fewer runs less is asked."""
 
-UNSEEN = 1.1
-"""For one pair beyond chance that was matched so many are counted: of 692 such pairs, nearly all
-copies in offices, the index gives 29 no chance (`benchmarks/fleet.py --beyond 160 --first 5000`).
-"""
+SCREENING = ScreeningSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,9 +70,9 @@ def pairs_to_match(
     kept, by the digests of the maps: what is known of that.
     """
     pairs = pairs_of(len(maps))
-    if pairs <= MOST_PAIRS:
+    if pairs <= SCREENING.most_pairs:
         return np.stack(np.triu_indices(len(maps), 1), axis=1)
-    least = SHARE * needed_bits(pairs, settings)
+    least = SCREENING.share * needed_bits(pairs, settings)
     if kept is None or len(set(digests)) < len(digests):
         return chances(maps, least).likely(least)
     return _known_chances(maps, least, digests, kept).likely(least)
@@ -76,7 +80,7 @@ def pairs_to_match(
 
 def beyond_chance(seen: int, pairs: int) -> int:
     """How many of all pairs are beyond chance, where so many of the matched ones are."""
-    return seen if pairs <= MOST_PAIRS else math.ceil(UNSEEN * seen)
+    return seen if pairs <= SCREENING.most_pairs else math.ceil(SCREENING.unseen * seen)
 
 
 def chances(maps: Sequence[Prepared], least: float, known: IntArray | None = None) -> Chances:
@@ -99,8 +103,8 @@ def _looked_up(
     maps: Sequence[Prepared], first: IntArray, second: IntArray, least: float
 ) -> Iterator[tuple[IntArray, FloatArray]]:
     """Pairs i < j of the first and of the second maps, with what the index gives them."""
-    for start in range(0, len(second), BLOCK):
-        some = second[start : start + BLOCK]
+    for start in range(0, len(second), SCREENING.block):
+        some = second[start : start + SCREENING.block]
         block = Corridors.of([maps[k] for k in some.tolist()])
         for i in first[first < some[-1]].tolist():
             after = int(np.searchsorted(some, i, side="right")) - 1
@@ -130,7 +134,7 @@ def _known_chances(
         best = np.zeros(0, np.int64), Chances(np.zeros((0, 2), np.int64), np.zeros(0), least)
     known, out = best
     if data is None:
-        more = chances(maps, least - SPARE_BITS if not len(known) else out.least, known)
+        more = chances(maps, least - SCREENING.spare_bits if not len(known) else out.least, known)
         pairs = np.concatenate([out.pairs, more.pairs])
         out = _sorted(pairs, np.concatenate([out.bits, more.bits]), more.least)
         kept.add(Kind.CHANCES, (whole, whole), _to_bytes(out, digests))
@@ -164,6 +168,6 @@ def _of_maps(
     number = np.full(len(row) + 1, -1)
     number[rows[known]] = known
     pairs = number[pairs]
-    floor = max(float(lowest[0]), least - SPARE_BITS)
+    floor = max(float(lowest[0]), least - SCREENING.spare_bits)
     there = (pairs >= 0).all(axis=1) & (bits >= floor)
     return known, _sorted(pairs[there], bits[there], floor)

@@ -20,6 +20,25 @@ class RobustSettings:
     """Fewer matched junctions than this are never merged."""
     lead_bits: float = 4.0
     """What the best alignment must lead the next best one by."""
+    chance_bits: float = 4.0
+    """Alignments with less evidence are what chance offers to every pair; matches with no more are
+    not searched for contradictions."""
+    junction_bits: float = 2.5
+    """Most that one matched junction counts: few junctions overstate what they tell. Of 297,000
+    pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1
+    should."""
+    copy_margin_bits: float = 4.0
+    """The second question is asked with cautious rates: of copies, fewer than promised pass it by
+    this many bits (measured by `benchmarks/calibration.py`)."""
+    uniform_bits: float = 0.75
+    """-log2 of the density [1/m] of equal corridors up to which it is assumed that the building
+    repeats itself, seen or not; from twice as many on it is not. 90 % of pairs of maps have: rows
+    -.3 to .2, offices .2 to 1.4, tunnels 1.1 to 2.9, mazes 1.7 to 2.5, organic ways and cities
+    more. Without it offices are merged wrongly (`benchmarks/aliasing.py --without uniform`)."""
+    copied_share: float = 0.75
+    """A batch has copies as large as its map at this quantile shows: most maps repeat, or few do.
+    Pairs are many more than maps, and meet larger copies than the two maps show by themselves:
+    without it `benchmarks/aliasing.py --kinds tiles` joins tunnels wrongly."""
     hypotheses: int = 3
     """Candidate alignments grown per pair."""
     growth_rounds: int = 6
@@ -41,6 +60,95 @@ class RobustSettings:
 
 
 DEFAULT_ROBUST = RobustSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class MatchSettings:
+    """What matching counts with. "Tried": on maps made by `benchmarks/aliasing.py`; where nothing
+    else is said, values half as large again and a third smaller make hardly a difference there."""
+
+    most_bits: float = 6.0
+    """No single junction, corridor or contradiction tells more, for or against [bits]: it may be a
+    fault that no rate foresaw, at a chance of 1/64. Tried: with 7 and 8 fewer offices are told."""
+    outlier_share: float = 0.05
+    """Share of lengths and headings that are measured worse than their noise says …"""
+    outlier_width: float = 4.0
+    """… by this factor. Also the share of lengths that no histogram of others foretells."""
+    fault_floor: float = 0.01
+    """Of junctions and branches so many differ though both runs looked well: doors, furniture."""
+    contradicted_bits: float = 7.0
+    """Two junctions whose branches tell so much against each other are not matched. Tried: with 6
+    two of seven corridors that were closed between two runs are no longer told to be (the junctions
+    at their ends are no longer matched); with no bound, some pairs of tunnels are lost."""
+    elsewhere_share: float = 0.25
+    """Of the corridors that two runs drove by one branch of a falsely matched junction so many lead
+    elsewhere (mazes .45, tiles .28, offices .12, on maps made by `benchmarks/observed.py`)."""
+
+    length_sigmas: float = 3.0
+    """Corridors are compared if their lengths differ by less than so much noise: 99.7 %."""
+    sag_m: float = 0.75
+    """Corridors are compared if they are bent alike up to this, half way [m]."""
+    turn_rad: float = 0.35
+    """Rotations that differ by less belong to one placement [rad]: 20°. Drift turns parts of a map
+    by less, and two placements of one building differ by a quarter turn. Tried: 0.3, the same."""
+    place_m: float = 3.0
+    """So do shifts [m], and `gate_per_m` more per metre to where they were found: most junctions
+    are farther apart. Also the lever [m] that all matches together have beside the near ones.
+    Tried: 2.5, the same."""
+    branch_gate_rad: float = 0.45
+    """Branches this close in heading may be the same [rad]: 26°, several sigmas of any detector."""
+
+    reach_m: float = 8.0
+    """Matches weigh exp(-d²/2 reach²) in predicting a junction d metres away: drift bends maps over
+    tens of metres, junctions lie some 6 m apart."""
+    neighbours: int = 20
+    """Junctions around each junction whose matches predict where it lies in the other map: as many
+    as lie within twice the reach."""
+    near_m: float = 15.0
+    """Farther from a match predictions are too vague to be looked at [m]. Tried: 10 and 12 merge
+    three and one of 780 pairs of tunnels wrongly, 15 none."""
+    start_weight: float = 4.0
+    """The rotation that a match began with weighs like so many square metres of lever."""
+    fewest: int = 3
+    """A match that does not reach this many junctions in a round of growth is given up …"""
+    least_share: float = 0.5
+    """… and so is one in which fewer of the junctions that lie where the other run has been are
+    found: chance alone finds about a fifth of them."""
+    weak_share: float = 0.3
+    """Hypotheses with less than this share of the best one's bits are not grown."""
+    most_links: int = 20_000
+    """Where more pairs of corridors than this look alike, those of the commonest patterns are left
+    out: a link to a corridor of which there are hundreds tells nothing."""
+    most_compared: int = 30_000
+    """Up to so many pairs of points are compared outright: one product of matrices is faster than
+    the 22 µs that asking a tree takes before it begins."""
+    most_votes: int = 40
+    """Links of a hypothesis that vote for its transform, for the sake of time (quadratic)."""
+
+    offset_floor_m: float = 0.05
+    """Noise of the position of one junction seen from another [m] …"""
+    offset_per_m: float = 0.02
+    """… and per metre between them, along; across twice as much."""
+    offset_bits: float = 3.0
+    """What such a pair of junctions tells less than a corridor: there are many to choose from."""
+    line_m: float = 0.8
+    """How far apart two junctions on one line of a building's grid may seem to lie, across it."""
+
+    clear_m: float = 1.3
+    """Nearer than this to its ends a corridor is the junctions' own [m]."""
+    beside_m: float = 0.45
+    """A junction this near to the line of a corridor lies in it [m]."""
+    sample_m: float = 1.0
+    """Spacing of the points that stand for a corridor [m]."""
+    floor_m: float = 0.01
+    """Noise of lengths that no estimate holds [m]: detectors that shift with the view."""
+    floor_rad: float = 0.03
+    """Noise of branches that no estimate holds [rad]."""
+    soft_rad: float = 0.21
+    """Branches this close to the border of two sectors are looked up in both [rad]: 12°."""
+
+
+MATCH = MatchSettings()
 
 
 def settings_from_document(values: Mapping[str, Any]) -> RobustSettings:

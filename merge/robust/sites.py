@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from .settings import MATCH
+
 ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-MOST_PAIRS = 30_000
-"""Up to so many pairs of points are compared outright: one product of matrices is faster than the
-22 µs that asking a tree takes before it begins."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +46,7 @@ class Sites:
         if self.tree is None:
             return np.full(len(where), np.inf), np.zeros(len(where), np.int64)
         moved = where - self.centre
-        if len(where) * len(self.z) > MOST_PAIRS:
+        if len(where) * len(self.z) > MATCH.most_compared:
             gap, index = self.tree.query(_points(moved), distance_upper_bound=within_m)
             return np.asarray(gap), np.asarray(index)
         # Nearest is where |w - z|² = |w|² - 2 (w · z - |z|² / 2) is least.

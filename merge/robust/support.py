@@ -7,24 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .growth import Match
-from .links import length_bits
-from .prepare import ComplexArray, FloatArray, IntArray, Prepared
+from .prepare import ComplexArray, FloatArray, IntArray, Prepared, length_bits
+from .settings import MATCH
 
-LINK_BITS = 8.0
-"""No single corridor or neighbourhood tells more."""
-
-WORST_LINK_BITS = -5.0
-"""No single corridor speaks louder against a match: one of the runs may have measured it badly."""
-
-REPEAT_BITS = 0.5
-"""What a link tells at most that follows from others."""
-
-LINE_M = 0.8
-"""How far apart two junctions on one line of a building's grid may seem to lie, across it."""
-
-BEND_RAD = 0.04
-NEAR_PENALTY_BITS = 3.0
-SAG_M = 0.75
 UP_TO = np.triu(np.ones((12, 12)))
 """Times this, a row becomes its running sum."""
 
@@ -68,7 +53,7 @@ def support(a: Prepared, b: Prepared, match: Match) -> Support:
     at = a.z[match.a]
     counted = _without_repeats(at[source[chosen]], at[target[chosen]], value[chosen].tolist())
     misfit = (bits < 0).nonzero()[0]
-    against = np.maximum(bits[misfit], WORST_LINK_BITS)
+    against = np.maximum(bits[misfit], -MATCH.most_bits)
     total = 0.0
     for link in counted:  # one by one: the same sum however links are stored
         total += link
@@ -96,7 +81,8 @@ def _corridor_links(
         rows = key = key[:0]
     at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
     row_a = a.pair_row[at]
-    same = ((a.pair_key[at] == key) & (np.abs(a.sag[row_a] - b.sag[rows]) < SAG_M)).nonzero()[0]
+    bent_alike = np.abs(a.sag[row_a] - b.sag[rows]) < MATCH.sag_m
+    same = ((a.pair_key[at] == key) & bent_alike).nonzero()[0]
     i, j, row_a, rows = i[same], j[same], row_a[same], rows[same]
     d = a.length[row_a] - b.length[rows]
     bits = length_bits(d, a.variance[row_a] + b.variance[rows])
@@ -127,10 +113,11 @@ def _near_links(
     unit = offset_a * (match.turn[vertex] * offset_b).conj()
     unit = unit / np.maximum(np.abs(unit), 1e-9)
     bend = np.abs(np.arctan2(unit.imag, unit.real)) * d
-    centres = 0.05**2 + a.noise.centre_m**2 + b.noise.centre_m**2 + (0.02 * d) ** 2
+    across = MATCH.offset_per_m * d
+    centres = MATCH.offset_floor_m**2 + a.noise.centre_m**2 + b.noise.centre_m**2 + across**2
     bits = length_bits(np.abs(offset_a) - d, centres)
-    bits = bits - bend * bend / (2 * (centres + (BEND_RAD * d) ** 2)) / np.log(2)
-    return p, q, bits + b.near_rarity[vertex, column + 1] - NEAR_PENALTY_BITS
+    bits = bits - bend * bend / (2 * (centres + (2 * across) ** 2)) / np.log(2)
+    return p, q, bits + b.near_rarity[vertex, column + 1] - MATCH.offset_bits
 
 
 def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatArray) -> IntArray:
@@ -165,17 +152,17 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) 
     along = _joins(_lines([z.real for z in places]))
     across = _joins(_lines([z.imag for z in places]))
     return [
-        min(value, LINK_BITS if x or y else REPEAT_BITS)
+        min(value, MATCH.most_bits) if x or y else 0.0
         for value, x, y in zip(bits, along, across, strict=True)
     ]
 
 
 def _lines(at: list[float]) -> list[int]:
-    """Number of the line on which each coordinate lies; a line is LINE_M wide at most."""
+    """Number of the line on which each coordinate lies; a line is `line_m` wide at most."""
     number, end, line = [0] * len(at), -np.inf, -1
     for k in sorted(range(len(at)), key=at.__getitem__):
         if at[k] > end:
-            end, line = at[k] + LINE_M, line + 1
+            end, line = at[k] + MATCH.line_m, line + 1
         number[k] = line
     return number
 

@@ -12,24 +12,7 @@ from ..result import Verdict
 from .alignment import Candidate
 from .prepare import Prepared
 from .repetition import CopyModel, Sameness, sameness_of
-from .settings import RobustSettings
-
-ODD_BITS = 4.0
-"""Alignments with less evidence are what chance offers to every pair."""
-
-COPY_MARGIN_BITS = 4.0
-"""The second question is asked with cautious rates: of copies, fewer than promised pass it by this
-many bits (measured by `benchmarks/calibration.py`)."""
-
-UNIFORM_BITS = 0.75
-"""-log2 of the density [1/m] of equal corridors up to which it is assumed that the building repeats
-itself, seen or not; from twice as many on it is not. 90 % of pairs of maps have: rows -.3 to .2,
-offices .2 to 1.4, tunnels 1.1 to 2.9, mazes 1.7 to 2.5, organic ways and cities more. Without it
-offices are merged wrongly (`benchmarks/aliasing.py --without uniform`)."""
-
-JUNCTION_BITS = 2.5
-"""Most that one matched junction counts: few junctions overstate what they tell. Of 297,000 pairs
-of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1 should."""
+from .settings import DEFAULT_ROBUST, RobustSettings
 
 MAYBE_COPY = "the building repeats itself and this may be another copy of the place"
 
@@ -169,7 +152,7 @@ def bar(
 ) -> Bar:
     """The bar for a batch of so many pairs: each may err at its share of the false-merge rate, at
     either question."""
-    against_copies = max(needed_bits(count.beyond, settings) - COPY_MARGIN_BITS, 0.0)
+    against_copies = max(needed_bits(count.beyond, settings) - settings.copy_margin_bits, 0.0)
     need = needed_bits(count.all, settings)
     return Bar(need, against_copies, copied, copies, settings)
 
@@ -194,7 +177,7 @@ def uniformity(a: Prepared, b: Prepared) -> float:
     """
     alike, pairs = a.alike + b.alike, a.alike_pairs + b.alike_pairs
     tells = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
-    return _share(2.0 - tells / UNIFORM_BITS)
+    return _share(2.0 - tells / DEFAULT_ROBUST.uniform_bits)
 
 
 def counted_bits(c: Candidate) -> float:
@@ -206,7 +189,7 @@ def counted_bits(c: Candidate) -> float:
     fault of its own to explain it, so that each counts in full.
     """
     against = c.contradicting_bits
-    return min(c.bits + against, JUNCTION_BITS * len(c)) - against
+    return min(c.bits + against, DEFAULT_ROBUST.junction_bits * len(c)) - against
 
 
 def _share(level: float) -> float:
@@ -295,7 +278,7 @@ def _opinion(
 def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidate]:
     """The alignments worth a word: those of enough junctions, or, if there are none, those of fewer
     that chance hardly offers."""
-    odd = [c for c in candidates if c.bits > ODD_BITS]
+    odd = [c for c in candidates if c.bits > level.settings.chance_bits]
     enough = [c for c in odd if len(c) >= level.settings.min_matches]
     return enough or [c for c in odd if c.bits > level.need_bits]
 

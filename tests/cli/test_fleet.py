@@ -18,6 +18,7 @@ from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.robust import Means
+from topobatch.merge.robust.screening import ScreeningSettings
 from topobatch.merge.workers import Workers
 
 
@@ -151,7 +152,9 @@ def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
 @pytest.fixture
 def large(monkeypatch):
     """Eighteen runs are a large merge."""
-    monkeypatch.setattr("topobatch.merge.robust.screening.MOST_PAIRS", 100)
+    monkeypatch.setattr(
+        "topobatch.merge.robust.screening.SCREENING", ScreeningSettings(most_pairs=100)
+    )
     monkeypatch.setattr("topobatch.merge.merging.MOST_LISTED", 100)
 
 

@@ -12,26 +12,24 @@ from topobatch.merge.robust.components import Components, join_all
 from topobatch.merge.robust.conflicts import conflicts
 from topobatch.merge.robust.growth import grow, grow_all
 from topobatch.merge.robust.links import (
-    LENGTH_SIGMAS,
-    SAG_M,
     Seed,
     candidate_links,
-    length_bits,
     seeds,
     windows,
 )
-from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.prepare import length_bits, prepare
 from topobatch.merge.robust.repetition import (
-    EXACT_SHARES,
+    COPIES as COPY_SETTINGS,
+)
+from topobatch.merge.robust.repetition import (
     copy_model,
     default_copies,
     sameness,
 )
-from topobatch.merge.robust.settings import RobustSettings
-from topobatch.merge.robust.sites import MOST_PAIRS, Sites
-from topobatch.merge.robust.support import REPEAT_BITS, _forest, _without_repeats
+from topobatch.merge.robust.settings import MATCH, RobustSettings
+from topobatch.merge.robust.sites import Sites
+from topobatch.merge.robust.support import _forest, _without_repeats
 from topobatch.merge.robust.verdict import (
-    JUNCTION_BITS,
     PairCount,
     _missing,
     bar,
@@ -79,8 +77,8 @@ def test_candidate_links_are_those_of_brute_force(halves):
             sigma = np.sqrt(a.variance[i] + b.variance[j])
             if (
                 a.pattern[i] == b.pattern[j]
-                and abs(a.length[i] - b.length[j]) < LENGTH_SIGMAS * sigma
-                and abs(a.sag[i] - b.sag[j]) < SAG_M
+                and abs(a.length[i] - b.length[j]) < MATCH.length_sigmas * sigma
+                and abs(a.sag[i] - b.sag[j]) < MATCH.sag_m
             ):
                 expected.add((i, j))
     # Branches near the border of two sectors are looked up in both: more may be found, none fewer.
@@ -93,10 +91,11 @@ def test_candidate_links_are_those_of_brute_force(halves):
 def test_sites_find_the_nearest_both_ways(n):
     rng = np.random.default_rng(n)
     z, where = (
-        (rng.uniform(0, 40, (k, 2)) + 3e5) @ np.array([1, 1j]) for k in (n, MOST_PAIRS // n + 1)
+        (rng.uniform(0, 40, (k, 2)) + 3e5) @ np.array([1, 1j])
+        for k in (n, MATCH.most_compared // n + 1)
     )
     sites = Sites.of(z)
-    for asked in (where, where[: MOST_PAIRS // n]):
+    for asked in (where, where[: MATCH.most_compared // n]):
         gap, index = sites.nearest(asked, 3.0)
         all_gaps = np.abs(asked[:, None] - z)
         near = all_gaps.min(axis=1) < 3.0
@@ -227,7 +226,7 @@ def test_on_a_grid_only_the_gaps_between_lines_tell(turn):
     noise = np.random.default_rng(0).normal(0, 0.05, (2, len(start), 2)) @ [1, 1j]
     bits = np.where(np.arange(len(start)) < 12, 4.0, 3.0)
     found = sum(_without_repeats(start + noise[0], end + noise[1], bits.tolist()))
-    assert found == pytest.approx(4 * 4.0 + (len(bits) - 4) * REPEAT_BITS)
+    assert found == pytest.approx(4 * 4.0)
 
 
 def test_links_between_places_without_order_nearly_all_tell():
@@ -298,7 +297,9 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
     plain = self_matches(prepare(drawn("plain", POINTS, EDGES)), SETTINGS)
     assert all(len(c) < 5 for c in plain)
     learned = copy_model([(prepare(drawn("wings", twice, edges)), repeated[0])], SETTINGS)
-    assert np.dot(learned.exact_odds, EXACT_SHARES) > np.dot(COPIES.exact_odds, EXACT_SHARES)
+    assert np.dot(learned.exact_odds, COPY_SETTINGS.exact_shares) > np.dot(
+        COPIES.exact_odds, COPY_SETTINGS.exact_shares
+    )
     assert sum(learned.exact_odds) == pytest.approx(1.0)
     assert SETTINGS.copy_change_rate < learned.change_rate < 0.15  # the bent copy's branches differ
 
@@ -306,7 +307,7 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
 def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     told = replace(match(a, b, SETTINGS)[0], bits=99.0)
-    assert counted_bits(told) == JUNCTION_BITS * len(told)
+    assert counted_bits(told) == SETTINGS.junction_bits * len(told)
     assert counted_bits(replace(told, bits=7.0)) == 7.0
     doubted = replace(
         told,
@@ -319,7 +320,7 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     view = opinion(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
     (answers,) = view.answers
-    assert answers.carried == JUNCTION_BITS * len(told)
+    assert answers.carried == SETTINGS.junction_bits * len(told)
     assert view.bits == answers.from_copies < answers.carried
     assert "another copy" in view.why
     unasked = replace(answers, same_place=None)
