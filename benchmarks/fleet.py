@@ -182,7 +182,9 @@ def beyond(count, first):
     """How many of the pairs beyond chance the index gives none."""
     ready = [prepare(topomap) for topomap, _ in fleet_of(count, first=first)]
     need = needed_bits(pairs_of(count), DEFAULT_ROBUST)
-    seen = {(i, j) for i, j in screening.chances(ready, screening.SCREENING.share * need).pairs.tolist()}
+    seen = {
+        (i, j) for i, j in screening.chances(ready, screening.SCREENING.share * need).pairs.tolist()
+    }
     found = [
         (i, j)
         for i, a in enumerate(ready)

@@ -152,9 +152,9 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
 
 
 def _slack(apart_m: FloatArray) -> FloatArray:
-    """How far apart [m] two links of one alignment may place b, seen from each other: twice what
-    growth allows, for either may be off."""
-    return 2 * (DEFAULT_ROBUST.gate_m + DEFAULT_ROBUST.gate_per_m * apart_m)
+    """How far apart [m] two links of one alignment may place b, seen from each other: what growth
+    allows, and twice as much per metre, for either may be turned."""
+    return DEFAULT_ROBUST.gate_m + 2 * DEFAULT_ROBUST.gate_per_m * apart_m
 
 
 def _agreeing(

@@ -152,7 +152,7 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) 
     along = _joins(_lines([z.real for z in places]))
     across = _joins(_lines([z.imag for z in places]))
     return [
-        min(value, MATCH.most_bits) if x or y else 0.0
+        min(value, MATCH.most_bits) if x or y else MATCH.repeat_bits
         for value, x, y in zip(bits, along, across, strict=True)
     ]
 
