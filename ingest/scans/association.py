@@ -87,8 +87,8 @@ def pair_terms(
     px, py = _turned(own[..., 0], own[..., 1], *turn)
     px, py = px + T[:, 0:1], py + T[:, 1:2]
     at, gap, inside = _nearest_beam(scans, second, (px, py), valid, gate.beams)
-    point = scans.surfaces.point.reshape(-1, 2)[at]
-    normal = scans.surfaces.normal.reshape(-1, 2)[at]
+    point = scans.surfaces.point.reshape(-1, 2).take(at, axis=0)
+    normal = scans.surfaces.normal.reshape(-1, 2).take(at, axis=0)
     nx, ny = normal[..., 0], normal[..., 1]
     residual = nx * (px - point[..., 0]) + ny * (py - point[..., 1])
     facing = scans.surfaces.normal[first, ::stride]
@@ -141,10 +141,14 @@ def _nearest_beam(
     tx = np.where(scans.surfaces.valid.reshape(-1), target[:, 0], np.float32(1e4))
     ty = np.ascontiguousarray(target[:, 1])
     best = np.full(px.shape, np.inf, np.float32)
-    at = np.zeros(px.shape, np.int32)
+    at = np.zeros(px.shape, np.int64)
     for k in range(-width, width + 1):
-        index = base + np.clip(beam + k, 0, m - 1)
-        gap = (px - tx[index]) ** 2 + (py - ty[index]) ** 2
+        index = np.clip(beam + np.int32(k), 0, m - 1) + base
+        gap, aside = px - tx.take(index), py - ty.take(index)
+        gap *= gap
+        aside *= aside
+        gap += aside
         nearer = gap < best
-        best, at = np.where(nearer, gap, best), np.where(nearer, index, at)
-    return at.astype(np.int64), np.asarray(best, np.float32), inside
+        np.copyto(best, gap, where=nearer)
+        np.copyto(at, index, where=nearer)
+    return at, best, inside

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ...topology.se2 import apply
+from ...topology.se2 import apply, wrap
 from .keyframes import Keyframes
 
 FloatArray = NDArray[np.float64]
@@ -83,11 +83,13 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
     through = np.pad(through, ((0, 0), (0, 1))).astype(np.float32)
     through = np.minimum(through, settings.reach_m)
     middle = 0.5 * frames.increment * (m - 1)
+    half_turn, whole = np.float32(np.pi), np.float32(2 * np.pi)
     for row in range(k):
-        ahead = np.float32(pose[row, 2] + frames.start[row] + middle[row])
-        turn = np.mod(bearing - (ahead - np.float32(np.pi)), np.float32(2 * np.pi)) - np.float32(
-            np.pi
-        )
+        ahead = np.float32(wrap(pose[row, 2] + frames.start[row] + middle[row]))
+        turn = bearing - (ahead - half_turn)
+        turn -= whole * (turn >= whole)
+        turn += whole * (turn < 0)
+        turn -= half_turn
         beam = np.rint((turn + np.float32(middle[row])) / np.float32(frames.increment[row]))
         beam = np.where((beam >= 0) & (beam < m), beam, m).astype(np.int16)
         free[row] = distance < through[row][beam]
@@ -130,20 +132,21 @@ def gather(
     driven meanwhile, densely [m]."""
     corner = np.floor(centre / settings.cell_m).astype(np.int64) - half
     side = 2 * half + 1
-    free, hit = np.zeros((side, side), np.int64), np.zeros((side, side), np.int64)
+    free, hit = np.zeros((side, side), np.uint16), np.zeros((side, side), np.uint16)
+    seen_free, seen_hit = seen.free.view(np.uint8), seen.hit.view(np.uint8)
     patch = seen.free.shape[1]
     for k in range(len(seen)):
         x, y = seen.corner[k] - corner
         ax, bx, ay, by = max(x, 0), min(x + patch, side), max(y, 0), min(y + patch, side)
         if ax < bx and ay < by:
             into, out_of = np.s_[ay:by, ax:bx], np.s_[ay - y : by - y, ax - x : bx - x]
-            free[into] += seen.free[k][out_of]
-            hit[into] += seen.hit[k][out_of]
+            free[into] += seen_free[k][out_of]
+            hit[into] += seen_hit[k][out_of]
     driven = np.zeros((side, side), bool)
     x, y = (np.floor(way_xy / settings.cell_m).astype(np.int64) - corner).T
     inside = (x >= 0) & (x < side) & (y >= 0) & (y < side)
     driven[y[inside], x[inside]] = True
-    return Window(free, hit, driven, corner)
+    return Window(free.astype(np.int64), hit.astype(np.int64), driven, corner)
 
 
 def free_space(window: Window, settings: GridSettings) -> BoolArray:
@@ -152,8 +155,16 @@ def free_space(window: Window, settings: GridSettings) -> BoolArray:
     wall = (window.hit >= settings.wall_hits) & (window.hit > settings.wall_share * observed)
     free = (window.free >= settings.free_looks) & ~wall
     radius = round(settings.strip_m / settings.cell_m)
-    strip = ndimage.binary_dilation(window.driven, disc(radius))
-    return without_islands(free | strip, settings)
+    return without_islands(free | _beside_cells(window.driven, radius), settings)
+
+
+def _beside_cells(cells: BoolArray, radius: int) -> BoolArray:
+    """Cells within `radius` of few given ones."""
+    rows, columns = np.nonzero(np.pad(cells, radius))
+    dy, dx = np.nonzero(disc(radius))
+    near = np.zeros((cells.shape[0] + 2 * radius, cells.shape[1] + 2 * radius), bool)
+    near[rows[:, None] + dy - radius, columns[:, None] + dx - radius] = True
+    return near[radius : radius + cells.shape[0], radius : radius + cells.shape[1]]
 
 
 def without_islands(free: BoolArray, settings: GridSettings) -> BoolArray:

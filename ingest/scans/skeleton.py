@@ -202,17 +202,15 @@ def _touching(fork: IntArray, line: IntArray) -> list[tuple[int, int]]:
     pairs = []
     ends_line, ends_fork, cells = [], [], []
     width = fork.shape[1]
-    flat = np.arange(fork.size).reshape(fork.shape)
+    rows, columns = np.nonzero(fork)
+    number, padded = fork[rows, columns], np.pad(line, 1)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
-            if dy == dx == 0:
-                continue
-            a = np.s_[max(dy, 0) : fork.shape[0] + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
-            b = np.s_[max(-dy, 0) : fork.shape[0] + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
-            both = (line[a] > 0) & (fork[b] > 0)
-            ends_line.append(line[a][both])
-            ends_fork.append(fork[b][both])
-            cells.append(flat[a][both])
+            lines = padded[rows + 1 + dy, columns + 1 + dx]
+            there = lines > 0
+            ends_line.append(lines[there])
+            ends_fork.append(number[there])
+            cells.append(((rows + dy) * width + columns + dx)[there])
     found = np.unique(
         np.stack([np.concatenate(c) for c in (ends_line, ends_fork, cells)], axis=1), axis=0
     )
