@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.wording import listed
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
 from .output import count, say, say_lines
-from .workspace import Workspace, shortened
+from .workspace import Workspace
 
 if TYPE_CHECKING:
     from ..merge.changes import Change, Witness
@@ -57,7 +58,7 @@ def changes(
         if stale:
             raise DataError(
                 f"{place.maps}: not all maps are those that were merged "
-                f"({shortened([f'{run} {why}' for run, why in stale.items()], 3)}); merge again"
+                f"({listed([f'{run} {why}' for run, why in stale.items()], 3)}); merge again"
             )
         try:
             found += changes_of(document, number, maps)

@@ -7,11 +7,12 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import UsageError
+from ..topology.wording import listed
 from .journal import note
 from .merge import merge_again
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
 from .output import Screen
-from .workspace import Workspace, shortened
+from .workspace import Workspace
 
 
 def discard(
@@ -48,8 +49,8 @@ def discard(
             _discard_run(place, run)
         names = [*runs, *(f"{a}:{b}" for a, b in pairs)]
         verb = "counted again" if undo else "discarded"
-        note(place, "discard", f"{verb}: {shortened(names)}", screen.warn)
-        screen.line(f"{verb}: {shortened(names)}")
+        note(place, "discard", f"{verb}: {listed(names)}", screen.warn)
+        screen.line(f"{verb}: {listed(names)}")
         merge_again(place, {*runs, *(run for pair in pairs for run in pair)}, screen)
 
 
@@ -67,7 +68,7 @@ def _sorted_out(
         found = [p for k in cuts if known >= set(p := (name[:k], name[k + 1 :]))]
         if len(found) != 1 or found[0][0] == found[0][1]:
             wanted = "two runs A:B" if ":" in name or undo else "a run, or two as A:B"
-            shown = shortened(sorted(known)) or "none"
+            shown = listed(sorted(known)) or "none"
             raise UsageError(f"{name!r} does not name {wanted}; there are: {shown}")
         a, b = sorted(found[0])
         pairs.append((a, b))

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.wording import listed
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
 from .output import say
-from .workspace import MERGED, Workspace, shortened
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..merge.result import MergeResult
@@ -117,9 +118,7 @@ def _merge_of(place: Workspace, what: str, runs: list[str]) -> Workspace:
         return Workspace(place.root, what)
     if not runs:
         raise place.no_maps()
-    raise UsageError(
-        f"{what!r} is no run, merge or pair A:B of {place.root}; runs: {shortened(runs)}"
-    )
+    raise UsageError(f"{what!r} is no run, merge or pair A:B of {place.root}; runs: {listed(runs)}")
 
 
 def read_result(place: Workspace) -> MergeResult:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DocumentError, UsageError
+from ..topology.wording import listed
 from . import paper_options
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import count, say, say_lines, warn
-from .workspace import Workspace, shortened
+from .workspace import Workspace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -128,7 +129,7 @@ def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -
     if gone:
         noun = "map" if len(gone) == 1 else "maps"
         notes.append(
-            f"the {noun} of {shortened(gone, 3)} cannot be read: how much the buildings repeat "
+            f"the {noun} of {listed(gone, 3)} cannot be read: how much the buildings repeat "
             "themselves is told without"
         )
     ordered = [maps[run] for run in sorted(maps)]

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.wording import listed
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
 from .output import Screen, count, say_text
-from .workspace import MERGED, Workspace, shortened
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
@@ -207,7 +208,7 @@ def _pose_graph(source: _Source) -> str:
     if gone:
         raise DataError(
             f"{source.name}: the joint pose graph needs the maps that were merged; "
-            f"{shortened(gone, 3)} {'is' if len(gone) == 1 else 'are'} not among them: merge again"
+            f"{listed(gone, 3)} {'is' if len(gone) == 1 else 'are'} not among them: merge again"
         )
     return pose_graph_g2o(component_pose_graph(source.document, source.component, source.maps))
 

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DocumentError, UsageError
+from ..topology.wording import listed
 from . import paper_options
 from .journal import note
 from .matching import matching, read_maps
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, complete_run
 from .output import Screen, count, folded
 from .workers import start_worker
-from .workspace import MERGED, Workspace, shortened
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -200,7 +201,7 @@ def _keep_larger(place: Workspace, chosen: list[str]) -> None:
     if lost:
         raise UsageError(
             f"{path}: is the merge of {count(len(before), 'run')}, and this one leaves out "
-            f"{shortened(lost)}; {advice}"
+            f"{listed(lost)}; {advice}"
         )
 
 
@@ -303,10 +304,10 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
     home = {run: component.id for component in result.components for run in component.poses}
     for component in result.components:
         if len(component.poses) > 1:
-            _told(screen, f"component {component.id}: {shortened(sorted(component.poses))}")
+            _told(screen, f"component {component.id}: {listed(sorted(component.poses))}")
     alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
     if alone:
-        _told(screen, f"alone: {shortened(alone)}")
+        _told(screen, f"alone: {listed(alone)}")
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             screen.warn(f"{pair.a} and {pair.b} are not joined: {pair.reason}")

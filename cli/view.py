@@ -13,9 +13,10 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import DataError, UsageError
+from ..topology.wording import listed
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
-from .workspace import Workspace, shortened
+from .workspace import Workspace
 
 ONE_RUN = "--with-log goes with one run: topobatch view RUN --with-log"
 
@@ -67,7 +68,7 @@ def _recording(place: Workspace, run: str | None) -> Path:
     merge = Workspace(place.root, run)
     if merge.merged_rrd.is_file() and merge.merged_json.is_file():
         return merge.merged_rrd
-    known = shortened(place.runs()) or "none"
+    known = listed(place.runs()) or "none"
     raise UsageError(f"no map or merge of {run} in {place.root}; runs with a map: {known}")
 
 

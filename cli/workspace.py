@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.wording import listed
 
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
@@ -181,7 +182,7 @@ class Workspace:
         unknown = sorted(set(names) - set(known))
         if unknown:
             raise UsageError(
-                f"no map of {', '.join(unknown)} in {self.root}; there are: {shortened(known)}"
+                f"no map of {', '.join(unknown)} in {self.root}; there are: {listed(known)}"
             )
         return sorted(set(names))
 
@@ -310,12 +311,6 @@ class Workspace:
 def _remove_folder(folder: Path) -> None:
     with suppress(OSError):  # it is not there, or holds something
         folder.rmdir()
-
-
-def shortened(names: Sequence[str], most: int = 12) -> str:
-    """Names in one line, the first `most` of them."""
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def checked_run_name(name: str) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.wording import listed
 from .logs.intake import decoder_for, usable_poses
 from .logs.messages import Bytes, Channel, Ints
 from .logs.poses import Frames, PoseDecoder, Poses, no_poses
@@ -22,9 +23,6 @@ NOWHERE_ELSE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 FIXED = 1e-3
 """A transform is fixed if no translation [m] or quaternion component of it changes by more: what is
 computed from joints that stand is rounded, what moves at all moves further."""
-
-LISTED = 6
-"""Most groups of frames that an error names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,20 +68,17 @@ class FixedTransforms:
     def __str__(self) -> str:
         if not self.value and not self.moving:
             return "the log holds no transforms between frames; record /tf_static"
-        told = [f"fixed to each other are {_some([' = '.join(names) for names in self.groups])}"]
+        told = [
+            f"fixed to each other are {listed([' = '.join(names) for names in self.groups], 6)}"
+        ]
         if not self.value:
             told = ["no frames are fixed to each other"]
         if self.moving:
-            told.append(f"{_some([f'{a} → {b}' for a, b in sorted(self.moving)])} moves")
+            told.append(f"{listed([f'{a} → {b}' for a, b in sorted(self.moving)], 6)} moves")
         return "; ".join(told)
 
 
 NO_TRANSFORMS = FixedTransforms()
-
-
-def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
 
 
 def seen_from(T_a_b: FloatArray, poses: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.wording import listed
 from .logs.intake import PoseColumns, Sink, no_columns
 from .odometry.jumps import times
 from .odometry.track import backward_jumps
@@ -104,8 +105,7 @@ class Source:
 
 def told_pairs(pairs: Sequence[tuple[str, str]]) -> str:
     """Pairs of frames in one line."""
-    shown = ", ".join(f"{parent} → {child}" if child else parent for parent, child in pairs[:5])
-    return f"{shown} and {len(pairs) - 5} more" if len(pairs) > 5 else shown
+    return listed([f"{parent} → {child}" if child else parent for parent, child in pairs], 5)
 
 
 def _joined(parts: Sequence[PoseColumns]) -> PoseColumns:

@@ -12,6 +12,7 @@ from textwrap import wrap
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.wording import listed as names_listed
 from .decision import (
     AGAINST,
     LINKS,
@@ -80,8 +81,7 @@ def headline(decision: Decision) -> str:
 
 def listed(runs: Sequence[str], most: int = 3) -> str:
     """The first names, shortened, and how many more there are."""
-    rest = len(runs) - most
-    return ", ".join(map(short, runs[:most])) + (f" and {rest} more" if rest > 0 else "")
+    return names_listed(list(map(short, runs)), most)
 
 
 def decision_bits(decision: Decision) -> str:

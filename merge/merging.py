@@ -12,6 +12,7 @@ import numpy as np
 
 from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
+from ..topology.wording import listed
 from . import robust
 from .discards import REASON, Names
 from .fusion.fuse import DEFAULT_FUSION, FusionSettings, fuse
@@ -109,17 +110,17 @@ def _listed_pairs(
     if pairs_of(runs) <= MOST_LISTED:
         return verdicts, None
     home = {run: c.id for c in components for run in c.poses}
-    listed = tuple(
+    shown = tuple(
         v
         for v in verdicts
         if v.verdict is not Verdict.UNRELATED or v.locked or (v.a, v.b) in discarded
     )
     joined = sum(pairs_of(len(c.poses)) for c in components)
-    joined -= sum(home[v.a] == home[v.b] for v in listed)
+    joined -= sum(home[v.a] == home[v.b] for v in shown)
     apart = [v for v in verdicts if home[v.a] != home[v.b]]
-    unrelated = len(apart) - sum(home[v.a] != home[v.b] for v in listed)
-    screened = pairs_of(runs) - len(listed) - joined - unrelated
-    return listed, Unlisted(joined, unrelated, screened)
+    unrelated = len(apart) - sum(home[v.a] != home[v.b] for v in shown)
+    screened = pairs_of(runs) - len(shown) - joined - unrelated
+    return shown, Unlisted(joined, unrelated, screened)
 
 
 def _apart(spread: Spread, pair: PairVerdict) -> tuple[float, float]:
@@ -147,7 +148,7 @@ def _placed(
             out.append(v)
             continue
         through = chains[v.a, v.b]
-        told, placed = f"joined through {_listed(through)}", None
+        told, placed = f"joined through {listed(through, 3)}", None
         if spread is not None:
             placed = _apart(spread, v)
             vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
@@ -158,11 +159,6 @@ def _placed(
         reason = f"{told}{ALONE}{v.reason}"
         out.append(replace(v, reason=reason, through=through, placed=placed))
     return tuple(out)
-
-
-def _listed(runs: Sequence[str], most: int = 3) -> str:
-    rest = len(runs) - most
-    return ", ".join(runs[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _info(

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
+from ..topology.wording import listed
 from .canvas import Canvas, legible
 from .draw import draw_map, draw_merged, draw_placements
 from .map_summary import clock, minutes
@@ -129,7 +130,7 @@ def _head(report: Report, runs: Sequence[str]) -> str:
         warnings += [str(w) for w in result.info.get("warnings") or ()]
         left_out = sorted(set(report.maps) - {run for c in result.components for run in c.poses})
         if left_out:
-            warnings.append(f"Not in the last merge: {_listed(left_out)}")
+            warnings.append(f"Not in the last merge: {listed(left_out)}")
     told = "".join(f'<p class="warning">{text(w)}</p>' for w in warnings)
     need = next((p.threshold_bits for p in result.verdicts), None) if result is not None else None
     how = f"Merging two runs takes {shown_bits(need)} bits of evidence." if need is not None else ""
@@ -144,11 +145,6 @@ def _head(report: Report, runs: Sequence[str]) -> str:
         '<button id="theme" type="button">light / dark</button></header>'
         f'<ul class="facts">{boxes}</ul>{told}{explained}'
     )
-
-
-def _listed(names: Sequence[str], most: int = 12) -> str:
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _figure(canvas: Canvas, about: str) -> str:
@@ -425,7 +421,7 @@ def _settings(report: Report) -> str:
         settings = json.dumps(m.info.get("settings") or {}, sort_keys=True)
         by.setdefault(settings, []).append(run)
     for settings, named in sorted(by.items(), key=lambda entry: (-len(entry[1]), entry[1])):
-        who = "every run" if len(by) == 1 else _listed(named, 6)
+        who = "every run" if len(by) == 1 else listed(named, 6)
         parts.append(_folded(f"Ingest of {who}", json.loads(settings)))
     locks = "".join(f"<li>{text(lock)}</li>" for lock in report.locks)
     told = f"<h3>Locks set by a person</h3><ul>{locks}</ul>" if locks else ""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
+from ..topology.wording import listed
 from .map_summary import bulleted, plain, several
 from .steps import Step
 
@@ -160,18 +161,13 @@ def _components(result: MergeResult) -> str:
     lines = [
         f"component {c.id}: {size[c.id]} junctions from "
         + (
-            f"{len(c.poses)} runs ({_listed(sorted(c.poses))})"
+            f"{len(c.poses)} runs ({listed([plain(run) for run in sorted(c.poses)])})"
             if len(c.poses) > 1
             else plain(*c.poses)
         )
         for c in order
     ]
     return "## Components\n\n" + bulleted(lines) if lines else "There are no runs to merge."
-
-
-def _listed(names: Sequence[str], most: int = 12) -> str:
-    shown = ", ".join(plain(name) for name in names[:most])
-    return shown if len(names) <= most else f"{shown}, … {len(names) - most} more"
 
 
 def _notes(result: MergeResult) -> str:
@@ -260,7 +256,7 @@ def joining_told(steps: Sequence[Step]) -> list[str]:
 
 
 def _step_told(step: Step) -> str:
-    joins, into = (_listed(group, 4) for group in (step.joins, step.into))
+    joins, into = (listed(list(map(plain, group)), 4) for group in (step.joins, step.into))
     if len(step.joins) == len(step.into) == 1:
         return f"**{joins}** and **{into}** join"
     return f"**{joins}** {'joins' if len(step.joins) == 1 else 'join'} **{into}**"

@@ -1,0 +1,14 @@
+"""Names in messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+MOST_NAMES = 12
+"""As many names of usual length as two lines of a terminal hold."""
+
+
+def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:
+    """Names in one line: the first `most` of them, and how many more there are."""
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
