@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 DEMO := topobatch-workspace
 # posegraph.py is not among them: it wants the names of public graph files.
 BENCHMARKS := startup paper merging aliasing calibration odometry uncertainty closure chain fleet \
-	exports transfer changes ingest soak audit
+	exports transfer changes ingest soak remote audit
 # What the program needs, and that with the tools of its tests.
 LOCK := requirements.lock
 DEV_LOCK := requirements-dev.lock
