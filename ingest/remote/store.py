@@ -31,6 +31,10 @@ TAIL_MOST = 1 << 19
 """Most of an end of an object that is asked for unseen, or kept with its address."""
 
 
+MOST_KEYS = 1 << 22
+"""A longer list is not kept: this one takes 2.4 GB (570 bytes a key, measured with 100,000)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Patience:
     """How long a server is waited for, and how often it is asked again.
@@ -142,7 +146,11 @@ def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
 
     with _told(named):
         pages = obstore.list(store(root), prefix or None, chunk_size=1000)
+        count = 0
         while page := begun(partial(next, pages, ())).result():
+            count += len(page)
+            if count > MOST_KEYS:
+                raise LogError(f"{named}: holds more than {MOST_KEYS:,} keys; name prefixes in it")
             for meta in page:
                 yield meta["path"], _stat(meta)
 

@@ -18,6 +18,7 @@ from topobatch.ingest.mapping import build_map
 from topobatch.ingest.read_cost import read_cost
 from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, log_fingerprint, read_run
 from topobatch.ingest.remote import source
+from topobatch.ingest.remote.path import log_path
 from topobatch.topology.document import map_to_document
 from topobatch.topology.errors import LogError
 from topobatch.topology.run import Run
@@ -259,23 +260,37 @@ def test_the_fingerprint_follows_the_object(bucket: Any) -> None:
     assert prints[0] == prints[2] != prints[1]
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_damage_in_chunks_that_are_read_is_found_as_in_a_file(
-    bucket: Any, tmp_path: Path, seed: int
+def damaged(data: bytes, random: np.random.Generator) -> bytes:
+    """With wrong bits, or cut short."""
+    if random.random() < 0.3:
+        return data[: int(random.integers(len(data)))]
+    out = bytearray(data)
+    for _ in range(int(random.integers(1, 4))):
+        out[int(random.integers(len(out)))] ^= 1 << int(random.integers(8))
+    return bytes(out)
+
+
+def result(place: Any) -> tuple[Any, ...]:
+    try:
+        run = read_run(place)
+    except LogError as error:
+        return (str(error).partition(": ")[2],)
+    return run.odometry.pose.tobytes(), run.detections.centre.tobytes(), run.warnings
+
+
+@pytest.mark.parametrize("name", ["maze-1.mcap", "maze-2.bag"])
+@pytest.mark.parametrize("seed", range(10))
+def test_a_damaged_log_is_read_as_from_disk_or_refused(
+    servers: ModuleType, impatient: None, tmp_path: Path, name: str, seed: int
 ) -> None:
-    data = bytearray((SAMPLES / "maze-1.mcap").read_bytes())
-    summary = McapFile(SAMPLES / "maze-1.mcap").summary
-    assert summary is not None
-    random = np.random.default_rng(seed)
-    data[int(random.integers(summary.chunk_starts[0], summary.start))] ^= 1 << int(
-        random.integers(8)
-    )
-    path = tmp_path / "maze-1.mcap"
-    path.write_bytes(bytes(data))
-    bucket.put("maze-1.mcap", bytes(data))
-    remote, local = read_run(bucket.path("maze-1.mcap")), read_run(path)
-    assert (remote.odometry.pose == local.odometry.pose).all()
-    assert set(remote.warnings) <= set(local.warnings)
+    data = damaged((SAMPLES / name).read_bytes(), np.random.default_rng(seed))
+    (tmp_path / name).write_bytes(data)
+    local = result(tmp_path / name)
+    with servers.running(servers.Recorder(servers.files({f"/{name}": data}))) as server:
+        address = f"http://127.0.0.1:{server.port}/{name}"
+        by_index, scanned = (result(log_path(address, allow_scan=scan)) for scan in (False, True))
+    assert scanned == local
+    assert by_index == local or "--allow-scan" in by_index[0]
 
 
 def test_two_walks_side_by_side_do_not_disturb_each_other(
