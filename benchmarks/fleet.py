@@ -3,10 +3,11 @@
 Maps of some 50 junctions are made without logs (`observed.py`): ten runs in each of many sites,
 which are mazes, offices, organic ways and city blocks in turn. For every number of maps, CPU
 seconds of one process: preparing the maps, the index, matching the pairs that have a chance, all of
-a merge up to its document; the same merge with one more run and a cache that knows the others; and
-a plain loop over all pairs, measured on a sample of them. What was joined is judged by the truth:
-false are runs of different sites in one component; found are the pairs of runs that share five
-junctions or more. Exponents are those between neighbouring rows.
+a merge up to its document, what of that is none of these (rest); the same merge with one more run
+and a cache that knows the others; and a plain loop over all pairs, measured on a sample of them.
+What was joined is judged by the truth: false are runs of different sites in one component; found
+are the pairs of runs that share five junctions or more. Exponents are those between neighbouring
+rows.
 
 --recall: merges so many maps with and without the index and compares what is accepted and joined.
 --beyond: counts, of so many maps, the pairs that chance does not explain (mostly copies) and that
@@ -17,7 +18,6 @@ the index leaves out; they count in how sure a pair must be of not being a copy.
 from __future__ import annotations
 
 import argparse
-import json
 import resource
 import tempfile
 import time
@@ -29,7 +29,7 @@ import numpy as np
 from observed import observed_map
 
 from topobatch.merge.cache import ResultCache
-from topobatch.merge.document import merged_to_document
+from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, match, prepare, screening
@@ -122,16 +122,21 @@ def one_size(count, first):
     row["loop"] = clock.lap() / len(pairs) * pairs_of(count)
     del ready
     with tempfile.TemporaryDirectory() as folder:
-        store = ResultCache(Path(folder), era_of(DEFAULT_ROBUST))
+        cache, path = Path(folder) / "pairs", Path(folder) / "merged.json"
+        store = ResultCache(cache, era_of(DEFAULT_ROBUST))
         clock.lap()
         result = merge_maps(maps, means=Means(store=store))
         store.flush()
-        document = merged_to_document(result)
+        write_merged(path, result)
         row["merge"] = clock.lap()
-        row["MB"] = len(json.dumps(document)) / 1e6
-        row["cache MB"] = sum(p.stat().st_size for p in Path(folder).iterdir()) / 1e6
+        row["rest"] = row["merge"] - row["prepare"] - row["index"] - row["match"]
+        row["MB"] = path.stat().st_size / 1e6
+        row["cache MB"] = sum(p.stat().st_size for p in cache.iterdir()) / 1e6
         clock.lap()
-        merged_to_document(merge_maps([*maps, late], means=Means(store=store)))
+        store = ResultCache(cache, era_of(DEFAULT_ROBUST))
+        more = merge_maps([*maps, late], means=Means(store=store))
+        store.flush()
+        write_merged(path, more)
         row["one more"] = clock.lap()
     row["false"], row["found"], row["overlap"] = judged(
         result, {run: known for run, known in truth.items() if run != late.run}
@@ -195,7 +200,7 @@ def beyond(count, first):
     print(f"{count} maps: {len(found)} pairs beyond chance, {lost} of which the index gives none")
 
 
-SECONDS = ("prepare", "index", "match", "merge", "one more", "loop")
+SECONDS = ("prepare", "index", "match", "rest", "merge", "one more", "loop")
 
 
 def table(sizes, first):
