@@ -190,7 +190,12 @@ class MapDocument(Model):
 M = TypeVar("M", bound=BaseModel)
 
 
-WAY_OUT = {"map": "ingest its log again with --force", "merged": "topobatch merge --all"}
+WAY_OUT = {
+    "map": "ingest its log again with --force",
+    "merged": "topobatch merge --all",
+    "locks": "move it away, and lock again",
+    "discards": "move it away, and discard again",
+}
 """What makes a document anew, by its kind."""
 
 

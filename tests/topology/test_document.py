@@ -14,7 +14,9 @@ import networkx as nx
 import numpy as np
 import pytest
 
+from topobatch.merge.discards import DiscardsDocument
 from topobatch.merge.document import MergedDocument
+from topobatch.merge.locks import LocksDocument
 from topobatch.topology.document import map_from_document, map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.files import write_atomically, write_json, write_together
@@ -109,6 +111,8 @@ def test_negative_zero_is_written_as_zero():
         (MapDocument, "topobatch.map/2", "newer topobatch.*ingest its log again with --force"),
         (MergedDocument, "topobatch.merged/0", "older topobatch.*topobatch merge --all"),
         (MergedDocument, "topobatch.merged/10", "newer topobatch.*topobatch merge --all"),
+        (LocksDocument, "topobatch.locks/2", "newer topobatch.*lock again"),
+        (DiscardsDocument, "topobatch.discards/0", "older topobatch.*discard again"),
         (MapDocument, "topobatch.merged/1", "Input should be 'topobatch.map/1'"),
         (MapDocument, "topobatch.map/1.5", "Input should be 'topobatch.map/1'"),
     ],
