@@ -21,7 +21,7 @@ from .. import __version__
 from ..ingest.grid_log import GridLog
 from ..ingest.mapping import MappingSettings, build_map
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
-from ..ingest.remote.path import LogPath
+from ..ingest.remote.path import LogPath, RemotePath
 from ..topology.document import map_to_document
 from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
@@ -99,6 +99,9 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
         # One log that trips over a defect of ours must not cost the others.
         text = f"{job.log}: internal error, please report it: {type(error).__name__}: {error}"
         return IngestOutcome(job.log, job.run, "failed", text)
+    finally:
+        if isinstance(job.log, RemotePath):
+            job.log.forget()
 
 
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:

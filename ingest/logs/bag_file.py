@@ -65,7 +65,7 @@ class BagFile:
         with window_on(self.path) as window:
             return read_index(window)
 
-    @property
+    @cached_property
     def _chunks(self) -> ChunkIndex | str:
         return "it has no index, or a damaged one" if self.index is None else self.index.chunks
 

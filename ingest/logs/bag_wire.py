@@ -135,11 +135,20 @@ def listed_offsets(entries: Bytes) -> Ints:
     return np.asarray(np.ndarray((count, 3), "<u4", entries.data)[:, 2].astype(np.int64))
 
 
+class ChunkInfo(NamedTuple):
+    """Of one chunk: its place, its log times, and the messages per connection in it."""
+
+    begin: int
+    first_ns: int
+    last_ns: int
+    counts: list[list[int]]
+
+
 class BagIndex(NamedTuple):
     """The index at the end of a closed bag.
 
-    start: its place; chunk_starts: (c,) ascending; counts: messages per connection; chunks: what is
-    in which, each with the index records behind it.
+    start: its place; chunk_starts: (c,) ascending; counts: messages per connection; infos: of
+    every chunk, ascending.
     """
 
     start: int
@@ -147,7 +156,18 @@ class BagIndex(NamedTuple):
     chunk_starts: Ints
     counts: dict[int, int]
     span_ns: tuple[int, int]
-    chunks: ChunkIndex
+    infos: list[ChunkInfo]
+
+    @property
+    def chunks(self) -> ChunkIndex:
+        """What is in which chunk; each reaches as far as the next one, with the index behind it."""
+        stop = np.array([*self.chunk_starts[1:], self.start], np.int64)
+        first = np.array([info.first_ns for info in self.infos], np.int64)
+        last = np.array([info.last_ns for info in self.infos], np.int64)
+        rows = [(k, *pair) for k, info in enumerate(self.infos) for pair in info.counts]
+        chunk, channel, count = np.array(rows, np.int64).reshape(-1, 3).T
+        channel = np.minimum(channel, NUMBERS - 1)
+        return ChunkIndex(self.chunk_starts, stop[: len(first)], first, last, chunk, channel, count)
 
     def survey(self) -> Survey:
         """Counts per channel."""
@@ -173,18 +193,9 @@ def read_index(window: Window) -> BagIndex | None:
         return None
 
 
-class _ChunkInfo(NamedTuple):
-    """Of one chunk: its place, its log times, and the messages per connection in it."""
-
-    begin: int
-    first_ns: int
-    last_ns: int
-    counts: list[list[int]]
-
-
 def _parse_index(window: Window, start: int, connections: int, chunks: int) -> BagIndex | None:
     channels: dict[int, Channel] = {}
-    infos: list[_ChunkInfo] = []
+    infos: list[ChunkInfo] = []
     position = start
     if isinstance(window, RemoteWindow):
         window.copy(start, window.size - start)  # one request, not one per record
@@ -214,11 +225,10 @@ def _parse_index(window: Window, start: int, connections: int, chunks: int) -> B
     filled = [info for info in infos if info.counts]
     first = min((info.first_ns for info in filled), default=0)
     last = max((info.last_ns for info in filled), default=0)
-    by_chunk = _by_chunk(infos, start)
-    return BagIndex(start, channels, by_chunk.begin, counts, (first, last), by_chunk)
+    return BagIndex(start, channels, np.array(starts, np.int64), counts, (first, last), infos)
 
 
-def _chunk_info(fields: Fields, data: bytes) -> _ChunkInfo:
+def _chunk_info(fields: Fields, data: bytes) -> ChunkInfo:
     if len(data) % 8:
         raise DamageError("a chunk info record is cut")
     counts = np.frombuffer(data, "<u4").reshape(-1, 2).tolist()
@@ -226,16 +236,7 @@ def _chunk_info(fields: Fields, data: bytes) -> _ChunkInfo:
     first, last = (
         time_ns(fields.get(name, b"")) if data else 0 for name in (b"start_time", b"end_time")
     )
-    return _ChunkInfo(begin, first, last, counts)
-
-
-def _by_chunk(infos: list[_ChunkInfo], stop: int) -> ChunkIndex:
-    """What is in which of the chunks; each reaches as far as the next one, the last to `stop`."""
-    begin, first, last = (np.array([info[k] for info in infos], np.int64) for k in range(3))
-    rows = [(k, *pair) for k, info in enumerate(infos) for pair in info.counts]
-    chunk, channel, count = np.array(rows, np.int64).reshape(-1, 3).T
-    channel = np.minimum(channel, NUMBERS - 1)
-    return ChunkIndex(begin, np.append(begin, stop)[1:], first, last, chunk, channel, count)
+    return ChunkInfo(begin, first, last, counts)
 
 
 class HeadTemplate(NamedTuple):

@@ -237,11 +237,12 @@ class RemotePath:
     @property
     def kept_bytes(self) -> int:
         """What `file` and `state` have left of this object, and of those in this folder."""
-        return sum(len(data) for known in self._node.objects() for data in known.ends.values())
+        known = self._found.objects() if self._found is not None else []
+        return sum(len(data) for each in known for data in each.ends.values())
 
     def forget(self) -> None:
         """Drop these bytes; they are asked for when they are wanted again."""
-        for known in self._node.objects():
+        for known in self._found.objects() if self._found is not None else ():
             known.ends.clear()
 
     @property

@@ -14,6 +14,13 @@ from typing import Any
 
 import pytest
 
+from topobatch.cli.ingest_worker import IngestJob, ingest_one
+from topobatch.cli.output import Screen
+from topobatch.cli.remote import announce
+from topobatch.cli.workspace import Workspace
+from topobatch.ingest.mapping import MappingSettings
+from topobatch.ingest.reading import ReadSettings, find_logs
+
 SAMPLES = Path(__file__).parents[3] / "sample_logs"
 
 
@@ -92,6 +99,19 @@ def test_a_server_that_stops_leaves_no_half_map(
     assert f"error: {fleet.url}/fleet/mon/maze-1.mcap: access is denied" in done.stderr
     assert [p.name for p in (tmp_path / "maps").glob("*.json")] == ["maze-2.json"]
     assert not list(tmp_path.rglob("maze-1*"))
+
+
+def test_nothing_is_kept_of_a_log_that_is_done(fleet: Any, tmp_path: Path) -> None:
+    place = Workspace(tmp_path)
+    jobs = [
+        IngestJob(log, log.name, place, ReadSettings(), MappingSettings(), force=False)
+        for log in find_logs([fleet.path("fleet")])
+    ]
+    announce(jobs, Screen(quiet=True, verbose=False))
+    kept = [job.log.kept_bytes for job in jobs]  # type: ignore[union-attr]
+    assert all(10_000 > size > 1_000 for size in kept)
+    assert [ingest_one(job, lambda _: None).status for job in jobs] == ["done", "done"]
+    assert [job.log.kept_bytes for job in jobs] == [0, 0]  # type: ignore[union-attr]
 
 
 def test_info_reads_the_index_alone(fleet: Any) -> None:
