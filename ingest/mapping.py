@@ -109,12 +109,12 @@ def build_map_with_errors(
     else:
         layout = lay_out(walk, place)
     step("map")
-    fair, told = fitted_noise(quiet, odometry, place, layout, grid=grid)
-    scale = refine_scale(odometry, run.detections, passes, fair.noise, settings.noise)
-    fair = replace(fair, noise=replace(fair.noise, scale=scale))
-    layout = set_apart(walk, place, layout)
+    told = fitted_noise(quiet, odometry, place, layout, grid=grid)
+    scale = refine_scale(odometry, run.detections, passes, told.walk.noise, settings.noise)
+    fair = replace(told.walk, noise=replace(told.walk.noise, scale=scale))
+    layout = set_apart(walk, place, told.layout)
     settled = settle(walk, odometry, place, layout, settings.driven_by)
-    errors = place_errors(fair, told, settled.kept)
+    errors = place_errors(fair, told.layout, place, settled.kept, told.grid)
     noise, fitted = (
         refine_noise(
             passes,

@@ -151,7 +151,8 @@ class RunnerUp(Contradicted):
 
 class Placed(Model):
     """1 sigma of how two runs of one component lie to each other: of where the middle of one's map
-    is, seen from the other's, and of the turn between them."""
+    is, seen from the other's (root mean square of both ways to see it), and of the turn between
+    them."""
 
     sigma_m: Finite = Field(description="Metres.")
     sigma_rad: Finite = Field(description="Radians.")

@@ -124,11 +124,11 @@ def _listed_pairs(
 
 
 def _apart(spread: Spread, pair: PairVerdict) -> tuple[float, float]:
-    """1 sigma [m, rad] of how a pair lies to each other; of the two ways to see it the worse."""
+    """1 sigma [m, rad] of how a pair lies to each other: the mean square of both ways to see it."""
     (off_m, off_rad), (back_m, _) = (
         spread.between(a, b) for a, b in ((pair.a, pair.b), (pair.b, pair.a))
     )
-    return max(off_m, back_m), off_rad
+    return float(np.hypot(off_m, back_m) / np.sqrt(2)), off_rad
 
 
 def _placed(

@@ -45,6 +45,8 @@ class NoiseSettings:
     """Worth of the prior of a fault rate, in passes."""
     scale_prior: float = 0.01
     """1 sigma of the relative error of lengths in general, before closure tells of the odometry."""
+    contradicted_sigmas: float = 3.0
+    """What passes show of the scale counts beyond so many sigmas of what is expected."""
     match_rad: float = 0.35
     """Readings farther than this from a branch are of another."""
     least_messages: int = 6
@@ -219,15 +221,25 @@ def refine_scale(
 ) -> float:
     """1 sigma of the relative error of lengths, after loop closure told how the heading drifts.
 
-    No loop tells of it: all close whatever the scale. What passes tell is held by the prior's
-    scale, taken to be as much better or worse as the odometry's heading is than the prior's.
+    No loop tells of it: all close whatever the scale. An odometry is taken to be as much better or
+    worse at lengths than the prior's as it is at headings. What passes tell may be the detector's
+    error as well: it counts where the odometry alone hardly explains it.
     """
     prior = settings.prior
-    good = noise.heading_rad_per_sqrt_m / prior.heading_rad_per_sqrt_m
+    expected = prior.scale * np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
     thirds = _Thirds.of(odometry, detections, passes, settings)
     if thirds is None:
-        return good * prior.scale
-    return _along(thirds, replace(settings, scale_prior=good * prior.scale))[1]
+        return expected
+    shown, sigma = _shown_scale(thirds, settings)
+    told = abs(shown) > settings.contradicted_sigmas * float(np.hypot(sigma, expected))
+    return abs(shown) if told else expected
+
+
+def _turned(odometry: Odometry, noise: RunNoise) -> float:
+    """Variance of the heading [rad²] that a run's way and turns add up to."""
+    way, turned = odometry.step_m.sum(), np.abs(odometry.turn_rad).sum()
+    both = np.array([noise.heading_rad_per_sqrt_m, noise.heading_rad_per_sqrt_rad]) ** 2
+    return float(both @ [way, turned])
 
 
 def _rate(events: float, trials: float, prior: float, worth: float) -> float:
@@ -411,3 +423,14 @@ def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
 
     found = minimize_scalar(cost, bounds=(centre - 3, centre + 3), method="bounded")
     return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))
+
+
+def _shown_scale(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
+    """Relative error of lengths by how junctions move along with the robot, and its 1 sigma."""
+    straight = np.flatnonzero(thirds.turned <= settings.straight_rad)
+    moved = np.maximum(thirds.moved[straight], 0.0)
+    weight = moved / thirds.shift_variance[straight]
+    belief = float(weight @ moved)
+    if belief <= 0:
+        return 0.0, np.inf
+    return float(weight @ thirds.shift[straight, 0]) / belief, belief**-0.5

@@ -7,8 +7,6 @@ carried over to the rigid fit of each run's map.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -28,17 +26,9 @@ def spread(pool: Pool, graph: PoseGraph, solution: Solution) -> Spread:
     """Errors of rigid fits to the solution of a joint pose graph over a pool.
 
     A rigid fit is linear in small shifts of its points, so its covariance is G H⁻¹ Gᵀ with H the
-    normal matrix and three rows of G for each run. Identities within their kernels count in full:
-    a Cauchy estimate is nearly as sure as least squares (97 % at three sigmas), though its weights
-    at the solution are smaller. Cost: three pairs of triangular solves per run.
+    normal matrix and three rows of G for each run. Cost: three pairs of triangular solves per run.
     """
-    fits = (solution.edge_weight > 0.5, solution.prior_weight > 0.5)
-    weights = [
-        np.where(fit, 1.0, weight)
-        for fit, weight in zip(fits, (solution.edge_weight, solution.prior_weight), strict=True)
-    ]
-    certain = replace(solution, edge_weight=weights[0], prior_weight=weights[1])
-    marginals = Marginals.of(graph, certain)
+    marginals = Marginals.of(graph, solution.with_full_weights())
     pattern = marginals.factor.pattern
     count = len(pool.maps)
     size = np.maximum(np.bincount(pool.run, minlength=count), 1)

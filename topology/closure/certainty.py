@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from ..posegraph.samples import SampledMarginals
 from ..vertex_errors import VertexErrors
 from .dead_reckoning import Walk
 from .estimate import Layout
-from .manhattan import OWN_SPREAD_RAD
+from .manhattan import GridHeadings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -18,15 +19,22 @@ SAMPLES = 256
 """They tell a sigma to 1 / √(2 · 256) = 4 %, which takes a point or less from its coverage."""
 
 
-def place_errors(walk: Walk, layout: Layout, kept: IntArray) -> VertexErrors:
+def place_errors(
+    walk: Walk,
+    layout: Layout,
+    place: IntArray,
+    kept: IntArray,
+    grid: GridHeadings | None = None,
+) -> VertexErrors:
     """Errors of the places `kept` of a layout, by the noise that the walk was laid out with.
 
     The pose graph holds all but two: a place of one pass is as far off as its detection, and all
     lengths share the odometry's error of scale.
     """
-    sampled = SampledMarginals.of(layout.graph, layout.solution, SAMPLES)
+    sampled = SampledMarginals.of(layout.graph, layout.solution.with_full_weights(), SAMPLES)
     node = layout.node[kept]
     error = sampled.error[node]
+    error[:, 2] = _mean_turns(sampled.error[: len(walk), 2], place, kept)
     rng = np.random.default_rng(20052)
     alone = node < len(walk)
     error[alone, :2] += walk.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, SAMPLES))
@@ -34,10 +42,22 @@ def place_errors(walk: Walk, layout: Layout, kept: IntArray) -> VertexErrors:
     scale = walk.noise.scale * rng.standard_normal(SAMPLES)
     error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
     own = np.zeros(len(kept))
-    if len(layout.graph.priors):
+    if grid is not None:
         # The grid tells a pass its turn by the mean of its branches, to how well these were read
         # and how well corridors keep to the grid.
         count = np.maximum(walk.passes.branches.counts, 1)
         read = walk.noise.branch_rad**2 / np.mean(count)
-        own[:] = read / (read + OWN_SPREAD_RAD**2)
+        own[:] = read / (read + grid.spread_rad**2)
     return VertexErrors(error, own)
+
+
+def _mean_turns(turn: FloatArray, place: IntArray, kept: IntArray) -> FloatArray:
+    """(k, s) errors of the turns (p, s) of the passes by each place kept, in the mean.
+
+    Branches are drawn as every pass is turned. The place's own node in the pose graph is turned as
+    they were read, too, which `branch_sigma` counts for itself.
+    """
+    row = np.flatnonzero(place >= 0)
+    size = (int(place.max(initial=-1)) + 1, len(place))
+    passes = np.bincount(place[row], minlength=size[0])[place[row]]
+    return np.asarray((csr_array((1 / passes, (place[row], row)), shape=size) @ turn)[kept])

@@ -6,11 +6,12 @@ knows which quarter: heading drift does not grow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..passes import Passes
 from ..se2 import wrap
 from .dead_reckoning import Walk, dead_reckoning_covariance
 
@@ -41,7 +42,8 @@ class GridHeadings:
     """Passes whose branches tell the turn from the odometry's frame to the map's.
 
     The map's frame is that of the odometry at the first of them, in each piece of a broken odometry
-    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; sigma: (k,) [rad].
+    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; sigma: (k,) [rad], of
+    which every corridor's own share is spread_rad.
     wander: mean squared turn of the grid from one pass to the next, in units of what the odometry
     may drift.
     """
@@ -50,6 +52,7 @@ class GridHeadings:
     turn: FloatArray
     sigma: FloatArray
     wander: float
+    spread_rad: float = OWN_SPREAD_RAD
 
 
 def grid_headings(
@@ -91,6 +94,14 @@ def grid_headings(
     begin = np.flatnonzero(np.concatenate([[True], ~joined]))
     turn -= np.repeat(turn[begin], np.diff(begin, append=len(row)))
     return GridHeadings(row, np.asarray(wrap(turn)), sigma, wander)
+
+
+def with_spread(
+    grid: GridHeadings, passes: Passes, branch_rad: float, spread_rad: float
+) -> GridHeadings:
+    """The headings by other noise: of reading a branch, and of how corridors keep to the grid."""
+    sigma = np.sqrt(branch_rad**2 / passes.branches.counts[grid.row] + spread_rad**2)
+    return replace(grid, sigma=sigma, spread_rad=spread_rad)
 
 
 def from_quarter(angle: FloatArray) -> FloatArray:

@@ -2,7 +2,9 @@
 
 Before closure little tells how much an odometry drifts (`ingest.noise`). Loops do: what their
 edges are off, and how far each kind of noise was free to show it, gives every variance by itself
-(Förstner's estimate, Bestimmung der Varianzkomponenten, 1979; REML with as many iterations).
+(Förstner's estimate, Bestimmung der Varianzkomponenten, 1979; REML with as many iterations). What
+a kernel holds down shows less of its error than there is: errors are compared with what the kernel
+would leave of normal ones (Huber's proposal 2).
 """
 
 from __future__ import annotations
@@ -13,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..odometry import Odometry
-from ..posegraph.graph import edge_errors
-from ..posegraph.samples import SampledMarginals
+from ..posegraph.graph import edge_errors, prior_errors
+from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
 from .dead_reckoning import RANDOM_SUMS, Walk, make_walk, relative_covariance
 from .estimate import Layout, lay_out
-from .manhattan import GridHeadings
+from .manhattan import GridHeadings, with_spread
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,19 +32,31 @@ COMPONENTS = (
     "centre_m",
     "branch_rad",
 )
-"""Fields of RunNoise that a layout tells, in this order."""
+"""Fields of RunNoise that a layout tells, in this order; the last component is how far corridors
+stray from the grid of their building, where a grid holds the layout."""
+
+_WALKS, _CENTRE, _BRANCH, _GRID = 3, 3, 4, 5
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentSettings:
     """How far the estimates before closure hold."""
 
-    prior_freedom: tuple[float, float, float, float, float] = (2.0, 2.0, 2.0, 4.0, 4.0)
+    prior_freedom: tuple[float, ...] = (0.5, 0.5, 0.5, 4.0, 4.0, 4.0)
     """Degrees of freedom that told each before: its variance to √(2 / freedom) of itself."""
-    rounds: int = 3
+    rounds: int = 5
     """Each estimates the components again, with the weights that the one before gave."""
     samples: int = 64
     """They tell a variance to √(2 / 64), 18 %: less than the prior's freedom leaves open."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """walk: with its most likely noise; layout: by that; grid: with its own spread."""
+
+    walk: Walk
+    layout: Layout
+    grid: GridHeadings | None
 
 
 def fitted_noise(
@@ -53,7 +67,7 @@ def fitted_noise(
     *,
     grid: GridHeadings | None = None,
     settings: ComponentSettings = ComponentSettings(),
-) -> tuple[Walk, Layout]:
+) -> Fitted:
     """The walk with its most likely noise, and its layout by that.
 
     walk: with the noise that the run showed before closure, which stays the prior; odometry: that
@@ -61,23 +75,28 @@ def fitted_noise(
     one layout, and the trace of every component's share in the posterior from samples.
     """
     prior = np.array([getattr(walk.noise, name) for name in COMPONENTS]) ** 2
-    worth = np.array(settings.prior_freedom)
+    if grid is not None:
+        prior = np.append(prior, grid.spread_rad**2)
+    worth = np.array(settings.prior_freedom)[: len(prior)]
     units = _unit_walks(walk, odometry)
     legs = _leg_covariances(walk, units)
     variance = prior
     layout = lay_out(walk, place, layout.pose, grid=grid)
     for _ in range(settings.rounds):
-        energy, freedom = _told(layout, legs, variance, settings.samples)
+        energy, freedom = _told(layout, legs, variance, grid, settings.samples)
         variance = (worth * prior + energy * variance) / (worth + freedom)
         walk = _with_variances(walk, units, variance)
+        if grid is not None:
+            spread_rad = float(np.sqrt(variance[_GRID]))
+            grid = with_spread(grid, walk.passes, walk.noise.branch_rad, spread_rad)
         layout = lay_out(walk, place, layout.pose, grid=grid)
-    return walk, layout
+    return Fitted(walk, layout, grid)
 
 
 def _unit_walks(walk: Walk, odometry: Odometry) -> list[Walk]:
     """The walk as if there were one random walk of the odometry only, of 1 sigma of 1."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:3]]
+    noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:_WALKS]]
     units = (make_walk(odometry, walk.passes, noise, walk.systematic) for noise in noises)
     # What a jump adds is no noise: it would be counted once for every component.
     return [replace(unit, jumps=np.zeros_like(unit.jumps)) for unit in units]
@@ -91,41 +110,105 @@ def _leg_covariances(walk: Walk, units: list[Walk]) -> FloatArray:
 
 def _with_variances(walk: Walk, units: list[Walk], variance: FloatArray) -> Walk:
     """The walk with other variances of its components; its sums are linear in them."""
-    sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=True))
+    sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=False))
     sums = walk.sums.copy()
     sums[:, :RANDOM_SUMS] = sum(
-        float(v) * unit.sums[:, :RANDOM_SUMS] for v, unit in zip(variance[:3], units, strict=True)
+        float(v) * unit.sums[:, :RANDOM_SUMS]
+        for v, unit in zip(variance[:_WALKS], units, strict=True)
     )
     return replace(walk, noise=replace(walk.noise, **sigma), sums=sums)
 
 
-def _told(
-    layout: Layout, units: FloatArray, variance: FloatArray, samples: int
-) -> tuple[FloatArray, FloatArray]:
-    """Of each component (5,): squared errors in units of its variance, degrees of freedom.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    """Edges of one sort: their errors (k, 3), information (k, 3, 3), samples (k, 3, s) of what the
+    solution leaves of them in sigmas, weights at the solution and widths of their kernels (k,)."""
 
-    With e the error of an edge, Ω its information, V the covariance by one component and C that of
-    e left by the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C).
-    """
-    graph, solution = layout.graph, layout.solution
-    error = edge_errors(graph, solution.pose, solution.shared)
-    left = SampledMarginals.of(graph, solution, samples).edge
-    omega, weight = graph.information, solution.edge_weight
-    legs = units.shape[1]
-    energy, freedom = np.zeros(5), np.zeros(5)
-    for k in range(5):
-        rows = slice(0, legs) if k < 3 else slice(legs, len(omega))
-        if k < 3:
-            part = variance[k] * units[k]
-        else:
-            part = np.zeros((len(omega) - legs, 3, 3))
-            axes = (0, 1) if k == 3 else (2,)
-            for axis in axes:
-                part[:, axis, axis] = 1.0 / omega[rows, axis, axis]
-        share = omega[rows] @ part @ omega[rows]
-        e, c, w = error[rows], left[rows], weight[rows]
-        energy[k] = w @ np.einsum("ki,kij,kj->k", e, share, e)
-        taken = np.einsum("kis,kij,kjs->k", c, share, c) / samples
-        whole = np.einsum("kij,kji->k", omega[rows], part)
-        freedom[k] = max(float(w @ (whole - taken)), 0.0)
+    error: FloatArray
+    information: FloatArray
+    residual: FloatArray
+    weight: FloatArray
+    kernel: FloatArray
+
+    def told(self, part: FloatArray) -> tuple[float, float]:
+        """Squared error by one component, in units of its variance, and its degrees of freedom.
+
+        part: (k, 3, 3) V, the covariance by the component. With e the error, Ω its information and
+        C the covariance of e left by the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C).
+        """
+        root = square_root(self.information)
+        share = root.transpose(0, 2, 1) @ part @ root
+        e = (root.transpose(0, 2, 1) @ self.error[:, :, None])[:, :, 0]
+        energy = self.weight @ np.einsum("ki,kij,kj->k", e, share, e)
+        free = np.einsum("kis,kij,kjs->k", self.residual, share, self.residual)
+        return float(energy), float(self._expected_weight() @ free) / self.residual.shape[2]
+
+    def _expected_weight(self) -> FloatArray:
+        """(k,) mean weight of normal errors in their Cauchy kernels.
+
+        An edge that tells f numbers has a χ² of f degrees of freedom, where the solution takes part
+        of them, less in proportion.
+        """
+        if not np.isfinite(self.kernel).any():
+            return np.ones(len(self.kernel))
+        from scipy.special import gammaincinv
+
+        told = np.linalg.matrix_rank(self.information[0])
+        redundancy = np.mean((self.residual**2).sum(axis=1), axis=1) / told
+        chi2 = 2 * gammaincinv(told / 2, (np.arange(64) + 0.5) / 64)
+        weighted = chi2 / (1 + redundancy[:, None] * chi2 / self.kernel[:, None] ** 2)
+        out: FloatArray = weighted.mean(axis=1) / chi2.mean()
+        return out
+
+
+def _told(
+    layout: Layout,
+    units: FloatArray,
+    variance: FloatArray,
+    grid: GridHeadings | None,
+    samples: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Of each component: squared errors in units of its variance, degrees of freedom."""
+    legs, sightings, headings = _sorts(layout, units.shape[1], samples)
+    told = [legs.told(variance[k] * units[k]) for k in range(_WALKS)]
+    for axes in ((0, 1), (2,)):
+        part = np.zeros_like(sightings.information)
+        for axis in axes:
+            part[:, axis, axis] = 1.0 / sightings.information[:, axis, axis]
+        told.append(sightings.told(part))
+    if grid is not None:
+        spread, read = np.zeros((2, len(headings.error), 3, 3))
+        spread[:, 2, 2] = variance[_GRID]
+        read[:, 2, 2] = grid.sigma**2 - variance[_GRID]
+        told.append(headings.told(spread))
+        # How branches were read shows in both.
+        told[_BRANCH] = tuple(np.add(told[_BRANCH], headings.told(read)).tolist())
+    energy, freedom = np.array(told).T
     return energy, freedom
+
+
+def _sorts(layout: Layout, legs: int, samples: int) -> tuple[_Edges, _Edges, _Edges]:
+    """The edges of a layout: `legs` of odometry, sightings, and headings known from the grid."""
+    graph, solution = layout.graph, layout.solution
+    sampled = SampledMarginals.of(graph, solution.with_full_weights(), samples)
+    error = edge_errors(graph, solution.pose, solution.shared)
+    row = slice(0, legs), slice(legs, len(error))
+    edges = (
+        _Edges(
+            error[r],
+            graph.information[r],
+            sampled.edge_residual[r],
+            solution.edge_weight[r],
+            graph.kernel[r],
+        )
+        for r in row
+    )
+    known = graph.priors
+    headings = _Edges(
+        prior_errors(graph, solution.pose),
+        known.information,
+        sampled.prior_residual,
+        solution.prior_weight,
+        known.kernel,
+    )
+    return (*edges, headings)

@@ -23,12 +23,18 @@ from .normal_equations import Pattern, Point, build_pattern, linearise
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledMarginals:
     """pose: (n, 3) of the solution; error: (n, 3, count) samples of how far off it may be; shared:
-    (k, count) likewise of the shared errors; edge: (m, 3, count) likewise of the edges' errors."""
+    (k, count) likewise of the shared errors.
+
+    edge_residual: (m, 3, count) and prior_residual: (u, 3, count) what the same samples leave
+    between edges, priors and the solution, in sigmas: times `square_root` of the information. Where
+    nothing else tells of an edge it is 0; its mean square is the edge's redundancy.
+    """
 
     pose: FloatArray
     error: FloatArray
     shared: FloatArray
-    edge: FloatArray
+    edge_residual: FloatArray
+    prior_residual: FloatArray
 
     @classmethod
     def of(cls, graph: PoseGraph, solution: Point, count: int = 64) -> SampledMarginals:
@@ -42,15 +48,14 @@ class SampledMarginals:
         system = linearise(graph, pattern, solution)
         factor = system.factorise()
         J_i, J_j, J_m = _jacobians(graph, solution.pose, solution.shared)
-        root = _square_root(graph.information * solution.edge_weight[:, None, None])
-        known = _square_root(graph.priors.information * solution.prior_weight[:, None, None])
+        root = square_root(graph.information * solution.edge_weight[:, None, None])
+        known = square_root(graph.priors.information * solution.prior_weight[:, None, None])
         z = rng.standard_normal((3 * len(root), count))
         push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
         push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
         right = push @ z
-        right = right + _scattered(pattern, graph.priors.node, known) @ rng.standard_normal(
-            (3 * len(known), count)
-        )
+        z_known = rng.standard_normal((3 * len(known), count))
+        right = right + _scattered(pattern, graph.priors.node, known) @ z_known
         x = factor.solve(np.asarray(right))
         b = np.zeros((len(graph.shared), count))
         if len(graph.shared):
@@ -65,7 +70,13 @@ class SampledMarginals:
         edge = J_i @ error[graph.source] + J_j @ error[graph.target]
         if len(graph.shared):
             edge = edge + (J_m @ graph.shared.sensitivity) @ b
-        return cls(np.asarray(solution.pose), error, b, edge)
+        return cls(
+            np.asarray(solution.pose),
+            error,
+            b,
+            z.reshape(edge.shape) - root.transpose(0, 2, 1) @ edge,
+            z_known.reshape(-1, 3, count) - known.transpose(0, 2, 1) @ error[graph.priors.node],
+        )
 
     def relative(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
         """(k, 3, 3) covariance of T_a_b, as `Marginals.relative`, to √(2 / count)."""
@@ -93,7 +104,7 @@ def _jacobians(
     return J_i, J_j, J_m
 
 
-def _square_root(information: FloatArray) -> FloatArray:
+def square_root(information: FloatArray) -> FloatArray:
     """(k, 3, 3) R with R Rᵀ = information, also where that is singular."""
     values, vectors = np.linalg.eigh(information)
     out: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]

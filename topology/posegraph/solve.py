@@ -99,6 +99,15 @@ class Solution:
     iterations: int
     converged: bool
 
+    def with_full_weights(self) -> Solution:
+        """The point at which to ask how sure the solution is.
+
+        What lies within its kernel counts in full: a Cauchy estimate is nearly as sure as least
+        squares (97 % at three sigmas), though its weights at the solution are smaller.
+        """
+        edge, prior = (np.where(w > 0.5, 1.0, w) for w in (self.edge_weight, self.prior_weight))
+        return replace(self, edge_weight=edge, prior_weight=prior)
+
 
 def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solution:
     """The poses that the measurements make most likely, in the frame of what is held or known.

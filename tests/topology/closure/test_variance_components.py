@@ -53,20 +53,21 @@ def test_loops_tell_each_kind_of_noise() -> None:
     odometry, passes, place = noisy_square(15, true, 4)
     start = RunNoise(0.03, 0.015, 0.03, 0.0, 0.09, 0.045)
     walk = make_walk(odometry, passes, start, EXACT)
-    fitted, layout = fitted_noise(walk, odometry, place, lay_out(walk, place))
-    assert fitted.noise.centre_m == pytest.approx(0.06, rel=0.2)
-    assert fitted.noise.branch_rad == pytest.approx(0.03, rel=0.2)
-    assert fitted.noise.heading_rad_per_sqrt_m == pytest.approx(0.01, rel=0.4)
-    assert layout.misfit == pytest.approx(1.0, abs=0.25)
+    fitted = fitted_noise(walk, odometry, place, lay_out(walk, place))
+    noise = fitted.walk.noise
+    assert noise.centre_m == pytest.approx(0.06, rel=0.2)
+    assert noise.branch_rad == pytest.approx(0.03, rel=0.2)
+    assert noise.heading_rad_per_sqrt_m == pytest.approx(0.01, rel=0.4)
+    assert fitted.layout.misfit == pytest.approx(1.0, abs=0.25)
 
 
 def test_without_loops_nothing_changes() -> None:
     start = RunNoise(0.01, 0.02, 0.01, 0.0, 0.1, 0.05)
     odometry, passes, _ = noisy_square(2, start, 1)
     walk, alone = make_walk(odometry, passes, start, EXACT), np.arange(len(passes))
-    fitted, _ = fitted_noise(walk, odometry, alone, lay_out(walk, alone))
+    fitted = fitted_noise(walk, odometry, alone, lay_out(walk, alone)).walk.noise
     for name in ("along_m_per_sqrt_m", "heading_rad_per_sqrt_m", "centre_m", "branch_rad"):
-        assert getattr(fitted.noise, name) == pytest.approx(getattr(start, name), rel=0.1)
+        assert getattr(fitted, name) == pytest.approx(getattr(start, name), rel=0.1)
 
 
 def test_places_seen_once_are_as_far_off_as_their_detection() -> None:
@@ -74,6 +75,6 @@ def test_places_seen_once_are_as_far_off_as_their_detection() -> None:
     odometry, passes, place = noisy_square(1, exact, 2)
     walk = make_walk(odometry, passes, exact, EXACT)
     alone = np.arange(len(place))
-    errors = place_errors(walk, lay_out(walk, alone), alone)
+    errors = place_errors(walk, lay_out(walk, alone), alone, alone)
     sigma = errors.distance_sigma(passes.centre, np.array([0, 1]), np.array([4, 3]))
     np.testing.assert_allclose(sigma, 0.05 * np.sqrt(2), rtol=0.15)
