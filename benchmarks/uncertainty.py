@@ -1,4 +1,4 @@
-"""Is a sigma a sigma? python benchmarks/uncertainty.py [--seeds 2] [--first 1] [--jobs 1]
+"""Is a sigma a sigma? python benchmarks/uncertainty.py [--seeds 2] [--first 1] [--runs 3] [--worst]
 
 How often the truth lies within what 68.3, 95 and 99.7 % of errors should keep to, by what documents
 and merges state:
@@ -7,16 +7,19 @@ and merges state:
   near, far  where one junction of a map lies, seen from another at most 15 m, at least 30 m away
   heading    a branch in the map's frame (`branch_sigmas`)
   fused      a corridor's length in the fused map
-  transform  where the middle of a run's map lies, seen from that of a run it was merged with
+  transform  where the middles of the maps of two merged runs lie, each seen from the other's
   turn       how the two are turned to each other (`transform_sigma`)
   placed     the same two for runs that only others tie (`placed`)
 
-Runs of the project's simulator, three to a world, each overlapping the one before; per quantity
-one row for every kind of world and drift, over all faults, and one for every drift and faults, over
-all worlds. `n` counts statements; behind each share stands its standard error, with all statements
-about one run (of merges: one world) as one draw, as errors within a run go together. Junctions,
-corridors and pairs that were identified wrongly are left out: `closure.py` and `chain.py` count
-those. A map's frame is arbitrary: it is laid rigidly over the truth.
+Runs of the project's simulator, three to a world, each overlapping the one before, or alone in it
+(`--runs 1`: no merges, and many more worlds in the same time); per quantity one row for every kind
+of world and drift, over all faults, and one for every drift and faults, over all worlds. `--worst`
+prints, for every quantity and drift, all worlds together, and the kinds of world that stray most.
+No two scenarios share a random number: an odometry's error of scale is one draw per run, and far
+junctions err by little else. `n` counts statements; behind each share stands its standard error,
+with all statements about one run (of merges: one world) as one draw, as errors within a run go
+together. Junctions, corridors and pairs that were identified wrongly are left out: `closure.py` and
+`chain.py` count those. A map's frame is arbitrary: it is laid rigidly over the truth.
 
 `--real FOLDER…` judges recorded runs instead: folders with `truth.json` (vertices and edges of the
 world, passes of every run) and `logs/`.
@@ -26,6 +29,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import zlib
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
@@ -48,7 +52,7 @@ from topobatch.simulation.truth import RunTruth, Truth
 from topobatch.simulation.world import World
 from topobatch.simulation.worlds import WORLDS
 from topobatch.topology.errors import UsageError
-from topobatch.topology.se2 import apply, between, fit_rigid, wrap
+from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
 SHARES = (0.6827, 0.95, 0.9973)
 QUANTITIES = (
@@ -68,21 +72,20 @@ def quantiles(z2, freedom):
 
 def true_lengths(truth, runs, graph, label):
     """(edges of a graph, true lengths) of corridors that were driven and are the only ones between
-    their junctions; of two edges between the same two the one that fits."""
+    their junctions; of two edges between the same two vertices the one that fits. A junction that
+    stands twice in the graph may have its corridors twice: both are stated, both are judged."""
     world = truth.worlds[truth.runs[runs[0]].world]
     driven = {int(e) for run in runs for e in truth.runs[run].drive_edge}
     there, here = defaultdict(list), defaultdict(list)
     for e, ends in enumerate(zip(world.source.tolist(), world.target.tolist(), strict=True)):
         there[tuple(sorted(ends))].append(e)
-    for e, ends in enumerate(
-        zip(label[graph.source].tolist(), label[graph.target].tolist(), strict=True)
-    ):
-        if min(ends) >= 0:
-            here[tuple(sorted(ends))].append(e)
+    for e, ends in enumerate(zip(graph.source.tolist(), graph.target.tolist(), strict=True)):
+        here[tuple(sorted(ends))].append(e)
     edges, true = [], []
     for ends, mine in here.items():
-        if len(there[ends]) == 1 and there[ends][0] in driven:
-            goal = world.length[there[ends][0]]
+        corridors = there[tuple(sorted(label[list(ends)].tolist()))]
+        if len(corridors) == 1 and corridors[0] in driven:
+            goal = world.length[corridors[0]]
             edges.append(min(mine, key=lambda e: abs(graph.length[e] - goal)))
             true.append(goal)
     return np.array(edges, np.int64), np.array(true)
@@ -155,7 +158,8 @@ def judge_merge(truth, maps, merged):
 
 
 def placing_error(truth, a, b, labels, poses):
-    """(m, rad) by which b is misplaced in a; None where they were laid over one another wrongly."""
+    """(m, rad) by which a and b are misplaced in one another (root mean square of both ways to see
+    it); None where they were laid over one another wrongly."""
     T_world = {}
     for m in (a, b):
         known = np.flatnonzero(labels[m.run] >= 0)
@@ -165,8 +169,9 @@ def placing_error(truth, a, b, labels, poses):
         T_world[m.run] = fit_rigid(world.xy[labels[m.run][known]], m.xy[known])
     true = between(T_world[a.run], T_world[b.run])
     found = between(poses[a.run], poses[b.run])
-    middle = b.xy.mean(axis=0)
-    off = float(np.hypot(*(apply(found, middle) - apply(true, middle))))
+    both = ((found, true, b), (inverse(found), inverse(true), a))
+    off = [apply(T, m.xy.mean(axis=0)) - apply(T_true, m.xy.mean(axis=0)) for T, T_true, m in both]
+    off = float(np.sqrt(np.mean(np.square(off).sum(axis=1))))
     turn = float(abs(wrap(found[2] - true[2])))
     return None if off > 5.0 or turn > 0.3 else (off, turn)
 
@@ -179,14 +184,16 @@ def judged(truth, runs, seed):
         if topomap.pieces == 1:
             rows += judge_map(truth, topomap, errors, seed).items()
     whole = [m for m, _ in built.values() if m.pieces == 1]
-    rows += judge_merge(truth, whole, merge_maps(whole)).items()
+    if len(whole) > 1:
+        rows += judge_merge(truth, whole, merge_maps(whole)).items()
     return [(name, len(w), w.sum(axis=0).tolist()) for name, w in rows if len(w)]
 
 
 def simulated(task):
     """One scenario: (world, drift, faults), and what came of it."""
-    world, drift, faults, seed, junctions = task
-    settings = ScenarioSettings(world, 3, 0.4, junctions, drift=drift, faults=faults, seed=seed)
+    world, drift, faults, number, runs, junctions = task
+    seed = zlib.crc32(f"{world} {drift} {faults} {runs} {number}".encode())
+    settings = ScenarioSettings(world, runs, 0.4, junctions, drift=drift, faults=faults, seed=seed)
     try:
         scenario = simulate_scenario(settings)
     except UsageError:  # no room in this world
@@ -228,12 +235,18 @@ def recorded(folder):
     return Truth({name: w for name, (w, _) in worlds.items()}, runs), logs
 
 
-def line(name, cells):
-    """One row: counts and shares in per cent, with their standard errors by runs."""
+def shares(cells):
+    """(count, shares within, their standard errors by runs) of [(count, within)]."""
     n = np.array([count for count, _ in cells], float)
     hits = np.array([within for _, within in cells])
     share = hits.sum(axis=0) / n.sum()
     spare = np.sqrt(((hits - n[:, None] * share) ** 2).sum(axis=0)) / n.sum()
+    return n, share, spare
+
+
+def line(name, cells):
+    """One row: counts and shares in per cent, with their standard errors by runs."""
+    n, share, spare = shares(cells)
     cells = "".join(f"{100 * p:8.1f} ±{100 * e:4.1f}" for p, e in zip(share, spare, strict=True))
     return f"{name:22}{int(n.sum()):7}{cells}"
 
@@ -253,6 +266,30 @@ def table(results):
             yield ""
 
 
+def worst(results):
+    """For every quantity and drift: shares over all worlds, and the two worlds farthest from 68.3 %
+    in either direction, with their standard errors."""
+    cells = defaultdict(list)
+    for (world, drift, _), found in results:
+        for quantity, count, within in found:
+            for name in (world, ""):
+                cells[quantity, drift, name].append((count, within))
+    yield "quantity     drift     n  within 68.3 95 99.7        lowest             highest"
+    for quantity, drift in product(QUANTITIES, DRIFTS):
+        if (quantity, drift, "") not in cells:
+            continue
+        n, share, spare = shares(cells[quantity, drift, ""])
+        by_world = []
+        for world in WORLDS:
+            if (quantity, drift, world) in cells:
+                _, p, e = shares(cells[quantity, drift, world])
+                by_world.append((100 * p[0], 100 * e[0], world))
+        ends = "  ".join(f"{p:5.0f} ±{e:3.0f} {w:8}" for p, e, w in (min(by_world), max(by_world)))
+        p = 100 * share
+        all_worlds = f"{p[0]:5.1f} {p[1]:5.1f} {p[2]:5.1f} ±{100 * spare[0]:4.1f}"
+        yield f"{quantity:12} {drift:5} {int(n.sum()):6}  {all_worlds}  {ends}"
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -262,7 +299,9 @@ def main():
     parser.add_argument("--faults", nargs="+", default=list(FAULTS))
     parser.add_argument("--seeds", type=int, default=2, help="scenarios per world, drift, faults")
     parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument("--runs", type=int, default=3, help="in a world; 1: none is merged")
     parser.add_argument("--junctions", type=int, default=40, help="per run")
+    parser.add_argument("--worst", action="store_true", help="the worlds that stray most")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--real", nargs="+", type=Path, help="folders of recorded runs")
     args = parser.parse_args()
@@ -272,13 +311,13 @@ def main():
         ]
     else:
         seeds = range(args.first, args.first + args.seeds)
-        cells = product(args.worlds, args.drifts, args.faults, seeds, [args.junctions])
+        cells = product(args.worlds, args.drifts, args.faults, seeds, [args.runs], [args.junctions])
         if args.jobs > 1:
             with ProcessPoolExecutor(args.jobs) as pool:
                 results = list(pool.map(simulated, cells))
         else:
             results = [simulated(cell) for cell in cells]
-    print("\n".join(table(results)))
+    print("\n".join((worst if args.worst else table)(results)))
 
 
 if __name__ == "__main__":

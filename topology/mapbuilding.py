@@ -89,7 +89,7 @@ def build_topomap(
     exit_ = _driven(branches, visits.vertex, leaving, settings)
     entry = _driven(branches, visits.vertex, arriving, settings)
     legs = _legs(odometry, visits, exit_, entry, xy=xy, settings=settings)
-    edges = _edges(legs, settings)
+    edges = _edges(legs, xy, settings)
     paths = _paths(legs, edges, settings)
     seen = np.flatnonzero(pass_vertex >= 0)
     piece = np.zeros(len(xy), np.int64)
@@ -263,9 +263,12 @@ class _Edges:
     """The leg whose track is drawn: the one of median length."""
     wander: float
     """Variance, per metre, of the ways driven through one corridor."""
+    detour: float
+    """How much of what ways go round between their ends was the robots' choice, not the corridors'
+    (`_chosen_detour`)."""
 
 
-def _edges(legs: _Legs, settings: MapBuildingSettings) -> _Edges:
+def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges:
     """Legs between the same branches of the same vertices are one corridor.
 
     A leg with an unknown branch joins the corridor between its vertices that fits its length.
@@ -313,7 +316,24 @@ def _edges(legs: _Legs, settings: MapBuildingSettings) -> _Edges:
     at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
     times = tuple(at[groups[key]] for key in keys)
     times = tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times)
-    return _Edges(s, t, sb, tb, length, traversals, times, leg, excess / way)
+    detour = _chosen_detour(legs, [groups[key] for key in keys], xy)
+    return _Edges(s, t, sb, tb, length, traversals, times, leg, excess / way, detour)
+
+
+def _chosen_detour(legs: _Legs, corridors: list[list[int]], xy: FloatArray) -> float:
+    """Root mean square share of the detours driven that a robot takes one time and not another.
+
+    What a way is longer than the line between its ends is the corridor's bend, or the robot's
+    wandering: what it drives again tells how much of it is not there the next time.
+    """
+    again = [np.array(member) for member in corridors if len(member) > 1]
+    if not again:
+        return 0.0
+    row = np.concatenate(again)
+    shortest = np.concatenate([np.full(len(m), legs.length[m].min()) for m in again])
+    line = np.hypot(*(xy[legs.target[row]] - xy[legs.source[row]]).T)
+    chosen, gone = legs.length[row] - shortest, legs.length[row] - line
+    return float(np.sqrt((chosen**2).sum() / max((gone**2).sum(), 1e-9)))
 
 
 def _fitting(
@@ -350,7 +370,8 @@ def _length_sigma(
 
     A path bent onto its two ends gets longer by their error along the chord times the share of the
     chord in it (the mean of its directions), to first order. The rest of a way that winds is
-    odometry's, and what robots wander in a corridor shows where they drive it again.
+    odometry's, and what robots wander in a corridor, and go round where none leads them, shows
+    where they drive it again: of several ways the shortest counts.
     """
     chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
     straight = np.minimum(chord / edges.length, 1.0)
@@ -358,5 +379,6 @@ def _length_sigma(
     wound = 1 - straight**2
     driven = (wound * noise.along_m_per_sqrt_m**2 + edges.wander) * edges.length
     driven = driven / np.maximum(edges.traversals, 1)
+    detour = edges.detour * (edges.length - chord) / np.maximum(edges.traversals, 1)
     common = wound * (noise.scale * edges.length) ** 2
-    return np.asarray(np.sqrt((straight * ends) ** 2 + driven + common + 1e-6))
+    return np.asarray(np.sqrt((straight * ends) ** 2 + driven + detour**2 + common + 1e-6))

@@ -28,6 +28,7 @@ from .joint_graph import (
     Joint,
     JointSettings,
     fitted_poses,
+    measured_within,
     pass_counts,
     run_poses,
     settle,
@@ -183,15 +184,16 @@ def _settle(
     settings: FusionSettings,
 ) -> Joint:
     """Optimise, fuse what coincides, and again until nothing more does."""
-    joint = settle(pool, groups.labels(), start, settings.joint)
     if len(pool.maps) < 2:
-        return joint
+        return settle(pool, groups.labels(), start, settings.joint)
+    within = measured_within(pool, settings.joint)
+    joint = settle(pool, groups.labels(), start, settings.joint, within)
     for _ in range(settings.rounds):
         pairs = coincident(pool, groups, joint.pose, matched, settings.coincidence)
         joined = [groups.join(u, v) for u, v in pairs]
         if not any(joined):
             break
-        joint = settle(pool, groups.labels(), start, settings.joint)
+        joint = settle(pool, groups.labels(), start, settings.joint, within)
     return joint
 
 

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ...topology.map_pose_graph import odometry_measurements
+from ...topology.map_pose_graph import map_pose_graph, odometry_measurements
 from ...topology.matching.structure import grid_direction, padded_branches
+from ...topology.posegraph.samples import SampledMarginals
 from ...topology.posegraph.solve import (
     PoseGraph,
     Priors,
@@ -29,6 +30,7 @@ from ...topology.posegraph.solve import (
 )
 from ...topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from ...topology.topomap import TopoMap
+from ...topology.vertex_errors import VertexErrors
 from ..result import PairVerdict
 from .vertex_partition import Pool
 
@@ -70,12 +72,14 @@ class JointSettings:
 
 DEFAULT_JOINT = JointSettings()
 
+_SAMPLES = 64
+
 SOLVER = SolverSettings(start="given", relative_tolerance=1e-5, max_iterations=25)
 """Cauchy kernels converge slowly in their last digits, which are far below a millimetre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Factors:
+class Factors:
     """Relative measurements between rows: T_source_target (k, 3) and its information (k, 3, 3)."""
 
     source: IntArray
@@ -126,17 +130,19 @@ def settle(
     label: IntArray,
     start: Mapping[str, FloatArray],
     settings: JointSettings = DEFAULT_JOINT,
+    within: Factors | None = None,
 ) -> Joint:
     """The most likely poses of all rows of a pool.
 
-    label: (n,) the place of each row; start: T_component_run of every run. The frame is chosen so
-    that the first run, laid rigidly over its optimised vertices, does not move.
+    label: (n,) the place of each row; start: T_component_run of every run; within:
+    `measured_within` of the pool, where it is known. The frame is chosen so that the first run,
+    laid rigidly over its optimised vertices, does not move.
     """
     guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
     ties = _identity_factors(pool, label, guess, settings)
     if len(ties.source) == 0:
         return Joint(guess, None, None)
-    within = _concatenated([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
+    within = within or measured_within(pool, settings)
     factors = _concatenated([within, ties])
     kernel = np.full(len(factors.source), np.inf)
     kernel[len(within.source) :] = settings.kernel_sigmas
@@ -154,6 +160,11 @@ def settle(
     first = pool.maps[0]
     home = fit_rigid(solution.pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
     return Joint(compose(inverse(home), solution.pose), graph, solution)
+
+
+def measured_within(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> Factors:
+    """What every run measured between its own rows."""
+    return _concatenated([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
 
 
 def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
@@ -182,8 +193,8 @@ def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
     return compose(T_component_run, local)
 
 
-def _concatenated(parts: Sequence[_Factors]) -> _Factors:
-    return _Factors(
+def _concatenated(parts: Sequence[Factors]) -> Factors:
+    return Factors(
         source=np.concatenate([p.source for p in parts]),
         target=np.concatenate([p.target for p in parts]),
         measurement=np.concatenate([p.measurement for p in parts]),
@@ -191,16 +202,36 @@ def _concatenated(parts: Sequence[_Factors]) -> _Factors:
     )
 
 
-def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
+def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
     """The corridors of one map as relative measurements, from row `first` of the pool on."""
     given = odometry_measurements(topomap)
-    roads = _Factors(
-        given.source + first, given.target + first, given.measurement, given.information
-    )
+    information = given.information / unstated(topomap)
+    roads = Factors(given.source + first, given.target + first, given.measurement, information)
     return _concatenated([roads, _bridges(topomap, first, settings)])
 
 
-def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
+def unstated(topomap: TopoMap) -> float:
+    """Factor, at least 1, on the variances of a map's corridors by which they bend it as much as
+    its document states.
+
+    Corridor by corridor they know of random walks alone. What an odometry gets wrong in the same
+    way all the time (a steady turning, a scale of turns) bends a map as well, and shows in the
+    `position_sigma` of its vertices.
+    """
+    if topomap.position_sigma is None or len(topomap) < 3:
+        return 1.0
+    graph, noise = map_pose_graph(topomap), topomap.measured
+    whole = np.zeros(len(topomap), np.int64)
+    walked = SampledMarginals.of(graph, solve(graph, SOLVER), _SAMPLES).error
+    bent = VertexErrors(walked).as_a_whole(topomap.xy, whole).position_sigma()
+    visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
+    seen = noise.centre_m**2 / visits
+    stretched = (noise.scale * (topomap.xy - topomap.xy.mean(axis=0))) ** 2
+    stated = topomap.position_sigma**2 - seen - stretched.mean(axis=1)
+    return max(float(stated.sum() / max((bent**2).sum(), 1e-12)), 1.0)
+
+
+def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
     """Loose measurements between the parts of a map that no corridor joins."""
     n = len(topomap)
     graph = coo_array((np.ones(len(topomap.source)), (topomap.source, topomap.target)), (n, n))
@@ -210,10 +241,10 @@ def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> _Factors:
     measured = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
     weight = np.array([settings.bridge_m, settings.bridge_m, settings.bridge_rad]) ** -2.0
     information = np.tile(np.diag(weight), (len(u), 1, 1))
-    return _Factors(u + first, v + first, measured.reshape(-1, 3), information)
+    return Factors(u + first, v + first, measured.reshape(-1, 3), information)
 
 
-def _scales(pool: Pool, factors: _Factors, within: int, settings: JointSettings) -> SharedErrors:
+def _scales(pool: Pool, factors: Factors, within: int, settings: JointSettings) -> SharedErrors:
     """The scale of each run's odometry: one unknown that all its measurements share.
 
     within: how many of the factors, the first ones, are measurements within a run.
@@ -230,7 +261,7 @@ def _scales(pool: Pool, factors: _Factors, within: int, settings: JointSettings)
 
 def _identity_factors(
     pool: Pool, label: IntArray, guess: FloatArray, settings: JointSettings
-) -> _Factors:
+) -> Factors:
     """Every further row of a place tied to its first: same position, turn as the branches say."""
     order = np.argsort(label, kind="stable")
     first = order[np.searchsorted(label[order], label[order])]
@@ -250,7 +281,7 @@ def _identity_factors(
     information[:, 0, 0] = information[:, 1, 1] = position**-2.0
     information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
     measured = np.column_stack([np.zeros((len(source), 2)), turn])
-    return _Factors(source, target, measured.reshape(-1, 3), information)
+    return Factors(source, target, measured.reshape(-1, 3), information)
 
 
 def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Priors:

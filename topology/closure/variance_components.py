@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..odometry import Odometry
-from ..posegraph.graph import edge_errors, prior_errors
+from ..posegraph.graph import edge_errors, prior_errors, squared
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
 from .dead_reckoning import RANDOM_SUMS, Walk, make_walk, relative_covariance
@@ -190,9 +190,15 @@ def _told(
 def _sorts(layout: Layout, legs: int, samples: int) -> tuple[_Edges, _Edges, _Edges]:
     """The edges of a layout: `legs` of odometry, sightings, and headings known from the grid."""
     graph, solution = layout.graph, layout.solution
-    sampled = SampledMarginals.of(graph, solution.with_full_weights(), samples)
     error = edge_errors(graph, solution.pose, solution.shared)
     row = slice(0, legs), slice(legs, len(error))
+    off = prior_errors(graph, solution.pose)
+    known = graph.priors
+    give = np.ones(len(error))
+    give[row[1]] = _stiffness(solution.edge_chi2[row[1]], graph.kernel[row[1]], 3)
+    give_known = np.full(len(known), _stiffness(squared(off, known.information), known.kernel, 1))
+    pulled = replace(solution, edge_weight=give, prior_weight=give_known)
+    sampled = SampledMarginals.of(graph, pulled, samples, outliers=False)
     edges = (
         _Edges(
             error[r],
@@ -203,12 +209,23 @@ def _sorts(layout: Layout, legs: int, samples: int) -> tuple[_Edges, _Edges, _Ed
         )
         for r in row
     )
-    known = graph.priors
     headings = _Edges(
-        prior_errors(graph, solution.pose),
+        off,
         known.information,
         sampled.prior_residual,
         solution.prior_weight,
         known.kernel,
     )
     return (*edges, headings)
+
+
+def _stiffness(chi2: FloatArray, kernel: FloatArray, told: int) -> float:
+    """How much of its pull a Cauchy kernel leaves an edge for small changes, in the mean.
+
+    The derivative of w(χ²) e by e, over the `told` directions of e: what the solution gives way by
+    where measurements err, while its weights w say how much of their errors count.
+    """
+    if not np.isfinite(kernel).any():
+        return 1.0
+    share = chi2 / kernel**2
+    return float(np.mean(1 / (1 + share) - 2 * share / told / (1 + share) ** 2))

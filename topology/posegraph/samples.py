@@ -37,19 +37,29 @@ class SampledMarginals:
     prior_residual: FloatArray
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point, count: int = 64) -> SampledMarginals:
+    def of(
+        cls, graph: PoseGraph, solution: Point, count: int = 64, *, outliers: bool = True
+    ) -> SampledMarginals:
         """Sample the linearised posterior: solve for measurements that are off as they may be.
 
         With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The same samples at every
-        call. One factorisation and `count` solves.
+        call. One factorisation and `count` solves. outliers: a measurement of weight w at the
+        solution is off by as much more, w Ω taking the place of Ω; else it is as good as it says,
+        H⁻¹ Jᵀ w Ω^½ z, and the solution only makes little of it.
         """
         rng = np.random.default_rng(20040)
         pattern = build_pattern(graph, skeleton(graph))
         system = linearise(graph, pattern, solution)
         factor = system.factorise()
         J_i, J_j, J_m = _jacobians(graph, solution.pose, solution.shared)
-        root = square_root(graph.information * solution.edge_weight[:, None, None])
-        known = square_root(graph.priors.information * solution.prior_weight[:, None, None])
+        weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
+        # In units of `own` an error is white; `root` pushes the solution by it.
+        own, own_known = (square_root(of.information) for of in (graph, graph.priors))
+        if outliers:
+            own, own_known = own * np.sqrt(weights[0]), own_known * np.sqrt(weights[1])
+            root, known = own, own_known
+        else:
+            root, known = own * weights[0], own_known * weights[1]
         z = rng.standard_normal((3 * len(root), count))
         push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
         push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
@@ -74,8 +84,8 @@ class SampledMarginals:
             np.asarray(solution.pose),
             error,
             b,
-            z.reshape(edge.shape) - root.transpose(0, 2, 1) @ edge,
-            z_known.reshape(-1, 3, count) - known.transpose(0, 2, 1) @ error[graph.priors.node],
+            z.reshape(edge.shape) - own.transpose(0, 2, 1) @ edge,
+            z_known.reshape(-1, 3, count) - own_known.transpose(0, 2, 1) @ error[graph.priors.node],
         )
 
     def relative(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
