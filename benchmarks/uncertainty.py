@@ -6,7 +6,9 @@ and merges state:
   length     a corridor's length (`length_sigma`)
   near, far  where one junction of a map lies, seen from another at most 15 m, at least 30 m away
   heading    a branch in the map's frame (`branch_sigmas`)
+  place      where a junction lies, with the map as a whole laid over the truth (`sigma_m`)
   fused      a corridor's length in the fused map
+  fused place  where a junction of the fused map lies
   transform  where the middles of the maps of two merged runs lie, each seen from the other's
   turn       how the two are turned to each other (`transform_sigma`)
   placed     the same two for runs that only others tie (`placed`)
@@ -56,7 +58,8 @@ from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
 SHARES = (0.6827, 0.95, 0.9973)
 QUANTITIES = (
-    "length", "near", "far", "heading", "fused", "transform", "turn", "placed", "placed turn",
+    "length", "near", "far", "place", "heading", "fused", "fused place", "transform", "turn",
+    "placed", "placed turn",
 )  # fmt: skip
 NEAR_M, FAR_M = 15.0, 30.0
 MOST_PAIRS = 60
@@ -106,6 +109,7 @@ def judge_map(truth, topomap, errors, seed):
     world = truth.worlds[truth.runs[topomap.run].world]
     T_map_world = fit_rigid(topomap.xy[known], world.xy[label[known]])
     off = topomap.xy[known] - apply(T_map_world, world.xy[label[known]])
+    out["place"] = within_sigma(off, topomap.position_sigma[known])
     shape = errors.as_a_whole(topomap.xy, np.where(label >= 0, 0, 1))
     apart = np.hypot(*(topomap.xy[known][:, None] - topomap.xy[known]).transpose(2, 0, 1))
     rng = np.random.default_rng(seed)
@@ -127,6 +131,11 @@ def judge_map(truth, topomap, errors, seed):
     return out
 
 
+def within_sigma(off, sigma):
+    """(k, 3) whether errors (k, 2) in the plane lie within what a sigma per coordinate says."""
+    return quantiles((off**2).sum(axis=1) / sigma**2, 2)
+
+
 def judge_merge(truth, maps, merged):
     """{quantity: (k, 3) within} of one merge."""
     labels = {m.run: true_vertex_of_nodes(truth, m) for m in maps}
@@ -141,6 +150,11 @@ def judge_merge(truth, maps, merged):
         if len(runs) > 1 and len({truth.runs[run].world for run in runs}) == 1:
             mine = np.where(fused.component == component.id, of_fused, -1)
             out["fused"].append(judge_lengths(truth, runs, fused, mine))
+            known = np.flatnonzero(mine >= 0)
+            there = truth.worlds[truth.runs[runs[0]].world].xy[mine[known]]
+            T_world = fit_rigid(fused.xy[known], there)
+            off = fused.xy[known] - apply(T_world, there)
+            out["fused place"].append(within_sigma(off, fused.position_sigma[known]))
     home = {run: c for c in merged.components for run in c.poses}
     by_run = {m.run: m for m in maps}
     for v in merged.verdicts:

@@ -53,6 +53,7 @@ def component_map(
     length = np.array([e.length for e in edges], np.float64)
     source = np.array([number[e.source] for e in edges], np.int64)
     target = np.array([number[e.target] for e in edges], np.int64)
+    sigma = [node.sigma_m for node in chosen if node.sigma_m is not None]
     times = None
     if maps is not None and not stale_runs(document, component, maps):
         times = member_times(
@@ -79,6 +80,7 @@ def component_map(
         paths=tuple(np.array(e.path, np.float64) for e in edges),
         observation_vertex=np.array([v for _, v in seen], np.int64),
         observation_time_ns=np.array([t for t, _ in seen], np.int64),
+        position_sigma=np.array(sigma) if sigma and len(sigma) == len(chosen) else None,
         traversal_ns=times,
         info={
             "members": {

@@ -20,6 +20,7 @@ from ..topology.map_schema import (
     MapEdge,
     Model,
     Multigraph,
+    Noise,
     Observation,
     Undirected,
     validated,
@@ -88,6 +89,11 @@ class MergedNode(Model):
         description="By run, the vertices of its map that are this place."
     )
     observations: list[Observation] = Field(description="The passes of all runs.")
+    sigma_m: Noise | None = Field(
+        None,
+        description="1 sigma of each coordinate, metres, with the component as a whole laid over "
+        "the truth.",
+    )
 
 
 class MergedEdge(MapEdge):
@@ -358,7 +364,16 @@ def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
             "observations": [
                 {"run": run, "time_ns": time_ns} for run, time_ns in fused.observations[i]
             ],
+            **_place_sigma(fused, i),
         }
+
+
+def _place_sigma(fused: FusedMap, vertex: int) -> dict[str, float]:
+    """How sure a fused vertex is, where that is known."""
+    known = fused.position_sigma
+    if known is None or not np.isfinite(known[vertex]):
+        return {}
+    return {"sigma_m": significant(float(known[vertex]))}
 
 
 def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:

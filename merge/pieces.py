@@ -139,13 +139,15 @@ def _cut_out(
     )
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
     passes = _seen(topomap, vertex, time_ns)
-    # What each part knew of its own shape says nothing of that of the whole.
+    # What each part knew of its own shape says nothing of that of the whole: the merge does.
+    told = None if fused.position_sigma is None else fused.position_sigma[chosen]
+    known = told is not None and bool(np.isfinite(told).all())
     plain = replace(topomap, position_sigma=None, branch_sigma=None)
     part = graph_part(fused, chosen)
     if times is not None:
         edges = np.flatnonzero(chosen[fused.source]).tolist()
         part["traversal_ns"] = tuple(times[e] for e in edges)
-    return replace(plain, **part, **passes)
+    return replace(plain, position_sigma=told if known else None, **part, **passes)
 
 
 def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:

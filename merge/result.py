@@ -170,7 +170,8 @@ class FusedMap:
 
     component: (n,) id of the component whose frame the vertex is drawn in; members: for each
     vertex the vertices of the runs' maps that it fuses; observations: for each vertex
-    (run, time_ns) sorted; edge_members: for each edge the (run, edge index) pairs it fuses.
+    (run, time_ns) sorted; edge_members: for each edge the (run, edge index) pairs it fuses;
+    position_sigma: (n,) as in TopoMap with each component for itself, NaN where not known.
     """
 
     component: NDArray[np.int64]
@@ -188,6 +189,7 @@ class FusedMap:
     traversals: NDArray[np.int64]
     paths: tuple[NDArray[np.float64], ...]
     edge_members: tuple[tuple[tuple[str, int], ...], ...]
+    position_sigma: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         """Number of vertices."""

@@ -62,6 +62,7 @@ def _fused(document: MergedDocument) -> FusedMap:
         if np.any(branch >= branches.counts[vertex]):
             raise ValueError(f"an edge's {name}_branch is none of its node's")
         ends |= {name: vertex, f"{name}_branch": branch}
+    sigma = [np.nan if node.sigma_m is None else node.sigma_m for node in nodes]
     return FusedMap(
         component=np.array([node.component for node in nodes], np.int64),
         xy=xy,
@@ -80,4 +81,5 @@ def _fused(document: MergedDocument) -> FusedMap:
         edge_members=tuple(
             tuple(sorted((run, k) for run, rows in e.members.items() for k in rows)) for e in edges
         ),
+        position_sigma=np.array(sigma) if np.isfinite(sigma).any() else None,
     )

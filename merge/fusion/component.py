@@ -23,10 +23,11 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 Rows = tuple[tuple[tuple[str, int], ...], ...]
 
-ARRAYS = "ffffiifiiiiiiiffiif"
+ARRAYS = "ffffiifiiiiiiiffiiff"
 """Poses; middles and covariance of the spread, empty where it was not asked for; positions; kinds
 and numbers of branches, and these; what is behind the vertices, as numbers, runs and rows; the same
-of the edges; their ends and branches, length, sigma, traversals; points of their paths, and these.
+of the edges; their ends and branches, length, sigma, traversals; points of their paths, and these;
+sigmas of the positions, empty where they were not asked for.
 """
 
 
@@ -78,6 +79,7 @@ def to_bytes(component: FusedComponent, maps: Sequence[TopoMap]) -> bytes:
             fused.traversals,
             np.array([len(path) for path in fused.paths], np.int64),
             np.concatenate([np.zeros((0, 2)), *fused.paths]),
+            np.zeros(0) if fused.position_sigma is None else fused.position_sigma,
         ]
     )
 
@@ -88,7 +90,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     if arrays is None:
         return None
     poses, middle, covariance, xy, kind, degree, branches, *arrays = arrays
-    places, corridors, (ends, length, sigma, traversals, steps, points) = (
+    places, corridors, (ends, length, sigma, traversals, steps, points, off) = (
         arrays[:3], arrays[3:6], arrays[6:],
     )  # fmt: skip
     if not all(((x >= low) & (x <= len(data))).all() for x, low in ((degree, 0), (steps, 2))):
@@ -98,6 +100,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
         (poses, 3 * r), (middle, 2 * r * sure), (covariance, 9 * r * r * sure), (xy, 2 * n),
         (kind, n), (places[0], n), (corridors[0], m), (ends, 4 * m), (sigma, m), (traversals, m),
         (steps, m), (points, 2 * steps.sum()), (branches, degree.sum()),
+        (off, n * (len(off) > 0)),
     )  # fmt: skip
     if any(len(array) != size for array, size in sizes):
         return None
@@ -131,6 +134,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
         traversals=traversals,
         paths=tuple(np.split(points.reshape(-1, 2), np.cumsum(steps)[:-1])) if m else (),
         edge_members=along,
+        position_sigma=off if len(off) else None,
     )
     spread = Spread(runs, middle.reshape(-1, 2), covariance.reshape(3 * r, -1)) if sure else None
     return FusedComponent(dict(zip(runs, poses.reshape(-1, 3), strict=True)), fused, spread)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -34,7 +34,7 @@ from .joint_graph import (
     settle,
 )
 from .places import DEFAULT_PLACE, Place, PlaceSettings, fused_places
-from .uncertainty import spread
+from .uncertainty import place_sigmas, spread
 from .vertex_partition import Groups, Pool, identify
 
 FloatArray = NDArray[np.float64]
@@ -71,8 +71,8 @@ def fuse(
     over all vertices of a component; vertices are fused from matched pairs, transitively, and
     where they coincide afterwards. Components, vertices and edges are numbered by run name and
     vertex: independent of the order of the input. A run that nothing matched is a component of
-    its own, its map unchanged. how_sure: with the `spread` of every component. kept: components
-    fused earlier, which are not fused again.
+    its own, its map unchanged. how_sure: with the `spread` of every component and the
+    sigmas of its vertices. kept: components fused earlier, which are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -162,11 +162,19 @@ def fuse_component(
         headings = [p.headings for p in places]
         corridors = split_at_places(corridors, xy, headings, settings.passages, settings.corridors)
     poses = fitted_poses(pool, pose)
+    fused = _fused_map(pool, xy, places, corridors)
+    if how_sure:
+        fused = replace(fused, position_sigma=_sigmas(pool, label, joint))
     return FusedComponent(
-        {run: poses[run] for run in sorted(poses)},
-        _fused_map(pool, xy, places, corridors),
-        _spread(pool, joint) if how_sure else None,
+        {run: poses[run] for run in sorted(poses)}, fused, _spread(pool, joint) if how_sure else None
     )
+
+
+def _sigmas(pool: Pool, label: IntArray, joint: Joint) -> FloatArray | None:
+    """(places,) how sure the places of a component are; of one run what its map says."""
+    if joint.graph is None or joint.solution is None:
+        return pool.maps[0].position_sigma
+    return place_sigmas(pool, label, joint.graph, joint.solution)
 
 
 def _spread(pool: Pool, joint: Joint) -> Spread | None:
@@ -267,4 +275,14 @@ def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
         traversals=joined("traversals", ints),
         paths=chained("paths"),
         edge_members=chained("edge_members"),
+        position_sigma=_sigmas_in_a_row(parts),
     )
+
+
+def _sigmas_in_a_row(parts: Sequence[FusedMap]) -> FloatArray | None:
+    """NaN for components that say nothing; None if none does."""
+    if all(p.position_sigma is None for p in parts):
+        return None
+    nothing = (np.full(len(p), np.nan) for p in parts)
+    rows = zip((p.position_sigma for p in parts), nothing, strict=True)
+    return np.concatenate([none if known is None else known for known, none in rows])

@@ -8,11 +8,18 @@ carried over to the rigid fit of each run's map.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from ...topology.posegraph.samples import SampledMarginals
 from ...topology.posegraph.solve import Marginals, PoseGraph, Solution
+from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
+from .joint_graph import pass_counts
 from .vertex_partition import Pool
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 VAGUE_M = 1.5
 VAGUE_RAD = 0.087
@@ -20,6 +27,35 @@ VAGUE_RAD = 0.087
 
 CHUNK = 96
 """Columns solved for at once: memory stays with them and not with the square of the graph."""
+
+SAMPLES = 64
+MOST_ROWS = 10_000
+"""Samples of so many vertices take some 200 MB."""
+
+
+def place_sigmas(
+    pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution
+) -> FloatArray | None:
+    """(places,) 1 sigma [m] of each coordinate of places, the component laid rigidly over the truth.
+
+    label: (n,) the place of each row of the pool. A place is where its rows lie in the mean,
+    weighted by passes; each row is off by the joint solution, and by how its centre was seen.
+    None for components of more than MOST_ROWS rows.
+    """
+    count, rows = int(label.max()) + 1, len(pool)
+    if rows > MOST_ROWS:
+        return None
+    passes = pass_counts(pool).astype(np.float64)
+    share = passes / np.bincount(label, passes)[label]
+    gather = csr_array((share, (label, np.arange(rows))), shape=(count, rows))
+    sampled = SampledMarginals.of(graph, solution.with_full_weights(), SAMPLES).error[:, :2]
+    centre = np.array([m.measured.centre_m for m in pool.maps])[pool.run] / np.sqrt(passes)
+    white = np.random.default_rng(20053).standard_normal(sampled.shape)
+    off = gather @ (sampled + centre[:, None, None] * white).reshape(rows, -1)
+    error = np.zeros((count, 3, SAMPLES))
+    error[:, :2] = off.reshape(count, 2, SAMPLES)
+    xy = gather @ solution.pose[:, :2]
+    return VertexErrors(error).as_a_whole(xy, np.zeros(count, np.int64)).position_sigma()
 
 
 def spread(pool: Pool, graph: PoseGraph, solution: Solution) -> Spread:
