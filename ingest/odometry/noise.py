@@ -226,7 +226,8 @@ def refine_scale(
     error as well: it counts where the odometry alone hardly explains it.
     """
     prior = settings.prior
-    expected = prior.scale * np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
+    worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
+    expected = float(prior.scale * worse)
     thirds = _Thirds.of(odometry, detections, passes, settings)
     if thirds is None:
         return expected

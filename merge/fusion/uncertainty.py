@@ -29,6 +29,7 @@ CHUNK = 96
 """Columns solved for at once: memory stays with them and not with the square of the graph."""
 
 SAMPLES = 64
+"""They tell a sigma to 1 / √(2 · 64) = 9 %, which takes some points from its coverage."""
 MOST_ROWS = 10_000
 """Samples of so many vertices take some 200 MB."""
 
@@ -36,7 +37,7 @@ MOST_ROWS = 10_000
 def place_sigmas(
     pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution
 ) -> FloatArray | None:
-    """(places,) 1 sigma [m] of each coordinate of places, the component laid rigidly over the truth.
+    """(places,) 1 sigma [m] of each coordinate, with the component laid rigidly over the truth.
 
     label: (n,) the place of each row of the pool. A place is where its rows lie in the mean,
     weighted by passes; each row is off by the joint solution, and by how its centre was seen.
@@ -51,10 +52,10 @@ def place_sigmas(
     sampled = SampledMarginals.of(graph, solution.with_full_weights(), SAMPLES).error[:, :2]
     centre = np.array([m.measured.centre_m for m in pool.maps])[pool.run] / np.sqrt(passes)
     white = np.random.default_rng(20053).standard_normal(sampled.shape)
-    off = gather @ (sampled + centre[:, None, None] * white).reshape(rows, -1)
+    off = np.asarray(gather @ (sampled + centre[:, None, None] * white).reshape(rows, -1))
     error = np.zeros((count, 3, SAMPLES))
     error[:, :2] = off.reshape(count, 2, SAMPLES)
-    xy = gather @ solution.pose[:, :2]
+    xy = np.asarray(gather @ solution.pose[:, :2])
     return VertexErrors(error).as_a_whole(xy, np.zeros(count, np.int64)).position_sigma()
 
 

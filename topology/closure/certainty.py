@@ -60,4 +60,5 @@ def _mean_turns(turn: FloatArray, place: IntArray, kept: IntArray) -> FloatArray
     row = np.flatnonzero(place >= 0)
     size = (int(place.max(initial=-1)) + 1, len(place))
     passes = np.bincount(place[row], minlength=size[0])[place[row]]
-    return np.asarray((csr_array((1 / passes, (place[row], row)), shape=size) @ turn)[kept])
+    mean = csr_array((1 / passes, (place[row], row)), shape=size)
+    return np.asarray(mean @ turn)[kept]

@@ -199,7 +199,7 @@ def _sorts(layout: Layout, legs: int, samples: int) -> tuple[_Edges, _Edges, _Ed
     give_known = np.full(len(known), _stiffness(squared(off, known.information), known.kernel, 1))
     pulled = replace(solution, edge_weight=give, prior_weight=give_known)
     sampled = SampledMarginals.of(graph, pulled, samples, outliers=False)
-    edges = (
+    walked, seen = (
         _Edges(
             error[r],
             graph.information[r],
@@ -216,7 +216,7 @@ def _sorts(layout: Layout, legs: int, samples: int) -> tuple[_Edges, _Edges, _Ed
         solution.prior_weight,
         known.kernel,
     )
-    return (*edges, headings)
+    return walked, seen, headings
 
 
 def _stiffness(chi2: FloatArray, kernel: FloatArray, told: int) -> float:
