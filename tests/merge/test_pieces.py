@@ -58,6 +58,7 @@ def test_pieces_that_share_places_become_one(halves, maze):
     left, right = halves
     broken = in_pieces(left, right)
     (whole,) = joined_pieces(broken)
+    assert np.all(whole.position_sigma > 0)
     truth = [*left.info["truth"], *right.info["truth"]]
     assert len(whole) == pytest.approx(len(set(truth)), abs=2)
     assert sorted(whole.observation_time_ns) == sorted(broken.observation_time_ns)

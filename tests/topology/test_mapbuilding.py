@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.topology import mapbuilding
 from topobatch.topology.circular import cluster_angles
 from topobatch.topology.mapbuilding import build_topomap
 from topobatch.topology.odometry import Odometry
@@ -215,3 +216,20 @@ def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
     past = np.array([[0, 0.1], [-0.3, 0.2], [0.2, 0.1], [1, 0], [4, 0], [5.4, 0], [5.0, 0.3]])
     path = join_centres(past, np.zeros(2), np.array([5.0, 0.0]), 0.7)
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [4, 0], [5, 0]])
+
+
+def test_detours_are_chosen_where_the_next_drive_is_shorter():
+    def legs(*length):
+        end = np.array([1.0, 1.0])
+        k = len(length)
+        zero, one = np.zeros(k, int), np.ones(k, int)
+        path = [np.array([[0.0, 0.0], end])] * k
+        return mapbuilding._Legs(
+            zero, one, zero, zero, np.array(length), path, np.zeros(k, bool), np.zeros((k, 2), int)
+        )
+
+    xy = np.array([[0.0, 0.0], [4.0, 0.0]])
+    for length, share in (((5.0, 5.0), 0.0), ((4.0, 5.0), 1.0), ((5.0, 6.0), np.sqrt(0.2))):
+        found = mapbuilding._chosen_detour(legs(*length), [[0, 1]], xy)
+        assert found == pytest.approx(share, abs=1e-9)
+    assert mapbuilding._chosen_detour(legs(5.0), [[0]], xy) == 0.0

@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.fusion.joint_graph import DEFAULT_JOINT, JointSettings, grid_sigma, settle
+from topobatch.merge.fusion.joint_graph import (
+    DEFAULT_JOINT,
+    JointSettings,
+    grid_sigma,
+    settle,
+    unstated,
+)
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.topology.topomap import RunNoise
 
@@ -61,3 +67,13 @@ def test_few_junctions_leave_a_grid_as_stiff_as_usual():
     run = np.zeros(3, np.int64)
     straight = grid_sigma(np.zeros(3), np.full(3, 0.02), run, DEFAULT_JOINT)
     assert straight == pytest.approx(DEFAULT_JOINT.grid_rad, rel=0.1)
+
+
+def test_corridors_bend_a_map_by_no_less_than_it_states(draw):
+    corners = {k: (6.0 * k, 1.5 * (k % 2)) for k in range(8)}
+    plain = draw("a", corners, [(k, k + 1) for k in range(7)])
+    assert unstated(plain) == 1.0
+    known = {of: unstated(replace(plain, position_sigma=np.full(8, of))) for of in (1e-3, 2.0, 4.0)}
+    assert known[1e-3] == 1.0
+    assert 1.0 < known[2.0] < known[4.0]
+    assert known[4.0] == pytest.approx(4 * known[2.0], rel=0.05)

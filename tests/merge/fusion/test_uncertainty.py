@@ -1,5 +1,7 @@
 """How surely chains of runs are placed: covariances against brute force and against samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,3 +95,21 @@ def test_a_run_of_one_junction_has_its_own_heading(draw):
     metres, radians = component.spread.between("b", "c")
     assert 0 < metres < 5
     assert 0 < radians < 0.2
+
+
+def test_fused_vertices_say_how_sure_they_are(chain):
+    maps, links = chain
+    _, fused = fuse(maps, links, how_sure=True)
+    assert fused.position_sigma.shape == (len(fused),)
+    # What the middle run ties lies surer than the far ends.
+    order = np.argsort(fused.xy[:, 0])
+    sigma = fused.position_sigma[order]
+    assert sigma[len(sigma) // 2] < min(sigma[0], sigma[-1])
+    assert fuse(maps, links)[1].position_sigma is None
+
+
+def test_a_run_alone_is_as_sure_as_its_map(chain):
+    (a, *_), _ = chain
+    sigma = np.linspace(0.1, 0.2, len(a))
+    _, fused = fuse([replace(a, position_sigma=sigma)], [], how_sure=True)
+    np.testing.assert_allclose(fused.position_sigma, sigma)

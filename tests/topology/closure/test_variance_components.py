@@ -78,3 +78,25 @@ def test_places_seen_once_are_as_far_off_as_their_detection() -> None:
     errors = place_errors(walk, lay_out(walk, alone), alone, alone)
     sigma = errors.distance_sigma(passes.centre, np.array([0, 1]), np.array([4, 3]))
     np.testing.assert_allclose(sigma, 0.05 * np.sqrt(2), rtol=0.15)
+
+
+def test_what_a_kernel_holds_down_is_counted() -> None:
+    true = RunNoise(0.01, 0.003, 0.003, 0.0, 0.06, 0.03)
+    found = []
+    for seed in range(3):
+        odometry, passes, place = noisy_square(40, true, seed)
+        walk = make_walk(odometry, passes, true, EXACT)
+        fitted = fitted_noise(walk, odometry, place, lay_out(walk, place))
+        assert np.isfinite(fitted.layout.graph.kernel).any()
+        found.append(fitted.walk.noise.centre_m)
+    # Cauchy weights of three sigmas alone would leave 0.91 of it.
+    assert np.mean(found) == pytest.approx(0.06, rel=0.06)
+
+
+def test_readings_turn_no_place_that_the_odometry_holds() -> None:
+    exact = RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.02, 0.03)
+    odometry, passes, place = noisy_square(2, exact, 3)
+    walk = make_walk(odometry, passes, exact, EXACT)
+    errors = place_errors(walk, lay_out(walk, place), place, np.arange(8))
+    xy = np.stack([passes.centre[place == k].mean(axis=0) for k in range(8)])
+    assert errors.as_a_whole(xy, np.zeros(8, int)).turn_sigma().max() < 0.1 * 0.03
