@@ -166,7 +166,9 @@ def fuse_component(
     if how_sure:
         fused = replace(fused, position_sigma=_sigmas(pool, label, joint))
     return FusedComponent(
-        {run: poses[run] for run in sorted(poses)}, fused, _spread(pool, joint) if how_sure else None
+        {run: poses[run] for run in sorted(poses)},
+        fused,
+        _spread(pool, joint) if how_sure else None,
     )
 
 
