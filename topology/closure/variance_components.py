@@ -35,7 +35,8 @@ COMPONENTS = (
 """Fields of RunNoise that a layout tells, in this order; the last component is how far corridors
 stray from the grid of their building, where a grid holds the layout."""
 
-_WALKS, _CENTRE, _BRANCH, _GRID = 3, 3, 4, 5
+_WALKS, _BRANCH, _GRID = 3, 4, 5
+"""How many components are random walks of the odometry, and where two others stand."""
 
 
 @dataclass(frozen=True, slots=True)
