@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...topology.errors import LogError
-from ..remote.path import LogPath, RemotePath, log_path
+from ..remote.path import TAIL_BYTES, LogPath, RemotePath, log_path
 from .bag_file import BagFile
 from .bag_wire import MAGIC as BAG_MAGIC
 from .inflate import WINDOW_BYTES, ZSTD_MAGIC
@@ -147,14 +147,16 @@ def log_fingerprint(path: LogPath) -> str:
     blocks of 64 KiB spread evenly, the first and the last included. A larger file that is edited
     in place, keeps its size and differs between the sampled blocks alone has the same fingerprint;
     recording, truncating, appending or compressing anew changes it. In a bucket the names, sizes
-    and tags of all files, or their times where they have no tags, stand for the content.
+    and tags of all files stand for the content; where there are no tags, their times, or else their
+    last bytes.
     """
     recording = recording_at(path)
     digest = hashlib.blake2b(digest_size=16)
     for file in recording.files:
         if isinstance(file, RemotePath):
             size, tag, modified_s = file.state
-            digest.update(f"{file}\0{size}\0{tag or modified_s}\0".encode())
+            told = tag or modified_s or file.end(max(0, size - TAIL_BYTES), size)
+            digest.update(f"{file}\0{size}\0{told!r}\0".encode())
             continue
         for part in (file, file.with_name(file.name + "-wal")):
             if part.is_file():
@@ -221,7 +223,7 @@ def _listed(folder: LogPath) -> tuple[list[LogPath], list[LogPath]]:
             return [folder], []
         files = [entry for entry in entries if entry.is_file() and _is_log(entry)]
         folders = [entry for entry in entries if entry.is_dir() and not entry.is_symlink()]
-    except OSError:
+    except (OSError, LogError):
         return [folder], []
     if len(files) > 1 and _is_split(files):
         files = [folder]

@@ -147,6 +147,20 @@ def test_a_server_that_does_not_heed_conditions_is_found_out(
         read_run(remote)
 
 
+def test_a_folder_that_cannot_be_looked_into_costs_itself_alone(
+    bucket: Any, servers: ModuleType
+) -> None:
+    denied = servers.Fault(answer=lambda a: servers.Answer(403, {}, b""))
+    bucket.put("runs/bag/metadata.yaml", b"rosbag2_bagfile_information:\n")
+    bucket.put("runs/bag/bag_0.mcap", LOG.read_bytes())
+    bucket.put("runs/maze-1.mcap", LOG.read_bytes())
+    bucket.proxy.fault = lambda request, before: denied if "metadata" in request.path else None
+    bag, log = find_logs([bucket.path("runs")])
+    with pytest.raises(LogError, match=r"runs/bag/metadata.yaml: access is denied"):
+        read_run(bag)
+    same_odometry(log)
+
+
 def test_no_bucket_and_no_server(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(LogError, match=r"^s3://no-such-bucket-here/x: no such bucket"):
         find_logs([log_path("s3://no-such-bucket-here/x/")])
@@ -250,6 +264,21 @@ def test_secrets_of_an_address_are_not_told(web: Any, servers: ModuleType) -> No
             read_run(place)
         assert not {"s3cret", "word"} & set(str(caught.value).replace("=", " ").split())
         assert "s3cret" not in str(caught.value)
+
+
+def test_without_tags_and_times_the_last_bytes_tell_whether_a_log_changed(
+    web: Any, servers: ModuleType
+) -> None:
+    def bare(answer: Any) -> Any:
+        kept = {k: v for k, v in answer.headers.items() if k not in ("ETag", "Last-Modified")}
+        return replace(answer, headers=kept)
+
+    web.fault = lambda request, before: servers.Fault(answer=bare)
+    address, prints, data = f"http://127.0.0.1:{web.port}/logs/a.mcap", [], LOG.read_bytes()
+    for content in (data, data[:-100] + bytes([data[-100] ^ 1]) + data[-99:], data):
+        web.upstream = servers.files({"/logs/a.mcap": content})
+        prints.append(log_fingerprint(log_path(address)))
+    assert prints[0] == prints[2] != prints[1]
 
 
 def test_web_servers_give_no_list(web: Any) -> None:
