@@ -15,7 +15,7 @@ import numpy as np
 
 from .branches import lonely_branches
 from .prepare import FloatArray, IntArray, Prepared
-from .settings import RobustSettings
+from .settings import MATCH, RobustSettings
 
 if TYPE_CHECKING:
     from .alignment import Candidate
@@ -138,6 +138,26 @@ def _sameness_of(
     # Below what is typical of copies: how far below, to rank by.
     bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
     return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
+
+
+def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
+    """How many sigmas the one map is larger than the other, corridor for corridor.
+
+    A copy of another size is longer throughout, which corridors taken one by one forgive: each may
+    be off by its odometry's scale. corridors: (c, 2) directed rows that agree.
+    """
+    i, j = corridors[:, 0], corridors[:, 1]
+    one, two = a.length[i], b.length[j]
+    off, variance = one - two, a.variance[i] + b.variance[j]
+    fits = np.abs(off) < MATCH.length_sigmas * np.sqrt(variance)
+    variance = variance - (a.noise.scale * one) ** 2 - (b.noise.scale * two) ** 2
+    long = (one + two) / 2
+    weight = np.where(fits, long**2 / variance, 0.0)
+    total = float(weight.sum())
+    if total == 0.0:
+        return 0.0
+    mean = float((weight * off / long).sum()) / total
+    return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + 1 / total))
 
 
 def _sums(values: FloatArray, ends: IntArray) -> FloatArray:

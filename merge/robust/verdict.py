@@ -11,8 +11,10 @@ from ...topology.digits import BITS, rounded
 from ..result import Verdict
 from .alignment import Candidate
 from .prepare import Prepared
-from .repetition import CopyModel, Sameness, sameness_of
+from .repetition import CopyModel, Sameness, sameness_of, size_sigmas
 from .settings import DEFAULT_ROBUST, RobustSettings
+
+OTHER_SIZE = "one is larger throughout: this may be a copy of another size"
 
 MAYBE_COPY = "the building repeats itself and this may be another copy of the place"
 
@@ -227,10 +229,7 @@ def opinions(pairs: Sequence[Found]) -> list[Opinion]:
     ]
     same = sameness_of(cases, pairs[0][3].copies) if cases else iter(())
     told = zip(pairs, shown, shares, strict=True)
-    return [
-        _opinion(candidates, level, odd, share, same)
-        for (_, _, candidates, level), odd, share in told
-    ]
+    return [_opinion(pair, odd, share, same) for pair, odd, share in told]
 
 
 def _repetitions(
@@ -242,14 +241,14 @@ def _repetitions(
 
 
 def _opinion(
-    candidates: Sequence[Candidate],
-    level: Bar,
+    pair: Found,
     odd: Sequence[Candidate],
     shares: Sequence[float],
     same: Iterator[Sameness],
 ) -> Opinion:
     """The verdict on a pair. odd: alignments beyond chance; shares: how far the second question is
     asked of each; same: what it yields, if any asks it."""
+    a, b, candidates, level = pair
     if not odd:
         return Opinion(
             Verdict.UNRELATED, level.need_bits, faint=faint_of(candidates, level.settings)
@@ -265,6 +264,8 @@ def _opinion(
     ranked = tuple((odd[i], answers[i].bits) for i in ranking)
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
     why = _missing(odd[ranking[0]], answers[ranking[0]], margin, level)
+    if not why and size_sigmas(a, b, odd[ranking[0]].corridors) > level.settings.size_sigmas:
+        why = OTHER_SIZE
     return Opinion(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=level.need_bits,

@@ -277,6 +277,19 @@ def test_a_wing_built_the_other_way_round_is_not_the_place(drawn):
     assert only([wing, replace(mirrored(image), run="b")]).accepted
 
 
+def test_a_copy_of_another_size_is_not_the_place(halves):
+    """Each corridor for itself may be off by the odometry's scale; not all by the same factor."""
+    a, b = (replace(m, noise=replace(m.noise, scale=0.004)) for m in halves)
+    larger = replace(b, xy=1.03 * b.xy, length=1.03 * b.length, paths=[1.03 * p for p in b.paths])
+    assert only([a, b]).accepted
+    v = only([a, larger])
+    assert v.verdict is Verdict.AMBIGUOUS
+    assert v.evidence_bits > v.threshold_bits
+    assert "another size" in v.reason
+    unsure = replace(larger, noise=replace(b.noise, scale=0.02))
+    assert only([a, unsure]).accepted
+
+
 def _wing(drawn, name, first=0, last=9):
     """Part of a corridor with crossings, rooms on one of its sides."""
     steps = np.cumsum([0.0, 4.0, 9.3, 6.1, 13.7, 5.2, 17.9, 7.7, 11.3, 3.1])
