@@ -13,7 +13,7 @@ from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Match, grow_all, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
-from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
+from .settings import MATCH, RobustSettings
 from .support import Support, support
 
 
@@ -106,7 +106,7 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
     """The evidence of a grown match."""
     agree = support(a, b, grown)
     bits = agree.bits - tested_bits
-    against = conflicts(a, b, grown) if bits > DEFAULT_ROBUST.chance_bits else NO_CONFLICTS
+    against = conflicts(a, b, grown) if bits > MATCH.chance_bits else NO_CONFLICTS
     pa, pb = a.z[grown.a], b.z[grown.b]
     mean_a, mean_b = np.add.reduce(pa) / len(pa), np.add.reduce(pb) / len(pb)
     turn = np.vdot(pb - mean_b, pa - mean_a)
@@ -137,7 +137,7 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
     if both:
         return bool(np.count_nonzero(mine == y.a) >= 0.5 * both)
     one, two = complex(b.z[x.b].mean()), complex(b.z[y.b].mean())
-    slack = MATCH.place_m + DEFAULT_ROBUST.gate_per_m * abs(one - two)
+    slack = MATCH.place_m + MATCH.drift_per_m * abs(one - two)
     return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
 
 

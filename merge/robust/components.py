@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ...topology.se2 import compose, inverse, wrap
 from .alignment import Candidate
 from .prepare import ComplexArray, Prepared
-from .settings import DEFAULT_ROBUST, MATCH
+from .settings import MATCH
 
 Pair = tuple[int, int]
 
@@ -81,7 +81,7 @@ def agrees(candidate: Candidate, T_a_b: NDArray[np.float64], b: Prepared) -> boo
     gap = abs(candidate.move(middle) - (x + 1j * y + np.exp(1j * theta) * middle))
     reach = abs(middle - complex(b.z.mean()))
     turn = abs(float(wrap(candidate.transform[2] - theta)))
-    return gap < MATCH.place_m + DEFAULT_ROBUST.gate_per_m * reach and turn < MATCH.turn_rad
+    return gap < MATCH.place_m + MATCH.drift_per_m * reach and turn < MATCH.turn_rad
 
 
 def join_all(

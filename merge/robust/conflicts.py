@@ -10,7 +10,7 @@ import numpy as np
 from .branches import common_branches
 from .growth import Match
 from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
-from .settings import DEFAULT_ROBUST, MATCH
+from .settings import MATCH
 
 BESIDE_M = float(np.hypot(MATCH.sample_m / 2, MATCH.beside_m))
 """What lies in a corridor lies so near to one of the points that stand for it."""
@@ -119,7 +119,7 @@ def _placed_road(b: Prepared, match: Match, rows: IntArray) -> tuple[ComplexArra
     tail, head, road = b.road_tail[rows], b.road_head[rows], b.road[rows]
     by_tail = match.place[tail] + match.turn[tail] * (road - b.z[tail])
     by_head = match.place[head] + match.turn[head] * (road - b.z[head])
-    vague = DEFAULT_ROBUST.gate_per_m * np.maximum(match.support_m[tail], match.support_m[head])
+    vague = MATCH.drift_per_m * np.maximum(match.support_m[tail], match.support_m[head])
     return by_tail + b.road_share[rows] * (by_head - by_tail), vague
 
 
@@ -144,7 +144,7 @@ def _extra_b(
     if len(lone) == 0 or len(a.road) == 0:
         return _NONE, _NONE, _FREE
     where = match.place[lone]
-    off_end = MATCH.clear_m + DEFAULT_ROBUST.gate_per_m * match.support_m[lone]
+    off_end = MATCH.clear_m + MATCH.drift_per_m * match.support_m[lone]
     gap, road = a.road_sites.nearest(where, BESIDE_M)
     beside = (gap < BESIDE_M).nonzero()[0]
     lone, where, road, off_end = lone[beside], where[beside], road[beside], off_end[beside]

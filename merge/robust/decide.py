@@ -23,7 +23,7 @@ from .pairing import Means, Pair, Pairwise
 from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
-from .settings import DEFAULT_ROBUST, RobustSettings
+from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .verdict import (
     Bar,
     Opinion,
@@ -209,11 +209,9 @@ def _repetition(
         (m, c)
         for m, own in zip(prepared, found, strict=True)
         for c in own
-        if c.bits > settings.chance_bits
+        if c.bits > MATCH.chance_bits
     ]
-    copied = [
-        max((len(c) for c in own if c.bits > settings.chance_bits), default=0) for own in found
-    ]
+    copied = [max((len(c) for c in own if c.bits > MATCH.chance_bits), default=0) for own in found]
     batch = float(np.quantile(copied, settings.copied_share)) if copied else 0.0
     return copy_model(samples, settings), [max(junctions, batch) for junctions in copied]
 
@@ -263,9 +261,7 @@ def _seconded(
         return None
     T_i_j = components.relative(i, j)
     fitting = (
-        c
-        for c in candidates
-        if c.bits > DEFAULT_ROBUST.chance_bits and agrees(c, T_i_j, prepared[j])
+        c for c in candidates if c.bits > MATCH.chance_bits and agrees(c, T_i_j, prepared[j])
     )
     return next(fitting, None)
 

@@ -166,7 +166,7 @@ def _placement_of(own: Assessment, c: Candidate) -> Shown:
         Answers(view.need_bits, c.bits, counted_bits(c)),
     )
     terms = _terms(_Naming(own.a, own.b), c, answers)
-    searched = c.support.bits - c.tested_bits > DEFAULT_ROBUST.chance_bits
+    searched = c.support.bits - c.tested_bits > MATCH.chance_bits
     return Placement(own.alignment(c, answers.bits), terms, searched), answers
 
 
@@ -263,7 +263,7 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
     terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if few < 0:
-        told = f"what agrees counts {DEFAULT_ROBUST.junction_bits} bits a junction at most"
+        told = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
         terms.append(naming.term("few", few, told))
     if answers.same_place is not None:
         bits, need = told_bits(answers.same_place, answers.need_same).split(", ")
@@ -323,7 +323,7 @@ def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requireme
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
         lead_bits=settings.lead_bits,
-        junction_bits=settings.junction_bits,
+        junction_bits=MATCH.junction_bits,
         repetition=0.0 if answers is None else answers.repetition,
         same_place_bits=answers.same_place if answers is not None and asked else None,
         same_place_needed=answers.need_same if answers is not None and asked else None,

@@ -17,7 +17,7 @@ from .prepare import (
     Prepared,
     length_bits,
 )
-from .settings import DEFAULT_ROBUST, MATCH
+from .settings import MATCH
 
 COS_TURN = float(np.cos(MATCH.turn_rad))
 
@@ -154,7 +154,7 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
 def _slack(apart_m: FloatArray) -> FloatArray:
     """How far apart [m] two links of one alignment may place b, seen from each other: what growth
     allows, and twice as much per metre, for either may be turned."""
-    return DEFAULT_ROBUST.gate_m + 2 * DEFAULT_ROBUST.gate_per_m * apart_m
+    return MATCH.votes_m + 2 * MATCH.drift_per_m * apart_m
 
 
 def _agreeing(

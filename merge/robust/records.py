@@ -16,7 +16,7 @@ from ..packs import LARGEST
 from .alignment import Candidate
 from .conflicts import Conflicts
 from .prepare import Prepared
-from .settings import RobustSettings
+from .settings import MATCH, RobustSettings
 from .support import Support
 from .verdict import Faint, beyond_chance_bits, faint_of
 
@@ -48,7 +48,7 @@ class Found:
 
 def in_short(candidates: tuple[Candidate, ...], settings: RobustSettings) -> Found:
     """What is kept of the candidates of a pair: all, or next to nothing."""
-    if any(c.bits > settings.chance_bits for c in candidates):
+    if any(c.bits > MATCH.chance_bits for c in candidates):
         return Found(candidates)
     return Found(faint=faint_of(candidates, settings))
 

@@ -20,7 +20,7 @@ from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
-from .settings import RobustSettings
+from .settings import MATCH, RobustSettings
 from .verdict import Bar, Opinion, opinion, opinions
 from .wording import summary
 
@@ -98,9 +98,7 @@ class Rematcher:
         across = {
             (head[i], head[j])
             for (i, j), view in self.opinions.items()
-            if view.best is not None
-            and view.bits > self.settings.chance_bits
-            and head[i] != head[j]
+            if view.best is not None and view.bits > MATCH.chance_bits and head[i] != head[j]
         }
         runs = {k: tuple(sorted(members[k])) for pair in across for k in pair}
         return {(min(runs[x], runs[y]), max(runs[x], runs[y])) for x, y in across}

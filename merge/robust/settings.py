@@ -20,21 +20,9 @@ class RobustSettings:
     """Fewer matched junctions than this are never merged."""
     lead_bits: float = 4.0
     """What the best alignment must lead the next best one by."""
-    chance_bits: float = 4.0
-    """Alignments with less evidence are what chance offers to every pair; matches with no more are
-    not searched for contradictions."""
-    junction_bits: float = 2.5
-    """Most that one matched junction counts: few junctions overstate what they tell. Of 297,000
-    pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1
-    should."""
     copy_margin_bits: float = 4.0
     """The second question is asked with cautious rates: of copies, fewer than promised pass it by
     this many bits (measured by `benchmarks/calibration.py`)."""
-    uniform_bits: float = 0.75
-    """-log2 of the density [1/m] of equal corridors up to which it is assumed that the building
-    repeats itself, seen or not; from twice as many on it is not. 90 % of pairs of maps have: rows
-    -.3 to .2, offices .2 to 1.4, tunnels 1.1 to 2.9, mazes 1.7 to 2.5, organic ways and cities
-    more. Without it offices are merged wrongly (`benchmarks/aliasing.py --without uniform`)."""
     copied_share: float = 0.75
     """A batch has copies as large as its map at this quantile shows: most maps repeat, or few do.
     Pairs are many more than maps, and meet larger copies than the two maps show by themselves:
@@ -71,6 +59,18 @@ class MatchSettings:
     """What matching counts with. "Tried": on maps made by `benchmarks/aliasing.py`; where nothing
     else is said, values half as large again and a third smaller make hardly a difference there."""
 
+    chance_bits: float = 4.0
+    """Alignments with less evidence are what chance offers to every pair; matches with no more are
+    not searched for contradictions."""
+    junction_bits: float = 2.5
+    """Most that one matched junction counts: few junctions overstate what they tell. Of 297,000
+    pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1
+    should."""
+    uniform_bits: float = 0.75
+    """-log2 of the density [1/m] of equal corridors up to which it is assumed that the building
+    repeats itself, seen or not; from twice as many on it is not. 90 % of pairs of maps have: rows
+    -.3 to .2, offices .2 to 1.4, tunnels 1.1 to 2.9, mazes 1.7 to 2.5, organic ways and cities
+    more. Without it offices are merged wrongly (`benchmarks/aliasing.py --without uniform`)."""
     most_bits: float = 6.0
     """No single junction, corridor or contradiction tells more, for or against [bits]: it may be a
     fault that no rate foresaw, at a chance of 1/64. Tried: with 7 and 8 fewer offices are told."""
@@ -96,12 +96,18 @@ class MatchSettings:
     """Rotations that differ by less belong to one placement [rad]: 20°. Drift turns parts of a map
     by less, and two placements of one building differ by a quarter turn. Tried: 0.3, the same."""
     place_m: float = 3.0
-    """So do shifts [m], and `gate_per_m` more per metre to where they were found: most junctions
+    """So do shifts [m], and `drift_per_m` more per metre to where they were found: most junctions
     are farther apart. Also the lever [m] that all matches together have beside the near ones.
     Tried: 2.5, the same."""
     branch_gate_rad: float = 0.45
     """Branches this close in heading may be the same [rad]: 26°, several sigmas of any detector."""
 
+    drift_per_m: float = 0.06
+    """Predictions and placements are off by so much per metre to what they rest on, as growth
+    allows (`gate_per_m`): what is left of drift after loop closure."""
+    votes_m: float = 0.55
+    """Links of one alignment place the other map within this and twice `drift_per_m` [m], as growth
+    allows (`gate_m`)."""
     reach_m: float = 8.0
     """Matches weigh exp(-d²/2 reach²) in predicting a junction d metres away: drift bends maps over
     tens of metres, junctions lie some 6 m apart."""

@@ -12,7 +12,7 @@ from ..result import Verdict
 from .alignment import Candidate
 from .prepare import Prepared
 from .repetition import CopyModel, Sameness, sameness_of, size_sigmas
-from .settings import DEFAULT_ROBUST, RobustSettings
+from .settings import MATCH, RobustSettings
 
 OTHER_SIZE = "one is larger throughout: this may be a copy of another size"
 
@@ -179,7 +179,7 @@ def uniformity(a: Prepared, b: Prepared) -> float:
     """
     alike, pairs = a.alike + b.alike, a.alike_pairs + b.alike_pairs
     tells = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
-    return _share(2.0 - tells / DEFAULT_ROBUST.uniform_bits)
+    return _share(2.0 - tells / MATCH.uniform_bits)
 
 
 def counted_bits(c: Candidate) -> float:
@@ -191,7 +191,7 @@ def counted_bits(c: Candidate) -> float:
     fault of its own to explain it, so that each counts in full.
     """
     against = c.contradicting_bits
-    return min(c.bits + against, DEFAULT_ROBUST.junction_bits * len(c)) - against
+    return min(c.bits + against, MATCH.junction_bits * len(c)) - against
 
 
 def _share(level: float) -> float:
@@ -279,7 +279,7 @@ def _opinion(
 def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidate]:
     """The alignments worth a word: those of enough junctions, or, if there are none, those of fewer
     that chance hardly offers."""
-    odd = [c for c in candidates if c.bits > level.settings.chance_bits]
+    odd = [c for c in candidates if c.bits > MATCH.chance_bits]
     enough = [c for c in odd if len(c) >= level.settings.min_matches]
     return enough or [c for c in odd if c.bits > level.need_bits]
 

@@ -307,7 +307,7 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
 def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     told = replace(match(a, b, SETTINGS)[0], bits=99.0)
-    assert counted_bits(told) == SETTINGS.junction_bits * len(told)
+    assert counted_bits(told) == MATCH.junction_bits * len(told)
     assert counted_bits(replace(told, bits=7.0)) == 7.0
     doubted = replace(
         told,
@@ -320,7 +320,7 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     view = opinion(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
     (answers,) = view.answers
-    assert answers.carried == SETTINGS.junction_bits * len(told)
+    assert answers.carried == MATCH.junction_bits * len(told)
     assert view.bits == answers.from_copies < answers.carried
     assert "another copy" in view.why
     unasked = replace(answers, same_place=None)
