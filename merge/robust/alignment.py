@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...topology.se2 import wrap
+from ...topology.se2 import apply, fit_rigid, wrap
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Match, grow_all, ungrown
 from .links import Links, Seed, candidate_links, seeds
@@ -107,14 +107,9 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
     agree = support(a, b, grown)
     bits = agree.bits - tested_bits
     against = conflicts(a, b, grown) if bits > MATCH.chance_bits else NO_CONFLICTS
-    pa, pb = a.z[grown.a], b.z[grown.b]
-    mean_a, mean_b = np.add.reduce(pa) / len(pa), np.add.reduce(pb) / len(pb)
-    turn = np.vdot(pb - mean_b, pa - mean_a)
-    unit = turn / abs(turn) if abs(turn) > 1e-9 else grown.turn[grown.b[0]]
-    shift = mean_a - unit * mean_b
-    rmse = float(np.sqrt(np.add.reduce(np.abs(pa - unit * pb - shift) ** 2) / len(pa)))
+    transform, rmse_m = laid_over(_points(a.z[grown.a]), _points(b.z[grown.b]))
     return Candidate(
-        transform=np.array([shift.real, shift.imag, float(np.angle(unit))]),
+        transform=transform,
         a=grown.a,
         b=grown.b,
         turn=grown.turn[grown.b],
@@ -122,8 +117,20 @@ def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candid
         conflicts=against,
         tested_bits=tested_bits,
         bits=float(bits - against.bits),
-        rmse_m=rmse,
+        rmse_m=rmse_m,
     )
+
+
+def laid_over(xy_a: FloatArray, xy_b: FloatArray) -> tuple[FloatArray, float]:
+    """T_a_b that lays matched junctions over each other (§3.1), and their root mean square
+    distance [m]. xy_a, xy_b: (k, 2)."""
+    transform = fit_rigid(xy_a, xy_b)
+    off = xy_a - apply(transform, xy_b)
+    return transform, float(np.sqrt((off * off).sum() / len(off)))
+
+
+def _points(z: ComplexArray) -> FloatArray:
+    return z.view(np.float64).reshape(-1, 2)
 
 
 def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:

@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...topology.se2 import fit_rigid
 from ...topology.topomap import TopoMap
 from ..packs import Kept
 from ..result import Alignment, Verdict
-from .alignment import Candidate, match
+from .alignment import Candidate, laid_over, match
 from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
@@ -179,10 +178,7 @@ def _links(one: MergedMap, two: MergedMap, view: Opinion) -> dict[Pair, Alignmen
     for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
         matched = np.array(sorted(pairs), np.int64)
         pa, pb = known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]]
-        transform = fit_rigid(pa, pb)
-        unit = np.exp(1j * transform[2])
-        moved = unit * (pb @ np.array([1, 1j])) + transform[0] + 1j * transform[1]
-        rmse = float(np.sqrt(np.mean(np.abs(pa @ np.array([1, 1j]) - moved) ** 2)))
+        transform, rmse = laid_over(pa, pb)
         out[i, j] = Alignment(transform, view.bits, matched, rmse)
     return out
 
