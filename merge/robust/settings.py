@@ -142,8 +142,6 @@ class MatchSettings:
     """… and per metre between them, along; across twice as much."""
     offset_bits: float = 3.0
     """What such a pair of junctions tells less than a corridor: there are many to choose from."""
-    repeat_bits: float = 0.5
-    """What a link tells at most that follows from others. Tried: with 0 fewer offices are told."""
     line_m: float = 0.8
     """How far apart two junctions on one line of a building's grid may seem to lie, across it."""
 

@@ -135,7 +135,7 @@ def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatAr
 
 
 def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) -> list[float]:
-    """The bits of links, best first, where those that follow from better ones count little.
+    """The bits of links, best first, where those that follow from better ones count nothing.
 
     In a building on a grid the corridors between two lines are all equally long, and a diagonal is
     as long as two of them say: once those fit, the others fit by construction. So every place
@@ -152,7 +152,7 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) 
     along = _joins(_lines([z.real for z in places]))
     across = _joins(_lines([z.imag for z in places]))
     return [
-        min(value, MATCH.most_bits) if x or y else MATCH.repeat_bits
+        min(value, MATCH.most_bits) if x or y else 0.0
         for value, x, y in zip(bits, along, across, strict=True)
     ]
 
