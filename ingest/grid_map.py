@@ -17,6 +17,7 @@ from ..topology.polyline import simplify, way_of
 from ..topology.ragged import Ragged
 from ..topology.se2 import apply, compose, wrap
 from ..topology.topomap import RunNoise, TopoMap
+from .coarse_grid import affordable
 from .grid_log import GridLog
 from .logs.saved_map import Grid
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
@@ -50,13 +51,15 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
     It has no observations, and corridors that nobody drove. Raises DataError if there is no
     junction. O(cells).
     """
-    grid, warnings = _cropped(log.grid), log.warnings
+    grid, coarser = affordable(_cropped(log.grid))
+    warnings = (*log.warnings, *coarser)
     places, corridors = skeleton_graph(grid.free, grid.resolution_m, settings)
     places, corridors = _without_open_ends(places, corridors, grid)
     if not any(place.kind == "junction" for place in places):
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
-            f"{int(grid.free.sum())} of them free, shows no junction; nothing can be mapped"
+            f"{int(grid.free.sum())} of them free, shows no junction; "
+            + "; ".join((*coarser, "nothing can be mapped"))
         )
     kept, used, left_out = _largest(places, corridors)
     if left_out:

@@ -28,6 +28,10 @@ from .wire import WireParser
 FIELDS = 256
 """Most fields of a point that are believed."""
 
+MOST_POINTS = 1 << 21
+"""Largest cloud that is believed: a picture of 1920 by 1080 pixels of depth, or ten turns of the
+scanner with the most beams."""
+
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's kinds of the datatypes of sensor_msgs/PointField."""
 
@@ -197,25 +201,30 @@ def _placed(
 
 def _points(layout: _Layout, data: NDArray[np.uint8]) -> NDArray[np.float64]:
     """(k, 3) the points, row by row; raises DamageError where they do not fit into the data."""
-    height, width = layout.height, layout.width
+    height, width, step = layout.height, layout.width, layout.point_step
     if height * width == 0:
         return np.zeros((0, 3))
-    row = layout.row_step if height > 1 else width * layout.point_step
-    if row < width * layout.point_step or (height - 1) * row + width * layout.point_step > len(
-        data
-    ):
+    if height * width > MOST_POINTS:
+        raise DamageError(f"a cloud of {width} x {height} points is implausible")
+    row = layout.row_step if height > 1 else width * step
+    if row < width * step or (height - 1) * row + width * step > len(data):
         raise DamageError("the points of a cloud do not fit into its data")
+    places = [_place(layout, name) for name in "xyz"]
     out = np.empty((height, width, 3))
-    for axis, name in enumerate("xyz"):
-        if name not in layout.fields:
-            raise DamageError(f"the points of a cloud have no {name}")
-        offset, datatype = layout.fields[name]
-        if datatype not in NUMBERS:
-            raise DamageError("a field of a cloud has an unknown datatype")
-        kind = np.dtype((">" if layout.big_endian else "<") + NUMBERS[datatype])
-        if offset + kind.itemsize > layout.point_step:
-            raise DamageError("a field of a cloud lies outside of its points")
-        strides = (row, layout.point_step)
+    for axis, (offset, kind) in enumerate(places):
         with np.errstate(invalid="ignore"):
-            out[..., axis] = np.ndarray((height, width), kind, data.data, offset, strides)
+            out[..., axis] = np.ndarray((height, width), kind, data.data, offset, (row, step))
     return out.reshape(-1, 3)
+
+
+def _place(layout: _Layout, name: str) -> tuple[int, np.dtype[Any]]:
+    """Where a field lies in its point, and what it is; raises DamageError if it is not there."""
+    if name not in layout.fields:
+        raise DamageError(f"the points of a cloud have no {name}")
+    offset, datatype = layout.fields[name]
+    if datatype not in NUMBERS:
+        raise DamageError("a field of a cloud has an unknown datatype")
+    kind = np.dtype((">" if layout.big_endian else "<") + NUMBERS[datatype])
+    if offset + kind.itemsize > layout.point_step:
+        raise DamageError("a field of a cloud lies outside of its points")
+    return offset, kind

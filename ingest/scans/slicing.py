@@ -17,6 +17,9 @@ FloatArray = NDArray[np.float64]
 BEAMS = 360
 """Directions of a slice, 1 degree each: as coarse as the beams of the laser scanners in use."""
 
+PIECE = 1 << 18
+"""So many points are looked at together: memory for more is not needed."""
+
 OPTICAL = np.array([0.0, 0.0, 0.0, -0.5, 0.5, -0.5, 0.5])
 """A camera looks along z with y downwards: its frame, in one that looks along x with z upwards."""
 
@@ -64,18 +67,19 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
     """
     from scipy.spatial.transform import Rotation
 
-    xyz = cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]
-    place = T_body_sensor[:3]
-    level = Rotation.from_quat(T_body_sensor[3:]).apply(xyz)
-    low, high = settings.band(float(place[2]))
-    height = level[:, 2] + place[2]
-    x, y = level[(height >= low) & (height <= high), :2].T
-    way = np.hypot(x, y)
-    far = way >= settings.nearest_m
-    turn = np.arctan2(y[far], x[far])
-    beam = np.floor((turn + np.pi) / (2 * np.pi) * BEAMS).astype(np.int64) % BEAMS
     ranges = np.full(BEAMS, np.inf)
-    np.minimum.at(ranges, beam, way[far])
+    level, place = Rotation.from_quat(T_body_sensor[3:]), T_body_sensor[:3]
+    low, high = settings.band(float(place[2]))
+    for first in range(0, len(cloud.xyz), PIECE):
+        xyz = cloud.xyz[first : first + PIECE]
+        xyz = level.apply(xyz[np.isfinite(xyz).all(axis=1)])
+        height = xyz[:, 2] + place[2]
+        x, y = xyz[(height >= low) & (height <= high), :2].T
+        way = np.hypot(x, y)
+        far = way >= settings.nearest_m
+        turn = np.arctan2(y[far], x[far])
+        beam = np.floor((turn + np.pi) / (2 * np.pi) * BEAMS).astype(np.int64) % BEAMS
+        np.minimum.at(ranges, beam, way[far])
     ranges[np.isinf(ranges)] = np.nan
     step = 2 * np.pi / BEAMS
     geometry = Geometry(cloud.frame, -np.pi + step / 2, step, level=True)

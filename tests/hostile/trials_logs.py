@@ -91,7 +91,8 @@ def _accounted(case: Case, workspace: Path, outcome: Outcome) -> str:
     found, warnings = 0, outcome.err.splitlines()
     for path in (workspace / "maps").glob("*.json"):
         graph = json.loads(path.read_bytes())["graph"]
-        found = sum(graph["source"][use]["messages"] for use in ("odometry", "junctions"))
+        uses = (graph["source"].get(use, {}) for use in ("odometry", "junctions"))
+        found = sum(use.get("messages", 0) for use in uses)
         warnings = graph["warnings"]
     return counts(found, warnings, case.intact, case.lost)
 

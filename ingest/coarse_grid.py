@@ -1,0 +1,52 @@
+"""Grids too large to be thinned as they are, in larger cells: work follows what a grid can show."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.ndimage import distance_transform_cdt
+
+from .logs.saved_map import Grid
+
+MOST_CELLS = 1 << 22
+"""Cells that are thinned at most, 100 by 100 m at 5 cm: distances from walls take 64 bytes each."""
+
+MOST_PEELED = 1 << 28
+"""Thinning goes through all cells for every layer of the widest open space. So many, in all its
+variants, take some three seconds: cells of a hundred metres square that is open for 3 m."""
+
+
+def affordable(grid: Grid) -> tuple[Grid, tuple[str, ...]]:
+    """The grid, in larger cells where there are too many, and what a person is told of that.
+
+    A larger cell is free if all its parts are: walls stay where they are, ways get narrower by a
+    cell at most. O(cells).
+    """
+    factor = math.ceil(math.sqrt(grid.free.size / MOST_CELLS))
+    found = _coarser(grid, factor)
+    reach = int(distance_transform_cdt(np.pad(found.free, 1), "chessboard").max())
+    peel = math.ceil((found.free.size * reach / MOST_PEELED) ** (1 / 3))
+    factor *= max(peel, 1)
+    if factor == 1:
+        return grid, ()
+    height, width = grid.free.shape
+    cell = factor * grid.resolution_m
+    return _coarser(grid, factor), (
+        f"the free space of the grid, {width} x {height} cells, is large; cells of {cell:g} m are "
+        "taken",
+    )
+
+
+def _coarser(grid: Grid, factor: int) -> Grid:
+    """Cells of `factor` by `factor` others as one; beyond the grid nothing is free or unknown."""
+    if factor <= 1:
+        return grid
+    height, width = (-(-n // factor) for n in grid.free.shape)
+    more = [(0, m * factor - n) for m, n in zip((height, width), grid.free.shape, strict=True)]
+    shape = height, factor, width, factor
+    return grid._replace(
+        free=np.pad(grid.free, more).reshape(shape).all(axis=(1, 3)),
+        unknown=np.pad(grid.unknown, more).reshape(shape).any(axis=(1, 3)),
+        resolution_m=factor * grid.resolution_m,
+    )
