@@ -46,7 +46,7 @@ def _coarser(grid: Grid, factor: int) -> Grid:
     more = [(0, m * factor - n) for m, n in zip((height, width), grid.free.shape, strict=True)]
     shape = height, factor, width, factor
     return grid._replace(
-        free=np.pad(grid.free, more).reshape(shape).all(axis=(1, 3)),
-        unknown=np.pad(grid.unknown, more).reshape(shape).any(axis=(1, 3)),
+        free=np.asarray(np.pad(grid.free, more).reshape(shape).all(axis=(1, 3))),
+        unknown=np.asarray(np.pad(grid.unknown, more).reshape(shape).any(axis=(1, 3))),
         resolution_m=factor * grid.resolution_m,
     )

@@ -29,13 +29,14 @@ class Case:
 
     log: file or folder to read; intact: how many messages of the wanted topics are whole in it,
     lost: how many were written but are not whole any more; None where that cannot be known;
-    note: what was done, for the report.
+    note: what was done, for the report; kind: of sound log whose cost it is held against.
     """
 
     log: Path
     intact: int | None
     lost: int | None
     note: str
+    kind: str = "detections"
 
 
 Generator = Callable[[random.Random, Path], Case]

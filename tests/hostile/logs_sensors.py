@@ -68,12 +68,14 @@ def _odometry(count: int = 300, numbers: Callable[[int], float] | None = None) -
         yield time_ns, body.put("d", *bytes(36), *bytes(6), *bytes(36)).done()
 
 
-def _log(path: Path, topics: dict[str, tuple[str, str, list[Message]]]) -> Path:
+def _log(
+    path: Path, topics: dict[str, tuple[str, str, list[Message]]], compression: str = "ZSTD"
+) -> Path:
     """An MCAP file; topics: type, encoding and messages by name. Schemas are left out."""
     from mcap.writer import CompressionType, Writer
 
     with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer = Writer(file, compression=CompressionType[compression])
         writer.start("", "attack")
         every = []
         for topic, (kind, encoding, messages) in topics.items():
@@ -94,9 +96,44 @@ def _sensor(kind: str, make: Callable[[random.Random], list[Message]], note: str
             "/odom": ("nav_msgs/msg/Odometry", "cdr", list(_odometry())),
             "/sensor": (kind, "json" if "foxglove" in kind else "cdr", make(rng)),
         }
-        return Case(_log(folder / "run.mcap", topics), None, None, note)
+        like = "grid" if kind == GRID else "scans"
+        return Case(_log(folder / "run.mcap", topics), None, None, note, like)
 
     return write
+
+
+def sound(kind: str, count: int, folder: Path) -> Path:
+    """What hostile logs of a kind are held against: so many scans of a room, or a grid so wide."""
+    if kind == "grid":
+        free = [range(count // 2 - 20, count // 2 + 20)] * 2
+        cells = bytes(
+            0 if x in free[0] or y in free[1] else 100 for y in range(count) for x in range(count)
+        )
+        topics = {"/sensor": (GRID, "cdr", [(START_NS, _grid(cells, (count, count)))])}
+        return _log(folder / "grid.mcap", topics, "NONE")
+    scans = []
+    for k, t in enumerate(_times(count)):
+        turn = 0.04 * k
+        x, y, beams = 8 * math.cos(turn), 8 * math.sin(turn), []
+        for beam in range(620):
+            way = turn + 1.6 - 3.1 + 0.01 * beam
+            walls = [
+                (10 - x * s) * s / c
+                for s, c in ((1, math.cos(way)), (-1, math.cos(way)))
+                if c * s > 1e-6
+            ]
+            walls += [
+                (10 - y * s) * s / c
+                for s, c in ((1, math.sin(way)), (-1, math.sin(way)))
+                if c * s > 1e-6
+            ]
+            beams.append(min(walls))
+        scans.append((t, _scan(t, _floats(*beams))))
+    topics = {
+        "/odom": ("nav_msgs/msg/Odometry", "cdr", list(_odometry(2 * count))),
+        "/sensor": (LASER, "cdr", scans),
+    }
+    return _log(folder / "scans.mcap", topics, "NONE")
 
 
 def _times(count: int) -> list[int]:
@@ -384,7 +421,7 @@ def _saved_map(rng: random.Random, folder: Path) -> Case:
         (folder / "loop.pgm").symlink_to("loop.pgm")
     (folder / f"map.{kind}").write_bytes(image)
     (folder / "map.yaml").write_text(text)
-    return Case(folder / "map.yaml", None, None, f"a saved map: {bomb}")
+    return Case(folder / "map.yaml", None, None, f"a saved map: {bomb}", "grid")
 
 
 # Transforms and poses
@@ -416,7 +453,9 @@ def _transforms(rng: random.Random, folder: Path) -> Case:
         "/scan": ("sensor_msgs/msg/LaserScan", "cdr", scans),
         "/tf_static": ("tf2_msgs/msg/TFMessage", "cdr", [(START_NS, body.done())]),
     }
-    return Case(_log(folder / "run.mcap", topics), None, None, f"transforms: {how} of {len(pairs)}")
+    return Case(
+        _log(folder / "run.mcap", topics), None, None, f"transforms: {how} of {len(pairs)}", "scans"
+    )
 
 
 def _poses(rng: random.Random, folder: Path) -> Case:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
 
+import logs_sensors
 from case import Case, Generator, writers
 from judge import counts, halves, left_overs, print_of
 from sandbox import Budget, Outcome, command, run
@@ -29,27 +30,34 @@ def generators() -> Iterator[tuple[str, Generator]]:
 
 
 @cache
-def _clean() -> tuple[float, float]:
-    """CPU time of reading a sound log: of a small one [s], and per byte of a large one [s].
+def _clean(kind: str) -> tuple[float, float]:
+    """CPU time of reading a sound log of a kind: a small one [s], and per byte of a large one [s].
 
-    With few detections, for loop closure costs far more than reading.
+    Detections are few, for loop closure costs far more than reading.
     """
     took, size = [], []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for messages in (600, 30_000):
-            drive = writers().drive(messages, messages // 30)
-            log = writers().mcap(folder / f"{messages}.mcap", drive, compression="NONE")
-            calls = [ingest(folder / f"ws{messages}{k}", log) for k in range(3)]
+        for number, count in enumerate(SIZES[kind]):
+            if kind == "detections":
+                drive = writers().drive(count, count // 30)
+                log = writers().mcap(folder / f"{count}.mcap", drive, compression="NONE")
+            else:
+                log = logs_sensors.sound(kind, count, folder)
+            calls = [ingest(folder / f"ws{number}{k}", log) for k in range(3)]
             took.append(min(run(call, folder).cpu_s for call in calls))
             size.append(log.stat().st_size)
     return took[0], max(0.0, (took[1] - took[0]) / (size[1] - size[0]))
 
 
-def budget(log: Path) -> Budget:
+SIZES = {"detections": (600, 30_000), "scans": (100, 300), "grid": (200, 800)}
+"""Messages, scans, and cells across, of small and large sound logs."""
+
+
+def budget(log: Path, kind: str) -> Budget:
     """What reading a log may take: in proportion to its size, whatever it claims to hold."""
     files = [log] if log.is_file() else [p for p in log.rglob("*") if p.is_file()]
-    small, per_byte = _clean()
+    small, per_byte = _clean(kind)
     cpu_s = TIMES * (small + per_byte * sum(file.stat().st_size for file in files))
     return Budget(cpu_s, MEMORY_MB, 10 * cpu_s + 60)
 
@@ -63,15 +71,17 @@ def _one_log(generator: Generator, ground: Ground, rng: random.Random, folder: P
     how = rng.random()
     workspace = folder / "ws"
     if how < 0.05:
-        outcome = run(command(["info", case.log]), folder, budget(case.log))
+        outcome = run(command(["info", case.log]), folder, budget(case.log, case.kind))
         problem = ""
     elif how < 0.15:
         shutil.copy(ground.logs / "a.mcap", place / "a.mcap")
-        outcome = run(ingest(workspace, case.log, place / "a.mcap"), folder, budget(case.log))
+        outcome = run(
+            ingest(workspace, case.log, place / "a.mcap"), folder, budget(case.log, case.kind)
+        )
         problem = _other_lost(ground, workspace)
         (place / "a.mcap").unlink()
     else:
-        outcome = run(ingest(workspace, case.log), folder, budget(case.log))
+        outcome = run(ingest(workspace, case.log), folder, budget(case.log, case.kind))
         problem = _accounted(case, workspace, outcome)
     after = "the log itself was changed" if print_of(place) != before else ""
     litter = "temporary files stay" if any((folder / "tmp").iterdir()) else ""

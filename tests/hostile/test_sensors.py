@@ -1,0 +1,97 @@
+"""A few of the hostile scans, clouds, grids and saved maps, read in this process."""
+
+from __future__ import annotations
+
+import random
+
+import logs_sensors
+import numpy as np
+import pytest
+
+from topobatch.ingest.coarse_grid import MOST_CELLS, MOST_PEELED, affordable
+from topobatch.ingest.grid_log import GridLog
+from topobatch.ingest.grid_map import map_of_grid
+from topobatch.ingest.logs.clouds import MOST_POINTS, wire_cloud
+from topobatch.ingest.logs.messages import DamageError
+from topobatch.ingest.logs.recording import recording_at
+from topobatch.ingest.logs.saved_map import Grid
+from topobatch.ingest.reading import read_log
+from topobatch.ingest.scans.slicing import mount_of_camera
+from topobatch.ingest.scans.stream import Mounting, ScanStream
+from topobatch.topology.errors import LogError
+
+STREAMED = sorted(
+    name
+    for name in logs_sensors.CASES
+    if name.startswith(("scan-", "cloud-")) and name not in ("scan-beams", "cloud-bytes")
+)
+READ = ("grid-sizes", "grid-numbers", "map-saved", "tf-frames", "odometry-absurd", "clock-wild")
+
+
+@pytest.mark.parametrize("name", STREAMED)
+@pytest.mark.parametrize("seed", range(3))
+def test_every_message_is_given_out_or_counted(tmp_path, name, seed):
+    case = logs_sensors.CASES[name](random.Random(seed), tmp_path)
+    stream = ScanStream(recording_at(case.log), "/sensor", Mounting({}, mount_of_camera))
+    scans = sum(len(batch) for batch in stream)
+    tally = stream.tally
+    assert scans == tally.scans
+    assert tally.messages == scans + tally.failed + tally.left_out.total()
+    assert scans == tally.messages or tally.warnings("/sensor")
+
+
+@pytest.mark.parametrize("name", READ)
+@pytest.mark.parametrize("seed", range(3))
+def test_what_cannot_be_read_is_an_error_of_one_line(tmp_path, name, seed):
+    case = logs_sensors.CASES[name](random.Random(seed), tmp_path)
+    said = ""
+    try:
+        read_log(case.log)
+    except LogError as error:
+        said = str(error)
+    assert not said or (str(case.log) in said and len(said.splitlines()) == 1)
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "step", "row"),
+    [
+        (1 << 31, 1 << 31, 0, 0),
+        (12, (1 << 31) - 1, 0, 0),
+        (1, MOST_POINTS + 1, 0, 0),
+        ((1 << 32) - 1, 1, 0, 0),
+        (100, 100, 0, 0),
+        (2, 10, 12, 0),
+    ],
+)
+def test_clouds_of_points_without_room_take_no_memory(height, width, step, row):
+    raw = logs_sensors._cloud(1, bytes(1200), height=height, width=width, step=step, row=row)
+    with pytest.raises(DamageError):
+        wire_cloud(raw, ros1=False)
+
+
+def cross(cells: int, resolution: float) -> Grid:
+    """Two ways of 2 m that cross in the middle of a square."""
+    free = np.zeros((cells, cells), bool)
+    half, middle = round(1 / resolution), cells // 2
+    free[middle - half : middle + half, 20:-20] = True
+    free[20:-20, middle - half : middle + half] = True
+    return Grid(free, np.zeros_like(free), resolution, (0.0, 0.0, 0.0))
+
+
+def test_a_grid_of_too_many_cells_is_mapped_in_larger_ones():
+    large = cross(2500, 0.01)
+    assert large.free.size > MOST_CELLS
+    (found,) = map_of_grid(GridLog("run", large, {})).xy[:1]
+    small = map_of_grid(GridLog("run", cross(250, 0.1), {}))
+    assert np.hypot(*(found - small.xy[0])) < 0.2
+    _, told = affordable(large)
+    assert "cells of 0.02 m are taken" in told[0]
+
+
+def test_open_space_without_end_costs_no_more_than_its_cells():
+    for cells in (600, 3000):
+        free = np.ones((cells, cells), bool)
+        grid, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
+        assert grid.free.all()
+        assert grid.free.size * min(grid.free.shape) / 2 <= 1.1 * MOST_PEELED
+        assert bool(told) == (grid.free.size < free.size)
