@@ -17,7 +17,16 @@ from urllib.parse import unquote, urlsplit, urlunsplit
 
 from ...topology.errors import LogError, UsageError
 from .source import RemoteFile
-from .store import TAIL_MOST, MissingObjectError, Stat, asked, listed, require_obstore
+from .store import (
+    TAIL_MOST,
+    BadKeyError,
+    MissingObjectError,
+    Stat,
+    asked,
+    listed,
+    listed_here,
+    require_obstore,
+)
 from .threads import side_by_side
 
 _REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
@@ -56,10 +65,14 @@ class Known:
 
 @dataclass(slots=True)
 class _Node:
-    """A place in a bucket: an object, a folder with what lies in it, both, or nothing."""
+    """A place in a bucket: an object, a folder with what lies in it, both, or nothing.
+
+    broken: why a folder cannot be listed.
+    """
 
     known: Known | None = None
     children: dict[str, _Node] = field(default_factory=dict)
+    broken: LogError | None = None
 
     def at(self, key: str) -> _Node:
         """The place below; made if it is not there."""
@@ -83,7 +96,8 @@ class _Node:
 
     def flat(self) -> _Node:
         """With what lies in the folder itself."""
-        return _Node(self.known, {name: _Node(n.known) for name, n in self.children.items()})
+        children = {name: _Node(node.known) for name, node in self.children.items()}
+        return _Node(self.known, children, self.broken)
 
 
 class RemotePath:
@@ -170,7 +184,8 @@ class RemotePath:
 
     def is_dir(self) -> bool:
         """Whether there is no object, but some lie below."""
-        return self._node.known is None and bool(self._node.children)
+        node = self._node
+        return node.known is None and bool(node.children or node.broken)
 
     def is_symlink(self) -> bool:
         """No."""
@@ -182,6 +197,8 @@ class RemotePath:
 
     def iterdir(self) -> Iterator[RemotePath]:
         """What lies below it. An object may have the name of a folder; both are given."""
+        if self._node.broken is not None:
+            raise self._node.broken
         for name, node in self._node.children.items():
             for each in node.kinds():
                 yield RemotePath(self.root, self._below(name), each, allow_scan=self.allow_scan)
@@ -205,7 +222,8 @@ class RemotePath:
         """Read all small files of a name below, many at a time; who opens them then has them."""
         found, waiting = [], [self]
         while waiting:
-            for each in waiting.pop().iterdir():
+            folder = waiting.pop()
+            for each in folder.iterdir() if folder._node.broken is None else ():
                 waiting += [each] if each.is_dir() else []
                 if each.name == name and each.is_file() and each.state.size <= SMALL_FILE_BYTES:
                     found.append(each)
@@ -308,15 +326,39 @@ class RemotePath:
             return alone
         if http:
             raise LogError(f"{self}: no such file on the server")
-        folder = _Node()
-        prefix = self.key.rstrip("/")
+        try:
+            folder = self._listed()
+        except BadKeyError:
+            return self._listed_one_by_one()
+        if folder.children or not named or _LOG.search(self.key) or not self._is_there(alone):
+            return folder
+        return alone
+
+    def _listed(self) -> _Node:
+        """The folder with all that is below it, by one listing."""
+        folder, prefix = _Node(), self.key.rstrip("/")
         skip = len(prefix) + 1 if prefix else 0
         for key, stat in listed(self.root, prefix, named=str(self)):
             if key[skip:]:
                 folder.at(key[skip:]).known = Known(stat)
-        if folder.children or not named or _LOG.search(self.key) or not self._is_there(alone):
-            return folder
-        return alone
+        return folder
+
+    def _listed_one_by_one(self) -> _Node:
+        """The same by a request per folder: those with a key that cannot be read are broken."""
+        top = _Node()
+        waiting = [(self.key.rstrip("/"), top)]
+        while waiting:
+            prefix, node = waiting.pop()
+            place = f"{_public(self.root)}/{prefix}".rstrip("/")
+            try:
+                objects, folders = listed_here(self.root, prefix, named=place)
+            except BadKeyError as error:
+                node.broken = error
+                continue
+            for key, stat in objects:
+                node.at(key.rpartition("/")[2]).known = Known(stat)
+            waiting += [(key, node.at(key.rpartition("/")[2])) for key in folders]
+        return top
 
     def _is_there(self, node: _Node) -> bool:
         self._found = node

@@ -8,7 +8,7 @@ is the same as before.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -75,6 +75,10 @@ class Got(NamedTuple):
 
 class MissingObjectError(LogError):
     """There is no such object, bucket or page."""
+
+
+class BadKeyError(LogError):
+    """A folder holds a key that is no path, so that it cannot be listed."""
 
 
 def asked(
@@ -155,6 +159,18 @@ def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
                 yield meta["path"], _stat(meta)
 
 
+def listed_here(
+    root: str, prefix: str, *, named: str
+) -> tuple[list[tuple[str, Stat]], Sequence[str]]:
+    """The objects in a folder itself, and the folders in it."""
+    import obstore
+
+    with _told(named):
+        call = partial(obstore.list_with_delimiter, store(root), prefix or None)
+        found = begun(call).result()
+        return [(meta["path"], _stat(meta)) for meta in found["objects"]], found["common_prefixes"]
+
+
 def _stat(meta: Any) -> Stat:
     return Stat(meta["size"], meta["e_tag"] or "", int(meta["last_modified"].timestamp()))
 
@@ -216,13 +232,18 @@ def _plain_http(root: str) -> bool:
 @contextmanager
 def _told(named: str) -> Iterator[None]:
     """Errors of obstore as ours. Its own tell the request, what came back, and inner structures."""
-    from obstore.exceptions import BaseError
+    from obstore.exceptions import BaseError, InvalidPathError
 
     try:
         yield
     except FileNotFoundError as error:
         what = "no such bucket" if _code(str(error)) == "NoSuchBucket" else "no such object"
         raise MissingObjectError(f"{named}: {what}") from error
+    except InvalidPathError as error:
+        told = _first_line(str(error))
+        raise BadKeyError(
+            f"{named}: a key cannot be read by its name ({told}); name other prefixes"
+        ) from error
     except (BaseError, ValueError, OSError) as error:
         raise LogError(f"{named}: {_why(error)}") from error
 
@@ -252,8 +273,6 @@ def _why(error: Exception) -> str:
         if word in f"{kind} {text}":
             return meaning
     head, _, inner = text.partition("Debug source")
-    if kind == "InvalidPathError":
-        return f"a key cannot be read by its name ({_first_line(head)}); name other prefixes"
     again = re.search(r"after (\d+) retries", head)
     tried = f", after {again[1]} retries" if again and again[1] != "0" else ""
     status = re.search(r"status code: (\d{3}[A-Za-z ]*)", head)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -182,11 +183,23 @@ def test_keys_may_hold_any_letter(bucket: Any, key: str) -> None:
     assert read_run(bucket.path(f"runs/{key}")).name == key.removesuffix(".mcap")
 
 
-@pytest.mark.parametrize("key", ["runs/x%01y.mcap", "runs//double.mcap", "runs/../up.mcap"])
-def test_keys_that_are_no_path_are_an_error_that_names_them(bucket: Any, key: str) -> None:
-    bucket.put_as_named(key, b"x")
-    with pytest.raises(LogError, match=rf"^{bucket.url}/runs: a key cannot be read by its name"):
-        find_logs([bucket.path("runs")])
+@pytest.mark.parametrize("key", ["x%01y.mcap", "/double.mcap", "../up.mcap"])
+def test_a_key_that_is_no_path_costs_its_folder_alone(bucket: Any, key: str) -> None:
+    bucket.put("runs/deep/er/maze-1.mcap", LOG.read_bytes())
+    bucket.put("runs/tuesday/maze-1.mcap", LOG.read_bytes())
+    bucket.put_as_named(f"runs/monday/{key}", b"x")
+    found = find_logs([bucket.path("runs")])
+    names = ["runs/deep/er/maze-1.mcap", "runs/monday", "runs/tuesday/maze-1.mcap"]
+    assert [str(log) for log in found] == [f"{bucket.url}/{name}" for name in names]
+    deep, bad, tuesday = pickle.loads(pickle.dumps(found))
+    same_odometry(deep)
+    same_odometry(tuesday)
+    said = rf"^{bucket.url}/runs/monday: a key cannot be read by its name"
+    with pytest.raises(LogError, match=said):
+        read_run(bad)
+    (alone,) = find_logs([bucket.path("runs/monday/")])
+    with pytest.raises(LogError, match=said):
+        read_run(alone)
 
 
 def test_markers_of_folders_are_no_objects(bucket: Any) -> None:
