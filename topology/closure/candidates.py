@@ -34,7 +34,6 @@ _MOST_TABLED = 1_000_000
 """Pairs of places in one table: some 200 MB."""
 _LEAST_ASIDE = 30
 """So many strangers one step of the pattern off stand for all."""
-_SLACK_WORTH = 1.0
 _MOST_STRANGERS = 3000
 """Pairs of places known to be two that are asked what they have in common."""
 
@@ -54,8 +53,6 @@ class CandidateSettings:
     least_position: float = -6.0
     """Log odds that position must leave a candidate; more than 0 in the first round, which takes
     what is plain: the rest is easier once that is settled."""
-    least_hope: float = 0.0
-    """Candidates that could not reach these log odds wherever they lay are not looked at."""
     strangers: float = 1.5
     """Places this many times farther apart than the gate allows are certainly two."""
     slack: float = 3.0
@@ -147,7 +144,7 @@ def candidates(
     pairs = _nearest(pairs, max(settings.most_pairs, 6 * len(scene.places)))
     if exact:
         best = best_position_odds(common, pairs.shift, settings.evidence)
-        pairs = pairs.take(best + _surroundings(scene, pairs, settings).sum() > settings.least_hope)
+        pairs = pairs.take(best + _surroundings(scene, pairs, settings).sum() > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common, settings.evidence)
     least = settings.least_position if exact else 0.0
@@ -212,14 +209,14 @@ def likeness_odds(alike: FloatArray, strangers: FloatArray, slack: float = 0.0) 
     """(k,) log odds that `alike` is worth, by the share of strangers that are as much alike.
 
     Beyond all strangers the odds grow as the model says: they are not known to be wrong there.
-    slack: to be among the most alike is worth no more than `_SLACK_WORTH` above what the share of
+    slack: to be among the most alike is worth no more than one above what the share of
     strangers says that are alike but for so much: visits to one place are as seldom among them.
     """
     if len(strangers) == 0:
         return alike
     as_much = len(strangers) - np.searchsorted(strangers, alike)
     nearly = len(strangers) - np.searchsorted(strangers, alike - slack)
-    share = np.maximum(np.log1p(as_much), np.log1p(nearly) - _SLACK_WORTH)
+    share = np.maximum(np.log1p(as_much), np.log1p(nearly) - 1.0)
     beyond = np.maximum(alike - strangers[-1], 0.0)
     out: FloatArray = np.log1p(len(strangers)) - share + beyond
     return out

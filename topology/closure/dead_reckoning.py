@@ -88,25 +88,6 @@ def make_walk(
     )
 
 
-def stretch(walk: Walk, begin: int, end: int) -> Walk:
-    """The walk from pass `begin` to before pass `end`; all of it if that is all."""
-    end = min(end, len(walk))
-    if begin == 0 and end == len(walk):
-        return walk
-    rows = slice(begin, end)
-    return replace(
-        walk,
-        passes=walk.passes.between(begin, end),
-        chain=walk.chain[rows],
-        way=walk.way[rows],
-        leg=walk.leg[begin : end - 1],
-        arriving=walk.arriving[rows],
-        leaving=walk.leaving[rows],
-        sums=walk.sums[rows],
-        jumps=walk.jumps[rows],
-    )
-
-
 def louder(walk: Walk, factor: float) -> Walk:
     """The walk as if its random errors were `factor` times as large, those of jumps as they are."""
     n = walk.noise

@@ -21,6 +21,7 @@ from ..posegraph.solve import (
 from ..se2 import wrap
 from .dead_reckoning import Walk, relative_covariance, systematic_modes
 from .manhattan import GridHeadings
+from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -39,7 +40,7 @@ _SETTLED = 0.1
 class LayoutSettings:
     """How identifications and grid headings pull at the layout."""
 
-    slot_gap_rad: float = 0.35
+    slot_gap_rad: float = ONE_WAY_RAD
     """Branch readings of several passes farther apart than this belong to different branches."""
     sighting_kernel: float = 3.0
     """Cauchy width [sigmas] of "this pass was by that place"."""

@@ -31,6 +31,15 @@ MATCH_RAD = 0.61
 SURE = 6.0
 """Standard deviations beyond which nothing is looked for."""
 
+UNKNOWN = 0.1
+"""Share of places whose branches look like those of no other place of the run."""
+
+GATE = 3.5
+"""Standard deviations beyond which two readings are not of one thing: one in 2,000 that are."""
+
+BIN_M = 0.25
+"""Width of the bins of leg lengths: about what two measurements of one leg differ by."""
+
 SAME_TURN_RAD = 0.3
 """Turns nearer to each other than this pair the same branches."""
 
@@ -44,9 +53,8 @@ class EvidenceSettings:
     core_quantile: float = 0.03
     core_exception: float = 0.02
     """… "seldom": how often they are all the same."""
-    least_fault_rate: float = 0.02
-    """Branch faults are never taken to be rarer than this."""
-    least_miss_rate: float = 0.02
+    least_rate: float = 0.02
+    """Branch faults and missed junctions are never taken to be rarer than this."""
     inflation: float = 1.2
     """Widths of the noise are taken this much larger than estimated."""
     bandwidth_rad: float = 0.12
@@ -93,10 +101,10 @@ def background(
     shortest = float(np.quantile(moved, settings.core_quantile)) if len(moved) else 1.0
     core_m = settings.core_share * shortest
     typical = float(np.median(legs)) if len(legs) else 5.0
-    edges = np.arange(0.0, max(4 * typical, 20.0) + 0.25, 0.25)
+    edges = np.arange(0.0, max(4 * typical, 20.0) + BIN_M, BIN_M)
     counts = np.histogram(legs, edges)[0].astype(np.float64)
     smooth = np.convolve(counts, [0.1, 0.2, 0.4, 0.2, 0.1], mode="same") + 0.02
-    density = smooth / (smooth.sum() * 0.25)
+    density = smooth / (smooth.sum() * BIN_M)
     return Background(
         # Most legs of a robot that stands are of no length.
         leg_m=max(typical, core_m),
@@ -105,8 +113,8 @@ def background(
         length_density=density,
         branch_sigma=settings.inflation * noise.branch_rad,
         centre_sigma=settings.inflation * noise.centre_m,
-        fault_rate=max(noise.branch_fault_rate, settings.least_fault_rate),
-        miss_rate=max(noise.miss_rate, settings.least_miss_rate),
+        fault_rate=max(noise.branch_fault_rate, settings.least_rate),
+        miss_rate=max(noise.miss_rate, settings.least_rate),
     )
 
 
@@ -231,8 +239,8 @@ def _trials(off: FloatArray, sigma: FloatArray) -> Iterator[tuple[IntArray, Floa
     off: (k, m) differences of branches, NaN where there is none; sigma: (k,) of the turn.
     """
     size = np.where(np.isfinite(off), np.abs(off), np.inf)
-    rows = np.flatnonzero(size.min(axis=1) < 3.5 * sigma)
-    off, size, limit = off[rows], size[rows], 3.5 * sigma[rows]
+    rows = np.flatnonzero(size.min(axis=1) < GATE * sigma)
+    off, size, limit = off[rows], size[rows], GATE * sigma[rows]
     for _ in range(6):
         if len(rows) == 0:
             return
@@ -259,7 +267,7 @@ def _match(
     residual = _wrapped(off - trial[:, None, None])
     rest = np.abs(residual)
     rest = np.where(np.isfinite(rest), rest, np.inf)
-    tolerance = min(max(3.5 * 1.5 * common.branch_sigma, 0.2), MATCH_RAD)
+    tolerance = min(max(GATE * 1.5 * common.branch_sigma, 0.2), MATCH_RAD)
     near = rest < tolerance
     near &= (rest == rest.min(axis=2, keepdims=True)) & (rest == rest.min(axis=1, keepdims=True))
     has_a, has_b = near.any(axis=2), near.any(axis=1)
@@ -324,5 +332,5 @@ def rarity(places: Places, common: Background, settings: EvidenceSettings) -> Fl
         score[rows[:, None] == sample[None, :]] = -np.inf
         top = np.maximum(score.max(axis=1), 0.0)
         mean = np.exp(score - top[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
-        out[rows] = np.log(0.9 * mean + 0.1 * np.exp(-top)) + top
+        out[rows] = np.log((1.0 - UNKNOWN) * mean + UNKNOWN * np.exp(-top)) + top
     return out

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .dead_reckoning import Walk
-from .evidence import Alignment, Background, align, length_odds
-from .places import NOWHERE, Places
+from .evidence import GATE, Alignment, Background, align, length_odds
+from .places import NOWHERE, ONE_WAY_RAD, Places
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -28,18 +28,14 @@ class GrowthSettings:
     """Each hop counts this much of the one before: legs are not independent of each other."""
     leg_cap: float = 3.0
     """Most that one pair of legs may add …"""
-    branch_cap: float = 3.0
+    branch_cap: float = leg_cap
     """… and the branches at their far ends."""
     wobble_m: float = 0.08
     """How much the way driven through one corridor varies."""
-    gate: float = 3.5
-    """Legs that differ by more sigmas disagree."""
     turn_sigma_rad: float = 0.1
     """How well the turn of a hypothesis is known to hold at its neighbours."""
     line_m: float = 1.2
-    """Legs begin and end at the same two lines within this …"""
-    line_rad: float = 0.35
-    """… and are parallel within this."""
+    """Legs begin and end at the same two lines within this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +180,7 @@ class _Gaps:
         across = axis + quarter % 2 * (np.pi / 2)
         line = np.stack([np.cos(across), np.sin(across)], axis=1)
         low, high = np.sort([(begin * line).sum(axis=1), (end * line).sum(axis=1)], axis=0)
-        aslant = np.abs(way - axis - quarter * (np.pi / 2)) > self._settings.line_rad
+        aslant = np.abs(way - axis - quarter * (np.pi / 2)) > ONE_WAY_RAD
         key = np.where(aslant, -1.0, 2.0 * hypothesis + quarter % 2)
         met = len(self._spans)
         spans = np.concatenate([self._spans, np.stack([key, low + high, high - low], axis=1)])
@@ -238,13 +234,13 @@ def _agree(
 ) -> NDArray[np.bool_]:
     """Equal lengths, and ends that coincide once the two places do."""
     var = _leg_variance(scene, pairs.la, pairs.lb, settings)
-    near = np.abs(pairs.la - pairs.lb) < settings.gate * np.sqrt(var)
+    near = np.abs(pairs.la - pairs.lb) < GATE * np.sqrt(var)
     da = scene.xy[pairs.qa] - scene.xy[front.a[pairs.row]]
     db = scene.xy[pairs.qb] - scene.xy[front.b[pairs.row]]
     c, s = np.cos(front.turn[pairs.row]), np.sin(front.turn[pairs.row])
     x = da[:, 0] - (c * db[:, 0] - s * db[:, 1])
     y = da[:, 1] - (s * db[:, 0] + c * db[:, 1])
-    room = settings.gate * np.sqrt(var + (settings.turn_sigma_rad * pairs.la) ** 2)
+    room = GATE * np.sqrt(var + (settings.turn_sigma_rad * pairs.la) ** 2)
     result: NDArray[np.bool_] = near & (np.hypot(x, y) < room)
     return result
 

@@ -31,12 +31,11 @@ from .answers import (
     taken_back,
 )
 from .candidates import Candidates, CandidateSettings, candidates
-from .dead_reckoning import Walk, louder, stretch
+from .dead_reckoning import Walk, louder
 from .detector_faults import RateSettings, measured_rates
 from .estimate import Layout, LayoutSettings, lay_out
 from .evidence import background, rarity, with_pattern
 from .growth import Scene
-from .heading_consistency import bend
 from .joint_compatibility import JointSettings, agreeing
 from .manhattan import GridHeadings, RectilinearSettings, grid_headings
 from .nearest_neighbour import Identification
@@ -72,19 +71,6 @@ class RoundSettings:
     """Squared error [3 d.o.f.] of a sighting from which its identification is taken back …"""
     patience: int = 2
     """… so many times."""
-    pattern_reserve: float = 1.0
-    """In a map that repeats, log odds asked above the logarithm of the number of passes."""
-    doubt_bits: float = 3.0
-    """A refused identification with more evidence than this is a serious doubt."""
-    most_doubts: float = 0.01
-    """Serious doubts per pass from which the grid of the building is doubted."""
-    least_wander: float = 0.7
-    """A grid that wanders less (`GridHeadings.wander`) is not tried."""
-    trial_passes: int = 400
-    """Passes at the begin and at the end of a run on which the grid is tried."""
-    most_bend: float = 3.2
-    """A map bends from here on (`bend`: 0.2 to 2.5 in 80 walks of mazes and offices, mostly 4 to 6
-    in 30 of bent cities)."""
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
     rates: RateSettings = field(default_factory=RateSettings)
     layout: LayoutSettings = field(default_factory=LayoutSettings)
@@ -108,43 +94,13 @@ class Closed:
 
 
 def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
-    """Identify the passes of a walk.
-
-    Headings taken from a grid that is none bend the layout until visits do not find each other.
-    So what is found without the grid counts if it is no less, and the map that nobody held straight
-    bends; or if with the grid many serious doubts remain, and without it the places that are found
-    again outnumber the doubts that come up.
-    """
-    grid = grid_headings(walk, settings.grid)
-    straight = _closed(walk, grid, settings)
-    if grid is None:
-        return straight
-    doubts = _serious_doubts(straight, settings)
-    bent = grid.wander > settings.least_wander and _bends(walk, settings)
-    if not bent and doubts <= settings.most_doubts * len(walk):
-        return straight
-    free = _closed(walk, None, settings)
-    more = len(straight.layout.xy) - len(free.layout.xy)
-    surer = more > max(_serious_doubts(free, settings) - doubts, 0)
-    return free if (bent and more >= 0) or surer else straight
+    """Identify the passes of a walk, held straight by the grid of its building if it has one."""
+    return _closed(walk, grid_headings(walk, settings.grid), settings)
 
 
 def closure_without_grid(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
     """Identify the passes of a walk whose headings are known up to quarter turns only."""
     return _closed(walk, None, settings)
-
-
-def _bends(walk: Walk, settings: RoundSettings) -> bool:
-    """Whether the begin or the end of the walk, closed without the grid, turns it on its way."""
-    length = settings.trial_passes
-    parts = (stretch(walk, b, b + length) for b in sorted({0, max(len(walk) - length, 0)}))
-    trials = (_closed(part, None, settings) for part in parts)
-    return any(bend(t.walk, t.place, t.layout) > settings.most_bend for t in trials)
-
-
-def _serious_doubts(closed: Closed, settings: RoundSettings) -> int:
-    """How many identifications are left undecided that much speaks for."""
-    return sum(not q.accepted and q.bits > settings.doubt_bits for q in closed.asked)
 
 
 def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
@@ -165,7 +121,7 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         new: list[Identification] = []
         while not new and stage < len(settings.thresholds):
             barred = _barred(strikes, stage, place)
-            threshold = max(settings.thresholds[stage], _least(scene, settings))
+            threshold = max(settings.thresholds[stage], _least(scene))
             new = _certain(places, found, threshold, barred, settings)
             stage += not new
         doubts = _doubted(doubts, places, found, settings, number)
@@ -211,11 +167,15 @@ def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) 
     return Scene(walk, places, layout.xy, common, rarity(places, common, evidence))
 
 
-def _least(scene: Scene, settings: RoundSettings) -> float:
-    """Log odds that are asked at least: where many are doubtful, some of many chances come true."""
+def _least(scene: Scene) -> float:
+    """Log odds that are asked at least: where many are doubtful, some of many chances come true.
+
+    In a map that repeats, so many that of as many answers as there are passes one is wrong in e
+    runs.
+    """
     if not scene.common.pattern.repeats:
         return 0.0
-    return float(np.log(len(scene.walk))) + settings.pattern_reserve
+    return float(np.log(len(scene.walk))) + 1.0
 
 
 def _loudness(now: float, misfit: float, settings: RoundSettings) -> float:

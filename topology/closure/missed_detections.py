@@ -18,7 +18,7 @@ from ..track import way_along
 from ..visits import DrawnTrack, Visits, draw_track
 from .dead_reckoning import Walk
 from .estimate import Layout, LayoutSettings
-from .places import Places, tabulate
+from .places import ONE_WAY_RAD, Places, tabulate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -41,7 +41,6 @@ class DrivenBySettings:
     """A junction driven by unseen once is unseen again at least this often: causes last."""
     least_phantom_rate: float = 0.01
     """A junction seen once may be invented at least this often, whatever the run shows."""
-    straight_rad: float = 0.35
     """Two branches this close to opposite are a corridor and nothing else: 20 degrees."""
 
 
@@ -184,7 +183,7 @@ def phantoms(
     first_two = np.sort(places.heading, axis=1)[:, :2]
     if first_two.shape[1] == 2:
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
-        straight = (count == 2) & (opposite < settings.straight_rad)
+        straight = (count == 2) & (opposite < ONE_WAY_RAD)
         odds = odds + settings.straight_gain * straight
     # A robot that turned into a branch there knows better.
     turned = (places.driven > 0).sum(axis=1) > 2

@@ -15,6 +15,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 NOWHERE = -1
+"""In place of a place: not driven."""
+
+ONE_WAY_RAD = 0.35
+"""Directions nearer to each other than this (20 degrees) are taken for one."""
 """No place."""
 
 

@@ -16,13 +16,11 @@ from topobatch.topology.closure.dead_reckoning import (
     louder,
     make_walk,
     relative_covariance,
-    stretch,
 )
 from topobatch.topology.closure.detector_faults import measured_rates
 from topobatch.topology.closure.estimate import lay_out
 from topobatch.topology.closure.evidence import EvidenceSettings, align, background, rarity
 from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
-from topobatch.topology.closure.heading_consistency import bend
 from topobatch.topology.closure.incremental import (
     RoundSettings,
     full_closure,
@@ -806,12 +804,8 @@ def test_settings_are_the_gate_keeper():
     assert any(not q.accepted and q.bits > 0 for q in closed.asked)
 
 
-LAX = RectilinearSettings(least_share=0.5, tolerance_rad=0.45, most_wander=1e9)
-"""A test for grids that is made to fail."""
-
-
-def city_walk():
-    """Blocks whose streets meet at right angles and bend between; and the truth."""
+def test_a_grid_that_bends_on_its_way_is_found_out():
+    """Streets that meet at right angles and bend between: the walk closes, held by no grid."""
     rng = np.random.default_rng(31)
     xy, beside = grid_world(6, 6, rng)
     flat = {v: complex(*p) - complex(*xy[3, 3]) for v, p in xy.items()}
@@ -819,61 +813,13 @@ def city_walk():
     bent = {
         v: np.array([w.real, w.imag]) for v, z in flat.items() for w in [z + 0.3 * z * z / size]
     }
-    odometry, passes, truth = record((bent, beside), wander(beside, 130, rng), rng)
-    walk = make_walk(odometry, passes, NOISE)
-    assert grid_headings(walk, LAX) is not None
-    return walk, truth
-
-
-def maze_walk():
-    """Blocks whose streets are straight; and the truth."""
-    rng = np.random.default_rng(31)
-    world = grid_world(6, 6, rng)
-    odometry, passes, truth = record(world, wander(world[1], 130, rng), rng)
-    return make_walk(odometry, passes, NOISE), truth
-
-
-@pytest.mark.parametrize("found_out", [{"most_doubts": 0.01}, {"most_bend": 3.2}])
-def test_a_grid_that_is_none_is_found_out(found_out):
-    """By the doubts it leaves, or by the map that bends without it: the walk closes all the same"""
-    walk, truth = city_walk()
-    trusting = RoundSettings(grid=LAX, most_doubts=1.0, most_bend=np.inf)
-    with_grid = full_closure(walk, trusting)
-    assert len(with_grid.layout.xy) > len(set(truth))
-    closed = full_closure(walk, replace(trusting, **found_out))
-    assert len(closed.layout.xy) == len(set(truth))
-
-
-def test_a_map_bends_or_not():
-    free = RoundSettings(grid=replace(LAX, most_wander=-1.0))
-    bends = []
-    for walk, truth in (maze_walk(), city_walk()):
-        closed = full_closure(walk, free)
+    route = wander(beside, 130, rng)
+    lax = RectilinearSettings(least_share=0.5, tolerance_rad=0.45)
+    for world, found in (((xy, beside), True), ((bent, beside), False)):
+        odometry, passes, truth = record(world, route, np.random.default_rng(31))
+        closed = full_closure(make_walk(odometry, passes, NOISE), RoundSettings(grid=lax))
+        assert (closed.grid is not None) == found
         assert len(closed.layout.xy) == len(set(truth))
-        bends.append(bend(closed.walk, closed.place, closed.layout))
-    assert bends[0] < 1.5
-    assert bends[1] > 4.0
-
-
-def test_a_true_grid_is_kept_where_it_wanders():
-    walk, _ = maze_walk()
-    kept = full_closure(walk, RoundSettings(least_wander=0.0))
-    trusted = full_closure(walk, RoundSettings(least_wander=np.inf))
-    np.testing.assert_array_equal(kept.layout.xy, trusted.layout.xy)
-
-
-def test_a_stretch_of_a_walk_is_as_if_driven_alone():
-    walk, _ = maze_walk()
-    part = stretch(walk, 20, 60)
-    assert len(part) == 40
-    np.testing.assert_array_equal(part.leg, walk.leg[20:59])
-    first, second = np.array([0, 5]), np.array([39, 17])
-    np.testing.assert_allclose(
-        dead_reckoning_covariance(part, first, second),
-        dead_reckoning_covariance(walk, first + 20, second + 20),
-    )
-    assert part.passes.branches[3].tolist() == walk.passes.branches[23].tolist()
-    assert stretch(walk, 0, 10_000) is walk
 
 
 def test_blocks_between_the_same_two_streets_count_once():

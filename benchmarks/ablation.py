@@ -1,0 +1,202 @@
+"""What every mechanism of loop closure is there for: python benchmarks/ablation.py [--seeds 5]
+
+Takes one mechanism out at a time, by the settings, and closes the same walks again: runs of the
+project's simulator in five kinds of world, by drift and faults (`CELLS`), and recorded runs
+(`--real FOLDER…`, as `uncertainty.py` reads them). `runs`: how many walks come out otherwise at
+all; `recall`: of the passes by a junction passed before, those that stand in one place with such a
+pass; then for every kind of world passes in a place that is mostly another junction (false), and
+junctions that stand once more than they should (double). `--only NAME…` tries these mechanisms,
+`--list` names them all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from closure import simulated
+from uncertainty import recorded
+
+from topobatch.ingest import mapping
+from topobatch.simulation import true_vertex_of_passes
+from topobatch.topology.closure.dead_reckoning import Walk, make_walk
+from topobatch.topology.closure.incremental import RoundSettings, full_closure
+from topobatch.topology.closure.missed_detections import DrivenBySettings, settle
+from topobatch.topology.odometry import Odometry
+
+WORLDS = ("maze", "office", "organic", "city", "rows")
+CELLS = (
+    ("none", "none"),
+    ("low", "harsh"),
+    ("mid", "mild"),
+    ("high", "none"),
+    ("high", "harsh"),
+    ("real", "mild"),
+)
+NEVER, ALWAYS = -1e9, 1e9
+
+OUT = {
+    "rounds: one threshold": {"thresholds": (4.5,)},
+    "lead over rivals": {"lead": 0.0},
+    "price of conflicts": {"conflict_price": 0.0},
+    "caution": {"caution": 1.0},
+    "noise raised": {"loud": ALWAYS},
+    "noise lowered": {"low": 0.0},
+    "taking back": {"strain": ALWAYS},
+    "patience": {"patience": 1_000_000},
+    "grid": {"grid.least_share": 2.0},
+    "grid: wander": {"grid.most_wander": ALWAYS},
+    "grid: clip": {"grid.clip": ALWAYS},
+    "joint compatibility": {"joint.threshold": ALWAYS},
+    "joint: each member": {"joint.member": NEVER},
+    "joint: lead": {"joint.lead": 0.0},
+    "joint: one step off": {"joint.stiff": (1e-9,)},
+    "candidates: reach": {"candidates.reach_m": ALWAYS},
+    "candidates: plain first": {"candidates.least_position": NEVER},
+    "strangers": {"candidates.strangers": ALWAYS},
+    "strangers: slack": {"candidates.slack": 0.0},
+    "cap of support": {"candidates.support_cap": ALWAYS},
+    "cap of conflict": {"candidates.conflict_cap": ALWAYS},
+    "hard core": {"candidates.evidence.core_share": 0.01},
+    "hard core: exception": {"candidates.evidence.core_exception": 1e-9},
+    "least rate": {"candidates.evidence.least_rate": 1e-4},
+    "inflation": {"candidates.evidence.inflation": 1.0},
+    "rarity: bandwidth": {"candidates.evidence.bandwidth_rad": 0.0},
+    "pattern": {"candidates.evidence.pattern.regular": ALWAYS},
+    "growth": {"candidates.growth.hops": 0},
+    "growth: one hop": {"candidates.growth.hops": 1},
+    "growth: discount": {"candidates.growth.discount": 1.0},
+    "growth: caps": {
+        "candidates.growth.leg_cap": ALWAYS,
+        "candidates.growth.branch_cap": ALWAYS,
+    },
+    "growth: known gaps": {"candidates.growth.line_m": 0.0},
+    "measured rates": {"rates.prior_passes": ALWAYS},
+    "most rate": {"rates.most": 1.0},
+    "sighting kernel": {"layout.sighting_kernel": ALWAYS},
+    "grid kernel": {"layout.grid_kernel": ALWAYS},
+    "phantoms": {"driven_by.least_odds": ALWAYS},
+    "phantoms: straight": {"driven_by.straight_gain": 0.0},
+    "phantoms: least miss rate": {"driven_by.least_miss_rate": 1e-6},
+    "phantoms: least rate": {"driven_by.least_phantom_rate": 1e-6},
+}
+"""Mechanisms, and what takes each out: fields of RoundSettings (`driven_by`: DrivenBySettings)."""
+
+
+class Case(NamedTuple):
+    """A walk, and the true junction of each of its passes (p,), negative for none."""
+
+    kind: str
+    walk: Walk
+    odometry: Odometry
+    truth: np.ndarray
+
+
+def case(kind, truth, run):
+    """The walk that `build_map` closes."""
+    settings = mapping.MappingSettings()
+    calibration = mapping._calibration(run, settings)
+    odometry = mapping.apply_calibration(run.odometry, calibration)
+    passes = mapping.fuse_passes(odometry, run.detections, settings.passes)
+    noise = mapping.estimate_noise(odometry, run.detections, passes, settings.noise)
+    walk = make_walk(odometry, passes, noise, mapping._systematic(calibration, settings))
+    return Case(kind, walk, odometry, true_vertex_of_passes(truth, run.name, passes.time_ns))
+
+
+def cases(worlds, seeds, first, junctions, real):
+    """All walks, by kind of world."""
+    for world in worlds:
+        for drift, faults in CELLS:
+            for seed in range(first, first + seeds):
+                scenario, run = simulated(world, drift, faults, seed, junctions)
+                yield case(world, scenario.truth, run)
+    for folder in real:
+        truth, runs = recorded(folder)
+        for run in runs.values():
+            yield case("real", truth, run)
+
+
+def changed(settings, path, value):
+    """Frozen settings with the field at a dotted path replaced."""
+    name, _, rest = path.partition(".")
+    if rest:
+        value = changed(getattr(settings, name), rest, value)
+    return replace(settings, **{name: value})
+
+
+def without(fields):
+    """Settings of the rounds and of what is driven by, without a mechanism."""
+    rounds, driven_by = RoundSettings(), DrivenBySettings()
+    for path, value in fields.items():
+        if path.startswith("driven_by."):
+            driven_by = changed(driven_by, path.removeprefix("driven_by."), value)
+        else:
+            rounds = changed(rounds, path, value)
+    return rounds, driven_by
+
+
+def closed(one, rounds, driven_by):
+    """(p,) place of every pass, negative for phantoms."""
+    found = full_closure(one.walk, rounds)
+    return settle(found.walk, one.odometry, found.place, found.layout, driven_by).place
+
+
+def judged(one, place):
+    """Counts of one closed walk."""
+    real = (one.truth >= 0) & (place >= 0)
+    homes = Counter(zip(one.truth[real].tolist(), place[real].tolist(), strict=True))
+    most = {p: max(k for (_, q), k in homes.items() if q == p) for _, p in homes}
+    false = int(real.sum()) - sum(most.values())
+    double = sum(k - 1 for k in Counter(v for v, _ in homes).values())
+    seen, found, again = {}, 0, 0
+    for v, p in zip(one.truth.tolist(), place.tolist(), strict=True):
+        if v >= 0:
+            again += v in seen
+            found += p >= 0 and p in seen.get(v, ())
+            seen.setdefault(v, set()).add(p)
+    return Counter(
+        {f"false {one.kind}": false, f"double {one.kind}": double, "again": again, "found": found}
+    )
+
+
+def line(name, kinds, total, otherwise, spent):
+    cells = " ".join(f"{total[f'false {k}']:>5} {total[f'double {k}']:>5} " for k in kinds)
+    recall = total["found"] / max(total["again"], 1)
+    print(f"{name:<26} {otherwise:>4} {recall:>7.4f}  {cells} {spent:>6.1f}", flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--worlds", nargs="*", default=WORLDS)
+    parser.add_argument("--seeds", type=int, default=5, help="runs per world and cell")
+    parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument("--junctions", type=int, default=60, help="junctions per run")
+    parser.add_argument("--real", nargs="*", type=Path, default=[], help="folders of recorded runs")
+    parser.add_argument("--only", nargs="*", help="mechanisms")
+    parser.add_argument("--list", action="store_true")
+    args = parser.parse_args()
+    if args.list:
+        print("\n".join(OUT))
+        return
+    all_cases = list(cases(args.worlds, args.seeds, args.first, args.junctions, args.real))
+    kinds = list(dict.fromkeys(one.kind for one in all_cases))
+    print(f"{'without':<26} runs  recall  " + " ".join(f"{kind:^12}" for kind in kinds) + "  CPU s")
+    usual = None
+    for name in ["nothing", *(OUT if args.only is None else args.only)]:
+        settings = without(OUT.get(name, {}))
+        begin = time.process_time()
+        places = [closed(one, *settings) for one in all_cases]
+        spent = time.process_time() - begin
+        usual = usual or places
+        otherwise = sum(not np.array_equal(a, b) for a, b in zip(usual, places, strict=True))
+        total = sum((judged(*pair) for pair in zip(all_cases, places, strict=True)), Counter())
+        line(name, kinds, total, otherwise, spent)
+
+
+if __name__ == "__main__":
+    main()
