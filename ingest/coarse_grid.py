@@ -9,12 +9,13 @@ from scipy.ndimage import distance_transform_cdt
 
 from .logs.saved_map import Grid
 
-MOST_CELLS = 1 << 22
-"""Cells that are thinned at most, 100 by 100 m at 5 cm: distances from walls take 64 bytes each."""
+MOST_CELLS = 1 << 21
+"""Cells that are thinned at most, 70 by 70 m at 5 cm, 140 at the 10 cm of scans:
+distances from walls take 64 bytes each."""
 
 MOST_PEELED = 1 << 28
 """Thinning goes through all cells for every layer of the widest open space. So many, in all its
-variants, take some three seconds: cells of a hundred metres square that is open for 3 m."""
+variants, take some three seconds."""
 
 
 def affordable(grid: Grid) -> tuple[Grid, tuple[str, ...]]:

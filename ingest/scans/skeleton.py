@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ...topology.errors import DataError
 from ...topology.se2 import wrap
 
 FloatArray = NDArray[np.float64]
@@ -92,6 +93,10 @@ class _Net:
     """Segments swallowed by a node when others were joined to it."""
 
 
+MOST_LINES = 1 << 13
+"""Lines of a skeleton before its spurs are pruned, which takes their number squared: some seconds
+for so many. A floor of 200 by 200 m has two or three thousand."""
+
 _AROUND = np.ones((3, 3), np.int8)
 
 
@@ -121,6 +126,8 @@ def trace(
     fork = skeleton & (neighbours >= 3)
     fork_label, forks = labelled(fork)
     line_label, lines = labelled(skeleton & ~fork)
+    if lines > MOST_LINES:
+        raise DataError(f"the free space falls into {lines} ways: this is noise, and no building")
     net = _net(skeleton, clearance_m, (fork_label, forks), (line_label, lines), cell_m)
     for number in np.unique(line_label[_outline(skeleton) if border is None else border]):
         if number > 0:

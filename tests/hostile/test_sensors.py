@@ -18,7 +18,7 @@ from topobatch.ingest.logs.saved_map import Grid
 from topobatch.ingest.reading import read_log
 from topobatch.ingest.scans.slicing import mount_of_camera
 from topobatch.ingest.scans.stream import Mounting, ScanStream
-from topobatch.topology.errors import LogError
+from topobatch.topology.errors import DataError, LogError
 
 STREAMED = sorted(
     name
@@ -95,3 +95,9 @@ def test_open_space_without_end_costs_no_more_than_its_cells():
         assert grid.free.all()
         assert grid.free.size * min(grid.free.shape) / 2 <= 1.1 * MOST_PEELED
         assert bool(told) == (grid.free.size < free.size)
+
+
+def test_noise_is_refused_before_its_ways_are_counted_against_each_other():
+    free = np.random.default_rng(1).random((600, 600)) < 0.5
+    with pytest.raises(DataError, match="noise"):
+        map_of_grid(GridLog("run", Grid(free, ~free, 1.0, (0.0, 0.0, 0.0)), {}))
