@@ -19,8 +19,11 @@ import numpy as np
 from observed import Seeing, scattered_maps
 
 from topobatch.merge.fusion.fuse import components_of
-from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, repetition, verdict
+from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, match, prepare, repetition, verdict
+from topobatch.merge.robust.alignment import best_of
+from topobatch.merge.robust.links import Seed
 from topobatch.simulation import make_world
+from topobatch.topology.se2 import fit_rigid
 
 DECIDE = import_module("topobatch.merge.robust.decide")
 KINDS = {"tiles": 90, "office": 120, "rows": 70, "maze": 110, "organic": 90, "city": 90}
@@ -81,6 +84,42 @@ def rows(kind, worlds, first):
     yield "two runs", added(score(list(pair)) for pair in combinations(maps, 2))
 
 
+def placements(kind, worlds, first):
+    """Of pairs of one world that share at least FEWEST junctions, by share: how many; how many have
+    a wrong placement beside the right one; in how many of these the right one has more bits, the
+    wrong one more by what merging asks as a lead, and the right one more of the second question."""
+    out = np.zeros((3, 5), int)
+    for a, b in combinations(batch(kind, worlds, first), 2):
+        true_a, true_b = (np.array(m.info["truth"]) for m in (a, b))
+        shared, i, j = np.intersect1d(true_a, true_b, return_indices=True)
+        if a.info["world"] != b.info["world"] or len(shared) < FEWEST:
+            continue
+        one, two = prepare(a), prepare(b)
+        x, y, theta = fit_rigid(a.xy[i], b.xy[j])
+        home = Seed(i, j, float(theta), complex(x, y), 0.0)
+        found = [*match(one, two, DEFAULT_ROBUST)]
+        tested = round(2.0 ** found[0].tested_bits) if found else 1
+        found += best_of(one, two, [home], tested=tested, settings=DEFAULT_ROBUST)
+        copies = repetition.default_copies(DEFAULT_ROBUST)
+        told = {True: [(-np.inf, -np.inf)], False: [(-np.inf, -np.inf)]}
+        for c in found:
+            same = repetition.sameness(one, two, c, copies).bits
+            right = bool(np.mean(true_a[c.a] == true_b[c.b]) >= 0.5)
+            told[right].append((verdict.counted_bits(c), same))
+        right, wrong = (np.max(told[k], axis=0) for k in (True, False))
+        beside = bool(np.isfinite(right[0]) and np.isfinite(wrong[0]))
+        lead = wrong[0] - right[0] if beside else 0.0
+        k = np.searchsorted(SHARES, len(shared) / min(len(a), len(b)), side="right")
+        out[k] += (
+            1,
+            beside,
+            lead < 0,
+            lead > DEFAULT_ROBUST.lead_bits,
+            beside and right[1] > wrong[1],
+        )
+    return out
+
+
 def leave_out(rule):
     """Take a rule out of the matcher."""
     if rule == "elsewhere":
@@ -100,8 +139,20 @@ def main():
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=list(KINDS))
     rules = ("elsewhere", "small copies", "learned copies", "uniform")
     parser.add_argument("--without", choices=rules)
+    parser.add_argument("--placements", action="store_true", help="right ones beside wrong ones")
     options = parser.parse_args()
     leave_out(options.without)
+    if options.placements:
+        print(
+            "| world | overlap | pairs | wrong beside right | right has more | wrong leads | "
+            "second question: right has more |"
+        )
+        print("| --- | --- | --- | --- | --- | --- | --- |")
+        for kind in options.kinds:
+            counts = placements(kind, options.worlds, options.first).tolist()
+            for share, row in zip(("< 25 %", "25-50 %", "> 50 %"), counts, strict=True):
+                print(f"| {kind} | {share} | {' | '.join(map(str, row))} |", flush=True)
+        return
     shares = ("< 25 %", "25-50 %", "> 50 %")
     print(f"| world | judged | {' | '.join(f'right at {s}' for s in shares)} | wrong | promised |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
