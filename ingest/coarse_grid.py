@@ -25,6 +25,8 @@ def affordable(grid: Grid) -> tuple[Grid, tuple[str, ...]]:
     cell at most. O(cells).
     """
     factor = math.ceil(math.sqrt(grid.free.size / MOST_CELLS))
+    while math.prod(-(-n // factor) for n in grid.free.shape) > MOST_CELLS:
+        factor += 1
     found = _coarser(grid, factor)
     reach = int(distance_transform_cdt(np.pad(found.free, 1), "chessboard").max())
     peel = math.ceil((found.free.size * reach / MOST_PEELED) ** (1 / 3))
@@ -40,14 +42,12 @@ def affordable(grid: Grid) -> tuple[Grid, tuple[str, ...]]:
 
 
 def _coarser(grid: Grid, factor: int) -> Grid:
-    """Cells of `factor` by `factor` others as one; beyond the grid nothing is free or unknown."""
+    """Cells of `factor` by `factor` others as one, or of those that are left at the far edges."""
     if factor <= 1:
         return grid
-    height, width = (-(-n // factor) for n in grid.free.shape)
-    more = [(0, m * factor - n) for m, n in zip((height, width), grid.free.shape, strict=True)]
-    shape = height, factor, width, factor
-    return grid._replace(
-        free=np.asarray(np.pad(grid.free, more).reshape(shape).all(axis=(1, 3))),
-        unknown=np.asarray(np.pad(grid.unknown, more).reshape(shape).any(axis=(1, 3))),
-        resolution_m=factor * grid.resolution_m,
-    )
+    free, unknown = grid.free, grid.unknown
+    for axis in (0, 1):
+        begins = np.arange(0, free.shape[axis], factor)
+        free = np.logical_and.reduceat(free, begins, axis=axis)
+        unknown = np.logical_or.reduceat(unknown, begins, axis=axis)
+    return grid._replace(free=free, unknown=unknown, resolution_m=factor * grid.resolution_m)
