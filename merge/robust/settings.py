@@ -56,8 +56,7 @@ DEFAULT_ROBUST = RobustSettings()
 
 @dataclass(frozen=True, slots=True)
 class MatchSettings:
-    """What matching counts with. "Tried": on maps made by `benchmarks/aliasing.py`; where nothing
-    else is said, values half as large again and a third smaller make hardly a difference there."""
+    """What matching counts with. "Tried": on maps made by `benchmarks/aliasing.py`."""
 
     chance_bits: float = 4.0
     """Alignments with less evidence are what chance offers to every pair; matches with no more are
