@@ -163,7 +163,10 @@ def test_ctrl_c_does_not_wait_for_a_server_that_does_not_answer(
         return None
 
     fleet.proxy.fault = stalls
-    call = [sys.executable, "-m", "topobatch.cli", "ingest", f"{fleet.url}/fleet", "-w", tmp_path]
+    # What a shell starts in the background ignores the signal.
+    heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"{heeding}; from topobatch.cli.__main__ import start; start()"
+    call = [sys.executable, "-c", program, "ingest", f"{fleet.url}/fleet", "-w", tmp_path]
     with subprocess.Popen(list(map(str, call)), stderr=subprocess.PIPE) as process:
         assert asked.wait(60)
         process.send_signal(signal.SIGINT)
