@@ -99,8 +99,8 @@ def _places(
     # The middle of the padded grid's first cell lies half a cell before the corner.
     shift = np.array([-0.5, -0.5]) * cell_m
     places = [
-        Place(node.xy + shift, node.headings, "junction", _agreement(node.xy, k, graphs, settings))
-        for k, node in enumerate(graph.nodes)
+        Place(node.xy + shift, node.headings, "junction", share)
+        for node, share in zip(graph.nodes, _agreement(graphs, settings), strict=True)
     ]
     corridors = []
     used = [[False] * len(node.ends) for node in graph.nodes]
@@ -130,18 +130,23 @@ def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) ->
     raise AssertionError("every way at a place is one of its branches")
 
 
-def _agreement(
-    xy: FloatArray, node: int, graphs: list[SkeletonGraph], settings: FloorplanSettings
-) -> float:
-    """Share of the variants that have such a place, themselves included."""
-    degree = len(graphs[0].nodes[node].headings)
-    agreeing = 0
+def _agreement(graphs: list[SkeletonGraph], settings: FloorplanSettings) -> list[float]:
+    """Share of the variants, the first included, that have each place of the first: near enough,
+    and with as many branches."""
+    own = _placed(graphs[0], settings)
+    agreeing = np.zeros(len(own))
     for graph in graphs:
-        agreeing += any(
-            len(other.headings) == degree and np.hypot(*(other.xy - xy)) <= settings.agree_m
-            for other in graph.nodes
-        )
-    return agreeing / len(graphs)
+        away, _ = cKDTree(_placed(graph, settings)).query(own)
+        agreeing += away <= settings.agree_m
+    shares: list[float] = (agreeing / len(graphs)).tolist()
+    return shares
+
+
+def _placed(graph: SkeletonGraph, settings: FloorplanSettings) -> FloatArray:
+    """(n, 3) x, y [m], and what keeps places of different numbers of branches apart."""
+    return np.array(
+        [(*node.xy, 2 * settings.agree_m * len(node.headings)) for node in graph.nodes]
+    ).reshape(-1, 3)
 
 
 def _polyline(edge: Edge, graph: SkeletonGraph, cell_m: float) -> FloatArray | None:

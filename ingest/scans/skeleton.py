@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,11 +92,13 @@ class _Net:
     """Segment numbers by node, twice for a loop."""
     joints: dict[int, list[int]] = field(default_factory=dict)
     """Segments swallowed by a node when others were joined to it."""
+    changed: list[int] = field(default_factory=list)
+    """Segments that are no longer what they were when they were last looked at."""
 
 
 MOST_LINES = 1 << 13
-"""Lines of a skeleton before its spurs are pruned, which takes their number squared: some seconds
-for so many. A floor of 200 by 200 m has two or three thousand."""
+"""Lines of a skeleton before its spurs are pruned: seven variants of so many take a few seconds. A
+floor of 200 by 200 m with 1,280 rooms has 4,500."""
 
 _AROUND = np.ones((3, 3), np.int8)
 
@@ -235,21 +238,49 @@ def _adjacent(a: int, b: int, width: int) -> bool:
 
 
 def _simplify(net: _Net, settings: SkeletonSettings) -> None:
-    """Prune spurs, dissolve places of two branches, join near ones, until nothing changes."""
-    while _prune(net, settings) or _join(net, settings):
-        pass
+    """Prune spurs, dissolve places of two branches, join near ones, until nothing changes.
+
+    Spurs go before places are joined, the shortest first. What may be next stands in heaps, by
+    length; entries that changed since are passed over. O(n log n).
+    """
+    spurs: list[tuple[float, int]] = []
+    joints: list[tuple[float, int]] = []
+    net.changed = list(net.segments)
+    while True:
+        for k in net.changed:
+            if _is_spur(net, k, settings):
+                heappush(spurs, (net.segments[k].length, k))
+            elif (rank := _joint_rank(net, k, settings)) is not None:
+                heappush(joints, rank)
+        net.changed.clear()
+        if not (_prune(net, spurs, settings) or _join(net, joints, settings)):
+            return
 
 
-def _prune(net: _Net, settings: SkeletonSettings) -> bool:
+def _is_spur(net: _Net, k: int, settings: SkeletonSettings) -> bool:
+    """Whether segment k is a corner of the free space, and no way."""
+    segment = net.segments.get(k)
+    if segment is None or len(segment.nodes) != 1 or segment.border:
+        return False
+    clear = net.clearance[segment.nodes[0]]
+    return segment.length < max(settings.spur_m, clear + settings.spur_beyond_m)
+
+
+def _joint_rank(net: _Net, k: int, settings: SkeletonSettings) -> tuple[float, int] | None:
+    """When segment k is taken for part of one place; None if it is longer. Rings come first."""
+    segment = net.segments.get(k)
+    if segment is None or len(segment.nodes) != 2 or segment.length >= settings.join_m:
+        return None
+    return (segment.length, k) if segment.nodes[0] != segment.nodes[1] else (-1.0, -k)
+
+
+def _prune(net: _Net, spurs: list[tuple[float, int]], settings: SkeletonSettings) -> bool:
     """Remove the shortest spur; False if there is none."""
-    best, at = np.inf, -1
-    for k, segment in net.segments.items():
-        if len(segment.nodes) != 1 or segment.border or segment.length >= best:
-            continue
-        clear = net.clearance[segment.nodes[0]]
-        if segment.length < max(settings.spur_m, clear + settings.spur_beyond_m):
-            best, at = segment.length, k
-    if at < 0:
+    while spurs:
+        length, at = heappop(spurs)
+        if _is_spur(net, at, settings) and net.segments[at].length == length:
+            break
+    else:
         return False
     node = net.segments.pop(at).nodes[0]
     net.incident[node].remove(at)
@@ -257,16 +288,14 @@ def _prune(net: _Net, settings: SkeletonSettings) -> bool:
     return True
 
 
-def _join(net: _Net, settings: SkeletonSettings) -> bool:
+def _join(net: _Net, joints: list[tuple[float, int]], settings: SkeletonSettings) -> bool:
     """Make one place of the two nearest; False if none are near."""
-    best, at = settings.join_m, -1
-    for k, segment in net.segments.items():
-        if len(segment.nodes) == 2 and segment.nodes[0] != segment.nodes[1]:
-            if segment.length < best:
-                best, at = segment.length, k
-        elif len(segment.nodes) == 2 and segment.length < settings.join_m:
-            best, at = -1.0, k
-    if at < 0:
+    while joints:
+        rank = heappop(joints)
+        at = abs(rank[1])
+        if _joint_rank(net, at, settings) == rank:
+            break
+    else:
         return False
     segment = net.segments.pop(at)
     a, b = segment.nodes
@@ -283,6 +312,7 @@ def _join(net: _Net, settings: SkeletonSettings) -> bool:
             net.incident[a].append(other)
         net.joints[a] += net.joints.pop(b)
         del net.centre[b], net.weight[b]
+    net.changed += net.incident[a]
     _dissolve(net, a)
     return True
 
@@ -292,6 +322,7 @@ def _dissolve(net: _Net, node: int) -> None:
     ends = net.incident[node]
     if len(ends) >= 3:
         return
+    net.changed += ends
     extra = net.joints[node]
     if len(ends) == 2 and ends[0] != ends[1]:
         first, second = (net.segments[k] for k in ends)
