@@ -128,7 +128,7 @@ class _Mounted:
 
     def expected(self, odometry: Odometry, fixed: FixedTransforms) -> str:
         """What is wrong with frames that nothing joins to the odometry's."""
-        names = ", ".join(map(repr, self.foreign[:5]))
+        names = ", ".join(repr(name[:100]) for name in self.foreign[:5])
         return (
             f"are in frame {names}, expected {odometry.child_frame!r} or {odometry.frame!r}, or "
             f"one fixed to them ({fixed})"

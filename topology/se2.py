@@ -88,6 +88,8 @@ def fit_rigid(xy_a: Any, xy_b: Any) -> FloatArray:
 def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> Any:
     """Rotation about the vertical axis [rad] of unit or non-unit quaternions (x, y, z, w).
 
-    For a pure yaw this is 2·atan2(z, w); a roll or pitch on top is projected away (ZYX Euler).
+    For a pure yaw this is 2·atan2(z, w); a roll or pitch on top is projected away (ZYX Euler). What
+    is not finite, or too large to be squared, may give nan.
     """
-    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

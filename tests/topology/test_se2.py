@@ -86,3 +86,9 @@ def test_yaw_of_a_tilted_quaternion(yaw, pitch, roll):
     y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
     assert se2.wrap(se2.yaw_from_quaternion(x, y, z, w) - yaw) == pytest.approx(0, abs=1e-9)
     assert se2.wrap(se2.yaw_from_quaternion(-x, -y, -z, -w) - yaw) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", [np.inf, np.nan, 1e200])
+def test_what_is_no_quaternion_has_no_yaw(number):
+    assert np.isnan(se2.yaw_from_quaternion(*np.array([number, number, 0.0, number])))
