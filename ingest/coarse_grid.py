@@ -25,7 +25,8 @@ def affordable(grid: Grid) -> tuple[Grid, tuple[str, ...]]:
     cell at most. O(cells).
     """
     factor = math.ceil(math.sqrt(grid.free.size / MOST_CELLS))
-    while math.prod(-(-n // factor) for n in grid.free.shape) > MOST_CELLS:
+    # With a cell around: a grid in one row is three of them.
+    while math.prod(2 - (-n // factor) for n in grid.free.shape) > MOST_CELLS:
         factor += 1
     found = _coarser(grid, factor)
     reach = int(distance_transform_cdt(np.pad(found.free, 1), "chessboard").max())

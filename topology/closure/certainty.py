@@ -40,7 +40,8 @@ def place_errors(
     error[alone, :2] += walk.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, SAMPLES))
     position = sampled.pose[node, :2]
     scale = walk.noise.scale * rng.standard_normal(SAMPLES)
-    error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
+    if len(kept):
+        error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
     own = np.zeros(len(kept))
     if grid is not None:
         # The grid tells a pass its turn by the mean of its branches, to how well these were read
