@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from graphlib import TopologicalSorter
 from itertools import takewhile
 from pathlib import Path
 
@@ -41,6 +42,12 @@ def modules(package: str) -> list[Path]:
     return sorted((ROOT / package).rglob("*.py"))
 
 
+def module_name(path: Path) -> tuple[str, ...]:
+    """A module as parts below the root package; a folder stands for its `__init__`."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return parts[:-1] if parts[-1] == "__init__" else parts
+
+
 def imported(path: Path) -> list[tuple[str, ...]]:
     """Every module of this project that a file imports, as parts below the root package."""
     here = path.relative_to(ROOT).with_suffix("").parts
@@ -56,7 +63,10 @@ def imported(path: Path) -> list[tuple[str, ...]]:
             continue
         base = here[: len(here) - node.level]
         module = tuple((node.module or "").split(".")) if node.module else ()
-        found += [(*base, *module, *(() if module else (alias.name,))) for alias in node.names]
+        for alias in node.names:
+            part = (*base, *module, alias.name)
+            is_module = not module or (ROOT / Path(*part)).with_suffix(".py").exists()
+            found.append(part if is_module else part[:-1])
     return found
 
 
@@ -72,6 +82,15 @@ def test_imports_go_one_way(package: str) -> None:
                 assert ".".join(target[1:]) in VIZ_MAY_USE_OF_MERGE, (
                     f"{path} imports {'.'.join(target)}"
                 )
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """Imports for types alone and those inside functions count as well."""
+    graph = {
+        module_name(path): set(imported(path)) for package in PACKAGES for path in modules(package)
+    }
+    assert sum(len(targets & graph.keys()) for targets in graph.values()) > len(graph)
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
 def test_the_two_methods_of_merging_know_nothing_of_each_other() -> None:

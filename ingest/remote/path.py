@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from .source import RemoteFile
 from .store import (
     TAIL_MOST,
     BadKeyError,
+    Got,
     MissingObjectError,
     Stat,
     asked,
@@ -245,7 +247,7 @@ class RemotePath:
     def file(self) -> RemoteFile:
         """The object to read from; what was read of it is kept as long as this path is."""
         if self._file is None:
-            self._file = RemoteFile(self)
+            self._file = RemoteFile(self.state.size, self._object.ends, self._asked)
         return self._file
 
     def fresh(self) -> RemotePath:
@@ -263,11 +265,6 @@ class RemotePath:
         for known in self._found.objects() if self._found is not None else ():
             known.ends.clear()
 
-    @property
-    def ends(self) -> dict[int, bytes]:
-        """The bytes of its ends that are there, by their places."""
-        return self._object.ends
-
     def magic(self) -> bytes:
         """The first bytes that tell its format, or the last: MCAP files end as they begin."""
         known = self._object
@@ -281,11 +278,12 @@ class RemotePath:
 
     def end(self, start: int, stop: int) -> bytes:
         """Bytes of one of its ends, to be kept with it."""
-        for at, data in self.ends.items():
+        ends = self._object.ends
+        for at, data in ends.items():
             if at <= start and stop <= at + len(data):
                 return data[start - at : stop - at]
         self._keep((start, stop)) if stop > start else None
-        return self.ends[start][: stop - start] if stop > start else b""
+        return ends[start][: stop - start] if stop > start else b""
 
     def _first_look(self, known: Known) -> None:
         """Ask for the end of the object that tells what it holds: a bag's first, others' last."""
@@ -299,10 +297,14 @@ class RemotePath:
 
     def _keep(self, wanted: tuple[int, int] | int) -> None:
         known = self._object
-        key = self.key.rstrip("/")
-        got = asked(self.root, key, wanted, known.stat, named=str(self)).result()
+        got = self._asked(wanted).result()
         known.stat = known.stat or got.stat
         known.ends[got.start] = got.data
+
+    def _asked(self, wanted: tuple[int, int] | int) -> Future[Got]:
+        """A request for bytes of the object, as it is known."""
+        known = self._object.stat
+        return asked(self.root, self.key.rstrip("/"), wanted, known, named=str(self))
 
     @property
     def _object(self) -> Known:

@@ -11,13 +11,9 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from .ranges import Ints, coalesced, in_parts, without
-from .store import TAIL_MOST, Got, asked
-
-if TYPE_CHECKING:
-    from .path import RemotePath
+from .store import TAIL_MOST, Got
 
 PART_BYTES = 1 << 22
 """Longest request: the usual size of parts in buckets, and 40 ms at 100 MB/s, so that what a
@@ -81,7 +77,7 @@ class ReadAhead:
     """Parts of an object that are read one after the other, the next few of them meanwhile."""
 
     def __init__(
-        self, parts: list[tuple[int, int]], ask: Callable[[int, int], Future[Got]]
+        self, parts: list[tuple[int, int]], ask: Callable[[tuple[int, int]], Future[Got]]
     ) -> None:
         self._parts = parts
         self._ask = ask
@@ -98,7 +94,7 @@ class ReadAhead:
             if n > k and left < 0:
                 break
             if n not in self._begun:
-                self._begun[n] = self._ask(start, stop)
+                self._begun[n] = self._ask((start, stop))
         # What does not fit into memory any more when it is wanted again is asked for again.
         return self._parts[k][0], self._begun.pop(k).result().data
 
@@ -115,14 +111,21 @@ class ReadAhead:
 
 
 class RemoteFile:
-    """One object to read from. Any thread may read; LogError where the server fails."""
+    """One object to read from. Any thread may read; LogError where the server fails.
 
-    def __init__(self, path: RemotePath) -> None:
-        self.path = path
-        self.size = path.state.size
+    ends: bytes of its ends by their places; what is read of an index is added. ask: begins to ask
+    for a range: first byte, and the one behind the last.
+    """
+
+    def __init__(
+        self, size: int, ends: dict[int, bytes], ask: Callable[[tuple[int, int]], Future[Got]]
+    ) -> None:
+        self.size = size
+        self._ends = ends
+        self._ask = ask
         self._lock = threading.Lock()
         self._held = _Held(HELD_BYTES)
-        for start, data in sorted(path.ends.items()):
+        for start, data in sorted(ends.items()):
             self._put(start, data)
 
     def cost(self, begin: Ints, end: Ints) -> int:
@@ -137,7 +140,7 @@ class RemoteFile:
     @contextmanager
     def reading_ahead(self, begin: Ints, end: Ints) -> Iterator[ReadAhead]:
         """While the body runs, these ranges are read ahead of it, in their order."""
-        ahead = ReadAhead(self._planned(begin, end), self._asked)
+        ahead = ReadAhead(self._planned(begin, end), self._ask)
         try:
             yield ahead
         except GeneratorExit:
@@ -169,9 +172,9 @@ class RemoteFile:
             behind = (self._held.after(at), ahead.after(at) if ahead is not None else None)
             most = min(max(stop, at + LEAST_BYTES), self.size)
             end = min([most, *(place for place in behind if place is not None)])
-            found = at, self._asked(at, end).result().data
+            found = at, self._ask((at, end)).result().data
             if ahead is None and end - at <= TAIL_MOST:
-                self.path.ends[at] = found[1]  # part of an index
+                self._ends[at] = found[1]  # part of an index
         self._put(*found)
         return found
 
@@ -187,7 +190,3 @@ class RemoteFile:
             end = stop if behind is None else min(stop, behind)
             self._held.put(at, data[at - start : end - start])
             at = end
-
-    def _asked(self, start: int, stop: int) -> Future[Got]:
-        path = self.path
-        return asked(path.root, path.key.rstrip("/"), (start, stop), path.state, named=str(path))
