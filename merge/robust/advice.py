@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from .alignment import Candidate
 from .prepare import NO_HEADING, IntArray, Prepared
-from .settings import MATCH
 from .verdict import Opinion
 
 
@@ -70,7 +70,7 @@ def _unexplored(
     gap = np.abs(wrap(theirs - (known.heading[tail, known.leave[row]] - turn)[:, None]))
     gap[theirs > NO_HEADING / 2] = np.pi  # as far off as can be
     branch = gap.argmin(axis=1)
-    open_ = (gap.min(axis=1) < MATCH.branch_gate_rad) & (other.by_branch[vertex, branch] < 0)
+    open_ = (gap.min(axis=1) < LIKELIHOOD.branch_gate_rad) & (other.by_branch[vertex, branch] < 0)
     columns = (known.length[row], known.head[row], vertex, tail)
     return [
         (known, length, head, other, v, t)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
@@ -17,9 +18,6 @@ ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-LENGTH_KERNEL = np.array([1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0]) / 16
-"""Smooths a histogram of lengths in cells of 10 cm: a triangle of ± 0.4 m."""
 
 SECTOR_RAD = np.pi / 2
 """Branches are sorted into four sectors around the one by which a corridor leaves."""
@@ -37,8 +35,8 @@ class Prepared:
 
     z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NO_HEADING behind the last;
     count: (n,) branches; looks: (n,) passes that saw the junction; surprise: (n,) bits that the
-    branches of this junction tell, by how common such a pattern is in this map; turn_bits: (n, d)
-    -log2 density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
+    branches of this junction tell, by how common such a pattern is in this map; turn_rarity:
+    (n, d) -ln density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
     headings as unit numbers, 0 behind the last; branch_variance: (n,) [rad²] of one heading;
     fault_rate: (n,) chance of a branch too many or too few. traits: (n, 4) count,
     branch_variance, fault_rate and surprise side by side.
@@ -54,7 +52,7 @@ class Prepared:
     probe_*: for every directed corridor its sort keys (pattern, length), sorted.
     middle: (k,) half way between the ends (x + iy); end_surprise: (k,) bits of the branches at
     both ends; worst_variance: the largest of `variance`.
-    alike, alike_pairs: how often two different corridors are equally long (`_equally_long`).
+    alike, alike_pairs: how often two different corridors are equally long (`density_of_equals`).
     road: points inside the corridors (x + iy), road_dir: unit tangents, road_edge: row of the
     directed corridor (one of the first k / 2), road_tail, road_head: its ends, road_share: 0 at
     its tail … 1 at its head, road_end: distance [m] to the nearer end.
@@ -68,7 +66,7 @@ class Prepared:
     count: IntArray
     looks: IntArray
     surprise: FloatArray
-    turn_bits: FloatArray
+    turn_rarity: FloatArray
     branch_unit: ComplexArray
     branch_variance: FloatArray
     fault_rate: FloatArray
@@ -140,10 +138,10 @@ def prepare(topomap: TopoMap) -> Prepared:
     near_masks = _masks(offset)
     mask = near_masks[0]
     pattern = mask * 16 + mask[twin]
-    surprise, turn_bits = _pattern_bits(heading, count)
+    surprise, turn_rarity = _pattern_bits(heading, count)
     branch_variance = m.noise.branch_rad**2 * (0.5 + 1 / looks) + MATCH.floor_rad**2
     fault_rate = _fault_rate(m.noise, looks)
-    alike, alike_pairs = _equally_long(length)
+    alike, alike_pairs = density_of_equals(length)
     probe_key, probe_row = _probes(near_masks[1], twin, length)
     order = np.argsort(tail * len(z) + head, kind="stable")
     sites = Sites.of(z)
@@ -156,14 +154,14 @@ def prepare(topomap: TopoMap) -> Prepared:
         count=count,
         looks=looks,
         surprise=surprise,
-        turn_bits=turn_bits,
+        turn_rarity=turn_rarity,
         branch_unit=np.where(heading < NO_HEADING / 2, np.exp(1j * heading), 0.0),
         branch_variance=branch_variance,
         fault_rate=fault_rate,
         traits=np.column_stack([count, branch_variance, fault_rate, surprise]),
         neighbour=neighbour,
         near_m=near_m,
-        near_rarity=_rarity(near_m.reshape(-1)).reshape(near_m.shape),
+        near_rarity=rarity(near_m.reshape(-1)).reshape(near_m.shape) / BIT,
         near_weight=np.exp(-0.5 * (near_m / MATCH.reach_m) ** 2),
         tail=tail,
         head=head,
@@ -176,7 +174,7 @@ def prepare(topomap: TopoMap) -> Prepared:
         twin=twin,
         variance=variance,
         traversals=traversals,
-        rarity=_rarity(length),
+        rarity=rarity(length) / BIT,
         pair_key=(tail * len(z) + head)[order],
         pair_row=order,
         pattern=pattern,
@@ -356,9 +354,9 @@ def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Flo
     density = np.bincount(cell[other], minlength=bins) + 1.0
     density = (np.roll(density, 1) + 2 * density + np.roll(density, -1)) / 4
     density = density / density.sum() * bins / SECTOR_RAD
-    gain = np.where(other, -np.log2(density)[cell], 0.0)
-    turn_bits = gain.sum(axis=1) / np.maximum(other.sum(axis=1), 1)
-    return surprise, turn_bits
+    gain = np.where(other, -np.log(density)[cell], 0.0)
+    turn_rarity = gain.sum(axis=1) / np.maximum(other.sum(axis=1), 1)
+    return surprise, turn_rarity
 
 
 def _masks_only(offset: FloatArray) -> IntArray:
@@ -367,47 +365,9 @@ def _masks_only(offset: FloatArray) -> IntArray:
     return _mask_of(sector.astype(np.int64) % 4, there)
 
 
-def _rarity(length: FloatArray) -> FloatArray:
-    """-log2 of the density [1/m] of corridors of each length, among the map's own corridors.
-
-    Strategy: histogram of 10 cm, smoothed by a triangle of ± 0.4 m, a tenth of it spread evenly.
-    """
-    if len(length) == 0:
-        return np.zeros(0)
-    cell = np.minimum((length * 10).astype(np.int64), 999)
-    histogram = np.bincount(cell, minlength=int(cell.max()) + 5).astype(np.float64)
-    density = np.convolve(histogram, LENGTH_KERNEL, mode="same") / len(length) * 10
-    spread = MATCH.outlier_share
-    density = (1 - spread) * density + spread / max(float(length.max()), 1.0)
-    return np.asarray(-np.log2(density)[cell])
-
-
-def density_bits(q: FloatArray, variance: FloatArray) -> FloatArray:
-    """log2 density of a difference between two looks at one thing; q: its square over the variance.
-    A normal distribution with a share of outliers."""
-    share, width = MATCH.outlier_share, MATCH.outlier_width
-    core = (1 - share) * np.exp(-0.5 * q) + share / width * np.exp(-0.5 * q / width**2)
-    return np.asarray(np.log2(core) - 0.5 * np.log2(2 * np.pi * variance))
-
-
 def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
     """log2 density [1/m] of a length difference between two looks at one corridor."""
-    return density_bits(difference * difference / variance, variance)
-
-
-def _equally_long(length: FloatArray) -> tuple[float, float]:
-    """Σ density [1/m] at zero of the differences between corridors, and how many were summed.
-
-    length: (k,) of corridors seen from both ends: every corridor stands twice, and its own two rows
-    do not count. Strategy: histogram of 10 cm, smoothed by a triangle of ± 0.4 m. O(k).
-    """
-    k = len(length)
-    if k == 0:
-        return 0.0, 0.0
-    histogram = np.bincount(np.minimum((length * 10).astype(np.int64), 9999), minlength=7)
-    kernel = 10 * LENGTH_KERNEL
-    near = float(histogram @ np.convolve(histogram, kernel, mode="same"))
-    return near - 2 * k * float(kernel[3]), float(k * (k - 2))
+    return length_log_density(difference, variance) / BIT
 
 
 def _neighbours(sites: Sites) -> tuple[IntArray, FloatArray]:

@@ -73,10 +73,6 @@ class MatchSettings:
     most_bits: float = 6.0
     """No single junction, corridor or contradiction tells more, for or against [bits]: it may be a
     fault that no rate foresaw, at a chance of 1/64. Tried: with 7 and 8 fewer offices are told."""
-    outlier_share: float = 0.05
-    """Share of lengths and headings that are measured worse than their noise says …"""
-    outlier_width: float = 4.0
-    """… by this factor. Also the share of lengths that no histogram of others foretells."""
     fault_floor: float = 0.01
     """Of junctions and branches so many differ though both runs looked well: doors, furniture."""
     contradicted_bits: float = 7.0
@@ -98,8 +94,6 @@ class MatchSettings:
     """So do shifts [m], and `drift_per_m` more per metre to where they were found: most junctions
     are farther apart. Also the lever [m] that all matches together have beside the near ones.
     Tried: 2.5, the same."""
-    branch_gate_rad: float = 0.45
-    """Branches this close in heading may be the same [rad]: 26°, several sigmas of any detector."""
 
     drift_per_m: float = 0.06
     """Predictions and placements are off by so much per metre to what they rest on, as growth

@@ -17,7 +17,7 @@ from topobatch.merge.robust.links import (
     seeds,
     windows,
 )
-from topobatch.merge.robust.prepare import length_bits, prepare
+from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.repetition import (
     COPIES as COPY_SETTINGS,
 )
@@ -122,15 +122,6 @@ def test_seeds_grow_as_each_would_alone(halves):
         assert match_.branch == pytest.approx(alone.branch)
     assert len(grow(a, b, found[0], SETTINGS)) > 10
     assert grow_all(a, b, [], SETTINGS) == []
-
-
-def test_length_evidence_is_a_density_with_heavy_tails():
-    d = np.linspace(-20, 20, 400_001)
-    variance = np.full(len(d), 0.04)
-    density = 2.0 ** length_bits(d, variance)
-    assert np.trapezoid(density, d) == pytest.approx(1.0, abs=1e-6)
-    normal = -0.5 * 2.0**2 / 0.04 / np.log(2)
-    assert length_bits(np.array([2.0]), np.array([0.04]))[0] > normal + 20
 
 
 def test_equal_branches_speak_for_a_junction_and_different_ones_against(drawn):

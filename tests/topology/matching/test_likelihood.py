@@ -1,0 +1,56 @@
+"""The terms of the likelihood that closure, robust merging and the paper's method share."""
+
+import numpy as np
+import pytest
+
+from topobatch.topology.matching.likelihood import (
+    LIKELIHOOD,
+    density_of_equals,
+    length_log_density,
+    log_density,
+    rarity,
+)
+
+
+def test_differences_of_one_thing_have_a_density_with_heavy_tails():
+    d = np.linspace(-20, 20, 400_001)
+    variance = np.full(len(d), 0.04)
+    density = np.exp(length_log_density(d, variance))
+    assert np.trapezoid(density, d) == pytest.approx(1.0, abs=1e-6)
+    normal = -0.5 * 2.0**2 / 0.04
+    assert length_log_density(np.array([2.0]), np.array([0.04]))[0] > normal + 14
+    assert log_density(d**2 / 0.04, variance) == pytest.approx(np.log(density))
+
+
+def test_what_is_common_is_worth_little():
+    many, few = np.full(95, 5.03), np.full(5, 12.03)
+    worth = rarity(np.concatenate([many, few]))
+    assert worth[-1] - worth[0] == pytest.approx(np.log(95 / 5), abs=0.1)
+    # The histogram's peak: a triangle as wide as its kernel, less the share of outliers.
+    peak = LIKELIHOOD.cells_per_m / LIKELIHOOD.kernel_cells
+    assert worth[0] == pytest.approx(-np.log(0.95 * 0.95 * peak), abs=0.01)
+    assert len(rarity(np.zeros(0))) == 0
+
+
+def test_rarity_is_of_a_density():
+    """Summed over cells, the density of lengths like each is that of all of them."""
+    length = np.random.default_rng(0).gamma(4.0, 2.0, 4000)
+    cell = (length * LIKELIHOOD.cells_per_m).astype(int)
+    _, first = np.unique(cell, return_index=True)
+    total = np.exp(-rarity(length)[first]).sum() / LIKELIHOOD.cells_per_m
+    assert total == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("scale", [3.0, 400.0])
+def test_density_of_equals_is_that_of_all_differences(scale):
+    one_way = np.random.default_rng(1).uniform(1, scale, 300)
+    length = np.concatenate([one_way, one_way])
+    total, count = density_of_equals(length)
+    cell = (length * LIKELIHOOD.cells_per_m).astype(int)
+    reach = LIKELIHOOD.kernel_cells
+    off = np.abs(cell[:, None] - cell)
+    weight = np.maximum(reach - off, 0) / reach**2 * LIKELIHOOD.cells_per_m
+    own = np.eye(600, dtype=bool) | np.roll(np.eye(600, dtype=bool), 300, axis=1)
+    assert total == pytest.approx(weight[~own].sum())
+    assert count == np.count_nonzero(~own)
+    assert density_of_equals(np.zeros(0)) == (0.0, 0.0)

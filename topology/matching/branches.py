@@ -1,0 +1,65 @@
+"""How the branches of two junctions fit: which are the same, and what that tells.
+
+Headings are unit numbers e^{iθ}, 0 where there is no branch, in rows as long as the most branches
+of any junction. So the cosine of the angle between two branches is one product, no angle is ever
+wrapped, and what is not there is near nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .likelihood import LIKELIHOOD, log_density
+
+ComplexArray = NDArray[np.complex128]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+COS_GATE = float(np.cos(LIKELIHOOD.branch_gate_rad))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BranchPairs:
+    """Which branches of k pairs of junctions are each other's nearest.
+
+    paired: (k, d_a) whether each branch of a has a partner in b; nearest: (k, d_a) the branch of b
+    nearest to it, its partner if it has one; chord2: (k, d_a) squared chord between the two on the
+    unit circle, which for small angles is the angle's square [rad²].
+    """
+
+    paired: BoolArray
+    nearest: IntArray
+    chord2: FloatArray
+
+
+def mutual_nearest(
+    unit_a: ComplexArray, unit_b: ComplexArray, cos_gate: float = COS_GATE
+) -> BranchPairs:
+    """Branches (k, d_a) and (k, d_b), in one frame, that are each other's nearest within a gate."""
+    k, d_a, d_b = len(unit_a), unit_a.shape[1], unit_b.shape[1]
+    pairs_a = unit_a.view(np.float64).reshape(k, d_a, 2)
+    pairs_b = unit_b.view(np.float64).reshape(k, d_b, 2)
+    cosine = np.matmul(pairs_a, pairs_b.transpose(0, 2, 1))
+    nearest_b, nearest_a = cosine.argmax(axis=2), cosine.argmax(axis=1)
+    row = np.arange(k)[:, None]
+    best = cosine[row, np.arange(d_a), nearest_b]
+    mutual = nearest_a[row, nearest_b] == np.arange(d_a)
+    return BranchPairs((best > cos_gate) & mutual, nearest_b, 2 - 2 * best)
+
+
+def agreeing_log_density(
+    pairs: BranchPairs, variance: FloatArray, free: FloatArray, most: float
+) -> FloatArray:
+    """(k,) nats that the headings of paired branches tell: same branch against any two.
+
+    variance: (k,) [rad²] of a difference of headings; free: (k, d_a) -ln density [1/rad] of finding
+    a branch there by chance: the more freely branches point, the more an agreeing one tells; most:
+    what one branch may tell at most.
+    """
+    fit = log_density(pairs.chord2 / variance[:, None], variance[:, None])
+    told = np.where(pairs.paired, np.minimum(fit + free, most), 0.0)
+    return np.asarray(np.add.reduce(told, axis=1))

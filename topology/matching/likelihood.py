@@ -1,0 +1,112 @@
+"""How likely an association is: stated once, for closure, robust merging and the paper's method.
+
+An association says that two things, one of each of two views, are one thing: two passes by a
+junction, two junctions, two corridors. It is judged by the log likelihood ratio of what was
+measured of the two,
+
+    λ = Σ_i ln p(x_i | the same thing) - ln p(x_i | any two things),
+
+in natural units (nats). Measurements enter by three kinds of term.
+
+*What both have.* Two looks at one length, position or heading differ by d with a variance σ², but a
+share ε of them is measured worse than the noise says, by a factor w (`log_density`):
+
+    p(d | same) = (1 - ε) N(d; 0, σ²) + ε N(d; 0, w²σ²).
+
+*Chance.* Any two things differ as two draws from what the view holds. So a length is worth its
+rarity among the lengths of its own view, -ln p(x) (`rarity`), and what is common tells little.
+
+*What only one has.* It costs ln(rate), rate being how often a look adds or misses such a thing.
+
+Branches have their own sum of these terms (`branches.py`), and so has the growth of matches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BIT = float(np.log(2.0))
+"""Nats of a bit: evidence is added up in nats here, and told in bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class LikelihoodSettings:
+    """What the likelihood takes for granted of every view."""
+
+    outlier_share: float = 0.05
+    """Share of lengths and headings that are measured worse than their noise says …"""
+    outlier_width: float = 4.0
+    """… by this factor. Also the share of lengths that no histogram of others foretells."""
+    branch_gate_rad: float = 0.45
+    """Branches this close in heading may be the same [rad]: 26°, several sigmas of any detector."""
+    cells_per_m: int = 10
+    """Histograms of lengths have cells of 10 cm, about what two looks at a length differ by …"""
+    kernel_cells: int = 4
+    """… smoothed by a triangle that ends so many cells off."""
+    longest_m: float = 1000.0
+    """Longer corridors count as this long [m]: it bounds the histograms alone."""
+
+
+LIKELIHOOD = LikelihoodSettings()
+
+
+def log_density(q: FloatArray, variance: FloatArray) -> FloatArray:
+    """ln density of a difference between two looks at one thing; q: its square over the variance.
+
+    The density is per unit of the root of `variance`: 1/m for lengths, 1/rad for headings.
+    """
+    share, width = LIKELIHOOD.outlier_share, LIKELIHOOD.outlier_width
+    core = (1 - share) * np.exp(-0.5 * q) + share / width * np.exp(-0.5 * q / width**2)
+    return np.asarray(np.log(core / np.sqrt(2 * np.pi * variance)))
+
+
+def length_log_density(difference: FloatArray, variance: FloatArray) -> FloatArray:
+    """ln density [1/m] of a length difference between two looks at one corridor."""
+    return log_density(difference * difference / variance, variance)
+
+
+def rarity(length: FloatArray) -> FloatArray:
+    """-ln of the density [1/m] of lengths like each of these [m], among all of them.
+
+    Strategy: a smoothed histogram, a share of it (`outlier_share`) spread evenly.
+    """
+    if len(length) == 0:
+        return np.zeros(0)
+    cell = _cells(length)
+    density = _smoothed(cell) / len(length)
+    spread = LIKELIHOOD.outlier_share
+    density = (1 - spread) * density + spread / max(float(length.max()), 1.0)
+    return np.asarray(-np.log(density)[cell])
+
+
+def density_of_equals(length: FloatArray) -> tuple[float, float]:
+    """Σ density [1/m] at zero of the differences between corridors, and how many were summed.
+
+    length: (k,) of corridors seen from both ends: every corridor stands twice, and its own two rows
+    do not count. O(k), by the histogram of `rarity`.
+    """
+    k = len(length)
+    if k == 0:
+        return 0.0, 0.0
+    cell = _cells(length)
+    near = float(_smoothed(cell)[cell].sum())
+    own = 2 * k * LIKELIHOOD.cells_per_m / LIKELIHOOD.kernel_cells
+    return near - own, float(k * (k - 2))
+
+
+def _cells(length: FloatArray) -> IntArray:
+    return (np.minimum(length, LIKELIHOOD.longest_m) * LIKELIHOOD.cells_per_m).astype(np.int64)
+
+
+def _smoothed(cell: IntArray) -> FloatArray:
+    """Histogram [1/m] of lengths by their cells, smoothed; it ends where nothing is left."""
+    reach = LIKELIHOOD.kernel_cells
+    histogram = np.bincount(cell, minlength=int(cell.max()) + reach + 1)
+    triangle = (reach - np.abs(np.arange(1 - reach, reach))) / reach**2
+    return np.convolve(histogram, triangle, mode="same") * LIKELIHOOD.cells_per_m
