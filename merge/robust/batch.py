@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from ..result import Verdict, pairs_of
 from .components import ELSEWHERE, Components, Refusal, agrees, lying_over
 from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise, in_tiles
-from .prepare import IntArray
+from .prepare import FloatArray, IntArray
 from .records import Found
 from .screening import beyond_chance, pairs_to_match
 from .settings import RobustSettings
@@ -24,18 +24,22 @@ class Batch:
     """What was found between the maps of a batch, and what the two maps of each pair say alone."""
 
     matcher: Pairwise
-    bar_of: Callable[[Pair, PairCount], Bar]
+    bar_of: Callable[[Sequence[int], PairCount], Bar]
     found: dict[Pair, Found] = field(default_factory=dict)
     opinions: dict[Pair, Opinion] = field(default_factory=dict)
-    count: PairCount | None = None
+    _against_chance: FloatArray | None = None
 
-    def level(self, pair: Pair) -> Bar:
-        """What a pair must reach: all pairs share the rate of false merges, also those that were
-        found to have no chance."""
-        pairs = pairs_of(len(self.matcher.maps))
-        if self.count is None:
-            self.count = _count(self.found, pairs, self.matcher.settings)
-        return self.bar_of(pair, self.count)
+    def level(self, some: Sequence[int], pairs: int | None = None) -> Bar:
+        """What two maps, or two components, must reach: so many pairs share the rate of false
+        merges. All of the batch if it is not told, also those that were found to have no chance."""
+        if self._against_chance is None:
+            settings = self.matcher.settings
+            told = [found.against_chance(settings) for found in self.found.values()]
+            self._against_chance = np.array(told)
+        pairs = pairs_of(len(self.matcher.maps)) if pairs is None else pairs
+        need = needed_bits(pairs, self.matcher.settings)
+        beyond = int(np.count_nonzero(self._against_chance >= need))
+        return self.bar_of(some, PairCount(pairs, beyond_chance(beyond, pairs)))
 
     def look_at(self, wanted: IntArray, gone: Iterable[Pair] = ()) -> None:
         """Match (k, 2) pairs; what is found between some is taken back."""
@@ -92,10 +96,3 @@ def match_shard(
     mine = np.array_split(wanted, share[1])[share[0] - 1]
     matcher.pairs(mine)
     return len(mine)
-
-
-def _count(found: Mapping[Pair, Found], pairs: int, settings: RobustSettings) -> PairCount:
-    """How many pairs may be merged wrongly, by chance or for copies."""
-    need = needed_bits(pairs, settings)
-    seen = sum(f.against_chance(settings) >= need for f in found.values())
-    return PairCount(pairs, beyond_chance(seen, pairs))

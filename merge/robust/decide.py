@@ -54,8 +54,9 @@ def decide(
     3. Each pair by itself is merged, ambiguous or unrelated; "merged" must fit better than its
        mirror image.
     4. Merged pairs are joined, strongest first, locks honoured, cycles checked.
-    5. The merged maps of components are matched again: evidence adds up over their runs. They, too,
-       must fit better than their mirror images.
+    5. The merged maps of components are matched again: evidence adds up over their runs, and fewer
+       pairs are left that may be merged wrongly. They, too, must fit better than their mirror
+       images.
     6. What the joined runs say of the pairs that stayed open is taken over; pairs that now lie over
        each other are matched after all.
 
@@ -186,14 +187,14 @@ def bars(
     prepared: Sequence[Prepared],
     settings: RobustSettings,
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
-) -> Callable[[Pair, PairCount], Bar]:
-    """What each pair must reach in a batch of so many pairs. with_themselves: matches of each map
-    with other parts of itself, if they are known."""
+) -> Callable[[Sequence[int], PairCount], Bar]:
+    """What some maps, a pair or those of two components, must reach in a batch of so many pairs.
+    with_themselves: matches of each map with other parts of itself, if they are known."""
     own = with_themselves or [self_matches(m, settings) for m in prepared]
     copies, copied = _repetition(prepared, own, settings)
 
-    def level(pair: Pair, count: PairCount) -> Bar:
-        return bar(count, copies, settings, copied=max(copied[k] for k in pair))
+    def level(some: Sequence[int], count: PairCount) -> Bar:
+        return bar(count, copies, settings, copied=max(copied[k] for k in some))
 
     return level
 
@@ -357,7 +358,9 @@ def _joined(
         verdict=Verdict.MERGED,
         accepted=True,
         evidence_bits=best.evidence_bits,
-        threshold_bits=case.view.need_bits,
+        threshold_bits=case.reunion.need_bits
+        if by == "components" and case.reunion
+        else case.view.need_bits,
         reason=reason,
         best=best,
         runner_up=runner_up,

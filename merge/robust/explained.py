@@ -29,7 +29,7 @@ from .prepare import FloatArray, Prepared, prepare
 from .rematching import view_of_components
 from .screening import beyond_chance
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
-from .verdict import Answers, Bar, PairCount, counted_bits, needed_bits
+from .verdict import Answers, PairCount, counted_bits, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -54,11 +54,12 @@ class Batch:
     def __post_init__(self) -> None:
         object.__setattr__(self, "row", {m.run: i for i, m in enumerate(self.maps)})
 
-    @property
-    def count(self) -> PairCount:
-        """The pairs that shared the false-merge rate; what earlier versions did not tell is taken
-        to be beyond chance."""
+    def count(self, told: PairVerdict | None = None) -> PairCount:
+        """The pairs that shared the false-merge rate, or those that still did when components
+        joined a pair; what earlier versions did not tell is taken to be beyond chance."""
         pairs = pairs_of(len(self.poses)) or len(self.said) or pairs_of(len(self.maps))
+        if told is not None and told.accepted_by == "components" and told.threshold_bits:
+            pairs = round(2.0**told.threshold_bits * self.settings.false_merge_rate)
         told = [v.extra.get("against_chance_bits", 0.0) for v in self.said.values()]
         if not any(told):
             return PairCount(pairs, pairs)
@@ -73,7 +74,7 @@ class Batch:
 def explain(batch: Batch, a: str, b: str) -> Decision:
     """Why two runs a < b were merged or not. Raises KeyError if the map of one is missing."""
     pair = (a, b)
-    own = assess(batch.maps, (batch.row[a], batch.row[b]), batch.settings, count=batch.count)
+    own = assess(batch.maps, (batch.row[a], batch.row[b]), batch.settings, count=batch.count())
     alone = own.alone()
     unlisted = batch.unlisted(a, b)
     told = _unlisted(batch, alone) if unlisted else batch.said.get(pair, alone)
@@ -82,7 +83,7 @@ def explain(batch: Batch, a: str, b: str) -> Decision:
     return Decision(
         said=told,
         merged=unlisted or pair in batch.said,
-        requirement=_requirement(batch, own.level, shown[0][1] if shown else None),
+        requirement=_requirement(batch, told, shown[0][1] if shown else None),
         placements=placements,
         start=start,
         by_others=_by_others(batch, told),
@@ -186,9 +187,7 @@ def _of_components(
 ) -> list[Shown]:
     """The placement of a pair that its components joined, by the evidence of these."""
     x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
-    level = bars([prepare(m) for m in batch.maps], batch.settings)
-    across = [level((min(i, j), max(i, j)), batch.count) for i in x for j in y]
-    highest = max(across, key=lambda bar: (bar.need_bits, bar.copied))
+    level = bars([prepare(m) for m in batch.maps], batch.settings)((*x, *y), batch.count(told))
     inside = {
         (batch.row[a], batch.row[b]): v.best
         for (a, b), v in batch.said.items()
@@ -197,7 +196,7 @@ def _of_components(
         and b in batch.row
         and v.best is not None
     }
-    one, two, view = view_of_components(batch.maps, (x, y), inside, highest, batch.settings)
+    one, two, view = view_of_components(batch.maps, (x, y), inside, level, batch.settings)
     if view.best is None or told.best is None:
         return []
     swapped = told.a not in one.names
@@ -314,12 +313,12 @@ def _against(naming: _Naming, c: Candidate) -> list[Term]:
     return [naming.term(x.kind, -x.bits, told[x.kind], one=x.of_a, two=x.of_b) for x in found]
 
 
-def _requirement(batch: Batch, level: Bar, answers: Answers | None) -> Requirement:
-    settings = batch.settings
+def _requirement(batch: Batch, told: PairVerdict, answers: Answers | None) -> Requirement:
+    settings, pairs = batch.settings, batch.count(told).all
     asked = answers is not None and answers.same_place is not None
     return Requirement(
-        threshold_bits=level.need_bits,
-        pairs=batch.count.all,
+        threshold_bits=needed_bits(pairs, settings),
+        pairs=pairs,
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
         lead_bits=settings.lead_bits,

@@ -90,6 +90,7 @@ class MergedMaps:
         self._prepared = prepared
         self._kept = kept
         self._made: dict[tuple[Runs, tuple[tuple[Pair, bytes], ...]], MergedMap] = {}
+        self._images: dict[tuple[MergedMap, MergedMap], float] = {}
 
     def of(self, runs: Runs, accepted: Mapping[Pair, Alignment]) -> MergedMap:
         """The merged map of some runs, sorted, by the accepted alignments between them."""
@@ -123,6 +124,11 @@ class MergedMaps:
 
     def image_bits(self, one: MergedMap, two: MergedMap, settings: RobustSettings) -> float:
         """The evidence of the best alignment of the first with the mirror image of the second."""
+        if (one, two) not in self._images:
+            self._images[one, two] = self._image_bits(one, two, settings)
+        return self._images[one, two]
+
+    def _image_bits(self, one: MergedMap, two: MergedMap, settings: RobustSettings) -> float:
         data = self._find(Kind.IMAGE, one, two)
         known = None if data is None else arrays_from_bytes(data, "f")
         if known is not None and len(known[0]) < 2:

@@ -1,6 +1,9 @@
 """Merged maps matched again: the evidence of many runs, every physical thing counted once.
 
-Two components with an open pair across them are joined where their merged maps say so.
+Two components with an open pair across them are joined where their merged maps say so. What they
+must reach is shared by the pairs of runs that are not joined yet: as long as nothing was merged
+wrongly, a wrong merge can only be one of these (Holm's procedure: Scandinavian Journal of
+Statistics 6, 1979; with pairs that others imply left out, Shaffer: JASA 81, 1986).
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ import numpy as np
 
 from ...topology.topomap import TopoMap
 from ..packs import Kept
-from ..result import Alignment, Verdict
+from ..result import Alignment, Verdict, pairs_of
 from .alignment import Candidate, laid_over, match
 from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
@@ -28,18 +31,21 @@ Pair = tuple[int, int]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reunion:
-    """A pair of runs joined by what their components say together. margin: the lead of this
-    placement over the next best one of the two components, None if there was none; sides: the runs
-    of the two components."""
+    """A pair of runs joined by what their components say together. need_bits: what they had to
+    reach; margin: the lead of this placement over the next best one of the two components, None if
+    there was none; sides: the runs of the two components."""
 
     alignment: Alignment
     reason: str
+    need_bits: float
     margin: float | None
     sides: tuple[tuple[str, ...], tuple[str, ...]]
 
 
 Sides = tuple[Runs, Runs]
 """Two components, each by its runs, in order."""
+
+Asked = tuple[MergedMap, MergedMap, tuple[Candidate, ...]]
 
 Said = tuple[MergedMap, MergedMap, Opinion]
 
@@ -49,14 +55,15 @@ class Rematcher:
     """Matches the fused maps of components with open pairs between them, until nothing joins.
 
     Changes `components`. The strongest reunion of each round is carried out, then its component
-    is fused anew, so that every decision uses all that is known.
+    is fused anew, so that every decision uses all that is known. level: what some runs must reach
+    in a batch of so many pairs.
     """
 
     maps: Sequence[TopoMap]
     prepared: Sequence[Prepared]
     components: Components
     opinions: Mapping[Pair, Opinion]
-    level: Callable[[Pair], Bar]
+    level: Callable[[Sequence[int], int], Bar]
     settings: RobustSettings
     discarded: frozenset[Pair] = frozenset()
     kept: Kept | None = None
@@ -70,14 +77,15 @@ class Rematcher:
         accepted = {pair: _plain(c) for pair, c in joined.items()}
         reunions: dict[Pair, Reunion] = {}
         open_ = self._open()
-        found = self._said(open_, accepted)
-        while found:
-            one, two, view = max(found.values(), key=_strength)
+        asked = self._asked(open_, accepted)
+        while found := self._said(asked):
+            one, two, view = max(found, key=_strength)
             links = _links(one, two, view)
             for pair, alignment in links.items():
                 accepted[pair] = alignment
                 reason = _reason(pair, one, two, view, self.maps)
-                reunions[pair] = Reunion(alignment, reason, view.margin, (one.names, two.names))
+                sides = (one.names, two.names)
+                reunions[pair] = Reunion(alignment, reason, view.need_bits, view.margin, sides)
             (i, j), first = next(iter(links.items()))
             self.components.join(i, j, first.transform)
             # What others say of each other stays as it was.
@@ -86,8 +94,8 @@ class Rematcher:
             others = {side for sides in open_ if gone & {*sides} for side in sides} - gone
             kept = {sides for sides in open_ if not gone & {*sides}}
             fresh = {(min(whole, side), max(whole, side)) for side in others}
-            found = {sides: f for sides, f in found.items() if sides in kept}
-            found |= self._said(fresh, accepted)
+            asked = {sides: asked[sides] for sides in asked if sides in kept}
+            asked |= self._asked(fresh, accepted)
             open_ = kept | fresh
         return reunions
 
@@ -102,24 +110,30 @@ class Rematcher:
         runs = {k: tuple(sorted(members[k])) for pair in across for k in pair}
         return {(min(runs[x], runs[y]), max(runs[x], runs[y])) for x, y in across}
 
-    def _said(
+    def _asked(
         self, open_: Iterable[Sides], accepted: Mapping[Pair, Alignment]
-    ) -> dict[Sides, Said]:
-        """Which pairs of components, not both single runs, are joined by what they say together."""
-        asked, found = [], []
+    ) -> dict[Sides, Asked]:
+        """The candidates of pairs of components, not both single runs, that have any."""
+        out = {}
         for x, y in sorted(open_):
             if len(x) + len(y) == 2 or self._apart(x, y):
                 continue
             one, two = (self._merged.of(runs, accepted) for runs in (x, y))
             candidates = self._merged.matched(one, two, self.settings)
             if candidates:
-                asked.append((one, two))
-                across = (self.level((min(i, j), max(i, j))) for i in x for j in y)
-                level = max(across, key=lambda bar: (bar.need_bits, bar.copied))
-                found.append((one.prepared, two.prepared, candidates, level))
-        told = zip(asked, opinions(found), strict=True)
-        said = [(one, two, view) for (one, two), view in told if self._joins(one, two, view)]
-        return {(one.runs, two.runs): (one, two, view) for one, two, view in said}
+                out[x, y] = (one, two, candidates)
+        return out
+
+    def _said(self, asked: Mapping[Sides, Asked]) -> list[Said]:
+        """Which of them are joined by what they say together."""
+        members = self.components.members.values()
+        left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
+        cases = [
+            (one.prepared, two.prepared, candidates, self.level((*one.runs, *two.runs), left))
+            for one, two, candidates in asked.values()
+        ]
+        told = zip(asked.values(), opinions(cases), strict=True)
+        return [(one, two, view) for (one, two, _), view in told if self._joins(one, two, view)]
 
     def _apart(self, x: Runs, y: Runs) -> bool:
         """Whether a person said that two components are not to be joined, or took that back: it

@@ -42,7 +42,7 @@ def rematched(three, found, need_bits, never=()):
     parts = Components(3, never)
     first = found[0, 1][0]
     parts.join(0, 1, first.transform)
-    rematcher = Rematcher(three, ready, parts, views, lambda _: level, SETTINGS)
+    rematcher = Rematcher(three, ready, parts, views, lambda *_: level, SETTINGS)
     return parts, rematcher.run({(0, 1): first})
 
 
