@@ -14,7 +14,7 @@ from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise, in_tiles
 from .prepare import FloatArray, IntArray
 from .records import Found
-from .screening import beyond_chance, pairs_to_match
+from .screening import pairs_to_match
 from .settings import RobustSettings
 from .verdict import Bar, Opinion, PairCount, needed_bits, opinions
 
@@ -39,7 +39,7 @@ class Batch:
         pairs = pairs_of(len(self.matcher.maps)) if pairs is None else pairs
         need = needed_bits(pairs, self.matcher.settings)
         beyond = int(np.count_nonzero(self._against_chance >= need))
-        return self.bar_of(some, PairCount(pairs, beyond_chance(beyond, pairs)))
+        return self.bar_of(some, PairCount(pairs, beyond))
 
     def look_at(self, wanted: IntArray, gone: Iterable[Pair] = ()) -> None:
         """Match (k, 2) pairs; what is found between some is taken back."""

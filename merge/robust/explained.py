@@ -27,7 +27,6 @@ from .forced import forced_alignment
 from .growth import given_up
 from .prepare import FloatArray, Prepared, prepare
 from .rematching import view_of_components
-from .screening import beyond_chance
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .verdict import Answers, PairCount, counted_bits, needed_bits
 
@@ -64,7 +63,7 @@ class Batch:
         if not any(told):
             return PairCount(pairs, pairs)
         need = needed_bits(pairs, self.settings)
-        return PairCount(pairs, beyond_chance(sum(bits >= need for bits in told), pairs))
+        return PairCount(pairs, sum(bits >= need for bits in told))
 
     def unlisted(self, a: str, b: str) -> bool:
         """Is a pair one of those that a large merge only counted?"""

@@ -49,11 +49,10 @@ class TaskSettings:
 
     tile: int = 32
     """Maps per side of the tiles in which pairs are taken, and pairs of a task at most a tile: a
-    map that is read serves a row of it, and asking for a second of work does not count."""
-    fewest: int = 32
-    """Into so many tasks even few pairs are divided, for the sake of several workers."""
-    most_ready: int = 256
-    """Prepared maps that a worker remembers, some 100 kB each."""
+    map that is read serves a row of it, and asking for a second of work does not count. Into as
+    many tasks even few pairs are divided, for the sake of several workers."""
+    at_hand: int = 256
+    """Maps that a worker remembers, and that the index looks through at once: some 100 kB each."""
 
 
 TASKS = TaskSettings()
@@ -243,7 +242,7 @@ class Pairwise:
     ) -> Iterator[tuple[IntArray, MatchTask]]:
         """The missing pairs tile by tile, with their places."""
         order = missing[tile_order(wanted[missing])]
-        size = min(TASKS.tile**2, max(-(-len(order) // TASKS.fewest), 1))
+        size = min(TASKS.tile**2, max(-(-len(order) // TASKS.tile), 1))
         for start in range(0, len(order), size):
             places = order[start : start + size]
             maps, rows = np.unique(wanted[places], return_inverse=True)
@@ -286,7 +285,7 @@ def matched(task: MatchTask) -> bytes:
     def ready(digest: bytes, image: bool) -> Prepared:
         found = _ready.get((digest, image))
         if found is None:
-            if len(_ready) >= TASKS.most_ready:
+            if len(_ready) >= TASKS.at_hand:
                 _ready.clear()
             topomap = task.sent.get(digest) or _read(task.maps, run_of[digest], digest)
             found = prepare(mirrored(topomap) if image else topomap)

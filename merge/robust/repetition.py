@@ -25,33 +25,26 @@ if TYPE_CHECKING:
 class CopySettings:
     """What is assumed of copies, beside `copy_variation` and `copy_change_rate`."""
 
-    noise_factors: tuple[float, ...] = (0.75, 0.87, 1.0, 1.15, 1.33)
-    """The noise that a run reports may be wrong by such factors …"""
-    noise_odds: tuple[float, ...] = (0.03, 0.2, 0.54, 0.2, 0.03)
-    """… with these odds: a ninth, 1 sigma, as sigmas stray in `benchmarks/uncertainty.py`."""
-    exact_shares: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0)
-    """Of the corridors of two copies so many may be built exactly alike, the others as the settings
-    say …"""
-    exact_prior: tuple[float, ...] = (0.15, 0.25, 0.26, 0.22, 0.1, 0.019, 0.001)
-    """… with these odds, as long as no map has shown how exactly it repeats itself: two fifths on
-    average. Cautious: with it offices keep their promise (`benchmarks/calibration.py`)."""
-    temper: float = 0.5
-    """Weight of a repeated corridor in learning: every pair is found twice."""
-    prior_places: float = 40.0
-    """The change rate is shrunk towards the settings as by so many more junctions, a map's."""
-    most_faults: float = 0.3
-    """A detector that errs more often tells nothing of changes."""
+    noise_stray: float = 0.11
+    """The noise that a run reports is wrong by such a factor, 1 sigma of its logarithm, as sigmas
+    stray in `benchmarks/uncertainty.py`."""
+    exact_prior: tuple[float, ...] = (0.15, 0.25, 0.26, 0.22, 0.119, 0.001)
+    """Odds, from none to all in equal steps, of how many of the corridors of two copies are built
+    exactly alike, as long as no map has shown how exactly it repeats itself: two fifths on average.
+    Cautious: with it offices keep their promise (`benchmarks/calibration.py`)."""
     most_changed: float = 0.5
     """No copies are taken to differ in more of their junctions, whatever the maps' matches with
-    themselves show: many of these are chance, not copies (`benchmarks/calibration.py`)."""
-    worst_nats: float = 8.0
-    """No single corridor decides: it may have been measured past a junction."""
+    themselves show: many of these are chance, not copies (`benchmarks/calibration.py`). Nor is a
+    detector taken to err more often: it would tell nothing of changes."""
 
 
 COPIES = CopySettings()
 
 ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
 """The bound is never negative; of what a typical copy reaches it is 0 but for rounding."""
+
+WORST_NATS = MATCH.most_bits * np.log(2)
+"""No single corridor decides: it may have been measured past a junction."""
 
 TOGETHER = 2**8
 """Alignments taken at once: what is worked out of them fits the processor's cache."""
@@ -63,6 +56,13 @@ NODES, NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(17)
 NODES, NODE_WEIGHTS = NODES[8:], NODE_WEIGHTS[8:] * [1, *[2] * 8]
 NODE_WEIGHTS = NODE_WEIGHTS / NODE_WEIGHTS.sum()
 """Of quadrature over differences whose sign tells nothing: each node stands for two."""
+
+STRAYS, STRAY_ODDS = np.polynomial.hermite_e.hermegauss(5)
+STRAY_ODDS = STRAY_ODDS / STRAY_ODDS.sum()
+"""Of quadrature over what the noise may be wrong by, in its sigmas."""
+
+SHARES = np.linspace(0.0, 1.0, len(COPIES.exact_prior))
+"""Shares of corridors built exactly alike that `exact_prior` speaks of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Sameness:
 @dataclass(frozen=True, slots=True)
 class CopyModel:
     """How copies of one design differ. variation: relative 1 sigma of lengths not built exactly
-    alike; exact_odds: odds of each of the `exact_shares`, adding up to 1; change_rate: share
+    alike; exact_odds: odds of each of the `SHARES`, adding up to 1; change_rate: share
     of junctions that differ."""
 
     variation: float
@@ -120,12 +120,12 @@ def _sameness_of(
     against = np.array([len(c.conflicts) for _, _, c in cases])
     changed = np.array([np.count_nonzero(some) for some in lonely]) + against
     compared = np.array([len(c) for _, _, c in cases]) + against
-    fault = np.minimum(faults, COPIES.most_faults)
+    fault = np.minimum(faults, COPIES.most_changed)
     change = fault + (1 - fault) * copies.change_rate
     kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
     parts = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]
     shape, ends = _Lengths.joined(parts), np.cumsum([0, *(len(part.d2) for part in parts)])
-    share = float(np.dot(copies.exact_odds, COPIES.exact_shares))
+    share = float(np.dot(copies.exact_odds, SHARES))
     nats = _sums(shape.odds(shape.d2, share), ends)
     nats += (compared - changed) * kept_nats + changed * changed_nats
     tilts = TILTS[:, None]
@@ -133,7 +133,7 @@ def _sameness_of(
         (1 - change) * np.exp(tilts * kept_nats) + change * np.exp(tilts * changed_nats)
     )
     tilted = tilts * nats - spread - _sums(shape.tilted(share), ends)  # (factor, share, tilt, case)
-    weight = np.log(np.outer(COPIES.noise_odds, copies.exact_odds))[:, :, None]
+    weight = np.log(np.outer(STRAY_ODDS, copies.exact_odds))[:, :, None]
     bound = -np.logaddexp.reduce((weight - tilted.max(axis=2)).reshape(-1, len(cases)), axis=0)
     # Below what is typical of copies: how far below, to rank by.
     bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
@@ -197,35 +197,39 @@ class _Lengths:
         """log odds [nats] of the same place against a copy of which `share` is exactly alike."""
         whole = self.noise + self.built
         ahead = 0.5 * np.log(self.noise / whole)  # of the varied density over the exact one
-        ahead = ahead - np.minimum(d2 * (0.5 / whole), COPIES.worst_nats)
-        ahead += np.minimum(d2 * (0.5 / self.noise), COPIES.worst_nats)
+        ahead = ahead - np.minimum(d2 * (0.5 / whole), WORST_NATS)
+        ahead += np.minimum(d2 * (0.5 / self.noise), WORST_NATS)
         return np.asarray(-np.log(share + (1 - share) * np.exp(ahead)))
 
     def averaged(self, share: float) -> float:
         """log likelihood [nats] of the differences between copies, over factors of the noise."""
-        noise = self.noise * np.array(COPIES.noise_factors)[:, None] ** 2
+        noise = self._strayed()
         exact = np.exp(_normal(self.d2, noise))
         varied = np.exp(_normal(self.d2, noise + self.built))
         each = np.log(share * exact + (1 - share) * varied).sum(axis=1)
-        return float(np.logaddexp.reduce(each + np.log(COPIES.noise_odds)))
+        return float(np.logaddexp.reduce(each + np.log(STRAY_ODDS)))
 
     def tilted(self, share: float) -> FloatArray:
         """(factor, exact share, tilt, corridor) log E[exp(tilt · odds)] over copies, for all
         factors of the noise, exact shares and tilts; by Gaussian quadrature over differences."""
-        noise = self.noise * np.array(COPIES.noise_factors)[:, None] ** 2
+        noise = self._strayed()
         moments = []
         for variance in (noise, noise + self.built):
             odds = self.odds(NODES[:, None, None] ** 2 * variance, share)  # by node
             flat = odds.reshape(len(NODES), -1)
             powers = (np.einsum("n,nk", NODE_WEIGHTS, np.exp(tilt * flat)) for tilt in TILTS)
             moments.append(np.stack([moment.reshape(noise.shape) for moment in powers], axis=1))
-        exact = np.array(COPIES.exact_shares)[:, None, None]
+        exact = SHARES[:, None, None]
         return np.asarray(np.log(exact * moments[0][:, None] + (1 - exact) * moments[1][:, None]))
+
+    def _strayed(self) -> FloatArray:
+        """(factor, corridor) the noise, were it wrong by each factor."""
+        return self.noise * np.exp(2 * COPIES.noise_stray * STRAYS)[:, None]
 
 
 def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:
     """log of the normal density, but for a constant; what one corridor says is bounded."""
-    return np.asarray(-0.5 * np.log(variance) - np.minimum(0.5 * d2 / variance, COPIES.worst_nats))
+    return np.asarray(-0.5 * np.log(variance) - np.minimum(0.5 * d2 / variance, WORST_NATS))
 
 
 def copy_model(
@@ -238,12 +242,11 @@ def copy_model(
     """
     prior = default_copies(settings)
     odds = np.log(prior.exact_odds)
-    changed, places = settings.copy_change_rate * COPIES.prior_places, COPIES.prior_places
+    changed, places = 1.0, 1 / settings.copy_change_rate  # as if one change had been seen
     for m, c in samples:
         shape = _Lengths.of(m, m, c.corridors, prior.variation)
-        odds = odds + COPIES.temper * np.array(
-            [shape.averaged(share) for share in COPIES.exact_shares]
-        )
+        # Half, for every pair of copies is found twice.
+        odds = odds + np.array([shape.averaged(share) for share in SHARES]) / 2
         same = sameness(m, m, c, prior)
         fault = 2 * float(np.mean(m.fault_rate))
         changed += max(same.changed - fault * same.compared, 0.0)

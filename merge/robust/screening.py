@@ -7,7 +7,6 @@ what is new is looked up.
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ import numpy as np
 from ..packs import DIGEST, Kept, Kind, arrays_from_bytes, arrays_to_bytes
 from ..result import pairs_of
 from .index import Corridors
+from .pairing import TASKS
 from .prepare import FloatArray, IntArray, Prepared
 from .settings import RobustSettings
 from .verdict import needed_bits
@@ -28,18 +28,18 @@ class ScreeningSettings:
     most_pairs: int = 5000
     """Of more pairs only those are matched that have a chance: 100 runs take some seconds
     without."""
-    block: int = 500
-    """Maps that are looked through at once: what a map has in common with them fits the memory."""
     share: float = 0.6
     """Links that hang together must have this share of the bits that merging needs. With 0.75 still
     nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins
-    (`benchmarks/fleet.py --recall 400 --first 5000`)."""
-    spare_bits: float = 0.5
-    """Pairs that lack so much are kept, too: of a batch with a third fewer runs less is asked."""
-    unseen: float = 1.1
-    """For one pair beyond chance that was matched so many are counted: of 692 such pairs, nearly
-    all copies in offices, the index gives 29 no chance (`benchmarks/fleet.py --beyond 160 --first
-    5000`)."""
+    (`benchmarks/fleet.py --recall 400 --first 5000`). Of 692 pairs beyond chance, nearly all copies
+    in offices, the index gives 29 no chance (`--beyond 160 --first 5000`): these do not count among
+    the pairs that share the second question, .06 bits."""
+
+    @property
+    def spare_bits(self) -> float:
+        """Pairs that lack so much are kept, too: of a batch of half as many pairs merging needs a
+        bit less."""
+        return self.share
 
 
 SCREENING = ScreeningSettings()
@@ -78,11 +78,6 @@ def pairs_to_match(
     return _known_chances(maps, least, digests, kept).likely(least)
 
 
-def beyond_chance(seen: int, pairs: int) -> int:
-    """How many of all pairs are beyond chance, where so many of the matched ones are."""
-    return seen if pairs <= SCREENING.most_pairs else math.ceil(SCREENING.unseen * seen)
-
-
 def chances(maps: Sequence[Prepared], least: float, known: IntArray | None = None) -> Chances:
     """What the index gives all pairs but those of two maps that are known. O(links of the pairs).
 
@@ -103,8 +98,8 @@ def _looked_up(
     maps: Sequence[Prepared], first: IntArray, second: IntArray, least: float
 ) -> Iterator[tuple[IntArray, FloatArray]]:
     """Pairs i < j of the first and of the second maps, with what the index gives them."""
-    for start in range(0, len(second), SCREENING.block):
-        some = second[start : start + SCREENING.block]
+    for start in range(0, len(second), TASKS.at_hand):
+        some = second[start : start + TASKS.at_hand]
         block = Corridors.of([maps[k] for k in some.tolist()])
         for i in first[first < some[-1]].tolist():
             after = int(np.searchsorted(some, i, side="right")) - 1

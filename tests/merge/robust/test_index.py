@@ -10,6 +10,7 @@ from topobatch.merge.result import Standing, pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, prepare
 from topobatch.merge.robust.index import Corridors
 from topobatch.merge.robust.links import _components, candidate_links
+from topobatch.merge.robust.pairing import TaskSettings
 from topobatch.merge.robust.screening import ScreeningSettings, chances, pairs_to_match
 from topobatch.simulation import make_world
 
@@ -51,7 +52,7 @@ def test_it_is_the_first_step_of_matching_for_all_maps_at_once(buildings):
 def test_blocks_make_no_difference(buildings, monkeypatch):
     ready = [prepare(m) for m in buildings]
     whole = chances(ready, 12.0).pairs
-    monkeypatch.setattr("topobatch.merge.robust.screening.SCREENING", ScreeningSettings(block=4))
+    monkeypatch.setattr("topobatch.merge.robust.screening.TASKS", TaskSettings(at_hand=4))
     np.testing.assert_array_equal(chances(ready, 12.0).pairs, whole)
     assert (whole[:, 0] < whole[:, 1]).all()
     assert 0 < len(whole) < pairs_of(len(ready))

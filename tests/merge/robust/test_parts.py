@@ -19,9 +19,7 @@ from topobatch.merge.robust.links import (
 )
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.repetition import (
-    COPIES as COPY_SETTINGS,
-)
-from topobatch.merge.robust.repetition import (
+    SHARES,
     copy_model,
     default_copies,
     sameness,
@@ -288,9 +286,7 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
     plain = self_matches(prepare(drawn("plain", POINTS, EDGES)), SETTINGS)
     assert all(len(c) < 5 for c in plain)
     learned = copy_model([(prepare(drawn("wings", twice, edges)), repeated[0])], SETTINGS)
-    assert np.dot(learned.exact_odds, COPY_SETTINGS.exact_shares) > np.dot(
-        COPIES.exact_odds, COPY_SETTINGS.exact_shares
-    )
+    assert np.dot(learned.exact_odds, SHARES) > np.dot(COPIES.exact_odds, SHARES)
     assert sum(learned.exact_odds) == pytest.approx(1.0)
     assert SETTINGS.copy_change_rate < learned.change_rate < 0.15  # the bent copy's branches differ
 
