@@ -53,12 +53,12 @@ class Batch:
     def __post_init__(self) -> None:
         object.__setattr__(self, "row", {m.run: i for i, m in enumerate(self.maps)})
 
-    def count(self, told: PairVerdict | None = None) -> PairCount:
+    def count(self, joined: PairVerdict | None = None) -> PairCount:
         """The pairs that shared the false-merge rate, or those that still did when components
         joined a pair; what earlier versions did not tell is taken to be beyond chance."""
         pairs = pairs_of(len(self.poses)) or len(self.said) or pairs_of(len(self.maps))
-        if told is not None and told.accepted_by == "components" and told.threshold_bits:
-            pairs = round(2.0**told.threshold_bits * self.settings.false_merge_rate)
+        if joined is not None and joined.accepted_by == "components" and joined.threshold_bits:
+            pairs = round(2.0**joined.threshold_bits * self.settings.false_merge_rate)
         told = [v.extra.get("against_chance_bits", 0.0) for v in self.said.values()]
         if not any(told):
             return PairCount(pairs, pairs)
