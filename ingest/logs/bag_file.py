@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ..remote.path import LogPath, RemotePath
-from .bag_chunks import ChunkReader, is_open
+from .bag_chunks import BagChunks, is_open
 from .bag_heads import HEAD_BYTES, IN_CHUNKS, BagHeads, compression_of
 from .bag_messages import MessageReader
 from .bag_wire import (
@@ -42,10 +42,7 @@ from .messages import (
 )
 from .split import RECORD_BYTES
 from .tally import Tally
-from .windows import RemoteWindow, Window, window_on
-
-SLAB_BYTES = 1 << 20
-"""How much of what lies outside chunks is walked at a time."""
+from .windows import SLAB_BYTES, RemoteWindow, Window, window_on
 
 TRIED_STARTS = 64
 """So many chunks of an index are looked for before the index is given up."""
@@ -105,7 +102,7 @@ class _Walk:
         self._tally = Tally(want, findings, index.channels if index is not None else {})
         self._heads = BagHeads(window.copy, window.size)
         self._messages = MessageReader(self._heads, self._tally, findings)
-        self._chunks = ChunkReader(window, self._messages, self._at)
+        self._chunks = BagChunks(window, self._messages, self._at)
         self._looked_at: tuple[int, Record | None] = (-1, None)
 
     def run(self, index: ChunkIndex | None = None) -> Iterator[Block]:

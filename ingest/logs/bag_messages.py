@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from .bag_wire import (
 from .columns import column, gather, words
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
 from .tally import NUMBERS, Tally
-from .walk import bag_records
+from .walk import bag_listed, bag_records
 
 
 class MessageReader:
@@ -39,15 +39,17 @@ class MessageReader:
         self.packed = False
         self._template: HeadTemplate | None = None
 
-    def blocks(self, data: Bytes, where: Ints | None = None) -> Iterator[Block]:
-        """The wanted messages in a run of records; connections met are taken in.
-
-        where: all records in `data`, if an index has told.
-        """
+    def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+        """The wanted messages in a run of records; offsets: where an index says they are."""
+        where = bag_listed(data, np.concatenate(offsets)) if offsets else None
         if where is None:
             where, stop = bag_records(data)
             if stop != len(data):
                 data, where = self._mended(data)
+        yield from self.records(data, where)
+
+    def records(self, data: Bytes, where: Ints) -> Iterator[Block]:
+        """The wanted messages among records; connections met are taken in."""
         if self._template is None:
             self._learn(data, where)
         conn, time, size_at, others = self._columns(data, where)
@@ -77,7 +79,7 @@ class MessageReader:
         """The messages in whole records at the front of data that were cut."""
         where, stop = bag_records(data)
         self.findings.unreadable_bytes += len(data) - stop
-        yield from self.blocks(data[:stop], where)
+        yield from self.records(data[:stop], where)
 
     def _mended(self, data: Bytes) -> tuple[Bytes, Ints]:
         """Damaged records without those that cannot be found again, and their places."""

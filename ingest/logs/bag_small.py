@@ -6,14 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from .bag_wire import CHUNK, INDEX, INDEX_ENTRY, U32, fields_of
+from .chunk_reader import SMALL_BYTES
 from .inflate import inflate
 from .messages import Bytes, DamageError
-
-SMALL_BYTES = 1 << 14
-"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte."""
-
-RUN = 8
-"""After so many small chunks the next ones are expected to be small, too."""
 
 LONGEST_HEADER = 256
 """Headers of chunks and indexes take 50 bytes; longer ones are left to those who read any."""

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .bag_wire import MESSAGE, U32, Record, fields_of, number, op_of
+from .bag_wire import MESSAGE, U32, fields_of, number, op_of
+from .chunk_reader import ChunkHead
 from .messages import Bytes, DamageError, Ints
 from .windows import Window
 
@@ -18,7 +19,7 @@ HEAD_BYTES = 512
 
 
 def without_large(
-    window: Window, chunk: Record, listed: Ints, unwanted: Callable[[int], bool]
+    window: Window, chunk: ChunkHead, listed: Ints, unwanted: Callable[[int], bool]
 ) -> Bytes | None:
     """The records of an uncompressed chunk, with holes in the data of large unwanted messages.
 

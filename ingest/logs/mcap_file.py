@@ -15,7 +15,7 @@ from ..remote.path import LogPath, RemotePath
 from .checksum import agrees, crc32
 from .chunk_index import ChunkIndex, passed_over
 from .inflate import WHOLE_BYTES, keep_freed_memory
-from .mcap_chunks import ChunkReader
+from .mcap_chunks import McapChunks
 from .mcap_heads import HEAD_BYTES, IN_CHUNKS, OUTSIDE, Heads, chunk_head
 from .mcap_index import chunk_index
 from .mcap_mend import trusted
@@ -45,13 +45,9 @@ from .messages import (
 from .split import RECORD_BYTES
 from .tally import Tally
 from .walk import mcap_records
-from .windows import RemoteWindow, Window, window_on
+from .windows import SLAB_BYTES, RemoteWindow, Window, window_on
 
 _HEAD = struct.Struct("<BQ").unpack_from
-
-SLAB_BYTES = 1 << 20
-"""How much of an unchunked file is walked at a time."""
-
 
 LARGEST_MESSAGE = 1 << 32
 """A message that claims more is taken for damage."""
@@ -118,7 +114,7 @@ class _Walk:
         self._heads = Heads(window.copy, window.size, self._tally.known)
         definitions = summary.definitions if summary is not None else Definitions()
         self._messages = MessageReader(self._heads, self._tally, findings, definitions)
-        self._chunks = ChunkReader(window, self._messages, summary)
+        self._chunks = McapChunks(window, self._messages, summary)
 
     def run(self, index: ChunkIndex | None = None) -> Iterator[Block]:
         """All blocks from the first record to the footer, the end, or the last readable place.

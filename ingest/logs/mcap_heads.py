@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .chunk_reader import ChunkHead
 from .mcap_wire import (
     ATTACHMENT,
     CHANNEL,
@@ -71,22 +72,6 @@ IN_CHUNKS = frozenset({SCHEMA, CHANNEL, MESSAGE})
 OUTSIDE = frozenset({*_LAYOUTS, MESSAGE})
 
 
-class ChunkHead(NamedTuple):
-    """The fixed part of a chunk record; `data_at` and `data_size` are the place of its records.
-
-    start_ns, end_ns: of its messages; the C++ writer lets a chunk that holds none start at the
-    largest time and end at 0.
-    """
-
-    start_ns: int
-    end_ns: int
-    size: int
-    crc: int
-    compression: str
-    data_at: int
-    data_size: int
-
-
 def chunk_head(head: bytes, position: int) -> ChunkHead:
     """The head of the sound chunk record at `position`, out of its first HEAD_BYTES."""
     start, end, size, crc, named = _CHUNK(head, RECORD_HEAD)
@@ -97,7 +82,7 @@ def chunk_head(head: bytes, position: int) -> ChunkHead:
     if crc.bit_count() == 1:
         # No checksum is 0; a true one of a single bit is as good as impossible.
         crc = 0
-    return ChunkHead(start, end, size, crc, compression, position + data_at, data_size)
+    return ChunkHead(compression, position + data_at, data_size, size, crc, start, end)
 
 
 Read = Callable[[int, int], bytes]

@@ -9,16 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from .checksum import agrees, crc32
+from .chunk_reader import SMALL_BYTES
 from .inflate import inflate
 from .mcap_heads import CHUNK_FIXED
 from .mcap_wire import CHUNK, MESSAGE_INDEX, RECORD_HEAD
 from .messages import Bytes, DamageError
-
-SMALL_BYTES = 1 << 14
-"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte."""
-
-RUN = 8
-"""After so many small chunks the next ones are expected to be small, too."""
 
 _HEAD = struct.Struct("<BQ").unpack_from
 _CHUNK = struct.Struct("<QQQII").unpack_from

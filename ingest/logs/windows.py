@@ -14,6 +14,9 @@ from .checksum import crc32
 from .chunk_index import ChunkIndex, Wanted
 from .messages import Bytes, FileWindow, Ints, Progress
 
+SLAB_BYTES = 1 << 20
+"""How much is taken at a time of what is walked record by record."""
+
 ALLOW_SCAN = "--allow-scan"
 
 

@@ -12,7 +12,7 @@ import pytest
 import sweep
 from case import read_of, writers
 
-from topobatch.ingest.logs import inflate, mcap_chunks, mcap_file, split
+from topobatch.ingest.logs import bag_chunks, chunk_reader, inflate, mcap_file, split
 from topobatch.ingest.logs.messages import Channel, DamageError, Findings
 from topobatch.ingest.logs.metadata import parse_metadata
 from topobatch.ingest.logs.schema import object_decoder
@@ -111,9 +111,8 @@ def test_chunks_read_in_pieces_hold_the_same(tmp_path, monkeypatch, compression,
         named = {"ZSTD": "bz2"}.get(compression, compression.lower())
         path = logs.bag(tmp_path / "run", logs.drive(), named)
     whole = read_run(path)
-    for module in (mcap_chunks, inflate):
+    for module in (bag_chunks, chunk_reader, inflate):
         monkeypatch.setattr(module, "WHOLE_BYTES", 100)
-    monkeypatch.setattr("topobatch.ingest.logs.bag_chunks.WHOLE_BYTES", 100)
     monkeypatch.setattr(inflate, "PIECE_BYTES", 1000)
     run = read_run(path)
     assert run.warnings == whole.warnings == ()
@@ -138,7 +137,7 @@ def test_many_small_chunks_are_read_together_and_hold_the_same(tmp_path, kind):
 def test_messages_too_large_are_passed_over_and_counted(tmp_path, monkeypatch):
     monkeypatch.setattr(split, "RECORD_BYTES", 5000)
     monkeypatch.setattr(mcap_file, "RECORD_BYTES", 5000)
-    monkeypatch.setattr(mcap_chunks, "WHOLE_BYTES", 5000)
+    monkeypatch.setattr(chunk_reader, "WHOLE_BYTES", 5000)
     monkeypatch.setattr(inflate, "PIECE_BYTES", 1000)
     case = logs_bombs.CASES["mcap-large-message"](Least(1), tmp_path)
     used, findings = used_of(case.log)

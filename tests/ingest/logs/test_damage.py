@@ -332,7 +332,7 @@ def test_chunks_of_images_alone_are_not_read(logs, tmp_path):
     """The index says what a chunk holds; one without anything wanted is stepped over."""
     from mcap.writer import Writer
 
-    from topobatch.ingest.logs import mcap_chunks
+    from topobatch.ingest.logs import chunk_reader
 
     path = tmp_path / "run.mcap"
     store = logs.store_of(False)
@@ -353,10 +353,12 @@ def test_chunks_of_images_alone_are_not_read(logs, tmp_path):
             writer.add_message(camera, logs.START_NS + number, bytes(120_000), logs.START_NS)
         writer.finish()
     inflated = []
-    original = mcap_chunks._inflated
+    original = chunk_reader._inflated
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            mcap_chunks, "_inflated", lambda head, raw: inflated.append(head) or original(head, raw)
+            chunk_reader,
+            "_inflated",
+            lambda head, raw: inflated.append(head) or original(head, raw),
         )
         run = read_run(path)
     assert (len(run.odometry), len(run.detections), run.warnings) == (300, 30, ())

@@ -1,0 +1,318 @@
+"""Chunks of a log: read ahead, inflated, checked, and saved where they are damaged.
+
+How records and the indexes behind a chunk look differs between formats; `bag_chunks` and
+`mcap_chunks` tell it.
+"""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, Protocol, Self
+
+import numpy as np
+
+from .ahead import Ahead, Task
+from .checksum import agrees, crc32
+from .inflate import (
+    SLOW,
+    WHOLE_BYTES,
+    Allowance,
+    WrongSizeError,
+    inflate,
+    inflate_anyhow,
+    inflate_part,
+    pieces,
+)
+from .messages import Block, Bytes, DamageError, Findings, Ints, Walking
+from .split import Large, whole_records
+from .tally import Tally
+from .windows import RemoteWindow, Window
+
+SMALL_BYTES = 1 << 14
+"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte."""
+
+RUN = 8
+"""After so many small chunks the next ones are expected to be small, too."""
+
+PATIENCE = 1000
+"""So many damaged chunks are looked at closely; a file with more is an attack."""
+
+
+class ChunkHead(NamedTuple):
+    """What a chunk record says of its data, and their place.
+
+    compression: empty if there is none; size: of the data when inflated; crc: their checksum, 0 if
+    none is given; start_ns, end_ns: of the messages, where the format says it. MCAP's C++ writer
+    lets a chunk that holds none start at the largest time and end at 0.
+    """
+
+    compression: str
+    data_at: int
+    data_size: int
+    size: int
+    crc: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+
+
+class Chunk(NamedTuple):
+    """A chunk read ahead.
+
+    position: of its record; needed: whether it may hold wanted messages; counts, offsets: what the
+    index records behind it say, per channel and of all of them.
+    """
+
+    position: int
+    head: ChunkHead
+    needed: bool
+    counts: dict[int, int]
+    offsets: list[Ints]
+
+
+class Messages(Protocol):
+    """What turns runs of records into blocks of messages; `MessageReader` of either format."""
+
+    tally: Tally
+    findings: Findings
+    packed: bool
+
+    def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+        """The wanted messages in a run of records; offsets: where an index says they are."""
+
+    def too_large(self, head: Bytes) -> None:
+        """Count a record that is too large to be looked at, by its first bytes."""
+
+
+class WrongChecksumError(DamageError):
+    """Data have another checksum than they are said to."""
+
+    def __init__(self) -> None:
+        super().__init__("checksum (CRC) is wrong")
+
+
+def wrong_size() -> bytes:
+    """The task of a chunk whose declared size is not believed."""
+    raise WrongSizeError
+
+
+def _inflated(head: ChunkHead, read: Callable[[int, int], Bytes | bytes]) -> bytes:
+    """The records of a compressed chunk; raises DamageError. For any thread if `read` is."""
+    data = inflate(head.compression, read(head.data_at, head.data_size), head.size)
+    if head.crc and not agrees(crc32(data), head.crc):
+        raise WrongChecksumError
+    return data
+
+
+class ChunkReader(ABC):
+    """The chunks of one file in their order; leaving the context ends the threads that inflate.
+
+    met: how many chunks there were.
+    """
+
+    def __init__(self, window: Window, messages: Messages) -> None:
+        self.met = 0
+        self._window = window
+        self._messages = messages
+        self._tally = messages.tally
+        self._findings = messages.findings
+        self._ahead: Ahead[Chunk] = Ahead()
+        self._allowance = Allowance()
+        self._small_run = 0
+        # What lies between them is not there.
+        self._chosen = isinstance(window, RemoteWindow)
+        self._patience = PATIENCE
+
+    def __enter__(self) -> Self:
+        self._ahead.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._ahead.__exit__(*error)
+
+    # What a format tells
+
+    @abstractmethod
+    def _needed(self, position: int) -> bool:
+        """Whether the chunk at a place may hold wanted messages."""
+
+    @abstractmethod
+    def _plain(self, head: ChunkHead) -> Task | None:
+        """What gives the records of a chunk that is not compressed, None if `_directly` does."""
+
+    @abstractmethod
+    def _listed_behind(self, position: int) -> int:
+        """Take in the sound index records behind the last chunk; returns where they end."""
+
+    @abstractmethod
+    def _small_chunks(self, position: int) -> Walking:
+        """The messages of small chunks one behind the other; returns where they end."""
+
+    @abstractmethod
+    def _front(self, data: Bytes) -> int:
+        """Bytes of the whole records, of whatever kind, at the front of data."""
+
+    @abstractmethod
+    def _records(self, data: Bytes) -> tuple[Ints, int]:
+        """Places of the whole records at the front of a chunk's data, and where they stop."""
+
+    @abstractmethod
+    def _record_length(self, data: Bytes) -> int:
+        """Bytes of the record at the front of a chunk's data, 0 if it cannot be one."""
+
+    @abstractmethod
+    def _census(self, chunk: Chunk) -> dict[int, int]:
+        """How many messages a damaged chunk without index held, as far as its records tell."""
+
+    # What is the same
+
+    def _taken(self, position: int, head: ChunkHead, end: int) -> Walking:
+        """Queue a chunk, or take many small ones at once; returns where to go on."""
+        if head.compression == "" and head.size != head.data_size:
+            # How large the data are is told by the record as well.
+            head = head._replace(size=head.data_size)
+            self._findings.repaired += 1
+        stop = yield from self._small_ones(position, head)
+        if stop > position:
+            return stop
+        self.met += 1
+        at_once = self._queue(Chunk(position, head, self._needed(position), {}, []))
+        end = self._listed_behind(end)
+        yield from self.caught_up(everything=at_once)
+        return end
+
+    def _small_ones(self, position: int, head: ChunkHead) -> Walking:
+        """Take a run of small chunks; returns where it ends, its beginning if there is none."""
+        small = max(head.size, head.data_size) <= SMALL_BYTES and not self._chosen
+        self._small_run = self._small_run + 1 if small else 0
+        if self._small_run <= RUN:
+            return position
+        yield from self.caught_up(everything=True)
+        stop = yield from self._small_chunks(position)
+        if stop == position:
+            self._small_run = 0  # none of them is sound: not tried at every single one
+        return stop
+
+    def _queue(self, chunk: Chunk) -> bool:
+        """Have a chunk that is slow to inflate begun on another thread; others wait their turn.
+
+        Returns whether it is best used at once, while its bytes and those behind it are at hand.
+        """
+        head, window = chunk.head, self._window
+        if not chunk.needed or max(head.size, head.data_size) > WHOLE_BYTES:
+            self._ahead.put(chunk, None)
+            return False
+        if head.compression == "":
+            self._ahead.put(chunk, self._plain(head))
+            return True
+        try:
+            self._allowance.take(head.compression, head.data_size, head.size)
+        except DamageError:
+            # The size may be the only thing that is wrong.
+            self._ahead.put(chunk, wrong_size)
+            return False
+        if head.compression in SLOW:
+            task = functools.partial(_inflated, head, window.copy)
+            self._ahead.begin(chunk, task, head.data_size + head.size)
+            return False
+        window.view(head.data_at, head.data_size)
+        self._ahead.put(chunk, functools.partial(_inflated, head, window.view))
+        return True
+
+    def caught_up(self, everything: bool = False) -> Iterator[Block]:
+        """Messages of the chunks read ahead; of the last one only when its index has been met."""
+        for chunk, task in self._ahead.due(everything):
+            try:
+                if task is None:
+                    yield from self._directly(chunk)
+                    continue
+                data = np.frombuffer(task(), np.uint8)
+            except DamageError as damage:
+                rescued = self._rescued(chunk, damage)
+                if rescued is None:
+                    continue
+                data = rescued
+            yield from self._messages.blocks(data, chunk.offsets)
+
+    def _rescued(self, chunk: Chunk, damage: DamageError) -> Bytes | None:
+        """The records of a chunk of which only the declared size is wrong; else None, counted."""
+        self._patience -= 1
+        head = chunk.head
+        if isinstance(damage, WrongSizeError) and head.compression and self._patience >= 0:
+            packed = self._window.view(head.data_at, min(head.data_size, WHOLE_BYTES))
+            try:
+                raw = inflate_anyhow(head.compression, packed, self._allowance)
+                data = np.frombuffer(raw, np.uint8)
+                self._check(head, data)
+            except DamageError as further:
+                damage = further
+            else:
+                self._findings.repaired += 1
+                return data
+        self._damaged(str(damage), chunk.counts or self._seen(chunk))
+        return None
+
+    def _check(self, head: ChunkHead, data: Bytes) -> None:
+        """Raise DamageError if data of another size than declared are not a chunk's all the same.
+
+        Without a checksum, records that fill them tell that the declared size is wrong.
+        """
+        if head.crc:
+            if not agrees(crc32(data), head.crc):
+                raise WrongChecksumError
+        elif len(data) == 0 or self._front(data) != len(data):
+            raise WrongSizeError
+
+    def _seen(self, chunk: Chunk) -> dict[int, int]:
+        return self._census(chunk) if self._patience >= 0 else {}
+
+    def _part(self, head: ChunkHead) -> Bytes:
+        """What a cut or damaged chunk still gives."""
+        data = self._window.view(head.data_at, min(head.data_size, WHOLE_BYTES))
+        if not head.compression:
+            return data
+        return np.frombuffer(inflate_part(head.compression, data), np.uint8)
+
+    def _directly(self, chunk: Chunk) -> Iterator[Block]:
+        """The messages of a chunk too large for the memory; it is checked before any is used."""
+        head = chunk.head
+        self._check_pieces(head)
+        for part in whole_records(self._pieces(head), self._records, self._record_length):
+            if isinstance(part, Large):
+                self._messages.too_large(part.head)
+            else:
+                yield from self._messages.blocks(part)
+
+    def _check_pieces(self, head: ChunkHead) -> None:
+        """Go through all data of a chunk; raises DamageError if they are not what is declared."""
+        found, crc = head.data_size, 0
+        if head.compression or head.crc:
+            found, stream = 0, self._pieces(head)
+            for piece in self._allowance.counted(head.compression, head.data_size, stream):
+                found += len(piece)
+                crc = crc32(piece, crc) if head.crc else 0
+        if head.crc and not agrees(crc, head.crc):
+            raise WrongChecksumError
+        if found != head.size:
+            if not head.crc:
+                raise WrongSizeError
+            self._findings.repaired += 1
+
+    def _pieces(self, head: ChunkHead) -> Iterator[bytes]:
+        """What a chunk inflates to, piece by piece."""
+        at, end = head.data_at, head.data_at + head.data_size
+
+        def read(size: int) -> bytes:
+            nonlocal at
+            data = self._window.copy(at, min(size, end - at))
+            at += len(data)
+            return data
+
+        return pieces(head.compression, read)
+
+    def _damaged(self, reason: str, counts: dict[int, int]) -> None:
+        """Count a chunk that cannot be used, and its messages if its index tells their number."""
+        self._findings.damaged_chunks[reason] += 1
+        for number, count in counts.items():
+            self._tally.lost(number, count)
