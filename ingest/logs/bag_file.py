@@ -5,12 +5,11 @@ What chunks hold is read by `bag_chunks`, what messages and connections are by `
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 
 import numpy as np
 
-from ..remote.path import LogPath, RemotePath
 from .bag_chunks import BagChunks, is_open
 from .bag_heads import HEAD_BYTES, IN_CHUNKS, BagHeads, compression_of
 from .bag_messages import MessageReader
@@ -29,32 +28,31 @@ from .bag_wire import (
     read_index,
 )
 from .chunk_index import ChunkIndex, passed_over
+from .chunked_file import ChunkedFile
 from .inflate import keep_freed_memory
 from .messages import (
     Block,
     Bytes,
+    Channel,
     DamageError,
     Findings,
-    Progress,
     Survey,
     Walking,
     Want,
 )
 from .split import RECORD_BYTES
 from .tally import Tally
-from .windows import SLAB_BYTES, RemoteWindow, Window, window_on
+from .windows import SLAB_BYTES, Window, window_on
 
 TRIED_STARTS = 64
 """So many chunks of an index are looked for before the index is given up."""
 
 
-class BagFile:
+class BagFile(ChunkedFile):
     """One ROS 1 bag of format 2.0, uncompressed, bz2 or lz4."""
 
     format = "bag"
-
-    def __init__(self, path: LogPath) -> None:
-        self.path = path
+    BEHIND = HEAD_BYTES
 
     @cached_property
     def index(self) -> BagIndex | None:
@@ -62,46 +60,32 @@ class BagFile:
         with window_on(self.path) as window:
             return read_index(window)
 
-    @cached_property
     def _chunks(self) -> ChunkIndex | str:
         return "it has no index, or a damaged one" if self.index is None else self.index.chunks
 
-    def cost(self, want: Want) -> int:
-        """How many bytes of a remote file are fetched for what is wanted."""
-        assert isinstance(self.path, RemotePath)
-        channels = self.index.channels if self.index is not None else {}
-        wanted = Tally(want, Findings(), channels).wanted()
-        return RemoteWindow(self.path).cost(self._chunks, wanted, HEAD_BYTES)
+    def _channels(self) -> Mapping[int, Channel]:
+        return self.index.channels if self.index is not None else {}
+
+    def _walk(self, window: Window, want: Want, findings: Findings) -> _Walk:
+        return _Walk(window, Tally(want, findings, self._channels()), findings, self.index)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the chunk infos of the index."""
         return self.index.survey() if self.index is not None else None
-
-    def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
-    ) -> Iterator[Block]:
-        """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
-        with window_on(self.path, progress) as window:
-            walk = _Walk(window, want, findings, self.index)
-            if isinstance(window, RemoteWindow):
-                yield from walk.run_remotely(window, self._chunks)
-            else:
-                yield from walk.run()
-            window.passed(window.size)
 
 
 class _Walk:
     """One pass over a bag."""
 
     def __init__(
-        self, window: Window, want: Want, findings: Findings, index: BagIndex | None
+        self, window: Window, tally: Tally, findings: Findings, index: BagIndex | None
     ) -> None:
         self._window = window
         self._findings = findings
         self._index = index
-        self._tally = Tally(want, findings, index.channels if index is not None else {})
+        self.tally = tally
         self._heads = BagHeads(window.copy, window.size)
-        self._messages = MessageReader(self._heads, self._tally, findings)
+        self._messages = MessageReader(self._heads, self.tally, findings)
         self._chunks = BagChunks(window, self._messages, self._at)
         self._looked_at: tuple[int, Record | None] = (-1, None)
 
@@ -119,22 +103,17 @@ class _Walk:
             self._index is not None
             and self._findings.whole
             and self._chunks.met == len(self._index.chunk_starts)
-            and self._tally.lacks(declared)
-            and not self._tally.moved(declared)
+            and self.tally.lacks(declared)
+            and not self.tally.moved(declared)
         ):
             # Nothing is damaged and no chunk is missing: it is the index that is wrong.
             self._findings.note("the index counts other numbers of messages than there are")
             declared = {}
-        self._tally.finish(declared)
-
-    def run_remotely(self, window: RemoteWindow, index: ChunkIndex | str) -> Iterator[Block]:
-        """The blocks of the chunks that hold what is wanted; of all if there is no index."""
-        with window.reading(index, self._tally.wanted(), HEAD_BYTES):
-            yield from self.run(None if isinstance(index, str) else index)
+        self.tally.finish(declared)
 
     def _chosen(self, index: ChunkIndex) -> Iterator[Block]:
         """Go through the chunks that hold anything wanted; of the others the index tells enough."""
-        needed = passed_over(index, self._tally, self._findings)
+        needed = passed_over(index, self.tally, self._findings)
         self._chunks.met += int((~needed).sum())
         for begin, stop, _ in index.places(needed):
             position = begin
@@ -209,7 +188,7 @@ class _Walk:
         if found is not None:
             self._findings.unreadable_bytes += found - position
             if record is not None and record.op == MESSAGE:
-                self._tally.lost(number(record.fields, b"conn"), 1)
+                self.tally.lost(number(record.fields, b"conn"), 1)
             return found
         if record is not None and record.op == CHUNK:
             yield from self._chunks.cut(record)

@@ -6,14 +6,14 @@ What chunks hold is read by `mcap_chunks`, what messages and descriptions are by
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 
 import numpy as np
 
-from ..remote.path import LogPath, RemotePath
 from .checksum import agrees, crc32
 from .chunk_index import ChunkIndex, passed_over
+from .chunked_file import ChunkedFile
 from .inflate import WHOLE_BYTES, keep_freed_memory
 from .mcap_chunks import McapChunks
 from .mcap_heads import HEAD_BYTES, IN_CHUNKS, OUTSIDE, Heads, chunk_head
@@ -36,8 +36,8 @@ from .mcap_wire import (
 )
 from .messages import (
     Block,
+    Channel,
     Findings,
-    Progress,
     Survey,
     Walking,
     Want,
@@ -45,7 +45,7 @@ from .messages import (
 from .split import RECORD_BYTES
 from .tally import Tally
 from .walk import mcap_records
-from .windows import SLAB_BYTES, RemoteWindow, Window, window_on
+from .windows import SLAB_BYTES, Window, window_on
 
 _HEAD = struct.Struct("<BQ").unpack_from
 
@@ -59,13 +59,10 @@ TRIED_STARTS = 64
 """So many chunks of an index are looked for before the index is given up."""
 
 
-class McapFile:
+class McapFile(ChunkedFile):
     """One MCAP file, chunked or not, with or without summary, of any profile."""
 
     format = "mcap"
-
-    def __init__(self, path: LogPath) -> None:
-        self.path = path
 
     @cached_property
     def summary(self) -> McapSummary | None:
@@ -73,47 +70,33 @@ class McapFile:
         with window_on(self.path) as window:
             return read_summary(window)
 
-    @cached_property
     def _chunks(self) -> ChunkIndex | str:
         return chunk_index(self.summary)
 
-    def cost(self, want: Want) -> int:
-        """How many bytes of a remote file are fetched for what is wanted."""
-        channels = self.summary.channels if self.summary is not None else {}
-        wanted = Tally(want, Findings(), channels).wanted()
-        assert isinstance(self.path, RemotePath)
-        return RemoteWindow(self.path).cost(self._chunks, wanted)
+    def _channels(self) -> Mapping[int, Channel]:
+        return self.summary.channels if self.summary is not None else {}
+
+    def _walk(self, window: Window, want: Want, findings: Findings) -> _Walk:
+        return _Walk(window, Tally(want, findings, self._channels()), findings, self.summary)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the statistics record of a sound summary."""
         return self.summary.survey() if self.summary is not None else None
-
-    def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
-    ) -> Iterator[Block]:
-        """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
-        with window_on(self.path, progress) as window:
-            walk = _Walk(window, want, findings, self.summary)
-            if isinstance(window, RemoteWindow):
-                yield from walk.run_remotely(window, self._chunks)
-            else:
-                yield from walk.run()
-            window.passed(window.size)
 
 
 class _Walk:
     """One pass over a file."""
 
     def __init__(
-        self, window: Window, want: Want, findings: Findings, summary: McapSummary | None
+        self, window: Window, tally: Tally, findings: Findings, summary: McapSummary | None
     ) -> None:
         self._window = window
         self._findings = findings
         self._summary = summary
-        self._tally = Tally(want, findings, summary.channels if summary is not None else {})
-        self._heads = Heads(window.copy, window.size, self._tally.known)
+        self.tally = tally
+        self._heads = Heads(window.copy, window.size, self.tally.known)
         definitions = summary.definitions if summary is not None else Definitions()
-        self._messages = MessageReader(self._heads, self._tally, findings, definitions)
+        self._messages = MessageReader(self._heads, self.tally, findings, definitions)
         self._chunks = McapChunks(window, self._messages, summary)
 
     def run(self, index: ChunkIndex | None = None) -> Iterator[Block]:
@@ -126,16 +109,11 @@ class _Walk:
             complete = yield from self._records() if index is None else self._chosen(index)
             yield from self._chunks.caught_up(everything=True)
         self._findings.truncated |= not complete
-        self._tally.finish(self._summary.counts if self._summary is not None else {})
-
-    def run_remotely(self, window: RemoteWindow, index: ChunkIndex | str) -> Iterator[Block]:
-        """The blocks of the chunks that hold what is wanted; of all if there is no index."""
-        with window.reading(index, self._tally.wanted()):
-            yield from self.run(None if isinstance(index, str) else index)
+        self.tally.finish(self._summary.counts if self._summary is not None else {})
 
     def _chosen(self, index: ChunkIndex) -> Walking:
         """Go through the chunks that hold anything wanted; of the others the index tells enough."""
-        needed = passed_over(index, self._tally, self._findings)
+        needed = passed_over(index, self.tally, self._findings)
         for begin, stop, counts in index.places(needed):
             position = begin
             while position < stop:
@@ -180,7 +158,7 @@ class _Walk:
         number = head[RECORD_HEAD : RECORD_HEAD + 2]
         alike = behind[:1] == head[:1] and behind[RECORD_HEAD:] == number
         whole = alike or self._heads.begins(position + RECORD_HEAD + _HEAD(head)[1])
-        return whole and self._tally.adopt(np.frombuffer(number * (1 + alike), "<u2"))
+        return whole and self.tally.adopt(np.frombuffer(number * (1 + alike), "<u2"))
 
     def _told_apart(self, position: int, head: bytes) -> bytes:
         """The head of what looks like a message, and may be another record but for one bit.
@@ -273,8 +251,8 @@ class _Walk:
         if found is not None:
             self._findings.unreadable_bytes += found - position
             number = int.from_bytes(window.copy(position + RECORD_HEAD, 2), "little")
-            if op == MESSAGE and self._tally.known(number):
-                self._tally.lost(number, 1)
+            if op == MESSAGE and self.tally.known(number):
+                self.tally.lost(number, 1)
             return found
         if end is None and not _plausible(op, length):
             self._findings.unreadable_bytes += window.size - position
