@@ -82,6 +82,7 @@ class ReadAhead:
         self._parts = parts
         self._ask = ask
         self._begun: dict[int, Future[Got]] = {}
+        self._fresh = 0
 
     def at(self, offset: int) -> tuple[int, bytes] | None:
         """The part that holds the byte at `offset`, with its place; those behind it are begun."""
@@ -93,8 +94,10 @@ class ReadAhead:
             left -= stop - start
             if n > k and left < 0:
                 break
-            if n not in self._begun:
+            # Threads may come out of turn: what was read behind this part is not asked for twice.
+            if n not in self._begun and (n == k or n >= self._fresh):
                 self._begun[n] = self._ask((start, stop))
+                self._fresh = max(self._fresh, n + 1)
         # What does not fit into memory any more when it is wanted again is asked for again.
         return self._parts[k][0], self._begun.pop(k).result().data
 
