@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_cdt
 
 from .logs.saved_map import Grid
+from .scans.grid import GridSettings, without_islands
 
 MOST_CELLS = 1 << 21
 """Cells that are thinned at most, 70 by 70 m at 5 cm, 140 at the 10 cm of scans:
@@ -15,21 +17,27 @@ distances from walls take 64 bytes each."""
 
 MOST_PEELED = 1 << 28
 """Thinning goes through all cells for every layer of the widest open space. So many, in all its
-variants, take some three seconds."""
+variants, take a second."""
+
+ISLAND_M = GridSettings().island_m
 
 
-def affordable(grid: Grid) -> tuple[Grid, tuple[str, ...]]:
+def affordable(grid: Grid, island_m: float = ISLAND_M) -> tuple[Grid, tuple[str, ...]]:
     """The grid, in larger cells where there are too many, and what a person is told of that.
 
     A larger cell is free if all its parts are: walls stay where they are, ways get narrower by a
-    cell at most. O(cells).
+    cell at most. island_m: what stands free in it and is no larger is no wall. O(cells).
     """
     factor = math.ceil(math.sqrt(grid.free.size / MOST_CELLS))
     # With a cell around: a grid in one row is three of them.
     while math.prod(2 - (-n // factor) for n in grid.free.shape) > MOST_CELLS:
         factor += 1
     found = _coarser(grid, factor)
-    reach = int(distance_transform_cdt(np.pad(found.free, 1), "chessboard").max())
+    # As it is thinned: what stands free in it is filled.
+    open_ = without_islands(
+        found.free, replace(GridSettings(), island_m=island_m, cell_m=found.resolution_m)
+    )
+    reach = int(distance_transform_cdt(np.pad(open_, 1), "chessboard").max())
     peel = math.ceil((found.free.size * reach / MOST_PEELED) ** (1 / 3))
     factor *= max(peel, 1)
     if factor == 1:

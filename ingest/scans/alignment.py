@@ -76,6 +76,10 @@ class PairMotion:
     loose_m: FloatArray
 
 
+MOST_POINTS = 1 << 18
+"""So many points are searched for at once, 100 bytes each."""
+
+
 def match_steps(
     scans: Swept, pairs: tuple[IntArray, IntArray], steps: Steps, settings: AlignmentSettings
 ) -> PairMotion:
@@ -88,24 +92,23 @@ def match_steps(
     motion, fit, loose_m = _matched(scans, (first, second), (start, start, weak), settings)
     searched = np.zeros(n, bool)
     lost = np.flatnonzero(fit < settings.lost_fit)
-    if len(lost):
-        tried = np.arange(
-            -settings.search_rad, settings.search_rad + 1e-9, settings.search_step_rad
-        )
-        rows = np.repeat(lost, len(tried))
+    tried = np.arange(-settings.search_rad, settings.search_rad + 1e-9, settings.search_step_rad)
+    together = max(1, MOST_POINTS // (len(tried) * scans.xy.shape[1]))
+    for some in (lost[k : k + together] for k in range(0, len(lost), together)):
+        rows = np.repeat(some, len(tried))
         start = steps.motion[rows]
-        start[:, 2] = wrap(start[:, 2] + np.tile(tried, len(lost)))
+        start[:, 2] = wrap(start[:, 2] + np.tile(tried, len(some)))
         prior = steps.motion[rows], start, 0.01 * weak[rows]
         found, found_fit, found_loose_m = _matched(
             scans, (first[rows], second[rows]), prior, settings
         )
-        by_row = found_fit.reshape(len(lost), -1)
+        by_row = found_fit.reshape(len(some), -1)
         best = by_row.argmax(axis=1)
-        better = by_row[np.arange(len(lost)), best] > fit[lost] + settings.better_fit
-        at = lost[better]
-        motion[at] = found.reshape(len(lost), -1, 3)[better, best[better]]
+        better = by_row[np.arange(len(some)), best] > fit[some] + settings.better_fit
+        at = some[better]
+        motion[at] = found.reshape(len(some), -1, 3)[better, best[better]]
         fit[at] = by_row[better, best[better]]
-        loose_m[at] = found_loose_m.reshape(len(lost), -1)[better, best[better]]
+        loose_m[at] = found_loose_m.reshape(len(some), -1)[better, best[better]]
         searched[at] = True
     return PairMotion(motion, fit, searched, loose_m)
 

@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from ...topology.se2 import wrap
 from .grid import GridSettings, without_islands
-from .skeleton import Edge, SkeletonGraph, SkeletonSettings, thin, trace
+from .skeleton import Edge, SkeletonGraph, SkeletonSettings, forks, thin, traced
+from .skeleton_lines import Lines, lines_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -85,22 +86,24 @@ def skeleton_graph(
     grid = replace(GridSettings(), island_m=settings.island_m, cell_m=resolution_m)
     padded = np.pad(without_islands(free, grid), 1)
     clearance = ndimage.distance_transform_edt(padded) * resolution_m
-    graphs = [
-        trace(thin(clearance > s.clearance_m), clearance, resolution_m, s)
-        for s in settings.variants
-    ]
-    return _places(graphs, resolution_m, settings)
+    lines: dict[float, Lines] = {}
+    for s in settings.variants:
+        if s.clearance_m not in lines:
+            skeleton = thin(clearance > s.clearance_m)
+            lines[s.clearance_m] = lines_of(skeleton, clearance, resolution_m)
+    return _places([lines[s.clearance_m] for s in settings.variants], resolution_m, settings)
 
 
 def _places(
-    graphs: list[SkeletonGraph], cell_m: float, settings: FloorplanSettings
+    lines: list[Lines], cell_m: float, settings: FloorplanSettings
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    graph = graphs[0]
+    """lines: of the skeleton under each of the variants."""
+    graph = traced(lines[0], settings.skeleton)
     # The middle of the padded grid's first cell lies half a cell before the corner.
     shift = np.array([-0.5, -0.5]) * cell_m
     places = [
         Place(node.xy + shift, node.headings, "junction", share)
-        for node, share in zip(graph.nodes, _agreement(graphs, settings), strict=True)
+        for node, share in zip(graph.nodes, _agreement(graph, lines, settings), strict=True)
     ]
     corridors = []
     used = [[False] * len(node.ends) for node in graph.nodes]
@@ -130,23 +133,25 @@ def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) ->
     raise AssertionError("every way at a place is one of its branches")
 
 
-def _agreement(graphs: list[SkeletonGraph], settings: FloorplanSettings) -> list[float]:
-    """Share of the variants, the first included, that have each place of the first: near enough,
-    and with as many branches."""
-    own = _placed(graphs[0], settings)
-    agreeing = np.zeros(len(own))
-    for graph in graphs:
-        away, _ = cKDTree(_placed(graph, settings)).query(own)
+def _agreement(
+    graph: SkeletonGraph, lines: list[Lines], settings: FloorplanSettings
+) -> list[float]:
+    """Share of the variants that have each place of the first one's graph, the first included:
+    near enough, and with as many branches."""
+    xy = np.array([node.xy for node in graph.nodes]).reshape(-1, 2)
+    branches = np.array([len(node.headings) for node in graph.nodes], np.int64)
+    own = _placed(xy, branches, settings)
+    agreeing = np.ones(len(own))
+    for found, variant in zip(lines[1:], settings.variants[1:], strict=True):
+        away, _ = cKDTree(_placed(*forks(found, variant), settings)).query(own)
         agreeing += away <= settings.agree_m
-    shares: list[float] = (agreeing / len(graphs)).tolist()
+    shares: list[float] = (agreeing / len(lines)).tolist()
     return shares
 
 
-def _placed(graph: SkeletonGraph, settings: FloorplanSettings) -> FloatArray:
+def _placed(xy: FloatArray, branches: IntArray, settings: FloorplanSettings) -> FloatArray:
     """(n, 3) x, y [m], and what keeps places of different numbers of branches apart."""
-    return np.array(
-        [(*node.xy, 2 * settings.agree_m * len(node.headings)) for node in graph.nodes]
-    ).reshape(-1, 3)
+    return np.column_stack([xy, 2 * settings.agree_m * branches])
 
 
 def _polyline(edge: Edge, graph: SkeletonGraph, cell_m: float) -> FloatArray | None:

@@ -7,10 +7,9 @@ from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from ...topology.errors import DataError
 from ...topology.se2 import wrap
+from .skeleton_lines import Lines, lines_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -96,13 +95,6 @@ class _Net:
     """Segments that are no longer what they were when they were last looked at."""
 
 
-MOST_LINES = 1 << 13
-"""Lines of a skeleton before its spurs are pruned: seven variants of so many take a few seconds. A
-floor of 200 by 200 m with 1,280 rooms has 4,500."""
-
-_AROUND = np.ones((3, 3), np.int8)
-
-
 def thin(free: BoolArray) -> BoolArray:
     """The skeleton of a mask: one cell wide, as connected as the mask."""
     from skimage.morphology import skeletonize
@@ -118,67 +110,45 @@ def trace(
     settings: SkeletonSettings = SkeletonSettings(),
     border: BoolArray | None = None,
 ) -> SkeletonGraph:
-    """Turn a skeleton (h, w) into places and ways; clearance_m: (h, w) distance from walls;
-    border: (h, w) cells where the grid ends and ways may go on, by default those around it.
+    """Turn a skeleton (h, w) into places and ways; the arguments are those of `lines_of`."""
+    return traced(lines_of(skeleton, clearance_m, cell_m, border), settings)
+
+
+def traced(lines: Lines, settings: SkeletonSettings = SkeletonSettings()) -> SkeletonGraph:
+    """The places and ways of a skeleton.
 
     Spurs are pruned shortest first, places of two branches dissolved, near ones joined. Labels of
     pixels are made at once for all of the image; what is simplified is a graph of a few nodes.
     """
-    picture = skeleton.astype(np.int8)
-    neighbours = ndimage.convolve(picture, _AROUND, mode="constant") - picture
-    fork = skeleton & (neighbours >= 3)
-    fork_label, forks = labelled(fork)
-    line_label, lines = labelled(skeleton & ~fork)
-    if lines > MOST_LINES:
-        raise DataError(f"the free space falls into {lines} ways: this is noise, and no building")
-    net = _net(skeleton, clearance_m, (fork_label, forks), (line_label, lines), cell_m)
-    for number in np.unique(line_label[_outline(skeleton) if border is None else border]):
-        if number > 0:
-            net.segments[int(number)].border = True
+    net = _net(lines)
     _simplify(net, settings)
-    return _graph(net, line_label, cell_m, settings)
+    return _graph(net, lines.label, lines.cell_m, settings)
 
 
-def labelled(mask: BoolArray) -> tuple[IntArray, int]:
-    """Numbers from 1 on of cells that hang together by sides or corners, and how many."""
-    label, count = ndimage.label(mask, _AROUND)
-    return np.asarray(label, np.int64), int(count)
+def forks(lines: Lines, settings: SkeletonSettings) -> tuple[FloatArray, IntArray]:
+    """(n, 2) x, y [m] of the same places, and (n,) how many branches each has."""
+    net = _net(lines)
+    _simplify(net, settings)
+    names = sorted(net.centre)
+    xy = np.array([net.centre[node] for node in names]).reshape(-1, 2)
+    return xy, np.array([len(net.incident[node]) for node in names], np.int64)
 
 
-def _outline(mask: BoolArray) -> BoolArray:
-    out = np.zeros(mask.shape, bool)
-    out[[0, -1]] = True
-    out[:, [0, -1]] = True
-    return out
-
-
-def _net(
-    skeleton: BoolArray,
-    clearance_m: NDArray[np.float32] | FloatArray,
-    forks: tuple[IntArray, int],
-    lines: tuple[IntArray, int],
-    cell_m: float,
-) -> _Net:
-    fork_label, fork_count = forks
-    line_label, line_count = lines
-    rows, columns = np.nonzero(fork_label)
-    number = fork_label[rows, columns]
-    size = np.bincount(number, minlength=fork_count + 1)
-    safe = np.maximum(size, 1)
-    x = np.bincount(number, columns, fork_count + 1) / safe * cell_m
-    y = np.bincount(number, rows, fork_count + 1) / safe * cell_m
-    wide = np.zeros(fork_count + 1)
-    np.maximum.at(wide, number, clearance_m[rows, columns])
-    length = _lengths(skeleton, line_label, line_count) * cell_m
-    touching = _touching(fork_label, line_label)
-    segments = {k: _Segment([k], [], float(length[k]), False) for k in range(1, line_count + 1)}
-    for line, fork in touching:
+def _net(lines: Lines) -> _Net:
+    segments = {
+        k: _Segment([k], [], length, k in lines.border)
+        for k, length in enumerate(lines.length_m.tolist())
+        if k > 0
+    }
+    for line, fork in lines.touching:
         # A ring hangs on its one fork by both ends; a fork's own two pixels are no ring.
         segments[line].nodes.append(fork)
+    numbers = range(1, len(lines.fork_xy))
+    clearance, weight = lines.fork_clearance_m.tolist(), lines.fork_cells.tolist()
     net = _Net(
-        {k: np.array([x[k], y[k]]) for k in range(1, fork_count + 1)},
-        {k: float(wide[k]) for k in range(1, fork_count + 1)},
-        {k: float(size[k]) for k in range(1, fork_count + 1)},
+        {k: lines.fork_xy[k] for k in numbers},
+        {k: clearance[k] for k in numbers},
+        {k: weight[k] for k in numbers},
         segments,
     )
     net.incident = {k: [] for k in net.centre}
@@ -188,53 +158,6 @@ def _net(
         for node in segment.nodes:
             net.incident[node].append(k)
     return net
-
-
-def _lengths(skeleton: BoolArray, label: IntArray, count: int) -> FloatArray:
-    """(count + 1,) length of every line in cells, and from its ends into the forks."""
-    out = np.zeros(count + 1)
-    s = skeleton
-    for a, b, step in (
-        (np.s_[:, :-1], np.s_[:, 1:], 1.0),
-        (np.s_[:-1, :], np.s_[1:, :], 1.0),
-        (np.s_[:-1, :-1], np.s_[1:, 1:], np.sqrt(2)),
-        (np.s_[:-1, 1:], np.s_[1:, :-1], np.sqrt(2)),
-    ):
-        both = s[a] & s[b]
-        la, lb = label[a][both], label[b][both]
-        out += np.bincount(np.maximum(la, lb), minlength=count + 1) * step
-    out[0] = 0.0
-    return out
-
-
-def _touching(fork: IntArray, line: IntArray) -> list[tuple[int, int]]:
-    """(line, fork) numbers that touch, a fork twice for a line that touches it with both ends."""
-    pairs = []
-    ends_line, ends_fork, cells = [], [], []
-    width = fork.shape[1]
-    rows, columns = np.nonzero(fork)
-    number, padded = fork[rows, columns], np.pad(line, 1)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            lines = padded[rows + 1 + dy, columns + 1 + dx]
-            there = lines > 0
-            ends_line.append(lines[there])
-            ends_fork.append(number[there])
-            cells.append(((rows + dy) * width + columns + dx)[there])
-    found = np.unique(
-        np.stack([np.concatenate(c) for c in (ends_line, ends_fork, cells)], axis=1), axis=0
-    )
-    last: tuple[int, int, int] | None = None
-    for row, by, cell in found.tolist():
-        beside = last is not None and last[:2] == (row, by) and _adjacent(last[2], cell, width)
-        if not beside:
-            pairs.append((row, by))
-        last = (row, by, cell)
-    return pairs
-
-
-def _adjacent(a: int, b: int, width: int) -> bool:
-    return max(abs(a // width - b // width), abs(a % width - b % width)) <= 1
 
 
 def _simplify(net: _Net, settings: SkeletonSettings) -> None:

@@ -97,6 +97,15 @@ def test_open_space_without_end_costs_no_more_than_its_cells():
         assert bool(told) == (grid.free.size < free.size)
 
 
+def test_open_space_with_pillars_costs_no_more_either():
+    """They are filled before it is thinned."""
+    free = np.ones((1500, 1500), bool)
+    free[::21, ::21] = False
+    grid, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
+    assert grid.free.size * min(grid.free.shape) / 2 <= 1.1 * MOST_PEELED
+    assert told
+
+
 def test_noise_is_refused_before_its_ways_are_counted_against_each_other():
     free = np.random.default_rng(1).random((600, 600)) < 0.5
     with pytest.raises(DataError, match="noise"):
