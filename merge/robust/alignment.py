@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from ...topology.se2 import apply, fit_rigid, wrap
-from .conflicts import NO_CONFLICTS, Conflicts, conflicts
-from .growth import Match, grow_all, ungrown
+from .atlas import Atlas, Lanes, cuts
+from .conflicts import Conflicts, conflicts
+from .growth import Grown, grow, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH, RobustSettings
-from .support import Support, support
+from .support import Support, supports
+
+ROWS_TOGETHER = 4000
+"""Junctions of hypotheses that are grown at once: what is worked out of them fits the processor's
+cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +64,29 @@ class Candidate:
         return complex(x + 1j * y + np.exp(1j * theta) * z)
 
 
+Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
+"""Two maps, hypotheses on how they lie, and of how many links these were chosen."""
+
+
 def match(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
     """Candidate alignments of two maps, best first; versions of one placement appear once. Pure.
 
     The steps of the paper with its certainties replaced by odds: compatible corridors (§2.1),
     connected hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
     """
+    return next(match_all([(a, b)], settings))
+
+
+def match_all(
+    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings
+) -> Iterator[tuple[Candidate, ...]]:
+    """The same of many pairs, each as if it were alone."""
+    return best_of_all((_hypotheses(a, b, settings) for a, b in pairs), settings)
+
+
+def _hypotheses(a: Prepared, b: Prepared, settings: RobustSettings) -> Hypothesised:
     links = candidate_links(a, b)
-    found = seeds(a, b, links, settings.hypotheses)
-    return best_of(a, b, found, tested=len(links), settings=settings)
+    return a, b, seeds(a, b, links, settings.hypotheses), len(links)
 
 
 def best_of(
@@ -78,47 +98,117 @@ def best_of(
     settings: RobustSettings,
 ) -> tuple[Candidate, ...]:
     """Grow and judge hypotheses; `tested` is the number of links they were chosen from."""
-    tested_bits = float(np.log2(tested + 1.0))
-    matches = grow_all(a, b, hypotheses, settings)
-    found = [_judge(a, b, grown, tested_bits) for grown in matches if len(grown) > 1]
-    found.sort(key=lambda c: (-c.bits, c.transform.tolist()))
+    return next(best_of_all([(a, b, hypotheses, tested)], settings))
+
+
+def best_of_all(
+    cases: Iterable[Hypothesised], settings: RobustSettings
+) -> Iterator[tuple[Candidate, ...]]:
+    """The same of many pairs of maps, as many at once as fit the processor's cache."""
+    some: list[Hypothesised] = []
+    rows = 0
+    for case in cases:
+        some.append(case)
+        rows += len(case[1]) * len(case[2])
+        if rows >= ROWS_TOGETHER:
+            yield from _best_of_some(some, settings)
+            some, rows = [], 0
+    yield from _best_of_some(some, settings)
+
+
+def _best_of_some(
+    cases: Sequence[Hypothesised], settings: RobustSettings
+) -> Iterator[tuple[Candidate, ...]]:
+    found: list[list[Candidate]] = [[] for _ in cases]
+    if any(case[2] for case in cases):
+        grown = grow(_lanes(cases), [seed for case in cases for seed in case[2]], settings)
+        of = np.arange(len(cases)).repeat([len(case[2]) for case in cases])
+        tested_bits = np.log2(np.array([case[3] for case in cases]) + 1.0)
+        for case, candidate in zip(of.tolist(), _judged(grown, tested_bits[of]), strict=True):
+            if candidate is not None:
+                found[case].append(candidate)
+    for (_, b, _, _), several in zip(cases, found, strict=True):
+        yield _apart(several, b)
+
+
+def _apart(found: list[Candidate], b: Prepared) -> tuple[Candidate, ...]:
+    """The best first, and of versions of one placement that one alone."""
     kept: list[Candidate] = []
-    for candidate in found:
+    for candidate in sorted(found, key=lambda c: (-c.bits, c.transform.tolist())):
         if not any(same_placement(candidate, other, b) for other in kept):
             kept.append(candidate)
     return tuple(kept)
 
 
+def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
+    """A lane for every hypothesis."""
+    growing = [case for case in cases if case[2]]
+    each = [(a, b) for a, b, found, _ in growing for _ in found]
+    if len(growing) == 1:  # nothing to be laid end to end
+        zeros = np.zeros(len(each), np.int64)
+        a, b = (Atlas.of([m]) for m in each[0])
+        return Lanes.of(a, b, zeros, zeros)
+    number: dict[int, int] = {}
+    rows = [[number.setdefault(id(m), len(number)) for m in pair] for pair in each]
+    maps = {id(m): m for pair in each for m in pair}
+    whole = Atlas.of([maps[key] for key in number])
+    of_a, of_b = np.array(rows).T
+    return Lanes.of(whole, whole, of_a, of_b)
+
+
 def best_seed(
     a: Prepared, b: Prepared, settings: RobustSettings
-) -> tuple[Seed, Candidate, int] | None:
-    """The strongest hypothesis of two maps as it is before growth: itself, what speaks for it and
-    against it, and of how many it is the best; None where no two corridors are alike."""
-    links = candidate_links(a, b)
-    found = seeds(a, b, links, settings.hypotheses)
+) -> tuple[Lanes, Seed, Candidate, int] | None:
+    """The strongest hypothesis of two maps as it is before growth: in a lane, itself, what speaks
+    for it and against it, and of how many it is the best; None where no two corridors are alike."""
+    _, _, found, tested = _hypotheses(a, b, settings)
     if not found:
         return None
-    tested_bits = float(np.log2(len(links) + 1.0))
-    return found[0], _judge(a, b, ungrown(a, b, found[0]), tested_bits), len(found)
+    lanes = _lanes([(a, b, found[:1], tested)])
+    (told,) = _judged(ungrown(lanes, found[:1]), np.log2(np.array([tested]) + 1.0))
+    assert told is not None
+    return lanes, found[0], told, len(found)
 
 
-def _judge(a: Prepared, b: Prepared, grown: Match, tested_bits: float) -> Candidate:
-    """The evidence of a grown match."""
-    agree = support(a, b, grown)
-    bits = agree.bits - tested_bits
-    against = conflicts(a, b, grown) if bits > MATCH.chance_bits else NO_CONFLICTS
-    transform, rmse_m = laid_over(_points(a.z[grown.a]), _points(b.z[grown.b]))
-    return Candidate(
-        transform=transform,
-        a=grown.a,
-        b=grown.b,
-        turn=grown.turn[grown.b],
-        support=agree,
-        conflicts=against,
-        tested_bits=tested_bits,
-        bits=float(bits - against.bits),
-        rmse_m=rmse_m,
-    )
+def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:
+    """The evidence of the match of each lane; None where there is none."""
+    lanes = grown.lanes
+    if not len(grown.row):
+        return [None] * len(lanes)
+    agree = supports(grown)
+    bits = np.array([s.bits for s in agree]) - tested_bits
+    first = cuts(grown.lane, len(lanes))
+    against = conflicts(grown, bits > MATCH.chance_bits)
+    a = grown.a - lanes.a.vertex[lanes.of_a[grown.lane]]
+    b = grown.b - lanes.b.vertex[lanes.of_b[grown.lane]]
+    turn = grown.turn[grown.row]
+    transform, rmse = _laid_over_each(grown, first)
+    out: list[Candidate | None] = [None] * len(lanes)
+    for k, (start, stop) in enumerate(pairwise(first)):
+        if stop > start:
+            out[k] = Candidate(
+                transform=transform[k],
+                a=a[start:stop],
+                b=b[start:stop],
+                turn=turn[start:stop],
+                support=agree[k],
+                conflicts=against[k],
+                tested_bits=float(tested_bits[k]),
+                bits=float(bits[k] - against[k].bits),
+                rmse_m=float(rmse[k]),
+            )
+    return out
+
+
+def _laid_over_each(grown: Grown, first: list[int]) -> tuple[FloatArray, FloatArray]:
+    """`laid_over` of every lane."""
+    lanes = grown.lanes
+    pa, pb = _points(lanes.a.whole.z[grown.a]), _points(lanes.b.whole.z[grown.b])
+    transform, rmse = np.zeros((len(lanes), 3)), np.zeros(len(lanes))
+    for k, (start, stop) in enumerate(pairwise(first)):
+        if stop > start:
+            transform[k], rmse[k] = laid_over(pa[start:stop], pb[start:stop])
+    return transform, rmse
 
 
 def laid_over(xy_a: FloatArray, xy_b: FloatArray) -> tuple[FloatArray, float]:
@@ -148,12 +238,17 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
     return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
 
 
-def self_matches(m: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
-    """Alignments of a map with itself, elsewhere: how much the building repeats itself."""
+def self_matches(
+    maps: Iterable[Prepared], settings: RobustSettings
+) -> Iterator[tuple[Candidate, ...]]:
+    """Alignments of maps with themselves, elsewhere: how much the building repeats itself."""
+    for found in best_of_all((_elsewhere(m, settings) for m in maps), settings):
+        yield tuple(c for c in found if np.count_nonzero(c.a == c.b) < 0.5 * len(c))
+
+
+def _elsewhere(m: Prepared, settings: RobustSettings) -> Hypothesised:
     links = candidate_links(m, m)
     one, two = m.middle[links.a_row], m.middle[links.b_row]
     here = (np.abs(links.theta) < MATCH.turn_rad) & (np.abs(one - two) < MATCH.place_m)
     away = Links(links.a_row[~here], links.b_row[~here], links.theta[~here], links.bits[~here])
-    away_seeds = seeds(m, m, away, settings.hypotheses)
-    found = best_of(m, m, away_seeds, tested=len(away), settings=settings)
-    return tuple(c for c in found if np.count_nonzero(c.a == c.b) < 0.5 * len(c))
+    return m, m, seeds(m, m, away, settings.hypotheses), len(away)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from .atlas import Atlas, cuts
 from .branches import common_branches
-from .growth import Match
+from .growth import Grown
 from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH
 
@@ -80,97 +81,164 @@ _NO_PAIRS = np.zeros((0, 2), np.int64)
 NO_CONFLICTS = Conflicts(_NONE, _NONE, _FREE, _NONE, _NONE, _FREE, _NO_PAIRS, 0.0)
 
 
-def conflicts(a: Prepared, b: Prepared, match: Match) -> Conflicts:
-    """The contradictions of a match. O(points · log points). A corridor tells one thing once: where
-    it passes a junction unseen, it does not lead elsewhere as well."""
-    near = match.support_m < MATCH.near_m
-    extra_b, in_a, bits_b = _extra_b(a, b, match, near)
-    extra_a, in_b, bits_a = _extra_a(a, b, match, near)
-    found = Conflicts(extra_b, in_a, bits_b, extra_a, in_b, bits_a, _NO_PAIRS, 0.0)
-    return _with_elsewhere(a, b, match, found)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unseen:
+    """Vertices of one map in directed corridors (edges) of the other, as the atlases number them,
+    each with its lane and bits; lane by lane."""
+
+    lane: IntArray
+    vertex: IntArray
+    edge: IntArray
+    bits: FloatArray
 
 
-def _with_elsewhere(a: Prepared, b: Prepared, match: Match, found: Conflicts) -> Conflicts:
-    """The contradictions, with the corridors that lead elsewhere and that none of them explains."""
-    row, branch_a, branch_b = common_branches(a, b, match.a, match.b, match.turn[match.b])
-    leave_a = a.by_branch[match.a[row], branch_a]
-    leave_b = b.by_branch[match.b[row], branch_b]
-    driven = (leave_a >= 0) & (leave_b >= 0)
-    leave_a, leave_b = leave_a[driven], leave_b[driven]
-    partner = np.full(len(b), -1)
-    partner[match.b] = match.a
+def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
+    """The contradictions of the match of each lane that is asked for, none of the others.
+    O(points · log points). A corridor tells one thing once: where it passes a junction unseen, it
+    does not lead elsewhere as well."""
+    lanes = grown.lanes
+    near = (grown.support_m < MATCH.near_m) & asked[lanes.lane]
+    extra_b, extra_a = _extra_b(grown, near), _extra_a(grown, near)
+    lane, leave_a, leave_b = _elsewhere(grown, asked, extra_b, extra_a)
+    corridor_a, corridor_b = lanes.a.corridor[lanes.of_a], lanes.b.corridor[lanes.of_b]
+    vertex_a, vertex_b = lanes.a.vertex[lanes.of_a], lanes.b.vertex[lanes.of_b]
+    own_b, in_a = extra_b.vertex - vertex_b[extra_b.lane], extra_b.edge - corridor_a[extra_b.lane]
+    own_a, in_b = extra_a.vertex - vertex_a[extra_a.lane], extra_a.edge - corridor_b[extra_a.lane]
+    rows = np.column_stack([leave_a - corridor_a[lane], leave_b - corridor_b[lane]])
+    weight = _elsewhere_bits(grown).tolist()
+    firsts = [cuts(found, len(lanes)) for found in (extra_b.lane, extra_a.lane, lane)]
+    out = [NO_CONFLICTS] * len(lanes)
+    for k in asked.nonzero()[0].tolist():
+        of_b, of_a, far = (slice(first[k], first[k + 1]) for first in firsts)
+        out[k] = Conflicts(
+            extra_b=own_b[of_b],
+            extra_b_in=in_a[of_b],
+            extra_b_bits=extra_b.bits[of_b],
+            extra_a=own_a[of_a],
+            extra_a_in=in_b[of_a],
+            extra_a_bits=extra_a.bits[of_a],
+            elsewhere=rows[far],
+            elsewhere_bits=weight[k],
+        )
+    return out
+
+
+def _elsewhere(
+    grown: Grown, asked: BoolArray, extra_b: _Unseen, extra_a: _Unseen
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Corridors that leave matched junctions by one branch and lead to others, and that no junction
+    in them explains: lane, directed rows of both maps."""
+    lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
+    some = asked[grown.lane].nonzero()[0]
+    va, row, lane = grown.a[some], grown.row[some], grown.lane[some]
+    vb = lanes.vertex[row]
+    k, branch_a, branch_b = common_branches(a, b, va, vb, grown.turn[row])
+    leave_a, leave_b = a.by_branch[va[k], branch_a], b.by_branch[vb[k], branch_b]
+    driven = ((leave_a >= 0) & (leave_b >= 0)).nonzero()[0]
+    lane, leave_a, leave_b = lane[k[driven]], leave_a[driven], leave_b[driven]
+    partner = np.full(len(lanes.lane), -1)
+    partner[grown.row] = grown.a
     far_a, far_b = a.head[leave_a], b.head[leave_b]
-    told_a, told_b = found.extra_b_in, found.extra_a_in
-    half_a, half_b = max(len(a.tail) // 2, 1), max(len(b.tail) // 2, 1)
-    explained = np.isin(leave_a % half_a, told_a % half_a) | np.isin(far_a, found.extra_a)
-    explained |= np.isin(leave_b % half_b, told_b % half_b) | np.isin(far_b, found.extra_b)
-    astray = (partner[far_b] != far_a) & ~explained
-    fault = sum(MATCH.fault_floor + m.noise.miss_rate + m.noise.phantom_rate for m in (a, b))
-    weight = min(max(float(np.log2(MATCH.elsewhere_share / fault)), 0.0), MATCH.most_bits)
-    rows = np.column_stack([leave_a[astray], leave_b[astray]])
-    return replace(found, elsewhere=rows, elsewhere_bits=weight)
+    astray = partner[far_b + lanes.shift[lane]] != far_a
+    lane, leave_a, leave_b = lane[astray], leave_a[astray], leave_b[astray]
+    far_a, far_b = far_a[astray], far_b[astray]
+
+    def told(told_lane: IntArray, what: IntArray, asked_for: IntArray, most: int) -> BoolArray:
+        return np.isin(lane * most + asked_for, told_lane * most + what)
+
+    vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
+    either_a, either_b = np.minimum(leave_a, a.twin[leave_a]), np.minimum(leave_b, b.twin[leave_b])
+    passed_a, passed_b = (
+        np.minimum(m.twin[row], row) for m, row in ((a, extra_b.edge), (b, extra_a.edge))
+    )
+    explained = told(extra_b.lane, passed_a, either_a, corridors)
+    explained |= told(extra_a.lane, extra_a.vertex, far_a, vertices)
+    explained |= told(extra_a.lane, passed_b, either_b, corridors)
+    explained |= told(extra_b.lane, extra_b.vertex, far_b, vertices)
+    left = ~explained
+    return lane[left], leave_a[left], leave_b[left]
 
 
-def _placed_road(b: Prepared, match: Match, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
+def _elsewhere_bits(grown: Grown) -> FloatArray:
+    """(l,) the weight of a corridor that leads elsewhere."""
+    fault = sum(
+        MATCH.fault_floor + (atlas.miss_rate + atlas.phantom_rate)[of]
+        for atlas, of in ((grown.lanes.a, grown.lanes.of_a), (grown.lanes.b, grown.lanes.of_b))
+    )
+    bits = np.log2(MATCH.elsewhere_share / np.asarray(fault))
+    return np.minimum(np.maximum(bits, 0.0), MATCH.most_bits)
+
+
+def _placed_road(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
     """b's corridor points in a, between the predictions of their two ends, and how vague they are.
 
     Rows name points of directed corridors of the first half, tail to head.
     """
+    b, shift = grown.lanes.b.whole, grown.lanes.shift[lane]
     tail, head, road = b.road_tail[rows], b.road_head[rows], b.road[rows]
-    by_tail = match.place[tail] + match.turn[tail] * (road - b.z[tail])
-    by_head = match.place[head] + match.turn[head] * (road - b.z[head])
-    vague = MATCH.drift_per_m * np.maximum(match.support_m[tail], match.support_m[head])
+    at_tail, at_head = tail + shift, head + shift
+    by_tail = grown.place[at_tail] + grown.turn[at_tail] * (road - b.z[tail])
+    by_head = grown.place[at_head] + grown.turn[at_head] * (road - b.z[head])
+    vague = MATCH.drift_per_m * np.maximum(grown.support_m[at_tail], grown.support_m[at_head])
     return by_tail + b.road_share[rows] * (by_head - by_tail), vague
 
 
-def _weight(missing: Prepared, edge: IntArray, extra: Prepared, vertex: IntArray) -> FloatArray:
+def _weight(
+    missing: tuple[Atlas, IntArray], edge: IntArray, extra: tuple[Atlas, IntArray], vertex: IntArray
+) -> FloatArray:
     """(k,) bits against: the one run drove the corridor and missed it each time, or the other one
-    invented it at each look."""
-    missed = (missing.noise.miss_rate + MATCH.fault_floor) ** np.minimum(
-        missing.traversals[edge], 3
-    )
-    invented = (extra.noise.phantom_rate + MATCH.fault_floor) ** np.minimum(extra.looks[vertex], 3)
+    invented it at each look. missing, extra: an atlas, and the map of it in each case."""
+    blind, seeing = missing[0], extra[0]
+    miss, invent = blind.miss_rate[missing[1]], seeing.phantom_rate[extra[1]]
+    driven, seen = blind.whole.traversals[edge], seeing.whole.looks[vertex]
+    missed = (miss + MATCH.fault_floor) ** np.minimum(driven, 3)
+    invented = (invent + MATCH.fault_floor) ** np.minimum(seen, 3)
     bits = -np.log2(np.minimum(missed + invented, 1.0))
     return np.asarray(np.minimum(bits, MATCH.most_bits))
 
 
-def _extra_b(
-    a: Prepared, b: Prepared, match: Match, near: BoolArray
-) -> tuple[IntArray, IntArray, FloatArray]:
+def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
     """Unmatched vertices of b well inside corridors of a."""
+    lanes, a = grown.lanes, grown.lanes.a.whole
     alone = near.copy()
-    alone[match.b] = False
+    alone[grown.row] = False
     lone = alone.nonzero()[0]
-    if len(lone) == 0 or len(a.road) == 0:
-        return _NONE, _NONE, _FREE
-    where = match.place[lone]
-    off_end = MATCH.clear_m + MATCH.drift_per_m * match.support_m[lone]
-    gap, road = a.road_sites.nearest(where, BESIDE_M)
+    where, lane = grown.place[lone], lanes.lane[lone]
+    off_end = MATCH.clear_m + MATCH.drift_per_m * grown.support_m[lone]
+    gap, road = lanes.nearest(where, lane, BESIDE_M, roads=True)
     beside = (gap < BESIDE_M).nonzero()[0]
-    lone, where, road, off_end = lone[beside], where[beside], road[beside], off_end[beside]
+    lone, lane, road = lone[beside], lane[beside], road[beside]
+    where, off_end = where[beside], off_end[beside]
     across = np.abs(((where - a.road[road]) * a.road_dir[road].conj()).imag)
-    inside = (across < MATCH.beside_m) & (
-        a.sites.nearest(where, float(off_end.max(initial=0)))[0] > off_end
-    )
-    vertex, edge = lone[inside], a.road_edge[road[inside]]
-    return vertex, edge, _weight(a, edge, b, vertex)
+    farthest = np.zeros(len(lanes))
+    np.maximum.at(farthest, lane, off_end)
+    inside = (across < MATCH.beside_m) & (lanes.nearest(where, lane, farthest)[0] > off_end)
+    vertex, edge, lane = lanes.vertex[lone[inside]], a.road_edge[road[inside]], lane[inside]
+    bits = _weight((lanes.a, lanes.of_a[lane]), edge, (lanes.b, lanes.of_b[lane]), vertex)
+    return _Unseen(lane, vertex, edge, bits)
 
 
-def _extra_a(
-    a: Prepared, b: Prepared, match: Match, near: BoolArray
-) -> tuple[IntArray, IntArray, FloatArray]:
+def _extra_a(grown: Grown, near: BoolArray) -> _Unseen:
     """Unmatched vertices of a beside points of b's corridors."""
-    rows = (near[b.road_tail] & near[b.road_head]).nonzero()[0]
-    place, vague = _placed_road(b, match, rows)
-    inner = b.road_end[rows] > MATCH.clear_m + vague
-    rows, place = rows[inner], place[inner]
-    gap, vertex = a.sites.nearest(place, BESIDE_M)
-    taken = np.zeros(len(a) + 1, np.bool_)  # the last is what the search calls none
-    taken[match.a] = True
-    beside = ((gap < BESIDE_M) & ~taken[vertex]).nonzero()[0]
-    rows, place, vertex = rows[beside], place[beside], vertex[beside]
-    turned = match.turn[b.road_tail[rows]] * b.road_dir[rows]
+    lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
+    lane, rows = lanes.rows_of(lanes.b.road)
+    shift = lanes.shift[lane]
+    seen = (near[b.road_tail[rows] + shift] & near[b.road_head[rows] + shift]).nonzero()[0]
+    lane, rows = lane[seen], rows[seen]
+    place, vague = _placed_road(grown, lane, rows)
+    inner = (b.road_end[rows] > MATCH.clear_m + vague).nonzero()[0]
+    lane, rows, place = lane[inner], rows[inner], place[inner]
+    gap, vertex = lanes.nearest(place, lane, BESIDE_M)
+    beside = (gap < BESIDE_M).nonzero()[0]
+    slot = vertex[beside] + lanes.shift_a[lane[beside]]
+    taken = np.zeros(int(lanes.first_a[-1]), np.bool_)
+    taken[grown.a + lanes.shift_a[grown.lane]] = True
+    free = ~taken[slot]
+    beside, slot = beside[free], slot[free]
+    lane, rows, place, vertex = lane[beside], rows[beside], place[beside], vertex[beside]
+    turned = grown.turn[b.road_tail[rows] + lanes.shift[lane]] * b.road_dir[rows]
     hit = np.abs(((a.z[vertex] - place) * turned.conj()).imag) < MATCH.beside_m
-    extra, first = np.unique(vertex[hit], return_index=True)
-    edge = b.road_edge[rows[hit][first]]
-    return extra, edge, _weight(b, edge, a, extra)
+    first = np.unique(slot[hit], return_index=True)[1]
+    lane, extra, edge = lane[hit][first], vertex[hit][first], b.road_edge[rows[hit][first]]
+    bits = _weight((lanes.b, lanes.of_b[lane]), edge, (lanes.a, lanes.of_a[lane]), extra)
+    return _Unseen(lane, extra, edge, bits)

@@ -190,7 +190,7 @@ def bars(
 ) -> Callable[[Sequence[int], PairCount], Bar]:
     """What some maps, a pair or those of two components, must reach in a batch of so many pairs.
     with_themselves: matches of each map with other parts of itself, if they are known."""
-    own = with_themselves or [self_matches(m, settings) for m in prepared]
+    own = with_themselves or list(self_matches(prepared, settings))
     copies, copied = _repetition(prepared, own, settings)
 
     def level(some: Sequence[int], count: PairCount) -> Bar:

@@ -175,8 +175,8 @@ def _of_seed(own: Assessment, settings: RobustSettings) -> tuple[list[Shown], St
     best = best_seed(own.a, own.b, settings)
     if best is None:
         return [], None
-    seed, candidate, count = best
-    found, expected = given_up(own.a, own.b, seed, settings)
+    lanes, seed, candidate, count = best
+    found, expected = given_up(lanes, seed, settings)
     needed = max(MATCH.fewest, ceil(MATCH.least_share * expected))
     return [_placement_of(own, candidate)], Start(found, expected, needed, count)
 

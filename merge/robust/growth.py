@@ -1,4 +1,4 @@
-"""Growth of a match across drifting maps: predict, match the nearest, refit, repeat (§2.3, §5)."""
+"""Growth of matches across drifting maps: predict, match the nearest, refit, repeat (§2.3, §5)."""
 
 from __future__ import annotations
 
@@ -7,191 +7,202 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .atlas import Lanes
 from .branches import branch_bits
 from .links import Seed
-from .prepare import ComplexArray, FloatArray, IntArray, Prepared
+from .prepare import ComplexArray, FloatArray, IntArray
 from .settings import MATCH, RobustSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Match:
-    """A grown hypothesis. a, b: (k,) matched vertices; place: (n_b,) where each vertex of b lies
-    in a's frame; turn: (n_b,) local rotation b → a as unit numbers; support_m: (n_b,) distance to
-    the nearest match; branch: (k,) bits of the branches of each matched pair."""
+class Grown:
+    """What became of a hypothesis in every lane: k matched pairs of vertices, lane by lane.
 
+    lane: (k,); a: (k,) vertices of the first maps, numbered as in the atlas; row: (k,) rows of
+    `lanes`, of the vertices of the second maps; branch: (k,) bits of the branches of each pair.
+    place: (t,) where each vertex of the second map lies in the first one's frame; turn: (t,) local
+    rotation b → a as unit numbers; support_m: (t,) distance to the nearest match.
+    """
+
+    lanes: Lanes
+    lane: IntArray
     a: IntArray
-    b: IntArray
+    row: IntArray
+    branch: FloatArray
     place: ComplexArray
     turn: ComplexArray
     support_m: FloatArray
-    branch: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.a)
-
-
-_NONE = np.zeros(0, np.int64)
-NO_MATCH = Match(
-    _NONE, _NONE, np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0)
-)
-"""What becomes of a seed that does not grow."""
+    @property
+    def b(self) -> IntArray:
+        """(k,) matched vertices of the second maps, numbered as in the atlas."""
+        return self.lanes.vertex[self.row]
 
 
-def grow(a: Prepared, b: Prepared, seed: Seed, settings: RobustSettings) -> Match:
-    """Grow one seed."""
-    return grow_all(a, b, [seed], settings)[0]
-
-
-def grow_all(
-    a: Prepared, b: Prepared, seeds: Sequence[Seed], settings: RobustSettings
-) -> list[Match]:
-    """Grow seeds, each by itself, until nothing changes. O(rounds · seeds · n_b · log n_a).
+def grow(lanes: Lanes, seeds: Sequence[Seed], settings: RobustSettings) -> Grown:
+    """Grow a seed in each lane until nothing changes. O(rounds · rows · log n_a).
 
     Drift bends maps: every vertex of b is predicted by a rigid fit to the matches around it
     (moving least squares), so that a match follows the bend from where it is sure. In the end
-    pairs whose branches contradict each other are dropped. Strategy: all seeds take each step at
-    once, a row of every array for each that is still growing.
+    pairs whose branches contradict each other are dropped; what does not grow, or ends with less
+    than two pairs, is left with none. Strategy: all lanes take each step at once; those that are
+    done leave.
     """
-    out = [NO_MATCH] * len(seeds)
-    if not seeds:
-        return out
-    live = list(range(len(seeds)))
-    partner = np.full((len(seeds), len(b)), -1)
-    for mine, seed in zip(partner, seeds, strict=True):
-        mine[seed.b] = seed.a
+    rows = len(lanes.lane)
+    partner, support = np.full(rows, -1), np.full(rows, np.inf)
+    place, turn = np.zeros(rows, np.complex128), np.zeros(rows, np.complex128)
+    live, at, now, unit = lanes, np.arange(rows), _sown(lanes, seeds), _units(seeds)
     for left in range(settings.growth_rounds - 1, -1, -1):
-        place, turn, support = predict(a, b, partner, [seeds[k].unit for k in live])
-        fresh, found, expected = _rematch(a, b, place, support, settings)
-        going = []
-        for row, k in enumerate(live):
-            if found[row] < max(MATCH.fewest, MATCH.least_share * expected[row]):
-                continue
-            if left and (fresh[row] != partner[row]).any():
-                going.append(row)
-            else:
-                out[k] = _grown(a, b, fresh[row], (place[row], turn[row], support[row]))
-        if not going:
+        if not len(live):
             break
-        if len(going) < len(live):
-            live, fresh = [live[row] for row in going], fresh[going]
-        partner = fresh
-    return out
+        predicted = predict(live, now, unit)
+        fresh, found, expected = _rematch(live, predicted[0], predicted[2], settings)
+        enough = found >= np.maximum(MATCH.fewest, MATCH.least_share * expected)
+        moved = np.logical_or.reduceat(fresh != now, live.first[:-1])
+        going = enough & moved if left else np.zeros(len(live), np.bool_)
+        done = (enough & ~going)[live.lane].nonzero()[0]
+        for out, new in zip((place, turn, support), predicted, strict=True):
+            out[at[done]] = new[done]
+        partner[at[done]] = fresh[done]
+        if going.all():
+            now = fresh
+            continue
+        stay = going[live.lane].nonzero()[0]
+        live, at, now, unit = live.some(going.nonzero()[0]), at[stay], fresh[stay], unit[going]
+    return _without_contradicted(lanes, partner, (place, turn, support))
 
 
-def given_up(a: Prepared, b: Prepared, seed: Seed, settings: RobustSettings) -> tuple[int, int]:
-    """Of a seed that does not grow: how many of the junctions of b that it lays where a has been
-    were found in its last round, and how many there are."""
-    partner = np.full((1, len(b)), -1)
-    partner[0, seed.b] = seed.a
-    found = expected = 0
+def given_up(lanes: Lanes, seed: Seed, settings: RobustSettings) -> tuple[int, int]:
+    """Of a seed that does not grow, in the only lane: how many of the junctions of b that it lays
+    where a has been were found in its last round, and how many there are."""
+    partner, unit = _sown(lanes, [seed]), _units([seed])
+    found = expected = np.zeros(1, np.int64)
     for _ in range(settings.growth_rounds):
-        place, _, near = predict(a, b, partner, [seed.unit])
-        partner, (found,), (expected,) = _rematch(a, b, place, near, settings)
-        if found < max(MATCH.fewest, MATCH.least_share * expected):
+        place, _, near = predict(lanes, partner, unit)
+        partner, found, expected = _rematch(lanes, place, near, settings)
+        if found[0] < max(MATCH.fewest, MATCH.least_share * expected[0]):
             break
-    return found, expected
+    return int(found[0]), int(expected[0])
 
 
-def ungrown(a: Prepared, b: Prepared, seed: Seed) -> Match:
-    """A seed as it is, as a match."""
-    partner = np.full((1, len(b)), -1)
-    partner[0, seed.b] = seed.a
-    place, turn, near = predict(a, b, partner, [seed.unit])
-    matched = np.sort(seed.b)
-    theirs = partner[0, matched]
-    bits = branch_bits(a, b, theirs, matched, turn[0, matched])
-    return Match(theirs, matched, place[0], turn[0], near[0], bits)
+def ungrown(lanes: Lanes, seeds: Sequence[Seed]) -> Grown:
+    """The seed of each lane as it is, as a match."""
+    partner = _sown(lanes, seeds)
+    predicted = predict(lanes, partner, _units(seeds))
+    return _matched(lanes, partner, predicted)
 
 
-def _grown(
-    a: Prepared,
-    b: Prepared,
-    partner: IntArray,
-    predicted: tuple[ComplexArray, ComplexArray, FloatArray],
-) -> Match:
-    """The match of a row, without the pairs whose branches contradict each other."""
-    place, turn, support = predicted
-    matched = (partner >= 0).nonzero()[0]
-    bits = branch_bits(a, b, partner[matched], matched, turn[matched])
-    fair = bits > -MATCH.contradicted_bits
-    matched, bits = matched[fair], bits[fair]
-    return Match(partner[matched], matched, place, turn, support, bits)
+def _sown(lanes: Lanes, seeds: Sequence[Seed]) -> IntArray:
+    """(t,) the partner of each row in the seed of its lane, numbered as in the atlas, or -1."""
+    partner = np.full(len(lanes.lane), -1)
+    starts, firsts = lanes.first.tolist(), lanes.a.vertex[lanes.of_a].tolist()
+    for seed, start, first in zip(seeds, starts, firsts, strict=False):
+        partner[seed.b + start] = seed.a + first
+    return partner
 
 
-def predict(
-    a: Prepared, b: Prepared, partner: IntArray, turn0: Sequence[complex]
-) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+def _units(seeds: Sequence[Seed]) -> ComplexArray:
+    return np.array([seed.unit for seed in seeds], np.complex128)
+
+
+Predicted = tuple[ComplexArray, ComplexArray, FloatArray]
+"""Place, turn and distance to the nearest match of every row."""
+
+
+def _matched(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
+    """Partners of rows as matches."""
+    row = (partner >= 0).nonzero()[0]
+    a, b, turn = partner[row], lanes.vertex[row], predicted[1]
+    bits = branch_bits(lanes.a.whole, lanes.b.whole, a, b, turn[row])
+    return Grown(lanes, lanes.lane[row], a, row, bits, *predicted)
+
+
+def _without_contradicted(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
+    """The matches, without pairs whose branches contradict each other, and those of one pair."""
+    all_ = _matched(lanes, partner, predicted)
+    fair = (all_.branch > -MATCH.contradicted_bits).nonzero()[0]
+    lane = all_.lane[fair]
+    kept = fair[(np.bincount(lane, minlength=len(lanes)) > 1)[lane]]
+    return Grown(
+        lanes, all_.lane[kept], all_.a[kept], all_.row[kept], all_.branch[kept], *predicted
+    )
+
+
+def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
     """Where every vertex of b lies in a: (place, local turn, distance to the nearest match), each
-    (s, n_b) like `partner`, by s matches independent of each other.
+    (t,) like `partner`; turn0: (l,) the rotation that each lane began with.
 
-    Strategy: weighted complex Procrustes for all vertices at once. What a match adds to the sums
+    Strategy: weighted complex Procrustes for all rows at once. What a match adds to the sums
     is a row of eight numbers (1, position in a, position in b, their product); each vertex
     takes the weighted sum of the rows of its precomputed neighbours. The fit to all matches enters
     with a small weight, and alone where no neighbour is matched.
     """
-    many, n = partner.shape
+    a, b, lane = lanes.a.whole, lanes.b.whole, lanes.lane
+    z = b.z.take(lanes.vertex)
     has = partner >= 0
-    rows = np.empty((many, n, 4), np.complex128)
-    rows[:, :, 0] = has
-    np.multiply(has, a.z[partner], out=rows[:, :, 1])
-    np.multiply(has, b.z, out=rows[:, :, 2])
-    np.multiply(rows[:, :, 1], b.z.conj(), out=rows[:, :, 3])
-    fits = np.array([_fit(s, t) for s, t in zip(rows.sum(axis=1).tolist(), turn0, strict=True)])
-    whole = fits[:, 0, None]
-    place, support = whole * b.z + fits[:, 1, None], np.abs(b.z - fits[:, 2, None])
-    turn = np.empty((many, n), np.complex128)
-    turn[:] = whole
+    rows = np.zeros((len(partner), 4), np.complex128)
+    there = has.nonzero()[0]
+    z_a, z_b = a.z.take(partner[there]), z[there]
+    rows[there, 0] = 1.0
+    rows[there, 1] = z_a
+    rows[there, 2] = z_b
+    rows[there, 3] = z_a * z_b.conj()
+    whole, shift, middle, lever = _fits(np.add.reduceat(rows, lanes.first[:-1]), turn0)
+    turn = whole.take(lane)
+    place, support = turn * z + shift.take(lane), np.abs(z - middle.take(lane))
     # The nearest match beside each vertex: neighbours are sorted by their distance.
-    beside = has.take(b.neighbour, axis=1).reshape(many * n, -1)
-    nearest = beside.argmax(axis=1)
-    spot = beside[np.arange(many * n), nearest].nonzero()[0]
-    lane, at = spot // n, spot % n
-    near = b.neighbour.take(at, axis=0) + (spot - at)[:, None]
-    flat = rows.view(np.float64).reshape(-1, 8).take(near, axis=0)
-    weights = b.near_weight.take(at, axis=0)[:, None, :]
+    beside = b.neighbour.take(lanes.vertex, axis=0)
+    beside += lanes.shift.take(lane)[:, None]
+    known = has.take(beside)
+    nearest = known.argmax(axis=1)
+    spot = known[np.arange(len(known)), nearest].nonzero()[0]
+    vertex = lanes.vertex.take(spot)
+    flat = rows.view(np.float64).take(beside.take(spot, axis=0), axis=0)
+    weights = b.near_weight.take(vertex, axis=0)[:, None, :]
     sums = np.matmul(weights, flat)[:, 0, :].view(np.complex128)
     weight = sums[:, 0].real
     ca, cb = sums[:, 1] / weight, sums[:, 2] / weight
-    local = sums[:, 3] - sums[:, 1] * cb.conj() + fits[lane, 3]
+    local = sums[:, 3] - sums[:, 1] * cb.conj() + lever.take(lane.take(spot))
     local /= np.maximum(np.abs(local), 1e-12)
-    place.reshape(-1)[spot] = ca + local * (b.z[at] - cb)
-    turn.reshape(-1)[spot] = local
-    support.reshape(-1)[spot] = b.near_m[at, nearest[spot]]
+    place[spot] = ca + local * (z.take(spot) - cb)
+    turn[spot] = local
+    support[spot] = b.near_m[vertex, nearest.take(spot)]
     return place, turn, support
 
 
-def _fit(sums: list[complex], start: complex) -> tuple[complex, complex, complex, complex]:
-    """Of the sums over all matches of a seed: turn, shift, middle of the matches in b, and what the
-    fit counts beside the local ones: like a match at the distance that parts two placements."""
-    count = max(sums[0].real, 1.0)
-    ma, mb, lever = sums[1] / count, sums[2] / count, sums[3] / count
-    turn = count * (lever - mb.conjugate() * ma) + MATCH.start_weight * start
-    turn = turn / abs(turn) if abs(turn) > 1e-9 else start
+def _fits(
+    sums: ComplexArray, start: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+    """Of the (l, 4) sums over all matches of a lane: turn, shift, middle of the matches in b, and
+    what the fit counts beside the local ones: like a match at the distance that parts two
+    placements."""
+    count = np.maximum(sums[:, 0].real, 1.0)
+    ma, mb, lever = sums[:, 1] / count, sums[:, 2] / count, sums[:, 3] / count
+    turn = count * (lever - mb.conj() * ma) + MATCH.start_weight * start
+    size = np.abs(turn)
+    turn = np.where(size > 1e-9, turn / np.maximum(size, 1e-9), start)
     return turn, ma - turn * mb, mb, MATCH.place_m**2 * turn
 
 
 def _rematch(
-    a: Prepared, b: Prepared, place: ComplexArray, support: FloatArray, settings: RobustSettings
-) -> tuple[IntArray, list[int], list[int]]:
-    """(s, n_b) the vertex of a nearest to each prediction, within the gate; where several choose
-    the same one, it goes to the nearest. And for each of s matches how many were found, and how
+    lanes: Lanes, place: ComplexArray, support: FloatArray, settings: RobustSettings
+) -> tuple[IntArray, IntArray, IntArray]:
+    """(t,) the vertex of a nearest to each prediction, within the gate; where several choose
+    the same one, it goes to the nearest. And for each lane how many were found, and how
     many of b's junctions lie where a has been."""
-    many, n, n_a = len(place), len(b), len(a)
-    partner = np.empty(place.shape, np.int64)
-    partner.fill(-1)
-    active = (support.reshape(-1) < MATCH.near_m).nonzero()[0]
-    if n_a == 0 or len(active) == 0:
-        return partner, [0] * many, [0] * many
-    gate = settings.gate_m + settings.gate_per_m * support.reshape(-1)[active]
-    gap, nearest = a.sites.nearest(place.reshape(-1)[active], MATCH.place_m)
-    near = (gap < gate).nonzero()[0]
+    partner = np.full(len(place), -1)
+    active = (support < MATCH.near_m).nonzero()[0]
+    lane = lanes.lane.take(active)
+    gap, nearest = lanes.nearest(place.take(active), lane, MATCH.place_m)
+    near = (gap < settings.gate_m + settings.gate_per_m * support.take(active)).nonzero()[0]
     near = near[(-gap[near]).argsort(kind="stable")]
-    chooser = active[near]
-    owner = np.empty(many * n_a, np.int64)
-    owner.fill(-1)
-    owner[nearest[near] + chooser // n * n_a] = chooser  # the last one written is the nearest
+    slot = nearest[near] + lanes.shift_a.take(lane[near])
+    owner = np.full(int(lanes.first_a[-1]), -1)
+    owner[slot] = active[near]  # the last one written is the nearest
     taken = (owner >= 0).nonzero()[0]
-    partner.reshape(-1)[owner[taken]] = taken % n_a
-    found = np.bincount(taken // n_a, minlength=many)
-    expected = np.bincount(active[gap < MATCH.place_m] // n, minlength=many)
-    return partner, found.tolist(), expected.tolist()
+    chooser = owner[taken]
+    theirs = lanes.lane.take(chooser)
+    partner[chooser] = taken - lanes.shift_a.take(theirs)
+    found = np.bincount(theirs, minlength=len(lanes))
+    expected = np.bincount(lane[gap < MATCH.place_m], minlength=len(lanes))
+    return partner, found, expected

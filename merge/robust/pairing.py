@@ -22,7 +22,7 @@ from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
 from ..packs import DIGEST, Digests, Kept, Kind, Pack, PackWriter, Store, digest_of
 from ..workers import Workers
-from .alignment import Candidate, match, self_matches
+from .alignment import Candidate, match_all, self_matches
 from .mirror import mirrored
 from .prepare import Prepared, prepare
 from .records import Found, from_bytes, in_short, to_bytes
@@ -309,15 +309,17 @@ def _match_all(task: MatchTask, ready: Ready) -> Pack:
     """The records of a task."""
     out = PackWriter(era_of(task.settings))
     digests = [digest for _, digest in task.runs]
-    for i, j in task.pairs.tolist():
-        pair = digests[i], digests[j]
-        a, b = ready(pair[0], False), ready(pair[1], task.kind is Kind.IMAGE)
-        if task.kind is Kind.ITSELF:
-            out.add(pair, task.kind, payload=to_bytes(self_matches(a, task.settings)))
-            continue
-        found = match(a, b, task.settings)
+    pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]
+    if task.kind is Kind.ITSELF:
+        own = self_matches((ready(digest, False) for digest, _ in pairs), task.settings)
+        for pair, found in zip(pairs, own, strict=True):
+            out.add(pair, task.kind, payload=to_bytes(found))
+        return out.pack()
+    image = task.kind is Kind.IMAGE
+    both = ((ready(a, False), ready(b, image)) for a, b in pairs)
+    for pair, found in zip(pairs, match_all(both, task.settings), strict=True):
         kept = in_short(found, task.settings)
-        if task.kind is Kind.IMAGE:
+        if image:
             kept = Found(faint=Faint(len(found[0]), found[0].bits) if found else None)
         faint = kept.faint or Faint(0, 0.0)
         out.add(

@@ -40,7 +40,8 @@ class Prepared:
     headings as unit numbers, 0 behind the last; branch_variance: (n,) [rad²] of one heading;
     fault_rate: (n,) chance of a branch too many or too few. traits: (n, 4) count,
     branch_variance, fault_rate and surprise side by side.
-    neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances;
+    neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances, infinite
+    where there are no more;
     near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
     near_weight: (n, q) what their matches weigh in predicting this one.
     tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction [rad]; leave, arrive:
@@ -161,7 +162,7 @@ def prepare(topomap: TopoMap) -> Prepared:
         traits=np.column_stack([count, branch_variance, fault_rate, surprise]),
         neighbour=neighbour,
         near_m=near_m,
-        near_rarity=rarity(near_m.reshape(-1)).reshape(near_m.shape) / BIT,
+        near_rarity=_near_rarity(near_m),
         near_weight=np.exp(-0.5 * (near_m / MATCH.reach_m) ** 2),
         tail=tail,
         head=head,
@@ -371,8 +372,21 @@ def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _neighbours(sites: Sites) -> tuple[IntArray, FloatArray]:
-    if sites.tree is None:
-        return np.zeros((0, 0), np.int64), np.zeros((0, 0))
-    most = np.arange(1, min(MATCH.neighbours, len(sites)) + 1)
-    near_m, neighbour = sites.tree.query(sites.across.T, k=most)
-    return np.asarray(neighbour, np.int64), np.asarray(near_m)
+    """As many of each junction as `MATCH.neighbours`; where there are fewer, it stands for itself
+    at no distance that counts."""
+    neighbour = np.arange(len(sites)).repeat(MATCH.neighbours).reshape(-1, MATCH.neighbours)
+    near_m = np.full(neighbour.shape, np.inf)
+    if sites.tree is not None:
+        most = min(MATCH.neighbours, len(sites))
+        near_m[:, :most], neighbour[:, :most] = sites.tree.query(
+            sites.across.T, k=np.arange(1, most + 1)
+        )
+    return neighbour, near_m
+
+
+def _near_rarity(near_m: FloatArray) -> FloatArray:
+    """Bits that a neighbour at each distance tells; 0 where there is none."""
+    out = np.zeros(near_m.shape)
+    there = np.isfinite(near_m)
+    out[there] = rarity(near_m[there]) / BIT
+    return out

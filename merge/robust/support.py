@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from .growth import Match
-from .prepare import ComplexArray, FloatArray, IntArray, Prepared, length_bits
+from .atlas import cuts
+from .growth import Grown
+from .prepare import ComplexArray, FloatArray, IntArray, length_bits
 from .settings import MATCH
 
-UP_TO = np.triu(np.ones((12, 12)))
-"""Times this, a row becomes its running sum."""
+NEAREST = slice(1, 13)
+"""Of a junction's neighbours, itself first, those that are looked at for links."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,92 +34,133 @@ class Support:
     bits: float
 
 
-def support(a: Prepared, b: Prepared, match: Match) -> Support:
-    """Bits of the branches of all matched junctions and of the best forest of links between them.
+def supports(grown: Grown) -> list[Support]:
+    """Of each lane the bits of the branches of all matched junctions and of the best forest of
+    links between them.
 
     A link is a corridor that both maps have (its length is compared), or two matched junctions
     near each other (their relative position is compared: the corridor between them may have been
     split by a junction that one run missed). A forest counts every place once; a corridor of both
     maps whose lengths do not fit counts against the match.
     """
-    k = len(match)
-    order = np.full(len(b), -1)
-    order[match.b] = np.arange(k)
-    i, j, rows, bits = _corridor_links(a, b, match, order)
-    p, q, near_bits = _near_links(a, b, match, order)
+    lanes = grown.lanes
+    count = len(lanes)
+    order = np.full(len(lanes.lane), -1)
+    order[grown.row] = np.arange(len(grown.row))
+    i, j, rows, bits = _corridor_links(grown, order)
+    p, q, near_bits = _near_links(grown, order)
     source, target = np.concatenate([i, p]), np.concatenate([j, q])
     value = np.concatenate([bits, near_bits])
-    zb = b.z[match.b]
-    chosen = _forest(source, target, value, np.abs(zb - np.add.reduce(zb) / k))
-    chosen = chosen[(-value[chosen]).argsort(kind="stable")]
-    at = a.z[match.a]
-    counted = _without_repeats(at[source[chosen]], at[target[chosen]], value[chosen].tolist())
+    chosen = _forest(source, target, value, _from_middle(grown))
+    lane = grown.lane[source]
+    chosen = chosen[np.lexsort((-value[chosen], lane[chosen]))]
+    counted = _each_without_repeats(grown, source[chosen], target[chosen], value[chosen])
     misfit = (bits < 0).nonzero()[0]
     against = np.maximum(bits[misfit], -MATCH.most_bits)
-    total = 0.0
-    for link in counted:  # one by one: the same sum however links are stored
-        total += link
-    shown = np.concatenate([chosen, misfit])
-    return Support(
-        corridors=rows,
-        ends=np.array([source[shown], target[shown]]).T,
-        along=np.where(shown < len(bits), shown, -1),
-        links=np.concatenate([counted, against]),
-        branches=match.branch,
-        bits=total + float(np.add.reduce(against)) + float(np.add.reduce(match.branch)),
-    )
+    # One by one: the same sums however lanes and links are stored.
+    parts = ((lane[chosen], counted), (lane[misfit], against), (grown.lane, grown.branch))
+    totals = sum((np.bincount(of, told, count) for of, told in parts), np.zeros(count))
+    shown, links = np.concatenate([chosen, misfit]), np.concatenate([counted, against])
+    by_lane = lane[shown].argsort(kind="stable")
+    shown, links = shown[by_lane], links[by_lane]
+    first, first_row = cuts(grown.lane, count), cuts(grown.lane[i], count)
+    ends = np.array([source[shown], target[shown]]).T - np.array(first)[lane[shown], None]
+    along = np.where(shown < len(bits), shown - np.array(first_row)[lane[shown]], -1)
+    first_link = cuts(lane[shown], count)
+    return [
+        Support(
+            corridors=rows[first_row[k] : first_row[k + 1]],
+            ends=ends[first_link[k] : first_link[k + 1]],
+            along=along[first_link[k] : first_link[k + 1]],
+            links=links[first_link[k] : first_link[k + 1]],
+            branches=grown.branch[first[k] : first[k + 1]],
+            bits=total,
+        )
+        for k, total in enumerate(totals.tolist())
+    ]
+
+
+def _from_middle(grown: Grown) -> FloatArray:
+    """(k,) distance of each matched vertex of b to the middle of those of its lane."""
+    z = grown.lanes.b.whole.z[grown.b]
+    count = np.bincount(grown.lane, minlength=len(grown.lanes))
+    some = np.flatnonzero(count)
+    middle = np.zeros(len(count), np.complex128)
+    if len(some):
+        first = np.cumsum(count)[some] - count[some]
+        middle[some] = np.add.reduceat(z, first) / count[some]
+    return np.abs(z - middle[grown.lane])
 
 
 def _corridor_links(
-    a: Prepared, b: Prepared, match: Match, order: IntArray
+    grown: Grown, order: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Corridors of b between matched vertices that a has too, by bisection among a's."""
-    half = len(b.tail) // 2
-    i, j = order[b.tail[:half]], order[b.head[:half]]
-    rows = ((i >= 0) & (j >= 0)).nonzero()[0]
-    i, j = i[rows], j[rows]
-    key = match.a[i] * len(a) + match.a[j]
+    """Corridors of b between matched vertices that a has too, by bisection among a's: which rows of
+    the match they join, the corridors as each map numbers them, and bits."""
+    lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
+    lane, rows = lanes.rows_of(lanes.b.corridor)
+    forth = (rows < b.twin[rows]).nonzero()[0]
+    lane, rows = lane[forth], rows[forth]
+    shift = lanes.shift[lane]
+    i, j = order[b.tail[rows] + shift], order[b.head[rows] + shift]
+    both = ((i >= 0) & (j >= 0)).nonzero()[0]
     if len(a.pair_key) == 0:
-        rows = key = key[:0]
+        both = both[:0]
+    i, j, rows, lane = i[both], j[both], rows[both], lane[both]
+    key = grown.a[i] * len(a) + grown.a[j]
     at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
     row_a = a.pair_row[at]
     bent_alike = np.abs(a.sag[row_a] - b.sag[rows]) < MATCH.sag_m
     same = ((a.pair_key[at] == key) & bent_alike).nonzero()[0]
-    i, j, row_a, rows = i[same], j[same], row_a[same], rows[same]
+    i, j, row_a, rows, lane = i[same], j[same], row_a[same], rows[same], lane[same]
     d = a.length[row_a] - b.length[rows]
     bits = length_bits(d, a.variance[row_a] + b.variance[rows])
     bits = bits + np.minimum(a.rarity[row_a], b.rarity[rows])
-    return i, j, np.array([row_a, rows]).T, bits
+    own_a = row_a - lanes.a.corridor[lanes.of_a[lane]]
+    own_b = rows - lanes.b.corridor[lanes.of_b[lane]]
+    return i, j, np.array([own_a, own_b]).T, bits
 
 
-def _near_links(
-    a: Prepared, b: Prepared, match: Match, order: IntArray
-) -> tuple[IntArray, IntArray, FloatArray]:
+def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
     """Matched vertices and up to three matched ones near each: does the offset agree?
 
     Chance is how common neighbours so far away are; the direction tells nothing of its own (§2.1:
     the branches have told it), it only must agree.
     """
-    none = np.zeros(0, np.int64)
-    if len(match) < 2:
-        return none, none, np.zeros(0)
-    near = order.take(b.neighbour.take(match.b, axis=0)[:, 1:13])
-    known = near >= 0
-    known &= np.matmul(known, UP_TO[: near.shape[1], : near.shape[1]]) <= 3
+    lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
+    matched = grown.b
+    beside = b.neighbour.take(matched, axis=0)[:, NEAREST]
+    near = order.take(beside + lanes.shift[grown.lane][:, None])
+    known = (near >= 0) & np.isfinite(b.near_m.take(matched, axis=0)[:, NEAREST])
+    known &= np.cumsum(known, axis=1) <= 3
     p, column = known.nonzero()
     q = near[p, column]
-    vertex = match.b[p]
-    za, zb = a.z[match.a], b.z[match.b]
+    vertex = matched[p]
+    za, zb = a.z[grown.a], b.z[matched]
     offset_a, offset_b = za[q] - za[p], zb[q] - zb[p]
     d = np.abs(offset_b)
-    unit = offset_a * (match.turn[vertex] * offset_b).conj()
+    unit = offset_a * (grown.turn[grown.row[p]] * offset_b).conj()
     unit = unit / np.maximum(np.abs(unit), 1e-9)
     bend = np.abs(np.arctan2(unit.imag, unit.real)) * d
     across = MATCH.offset_per_m * d
-    centres = MATCH.offset_floor_m**2 + a.noise.centre_m**2 + b.noise.centre_m**2 + across**2
+    seen = lanes.a.centre_m[lanes.of_a] ** 2 + lanes.b.centre_m[lanes.of_b] ** 2
+    centres = (MATCH.offset_floor_m**2 + seen)[grown.lane[p]] + across**2
     bits = length_bits(np.abs(offset_a) - d, centres)
     bits = bits - bend * bend / (2 * (centres + (2 * across) ** 2)) / np.log(2)
     return p, q, bits + b.near_rarity[vertex, column + 1] - MATCH.offset_bits
+
+
+def _each_without_repeats(
+    grown: Grown, source: IntArray, target: IntArray, bits: FloatArray
+) -> FloatArray:
+    """What links count, those of each lane by themselves, the best first."""
+    at = grown.lanes.a.whole.z[grown.a]
+    start, end, told = at[source], at[target], bits.tolist()
+    first = cuts(grown.lane[source], len(grown.lanes))
+    out: list[float] = []
+    for k, stop in pairwise(first):
+        out += _without_repeats(start[k:stop], end[k:stop], told[k:stop])
+    return np.array(out)
 
 
 def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatArray) -> IntArray:

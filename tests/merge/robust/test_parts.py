@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from topobatch.merge.result import Verdict
-from topobatch.merge.robust.alignment import match, same_placement, self_matches
+from topobatch.merge.robust.alignment import match, match_all, same_placement, self_matches
+from topobatch.merge.robust.atlas import Atlas, Lanes
 from topobatch.merge.robust.branches import branch_bits
 from topobatch.merge.robust.components import Components, join_all
 from topobatch.merge.robust.conflicts import conflicts
-from topobatch.merge.robust.growth import grow, grow_all
+from topobatch.merge.robust.growth import grow
 from topobatch.merge.robust.links import (
     Seed,
     candidate_links,
@@ -18,6 +19,7 @@ from topobatch.merge.robust.links import (
     windows,
 )
 from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.records import to_bytes
 from topobatch.merge.robust.repetition import (
     SHARES,
     copy_model,
@@ -51,11 +53,24 @@ POINTS = [(0, 0), (5, 0), (12, 0), (5, -6), (12, -6), (0, 4), (5, 4), (9, 4)]
 EDGES = [(0, 1), (1, 2), (1, 3), (3, 4), (2, 4), (0, 5), (5, 6), (6, 7), (1, 6)]
 
 
+def lanes_of(pairs):
+    """A lane for each pair of maps."""
+    a, b = (Atlas.of(maps) for maps in zip(*pairs, strict=True))
+    return Lanes.of(a, b, np.arange(len(pairs)), np.arange(len(pairs)))
+
+
 def laid(a, b, dx=0.0, dy=0.0):
     """b over a without a turn, grown from its first vertex that lies on one of a's."""
     gap = np.abs(a.z[:, None] - (b.z + dx + 1j * dy)[None])
     i, j = np.unravel_index(gap.argmin(), gap.shape)
-    return grow(a, b, Seed(np.array([i]), np.array([j]), 0.0, complex(dx, dy), 1.0), SETTINGS)
+    seed = Seed(np.array([i]), np.array([j]), 0.0, complex(dx, dy), 1.0)
+    return grow(lanes_of([(a, b)]), [seed], SETTINGS)
+
+
+def against(grown):
+    """The contradictions of a match in the only lane."""
+    (found,) = conflicts(grown, np.ones(1, bool))
+    return found
 
 
 def test_windows_are_all_pairs_of_ranges():
@@ -112,14 +127,32 @@ def test_seeds_grow_as_each_would_alone(halves):
     found = seeds(a, b, candidate_links(a, b), 3)
     wrong = Seed(np.array([0, 1]), np.array([7, 3]), 2.0, 5j, 1.0)
     several = [*found, wrong, *found]
-    for seed, match_ in zip(several, grow_all(a, b, several, SETTINGS), strict=True):
-        alone = grow(a, b, seed, SETTINGS)
-        assert match_.a.tolist() == alone.a.tolist()
-        assert match_.b.tolist() == alone.b.tolist()
-        assert match_.place == pytest.approx(alone.place)
-        assert match_.branch == pytest.approx(alone.branch)
-    assert len(grow(a, b, found[0], SETTINGS)) > 10
-    assert grow_all(a, b, [], SETTINGS) == []
+    lanes = lanes_of([(a, b)] * len(several))
+    grown = grow(lanes, several, SETTINGS)
+    for k, seed in enumerate(several):
+        alone = grow(lanes_of([(a, b)]), [seed], SETTINGS)
+        mine, rows = grown.lane == k, lanes.lane == k
+        assert (grown.a[mine] - lanes.a.vertex[k]).tolist() == alone.a.tolist()
+        assert (grown.b[mine] - lanes.b.vertex[k]).tolist() == alone.b.tolist()
+        assert grown.place[rows].tolist() == alone.place.tolist()
+        assert grown.branch[mine].tolist() == alone.branch.tolist()
+    assert np.count_nonzero(grown.lane == 0) > 10
+    assert not (grown.lane == len(found)).any()
+
+
+def test_pairs_are_matched_together_as_each_would_be_alone(halves, drawn):
+    """To the last bit: what a task holds, and so how work is divided, changes nothing."""
+    more = [*POINTS, (8.5, -6)]
+    split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
+    small = [drawn("a", POINTS, EDGES), drawn("b", more, split, stubs=[(8, -1.57)])]
+    maps = [prepare(m) for m in (*small, *halves)]
+    pairs = [(a, b) for a in maps for b in maps]
+    together = list(match_all(pairs, SETTINGS))
+    assert [to_bytes(found) for found in together] == [
+        to_bytes(match(a, b, SETTINGS)) for a, b in pairs
+    ]
+    assert sum(len(found) > 0 for found in together) >= 8
+    assert list(match_all([], SETTINGS)) == []
 
 
 def test_equal_branches_speak_for_a_junction_and_different_ones_against(drawn):
@@ -137,7 +170,7 @@ def test_what_both_saw_agrees_and_nothing_contradicts(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     grown = laid(a, b)
     assert grown.a.tolist() == grown.b.tolist() == list(range(len(POINTS)))
-    assert len(conflicts(a, b, grown)) == 0
+    assert len(against(grown)) == 0
 
 
 def test_a_junction_in_the_others_corridor_contradicts(drawn):
@@ -145,7 +178,7 @@ def test_a_junction_in_the_others_corridor_contradicts(drawn):
     split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", more, split, stubs=[(8, -1.57)]))
     for one, two, extra in ((a, b, "extra_b"), (b, a, "extra_a")):
-        found = conflicts(one, two, laid(one, two))
+        found = against(laid(one, two))
         assert len(found) == 1
         assert getattr(found, extra).tolist() == [8]
         row = getattr(found, extra + "_in")[0]
@@ -159,19 +192,20 @@ def test_corridors_that_lead_elsewhere_contradict_once(drawn):
     moved = [*POINTS[:7], (9, 9)]
     b = prepare(drawn("b", moved, EDGES))
     matched = laid(a, b)
-    kept = replace(matched, a=matched.a[matched.a != 7], b=matched.b[matched.a != 7])
-    found = conflicts(a, b, replace(kept, branch=kept.branch[: len(kept.a)]))
+    kept = matched.a != 7
+    parts = {name: getattr(matched, name)[kept] for name in ("lane", "a", "row", "branch")}
+    found = against(replace(matched, **parts))
     assert len(found.elsewhere) <= 1
     straight = [*POINTS[:7], (11.5, 4)]
     c = prepare(drawn("c", straight, EDGES))
     grown = laid(a, c)
     assert 7 not in grown.a
-    told = conflicts(a, c, grown)
+    told = against(grown)
     ends = [{int(a.tail[r]), int(a.head[r])} for r in told.elsewhere[:, 0]]
     passed = [{int(c.tail[r]), int(c.head[r])} for r in told.extra_a_in]
     assert ends + passed == [{6, 7}]
     assert told.bits > 1
-    assert len(conflicts(a, a, laid(a, a)).elsewhere) == 0
+    assert len(against(laid(a, a)).elsewhere) == 0
 
 
 def test_what_is_no_larger_than_copies_may_be_one(drawn):
@@ -280,12 +314,12 @@ def test_a_building_that_repeats_itself_is_found_out(drawn):
     twice = [*POINTS, *[(x + 40.0, y + 0.03 * x) for x, y in POINTS]]
     n = len(POINTS)
     edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (2, n)]
-    repeated = self_matches(prepare(drawn("wings", twice, edges)), SETTINGS)
+    wings, plain = prepare(drawn("wings", twice, edges)), prepare(drawn("plain", POINTS, EDGES))
+    repeated, few = self_matches([wings, plain], SETTINGS)
     assert repeated[0].bits > 15
     assert len(repeated[0]) >= n - 2
-    plain = self_matches(prepare(drawn("plain", POINTS, EDGES)), SETTINGS)
-    assert all(len(c) < 5 for c in plain)
-    learned = copy_model([(prepare(drawn("wings", twice, edges)), repeated[0])], SETTINGS)
+    assert all(len(c) < 5 for c in few)
+    learned = copy_model([(wings, repeated[0])], SETTINGS)
     assert np.dot(learned.exact_odds, SHARES) > np.dot(COPIES.exact_odds, SHARES)
     assert sum(learned.exact_odds) == pytest.approx(1.0)
     assert SETTINGS.copy_change_rate < learned.change_rate < 0.15  # the bent copy's branches differ

@@ -1,0 +1,180 @@
+"""Prepared maps end to end, so that many pairs of maps are matched by one call for all.
+
+Arrays of one map have some fifty rows, and a call that works on them takes longer to begin than to
+work: laid end to end, pairs are matched in a third of the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .prepare import ComplexArray, FloatArray, IntArray, Prepared
+
+OF_VERTICES = ("z", "looks", "fault_rate", "traits", "near_m", "near_rarity", "near_weight")
+OF_CORRIDORS = ("length", "sag", "variance", "traversals", "rarity")
+OF_ROADS = ("road", "road_dir", "road_share", "road_end")
+"""Arrays of `Prepared` that name no row: of vertices, directed corridors, points of corridors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Atlas:
+    """m maps, their vertices, directed corridors and points of corridors numbered through.
+
+    whole: the arrays of all in one; what it says of a map as a whole is that of the first map.
+    vertex, corridor, road: (m + 1,) first row of each map. centre_m, miss_rate, phantom_rate: (m,)
+    of each map's noise.
+    """
+
+    maps: tuple[Prepared, ...]
+    whole: Prepared
+    vertex: IntArray
+    corridor: IntArray
+    road: IntArray
+    centre_m: FloatArray
+    miss_rate: FloatArray
+    phantom_rate: FloatArray
+
+    @classmethod
+    def of(cls, maps: Sequence[Prepared]) -> Atlas:
+        """Lay maps end to end. O(rows)."""
+        vertex, corridor, road = (
+            np.cumsum([0, *(len(getattr(m, name)) for m in maps)]) for name in ("z", "tail", "road")
+        )
+        return cls(
+            maps=tuple(maps),
+            whole=maps[0] if len(maps) == 1 else _whole(maps, vertex, corridor),
+            vertex=vertex,
+            corridor=corridor,
+            road=road,
+            centre_m=np.array([m.noise.centre_m for m in maps]),
+            miss_rate=np.array([m.noise.miss_rate for m in maps]),
+            phantom_rate=np.array([m.noise.phantom_rate for m in maps]),
+        )
+
+
+def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Prepared:
+    """The arrays of all maps in one."""
+
+    def moved(name: str, first: IntArray) -> IntArray:
+        parts = zip(maps, first.tolist(), strict=False)
+        return np.concatenate([getattr(m, name) + start for m, start in parts])
+
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(m, name) for m in maps])
+        for name in (*OF_VERTICES, *OF_CORRIDORS, *OF_ROADS)
+    }
+    by_branch = _wide(maps, "by_branch", -1)
+    by_branch += np.where(by_branch < 0, 0, corridor[:-1].repeat(np.diff(vertex))[:, None])
+    tail, row = moved("tail", vertex), moved("pair_row", corridor)
+    head = moved("head", vertex)
+    return replace(
+        maps[0],
+        **joined,
+        branch_unit=_wide(maps, "branch_unit", 0.0),
+        turn_rarity=_wide(maps, "turn_rarity", 0.0),
+        by_branch=by_branch,
+        neighbour=moved("neighbour", vertex),
+        tail=tail,
+        head=head,
+        twin=moved("twin", corridor),
+        pair_key=tail[row] * len(joined["z"]) + head[row],
+        pair_row=row,
+        road_edge=moved("road_edge", corridor),
+        road_tail=moved("road_tail", vertex),
+        road_head=moved("road_head", vertex),
+    )
+
+
+def _wide(maps: Sequence[Prepared], name: str, nothing: complex) -> NDArray[Any]:
+    """Rows of different lengths, filled up with nothing."""
+    rows = [getattr(m, name) for m in maps]
+    widest = max(some.shape[1] for some in rows)
+    out = np.full((sum(map(len, rows)), widest), nothing, rows[0].dtype)
+    start = 0
+    for some in rows:
+        out[start : start + len(some), : some.shape[1]] = some
+        start += len(some)
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lanes:
+    """l hypotheses of pairs of maps side by side, a lane each: t rows, one for each vertex of the
+    second map of each.
+
+    of_a, of_b: (l,) the two maps in the atlases a and b; first: (l + 1,) first row of each lane;
+    lane, vertex: (t,) lane and vertex of b of each row; shift: (l,) from vertices of b to rows;
+    first_a, shift_a: the same for rows of the vertices of the first maps.
+    """
+
+    a: Atlas
+    b: Atlas
+    of_a: IntArray
+    of_b: IntArray
+    first: IntArray
+    lane: IntArray
+    vertex: IntArray
+    shift: IntArray
+    first_a: IntArray
+    shift_a: IntArray
+
+    @classmethod
+    def of(cls, a: Atlas, b: Atlas, of_a: IntArray, of_b: IntArray) -> Lanes:
+        """The lanes of some pairs."""
+        first = np.concatenate([[0], np.cumsum(np.diff(b.vertex)[of_b])])
+        first_a = np.concatenate([[0], np.cumsum(np.diff(a.vertex)[of_a])])
+        lane = np.arange(len(of_b)).repeat(np.diff(first))
+        shift = first[:-1] - b.vertex[of_b]
+        vertex = np.arange(len(lane)) - shift[lane]
+        shift_a = first_a[:-1] - a.vertex[of_a]
+        return cls(a, b, of_a, of_b, first, lane, vertex, shift, first_a, shift_a)
+
+    def __len__(self) -> int:
+        return len(self.of_b)
+
+    def some(self, lanes: IntArray) -> Lanes:
+        """Only these lanes."""
+        return Lanes.of(self.a, self.b, self.of_a[lanes], self.of_b[lanes])
+
+    def rows_of(self, first: IntArray) -> tuple[IntArray, IntArray]:
+        """Lane and number of all that the second maps have of something; first: where that of each
+        map begins in the atlas."""
+        size = np.diff(first)[self.of_b]
+        lane = np.arange(len(size)).repeat(size)
+        start = first[self.of_b] - np.cumsum(size) + size
+        return lane, np.arange(len(lane)) + start[lane]
+
+    def nearest(
+        self,
+        where: ComplexArray,
+        lane: IntArray,
+        within_m: float | FloatArray,
+        *,
+        roads: bool = False,
+    ) -> tuple[FloatArray, IntArray]:
+        """(k,) distance from `where` (k,), in the first map of a lane, to the nearest of that map's
+        vertices or points of corridors, and its number. lane: (k,) ascending; within_m: beyond it,
+        one number or one for each lane, only that it is beyond is known."""
+        gap, found = np.empty(len(where)), np.empty(len(where), np.int64)
+        stops = np.cumsum(np.bincount(lane, minlength=len(self))).tolist()
+        bounds = np.broadcast_to(within_m, len(stops)).tolist()
+        base = (self.a.road if roads else self.a.vertex)[self.of_a].tolist()
+        start = 0
+        for k, (stop, number) in enumerate(zip(stops, self.of_a.tolist(), strict=True)):
+            if stop > start:
+                topomap = self.a.maps[number]
+                sites = topomap.road_sites if roads else topomap.sites
+                gap[start:stop], index = sites.nearest(where[start:stop], bounds[k])
+                np.add(index, base[k], out=found[start:stop])
+            start = stop
+        return gap, found
+
+
+def cuts(lane: IntArray, lanes: int) -> list[int]:
+    """(lanes + 1,) where the rows of each lane begin; lane: ascending."""
+    return [0, *np.cumsum(np.bincount(lane, minlength=lanes)).tolist()]
