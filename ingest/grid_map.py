@@ -87,6 +87,7 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
         observation_vertex=np.zeros(0, np.int64),
         observation_time_ns=np.zeros(0, np.int64),
         noise=GRID_NOISE,
+        confidence=np.array([places[k].confidence for k in kept]),
         info={
             "source": dict(log.source),
             "settings": asdict(settings),

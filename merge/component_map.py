@@ -13,11 +13,12 @@ from ..topology.map_schema import FARTHEST_M
 from ..topology.passes import NO_BRANCH
 from ..topology.posegraph.graph import PoseGraph
 from ..topology.ragged import Ragged
-from ..topology.topomap import TopoMap
+from ..topology.topomap import ALL_SURE, TopoMap
 from .document import MergedDocument, MergedEdge, MergedNode, poses_from_document
 from .fusion.joint_graph import settle
 from .fusion.vertex_partition import Pool
 from .member_times import member_times
+from .result import fused_confidence
 
 IntArray = NDArray[np.int64]
 
@@ -54,7 +55,7 @@ def component_map(
     source = np.array([number[e.source] for e in edges], np.int64)
     target = np.array([number[e.target] for e in edges], np.int64)
     sigma = [node.sigma_m for node in chosen if node.sigma_m is not None]
-    times = None
+    times, sure = None, ALL_SURE
     if maps is not None and not stale_runs(document, component, maps):
         times = member_times(
             maps,
@@ -64,6 +65,7 @@ def component_map(
             target=target,
             length=length,
         )
+        sure = fused_confidence([node.members for node in chosen], maps)
     return TopoMap(
         run=name,
         frame=name,
@@ -82,6 +84,7 @@ def component_map(
         observation_time_ns=np.array([t for t, _ in seen], np.int64),
         position_sigma=np.array(sigma) if sigma and len(sigma) == len(chosen) else None,
         traversal_ns=times,
+        confidence=sure,
         info={
             "members": {
                 "nodes": [node.members for node in chosen],

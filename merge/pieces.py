@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from ..topology.topomap import Closure, TopoMap
 from .member_times import member_times
 from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
-from .result import FusedMap, PairVerdict, Verdict, graph_part
+from .result import FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -40,7 +40,8 @@ def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> 
     whole = replace(topomap, closures=(*topomap.closures, *asked))
     # Components come in the order of their first parts, which are named by time.
     times = _times(able, result.fused)
-    found = [_cut_out(whole, result.fused, c.id, times) for c in result.components]
+    sure = fused_confidence(result.fused.members, able)
+    found = [_cut_out(whole, result.fused, c.id, times, sure) for c in result.components]
     main = max(found or small, key=_passes)
     kept = [main, *(m for m in found if m is not main)]
     small = [m for m in small if m is not main]
@@ -128,9 +129,13 @@ def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...
 
 
 def _cut_out(
-    topomap: TopoMap, fused: FusedMap, component: int, times: tuple[IntArray, ...] | None
+    topomap: TopoMap,
+    fused: FusedMap,
+    component: int,
+    times: tuple[IntArray, ...] | None,
+    confidence: NDArray[np.float64],
 ) -> TopoMap:
-    """One component of the merged parts as the map of a run."""
+    """One component of the merged parts as the map of a run. confidence: of every fused vertex."""
     chosen = fused.component == component
     seen = sorted(
         (time_ns, vertex)
@@ -143,7 +148,7 @@ def _cut_out(
     told = None if fused.position_sigma is None else fused.position_sigma[chosen]
     known = told is not None and bool(np.isfinite(told).all())
     plain = replace(topomap, position_sigma=None, branch_sigma=None)
-    part = graph_part(fused, chosen)
+    part = graph_part(fused, chosen) | {"confidence": confidence[chosen]}
     if times is not None:
         edges = np.flatnonzero(chosen[fused.source]).tolist()
         part["traversal_ns"] = tuple(times[e] for e in edges)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..topology.digits import BITS
 from ..topology.frozen import frozen_array
 from ..topology.ragged import Ragged
-from ..topology.topomap import TopoMap
+from ..topology.topomap import ALL_SURE, TopoMap
 
 
 class Verdict(StrEnum):
@@ -219,7 +219,22 @@ def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str
         "traversals": graph.traversals[edges],
         "paths": tuple(graph.paths[e] for e in edges.tolist()),
         "traversal_ns": None if times is None else tuple(times[e] for e in edges.tolist()),
+        "confidence": graph.confidence[rows] if isinstance(graph, TopoMap) else ALL_SURE,
     }
+
+
+def fused_confidence(
+    members: Sequence[Mapping[str, Sequence[int]]], maps: Mapping[str, TopoMap]
+) -> NDArray[np.float64]:
+    """(n,) confidence of fused vertices: the mean of their members', by passes."""
+    passes = {run: np.bincount(m.observation_vertex, minlength=len(m)) for run, m in maps.items()}
+    out = np.ones(len(members))
+    for k, of in enumerate(members):
+        rows = [(run, v) for run, vertices in sorted(of.items()) for v in vertices]
+        weight = [max(int(passes[run][v]), 1) for run, v in rows]
+        sure = [float(maps[run].confidence[v]) for run, v in rows]
+        out[k] = np.average(sure, weights=weight)
+    return out
 
 
 @dataclass(frozen=True, slots=True)

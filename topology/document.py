@@ -71,7 +71,7 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
                 "kind": topomap.kind[i],
                 "branches": rounded(topomap.branches[i], BRANCH),
                 "observations": observations[i],
-                **_node_sigmas(topomap, i),
+                **_node_certainty(topomap, i),
             }
             for i in range(len(topomap))
         ],
@@ -92,13 +92,15 @@ def _closure_to_document(closure: Closure) -> dict[str, Any]:
     return {name: value for name, value in record.items() if value is not None}
 
 
-def _node_sigmas(topomap: TopoMap, vertex: int) -> dict[str, Any]:
-    """What is known of the errors of a vertex; nothing for maps that were not made from a run."""
+def _node_certainty(topomap: TopoMap, vertex: int) -> dict[str, Any]:
+    """What is known of the errors of a vertex, and its confidence if that is below 1."""
     out: dict[str, Any] = {}
     if topomap.position_sigma is not None:
         out["sigma_m"] = significant(float(topomap.position_sigma[vertex]))
     if topomap.branch_sigma is not None:
         out["branch_sigmas"] = [significant(s) for s in topomap.branch_sigma[vertex].tolist()]
+    if topomap.confidence[vertex] < 1:
+        out["confidence"] = significant(float(topomap.confidence[vertex]))
     return out
 
 
@@ -175,6 +177,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             position_sigma=_all_known([node.sigma_m for node in d.nodes]),
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
             traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
+            confidence=np.array([node.confidence for node in d.nodes], np.float64),
             closures=tuple(
                 Closure(
                     *c.time_ns,

@@ -77,6 +77,13 @@ class MapNode(Model):
     branch_sigmas: list[Noise] | None = Field(
         None, description="1 sigma of each branch's direction, radians, likewise."
     )
+    confidence: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="How sure it is that the vertex has just these branches: 1 for detections, for "
+        "scans and grids the share of variants of the detector's settings that agree.",
+    )
 
     @model_validator(mode="after")
     def _one_sigma_per_branch(self) -> MapNode:

@@ -118,8 +118,16 @@ def build_topomap(
         position_sigma=shape.position_sigma(),
         branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         traversal_ns=edges.time_ns,
+        confidence=mean_of(passes.confidence[seen], pass_vertex[seen], len(xy)),
         closures=closures,
     )
+
+
+def mean_of(values: FloatArray, group: IntArray, count: int) -> FloatArray:
+    """(count,) mean of the values of each group, 1 for a group without any."""
+    size = np.bincount(group, minlength=count)
+    total = np.bincount(group, values, count)
+    return np.where(size > 0, total / np.maximum(size, 1), 1.0)
 
 
 def _slots(

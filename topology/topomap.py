@@ -13,6 +13,9 @@ from .frozen import frozen_array
 from .passes import NO_BRANCH
 from .ragged import Ragged
 
+ALL_SURE = frozen_array(np.ones(1), np.float64, (1,), "confidence")
+"""In place of a confidence for every vertex."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunNoise:
@@ -75,6 +78,8 @@ class TopoMap:
     traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's source and at its
     target each time that it drove the edge (from target to source, the second is the earlier one);
     None where that is not known.
+    confidence: (n,) in (0, 1], how sure the detector is that a vertex has the branches that it
+    gives it, or one number for all: 1 for maps from detections.
     Raises ValueError where shapes, indices or values do not fit.
     """
 
@@ -99,6 +104,7 @@ class TopoMap:
     position_sigma: NDArray[np.float64] | None = None
     branch_sigma: Ragged | None = None
     traversal_ns: tuple[NDArray[np.int64], ...] | None = None
+    confidence: NDArray[np.float64] = field(default_factory=lambda: ALL_SURE)
     info: Mapping[str, Any] = field(default_factory=dict)
     """What else the document's `graph` holds: source, settings, warnings. JSON values only."""
 
@@ -134,13 +140,7 @@ class TopoMap:
         seen = self.observation_vertex
         if np.any(seen < 0) or np.any(seen >= n):
             raise ValueError("an observation names a vertex that does not exist")
-        if self.position_sigma is not None:
-            sigma = frozen_array(self.position_sigma, np.float64, (n,), "position_sigma")
-            object.__setattr__(self, "position_sigma", sigma)
-        if self.branch_sigma is not None and not np.array_equal(
-            self.branch_sigma.offsets, self.branches.offsets
-        ):
-            raise ValueError("branch_sigma needs one value per branch")
+        self._check_certainty(n)
         if self.traversal_ns is not None:
             driven = tuple(frozen_array(t, np.int64, (None, 2), "times") for t in self.traversal_ns)
             object.__setattr__(self, "traversal_ns", driven)
@@ -148,6 +148,20 @@ class TopoMap:
                 raise ValueError("traversal_ns needs one array per edge")
         if np.any(self.length <= 0) or np.any(self.length_sigma <= 0):
             raise ValueError("lengths and their sigmas must be positive")
+
+    def _check_certainty(self, n: int) -> None:
+        if self.position_sigma is not None:
+            sigma = frozen_array(self.position_sigma, np.float64, (n,), "position_sigma")
+            object.__setattr__(self, "position_sigma", sigma)
+        if self.branch_sigma is not None and not np.array_equal(
+            self.branch_sigma.offsets, self.branches.offsets
+        ):
+            raise ValueError("branch_sigma needs one value per branch")
+        given = np.asarray(self.confidence, np.float64)
+        sure = np.full(n, given) if given.size == 1 else given
+        object.__setattr__(self, "confidence", frozen_array(sure, np.float64, (n,), "confidence"))
+        if np.any(sure <= 0) or np.any(sure > 1):
+            raise ValueError("a confidence lies between 0 and 1")
 
     def __len__(self) -> int:
         """Number of vertices."""

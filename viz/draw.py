@@ -106,7 +106,8 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
         for i in rows.tolist() if len(m) <= MOST_TOLD else ():
             sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
             times = _counted(int(passes[i]), "pass", "passes")
-            told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}"
+            sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
+            told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}{sure}"
             canvas.dots(xy[i : i + 1], colour, size, told=told)
         keys.append(Key("big dot" if degree >= 3 else "dot", colour, label))
     if len(m) <= MOST_NUMBERED:

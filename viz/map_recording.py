@@ -194,6 +194,7 @@ def _junctions(
                 ", ".join(f"{h:.0f}" for h in np.degrees(topomap.branches[i])) for i in range(n)
             ],
             passes=passes,
+            confidence=topomap.confidence,
         ),
     )
     if topomap.position_sigma is not None:

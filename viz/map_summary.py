@@ -125,7 +125,8 @@ def _legend(topomap: TopoMap, shown: Shown) -> str:
         lines.append(
             "Under the map: walls that the laser saw up to then (**slate**), the skeleton of the "
             "free space (**teal**), junctions that it shows (**violet** dots, dull where variants "
-            "of the detector do not agree), and the window about the last one."
+            "of the detector do not agree), and the window about the last one; select a junction, "
+            "and the window that shows it best is outlined."
         )
     if shown.accepted:
         lines.append("**Green** rings: closures; one for each time that it was recognised.")

@@ -31,7 +31,7 @@ SURE = 5.5 / 7
 class ScanLayers:
     """In the map's frame. walls: (n, 2) cells, by the time_ns (n,) at which each was seen first;
     skeleton: (m, 2); passes, and their centres (p, 2); windows: (p, 5, 2) closed outlines;
-    confidence: of every vertex of the map, the mean of its passes, NaN where there is none."""
+    surest: (n,) of every vertex of the map, the pass that shows it best, -1 where there is none."""
 
     walls: NDArray[np.float64]
     time_ns: NDArray[np.int64]
@@ -40,7 +40,7 @@ class ScanLayers:
     passes: ScanPasses
     centre: NDArray[np.float64]
     windows: NDArray[np.float64]
-    confidence: NDArray[np.float64]
+    surest: NDArray[np.int64]
 
 
 def scan_layers(
@@ -66,18 +66,21 @@ def scan_layers(
         passes,
         apply(pose, passes.centre),
         np.stack([apply(square, np.tile(c, (len(square), 1))) for c in corners], axis=1),
-        _confidence(passes, topomap),
+        _surest(passes, topomap),
     )
 
 
-def _confidence(passes: ScanPasses, topomap: TopoMap) -> NDArray[np.float64]:
-    known = dict(zip(passes.time_ns.tolist(), passes.confidence.tolist(), strict=True))
-    seen = np.array([known.get(t, np.nan) for t in topomap.observation_time_ns.tolist()])
-    rows = np.flatnonzero(np.isfinite(seen))
-    vertex, n = topomap.observation_vertex[rows], len(topomap)
-    count = np.bincount(vertex, minlength=n)
-    total = np.bincount(vertex, seen[rows], minlength=n)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+def _surest(passes: ScanPasses, topomap: TopoMap) -> NDArray[np.int64]:
+    """(n,) the pass by each vertex with the highest confidence, the first of several."""
+    row = {t: k for k, t in enumerate(passes.time_ns.tolist())}
+    of = np.array([row.get(t, -1) for t in topomap.observation_time_ns.tolist()], np.int64)
+    seen = np.flatnonzero(of >= 0)
+    vertex, of = topomap.observation_vertex[seen], of[seen]
+    best = np.lexsort((of, -passes.confidence[of], vertex))
+    known, first = np.unique(vertex[best], return_index=True)
+    out = np.full(len(topomap), -1, np.int64)
+    out[known] = of[best[first]]
+    return out
 
 
 def _placed(points: Anchored, track: RobotTrack) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -117,7 +120,7 @@ def write_scans(recording: Recording, root: PathParts, layers: ScanLayers) -> No
     passes = layers.passes
     if len(passes) == 0:
         return
-    recording.static((*root, "junctions"), rr.AnyValues(confidence=layers.confidence))
+    _on_selection(recording, (*root, "junctions"), layers)
     told = rr.AnyValues(
         seen=np.arange(len(passes)),
         confidence=passes.confidence,
@@ -143,6 +146,17 @@ def write_scans(recording: Recording, root: PathParts, layers: ScanLayers) -> No
         radii=HAIR, colors=palette.DETECTION, draw_order=palette.Order.WINDOW
     )
     recording.static((*here, "window"), look)
+
+
+def _on_selection(recording: Recording, path: PathParts, layers: ScanLayers) -> None:
+    """The window that shows a junction best, unseen until the junction is selected: the viewer then
+    outlines all that the entity has of its number."""
+    none = np.zeros((0, 2))
+    strips = [layers.windows[k] if k >= 0 else none for k in layers.surest.tolist()]
+    look = rr.LineStrips2D(
+        strips, radii=HAIR, colors=palette.BACKGROUND, draw_order=palette.Order.CARD
+    )
+    recording.static(path, look)
 
 
 def _walls(recording: Recording, path: PathParts, layers: ScanLayers) -> None:

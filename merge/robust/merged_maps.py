@@ -11,7 +11,7 @@ import numpy as np
 from ...topology.topomap import RunNoise, TopoMap
 from ..fusion.fuse import component_digest, fuse
 from ..packs import Kept, Key, Kind, arrays_from_bytes, arrays_to_bytes
-from ..result import Alignment, FusedMap, PairVerdict, Verdict, graph_part
+from ..result import Alignment, FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
 from .alignment import Candidate, match
 from .mirror import mirrored
 from .prepare import Prepared, prepare
@@ -170,5 +170,6 @@ def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
         observation_vertex=np.repeat(np.arange(len(looks)), looks),
         observation_time_ns=times,
         noise=noise,
-        **graph_part(fused, np.ones(len(fused), np.bool_)),
+        **graph_part(fused, np.ones(len(fused), np.bool_))
+        | {"confidence": fused_confidence(fused.members, {m.run: m for m in own})},
     )

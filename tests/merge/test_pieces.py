@@ -42,6 +42,7 @@ def in_pieces(*maps):
         paths=tuple(p + shift[k] for k, m in enumerate(maps) for p in m.paths),
         observation_vertex=column("observation_vertex", first),
         observation_time_ns=column("observation_time_ns", HOUR_NS * np.arange(len(maps))),
+        confidence=column("confidence"),
         info={"pieces": len(maps), "warnings": ["a gap"]},
     )
 

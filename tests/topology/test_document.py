@@ -68,6 +68,18 @@ def test_round_trip_is_exact():
     assert json.dumps(map_to_document(again)) == text
 
 
+def test_confidence_is_stated_where_it_is_not_1():
+    doc = map_to_document(replace(small_map(), confidence=[1.0, 5 / 7]))
+    assert ["confidence" in node for node in doc["nodes"]] == [False, True]
+    assert map_from_document(doc).confidence.tolist() == [1.0, 0.7143]
+    assert map_from_document(map_to_document(small_map())).confidence.tolist() == [1.0, 1.0]
+    doc["nodes"][1]["confidence"] = 0
+    with pytest.raises(DocumentError, match=r"nodes\.1\.confidence"):
+        map_from_document(doc)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        replace(small_map(), confidence=[1.0, 1.5])
+
+
 def test_a_map_may_lie_far_from_its_origin():
     """Eastings of some national grids begin with the number of the zone."""
     near, far = small_map(), np.array([32_500_000.0, 5_600_000.0])

@@ -148,6 +148,14 @@ def test_branches_stay_by_majority_or_because_they_were_driven():
     np.testing.assert_allclose(driven.branches[1], [WEST, NORTH])
 
 
+def test_the_confidence_of_a_junction_is_the_mean_of_its_passes():
+    odometry, rows = track((0, 0), (8, 0), (0, 0), (8, 0))
+    passes = seen(odometry, rows, [[EAST], [WEST], [EAST], [WEST]])
+    passes = replace(passes, confidence=np.array([1.0, 0.5, 0.5, 1.0]))
+    assert build(odometry, passes, [0, 1, 0, 1]).confidence.tolist() == [0.75, 0.75]
+    assert build(odometry, passes, [0, -1, 0, 1]).confidence.tolist() == [0.75, 1.0]
+
+
 def test_angles_cluster_across_the_seam():
     angle = np.array([3.1, -3.1, 0.0, 0.1, 3.0, 1.5])
     owner = np.array([0, 0, 0, 0, 4, 4])

@@ -106,6 +106,7 @@ def one_vertex(empty_map: TopoMap) -> TopoMap:
         "kind": ("bend",),
         "observation_vertex": np.array([0]),
         "observation_time_ns": np.array([7 * STEP_NS]),
+        "confidence": np.ones(1),
     }
     return TopoMap(**parts)
 

@@ -1,6 +1,7 @@
 """What a laser saw, under the map."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,7 @@ def test_junctions_tell_their_confidence_and_their_window(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:
     topomap = make_map("run1", (2.0, 1.0, 0.5))
+    topomap = replace(topomap, confidence=np.linspace(0.5, 1.0, len(topomap)))
     odometry = drive(topomap)
     found = scanned(topomap, odometry)
     write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, scanned=found)
@@ -93,10 +95,12 @@ def test_junctions_tell_their_confidence_and_their_window(
     assert (
         got.times("/map/scans/window", "message_log_time").tolist() == found.passes.time_ns.tolist()
     )
-    # By vertex: the mean of its passes; the last observation is no pass, its vertex has another.
+    assert got.value("/map/junctions", "confidence") == pytest.approx(topomap.confidence)
+    # A junction that is selected shows the window of its surest pass, here the last of those seen.
     vertex = topomap.observation_vertex[:-1]
-    mean = [sure[vertex == v].mean() for v in range(len(topomap))]
-    assert got.value("/map/junctions", "confidence") == pytest.approx(mean)
+    surest = [np.flatnonzero(vertex == v)[-1] for v in range(len(topomap))]
+    shown = np.array(got.value("/map/junctions", "LineStrips2D:strips"))
+    assert shown == pytest.approx(np.array(outlines)[surest])
     assert "walls that the laser saw" in got.value("/summary", "TextDocument:text")[0]
 
 

@@ -27,6 +27,7 @@ def junctions_csv(topomap: TopoMap) -> str:
                 "sigma_m": node.get("sigma_m", ""),
                 "kind": node["kind"],
                 "branches": " ".join(f"{b:g}" for b in node["branches"]),
+                "confidence": node.get("confidence", 1),
                 "passes": len(seen),
                 "first_pass_s": _seconds(min(seen)) if seen else "",
                 "last_pass_s": _seconds(max(seen)) if seen else "",
