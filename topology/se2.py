@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.int64]
 
 
 def wrap(angle_rad: Any) -> Any:
@@ -67,22 +69,70 @@ def apply(T_a_b: Any, xy_b: Any) -> FloatArray:
     return np.stack([x, y], axis=-1)
 
 
-def fit_rigid(xy_a: Any, xy_b: Any) -> FloatArray:
-    """Least-squares T_a_b with `xy_a ≈ apply(T_a_b, xy_b)` (§3.1; no scaling, no reflection).
+def rigid_from_sums(
+    weight: Any, sum_a: Any, sum_b: Any, sum_ab: Any, lever: Any = 0.0
+) -> tuple[Any, Any, Any]:
+    """Weighted least-squares rigid motion of points b = x + iy onto points a, from their sums.
 
-    In the plane the rotation of the orthogonal Procrustes problem has a closed form, equal to the
-    SVD solution restricted to det R = +1. xy_a, xy_b: (n, 2). One pair, or pairs that all coincide,
-    leave the rotation undetermined: theta is 0 then. Raises ValueError on no pairs, and on
-    shapes that differ.
+    The one fit of the house (§3.1; orthogonal Procrustes in closed form; no scaling, no
+    reflection): the turn is the direction of Σ w (a - ā) conj(b - b̄), and b̄ comes to lie on ā.
+    weight: Σ w, positive; sum_a: Σ w a; sum_b: Σ w b; sum_ab: Σ w a conj(b): numbers, or arrays of
+    as many fits; lever: added to the sum [m²], for what else is known of the turn. Returns the turn
+    as a unit number (0 where nothing tells it) and the two weighted means ā and b̄.
+    """
+    mean_a, mean_b = sum_a / weight, sum_b / weight
+    turn = sum_ab - sum_a * mean_b.conjugate() + lever
+    return turn / (abs(turn) + _TINY), mean_a, mean_b
+
+
+_TINY = 1e-300
+"""Keeps 0 / 0 away, and changes no other quotient."""
+
+
+def fit_rigid(xy_a: Any, xy_b: Any) -> FloatArray:
+    """Least-squares T_a_b with `xy_a ≈ apply(T_a_b, xy_b)`: `rigid_from_sums` of equal weights.
+
+    xy_a, xy_b: (n, 2). One pair, or pairs that all coincide, leave the rotation undetermined: theta
+    is 0 then. Raises ValueError on no pairs, and on shapes that differ.
     """
     a, b = np.asarray(xy_a, np.float64), np.asarray(xy_b, np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 2 or len(a) == 0:
         raise ValueError(f"fit_rigid needs two equal (n, 2) arrays, got {a.shape} and {b.shape}")
-    mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
-    p, q = a - mean_a, b - mean_b
-    theta = float(np.arctan2((q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]).sum(), (p * q).sum()))
-    shift = mean_a - rotation(theta) @ mean_b
-    return np.array([shift[0], shift[1], wrap(theta)])
+    one = np.zeros(len(a), np.int64)
+    T_a_b: FloatArray = fit_groups(a, b, one, np.ones(len(a)))[0]
+    return T_a_b
+
+
+def fit_groups(
+    xy_a: FloatArray,
+    xy_b: FloatArray,
+    group: IntArray,
+    weight: FloatArray,
+    turn: ComplexArray | None = None,
+) -> FloatArray:
+    """(count, 3) weighted least-squares T_a_b of every group of pairs (n, 2), all at once.
+
+    group: (n,) group of each pair, every group present; weight: (n,); turn: (count,) rotations
+    given as unit numbers, 0 for those to be found.
+    """
+    a: ComplexArray = xy_a[:, 0] + 1j * xy_a[:, 1]
+    b: ComplexArray = xy_b[:, 0] + 1j * xy_b[:, 1]
+    total = np.bincount(group, weight)
+    mean_a, mean_b = _grouped(group, weight * a) / total, _grouped(group, weight * b) / total
+    # About the means: far from the origin the sums themselves would lose digits.
+    a, b = a - mean_a[group], b - mean_b[group]
+    sums = (_grouped(group, weight * part) for part in (a, b, a * b.conj()))
+    found = rigid_from_sums(total, *sums)[0]
+    if turn is not None:
+        found = np.where(turn != 0, turn, found)
+    found = np.where(found != 0, found, 1.0)
+    shift = mean_a - found * mean_b
+    return np.column_stack([shift.real, shift.imag, wrap(np.angle(found))])
+
+
+def _grouped(group: IntArray, value: ComplexArray) -> ComplexArray:
+    out = np.bincount(group, value.real) + 1j * np.bincount(group, value.imag)
+    return np.asarray(out)
 
 
 def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> Any:

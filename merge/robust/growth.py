@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...topology.se2 import rigid_from_sums
 from .atlas import Lanes
 from .branches import branch_bits
 from .links import Seed
@@ -161,9 +162,8 @@ def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
     weights = b.near_weight.take(vertex, axis=0)[:, None, :]
     sums = np.matmul(weights, flat)[:, 0, :].view(np.complex128)
     weight = sums[:, 0].real
-    ca, cb = sums[:, 1] / weight, sums[:, 2] / weight
-    local = sums[:, 3] - sums[:, 1] * cb.conj() + lever.take(lane.take(spot))
-    local /= np.maximum(np.abs(local), 1e-12)
+    lever = lever.take(lane.take(spot))
+    local, ca, cb = rigid_from_sums(weight, sums[:, 1], sums[:, 2], sums[:, 3], lever)
     place[spot] = ca + local * (z.take(spot) - cb)
     turn[spot] = local
     support[spot] = b.near_m[vertex, nearest.take(spot)]
@@ -177,10 +177,8 @@ def _fits(
     what the fit counts beside the local ones: like a match at the distance that parts two
     placements."""
     count = np.maximum(sums[:, 0].real, 1.0)
-    ma, mb, lever = sums[:, 1] / count, sums[:, 2] / count, sums[:, 3] / count
-    turn = count * (lever - mb.conj() * ma) + MATCH.start_weight * start
-    size = np.abs(turn)
-    turn = np.where(size > 1e-9, turn / np.maximum(size, 1e-9), start)
+    lever = MATCH.start_weight * start
+    turn, ma, mb = rigid_from_sums(count, sums[:, 1], sums[:, 2], sums[:, 3], lever)
     return turn, ma - turn * mb, mb, MATCH.place_m**2 * turn
 
 

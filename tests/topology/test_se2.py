@@ -69,6 +69,26 @@ def test_fit_rigid_refuses_other_shapes(shapes):
         se2.fit_rigid(np.ones(shapes[0]), np.ones(shapes[1]))
 
 
+def test_the_rigid_fit_is_the_least_of_weighted_squares():
+    """Against brute force over rotations; far from the origin, too."""
+    rng = np.random.default_rng(5)
+    xy_a, xy_b, weight = rng.normal(0, 5, (8, 2)), rng.normal(0, 5, (8, 2)), rng.uniform(0, 2, 8)
+    one = np.zeros(8, np.int64)
+    fit = se2.fit_groups(xy_a, xy_b, one, weight)[0]
+
+    def error(T):
+        return (weight * ((xy_a - se2.apply(T, xy_b)) ** 2).sum(axis=1)).sum()
+
+    mean_a, mean_b = (np.average(xy, axis=0, weights=weight) for xy in (xy_a, xy_b))
+    for theta in np.linspace(-np.pi, np.pi, 361):
+        shift = mean_a - se2.rotation(theta) @ mean_b
+        assert error(np.array([*shift, theta])) >= error(fit) - 1e-9
+    far = se2.fit_groups(xy_a + 3e5, xy_b - 3e5, one, weight)[0]
+    assert far[2] == pytest.approx(fit[2], abs=1e-8)
+    lone, *_ = se2.rigid_from_sums(1.0, 3 + 4j, 1 + 1j, (3 + 4j) * (1 - 1j), 2j)
+    assert lone == pytest.approx(1j)  # one pair tells no turn: what else is known does
+
+
 @given(st.floats(-1e4, 1e4))
 def test_wrap_keeps_the_direction(angle):
     wrapped = se2.wrap(angle)
