@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 
-OF_VERTICES = ("z", "looks", "fault_rate", "traits", "near_m", "near_rarity", "near_weight")
+OF_VERTICES = (
+    "z",
+    "count",
+    "looks",
+    "fault_rate",
+    "traits",
+    "near_m",
+    "near_rarity",
+    "near_weight",
+)
 OF_CORRIDORS = ("length", "sag", "variance", "traversals", "rarity")
 OF_ROADS = ("road", "road_dir", "road_share", "road_end")
 """Arrays of `Prepared` that name no row: of vertices, directed corridors, points of corridors."""

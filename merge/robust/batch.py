@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from .settings import RobustSettings
 from .verdict import Bar, Opinion, PairCount, needed_bits, opinions
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Batch:
     """What was found between the maps of a batch, and what the two maps of each pair say alone."""
 
@@ -27,19 +28,23 @@ class Batch:
     bar_of: Callable[[Sequence[int], PairCount], Bar]
     found: dict[Pair, Found] = field(default_factory=dict)
     opinions: dict[Pair, Opinion] = field(default_factory=dict)
-    _against_chance: FloatArray | None = None
+    _count: dict[int, PairCount] = field(default_factory=dict)
 
     def level(self, some: Sequence[int], pairs: int | None = None) -> Bar:
         """What two maps, or two components, must reach: so many pairs share the rate of false
         merges. All of the batch if it is not told, also those that were found to have no chance."""
-        if self._against_chance is None:
-            settings = self.matcher.settings
-            told = [found.against_chance(settings) for found in self.found.values()]
-            self._against_chance = np.array(told)
         pairs = pairs_of(len(self.matcher.maps)) if pairs is None else pairs
-        need = needed_bits(pairs, self.matcher.settings)
-        beyond = int(np.count_nonzero(self._against_chance >= need))
-        return self.bar_of(some, PairCount(pairs, beyond))
+        if pairs not in self._count:
+            need = needed_bits(pairs, self.matcher.settings)
+            beyond = int(np.count_nonzero(self._against_chance >= need))
+            self._count[pairs] = PairCount(pairs, beyond)
+        return self.bar_of(some, self._count[pairs])
+
+    @cached_property
+    def _against_chance(self) -> FloatArray:
+        """What the pairs that were matched first say against chance."""
+        settings = self.matcher.settings
+        return np.array([found.against_chance(settings) for found in self.found.values()])
 
     def look_at(self, wanted: IntArray, gone: Iterable[Pair] = ()) -> None:
         """Match (k, 2) pairs; what is found between some is taken back."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .atlas import Atlas
 from .branches import lonely_branches
 from .prepare import FloatArray, IntArray, Prepared
 from .settings import MATCH, RobustSettings
@@ -46,7 +47,7 @@ ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
 WORST_NATS = MATCH.most_bits * np.log(2)
 """No single corridor decides: it may have been measured past a junction."""
 
-TOGETHER = 2**8
+TOGETHER = 2**6
 """Alignments taken at once: what is worked out of them fits the processor's cache."""
 
 TILTS = np.concatenate([np.linspace(0.0, 1.0, 6), [1.25, 1.6, 2.0, 2.5, 3.2, 4.0]])
@@ -115,12 +116,11 @@ def sameness_of(
 def _sameness_of(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
 ) -> Iterator[Sameness]:
-    lonely = [lonely_branches(a, b, c.a, c.b, c.turn) for a, b, c in cases]
-    faults = [(a.fault_rate[c.a] + b.fault_rate[c.b]).sum() / len(c) for a, b, c in cases]
+    matched = np.array([len(c) for _, _, c in cases])
+    differing, faults = _differing(cases, np.cumsum([0, *matched]))
     against = np.array([len(c.conflicts) for _, _, c in cases])
-    changed = np.array([np.count_nonzero(some) for some in lonely]) + against
-    compared = np.array([len(c) for _, _, c in cases]) + against
-    fault = np.minimum(faults, COPIES.most_changed)
+    changed, compared = differing + against, matched + against
+    fault = np.minimum(faults / matched, COPIES.most_changed)
     change = fault + (1 - fault) * copies.change_rate
     kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
     parts = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]
@@ -138,6 +138,24 @@ def _sameness_of(
     # Below what is typical of copies: how far below, to rank by.
     bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
     return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
+
+
+def _differing(
+    cases: Sequence[tuple[Prepared, Prepared, Candidate]], ends: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """Of each alignment how many matched junctions differ in their branches, and the sum of the
+    rates at which they would by fault."""
+    number: dict[int, int] = {}
+    rows = np.array([[number.setdefault(id(m), len(number)) for m in (a, b)] for a, b, _ in cases])
+    maps = {id(m): m for a, b, _ in cases for m in (a, b)}
+    atlas = Atlas.of([maps[key] for key in number])
+    first = atlas.vertex[rows.repeat(np.diff(ends), axis=0)]
+    va = np.concatenate([c.a for _, _, c in cases]) + first[:, 0]
+    vb = np.concatenate([c.b for _, _, c in cases]) + first[:, 1]
+    turn = np.concatenate([c.turn for _, _, c in cases])
+    lonely = lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0
+    fault = atlas.whole.fault_rate[va] + atlas.whole.fault_rate[vb]
+    return np.add.reduceat(lonely, ends[:-1], dtype=np.int64), np.add.reduceat(fault, ends[:-1])
 
 
 def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
@@ -243,11 +261,11 @@ def copy_model(
     prior = default_copies(settings)
     odds = np.log(prior.exact_odds)
     changed, places = 1.0, 1 / settings.copy_change_rate  # as if one change had been seen
-    for m, c in samples:
+    told = sameness_of([(m, m, c) for m, c in samples], prior)
+    for (m, c), same in zip(samples, told, strict=True):
         shape = _Lengths.of(m, m, c.corridors, prior.variation)
         # Half, for every pair of copies is found twice.
         odds = odds + np.array([shape.averaged(share) for share in SHARES]) / 2
-        same = sameness(m, m, c, prior)
         fault = 2 * float(np.mean(m.fault_rate))
         changed += max(same.changed - fault * same.compared, 0.0)
         places += same.compared
