@@ -113,7 +113,8 @@ def build_map_with_errors(
     scale = refine_scale(odometry, run.detections, passes, told.walk.noise, settings.noise)
     fair = replace(told.walk, noise=replace(told.walk.noise, scale=scale))
     layout = set_apart(walk, place, told.layout)
-    settled = settle(walk, odometry, place, layout, settings.driven_by)
+    resolution_m = 0.0 if run.scanned is None else run.scanned.passes.resolution_m
+    settled = settle(walk, odometry, place, layout, settings.driven_by, resolution_m=resolution_m)
     errors = place_errors(fair, told.layout, place, settled.kept, told.grid)
     noise, fitted = (
         refine_noise(
@@ -133,11 +134,12 @@ def build_map_with_errors(
         xy=settled.xy,
         visits=settled.visits,
         pass_vertex=settled.place,
+        pass_fair=settled.fair,
         pass_turn=layout.pose[:, 2],
         noise=noise,
         fitted_noise=fitted,
         errors=errors,
-        closures=_closures(asked, revised, passes, settled.place),
+        closures=_closures([*asked, *settled.asked], revised, passes, settled.place),
         settings=settings.drawing,
     )
     return replace(topomap, info=_info(run, settings, calibration, walk, odometry)), errors

@@ -58,6 +58,7 @@ def build_topomap(
     xy: FloatArray,
     visits: Visits,
     pass_vertex: IntArray,
+    pass_fair: NDArray[np.bool_],
     pass_turn: FloatArray,
     noise: RunNoise,
     errors: VertexErrors,
@@ -67,8 +68,9 @@ def build_topomap(
 ) -> TopoMap:
     """The map of a run whose passes have been identified.
 
-    xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_turn: (p,)
-    turn from the odometry's frame to the map's at each pass; errors: of the n vertices; noise,
+    xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_fair: (p,)
+    whether the pass shows its vertex as it is, so that its branches count; pass_turn: (p,) turn
+    from the odometry's frame to the map's at each pass; errors: of the n vertices; noise,
     fitted_noise: as in TopoMap.
     """
     track = track_directions(odometry, visits.time_ns, visits.centre)
@@ -76,7 +78,7 @@ def build_topomap(
     slots, votes, keep = _slots(
         passes,
         settings,
-        pass_vertex=pass_vertex,
+        pass_vertex=np.where(pass_fair, pass_vertex, -1),
         pass_turn=pass_turn,
         visit_vertex=visits.vertex,
         arriving=arriving,
@@ -118,7 +120,7 @@ def build_topomap(
         position_sigma=shape.position_sigma(),
         branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         traversal_ns=edges.time_ns,
-        confidence=mean_of(passes.confidence[seen], pass_vertex[seen], len(xy)),
+        confidence=mean_of((passes.confidence * pass_fair)[seen], pass_vertex[seen], len(xy)),
         closures=closures,
     )
 

@@ -181,4 +181,5 @@ def _passes(
         confidence=np.array([row[4] for row in rows]),
         windows=np.array([row[5] for row in rows], np.int64),
         clearance_m=np.array([row[6] for row in rows]),
+        resolution_m=windows.skeleton.join_m,
     )

@@ -56,7 +56,7 @@ def seen(odometry, rows, branches):
     )
 
 
-def build(odometry, passes, vertex, errors=None):
+def build(odometry, passes, vertex, errors=None, fair=None):
     vertex = np.asarray(vertex)
     n = vertex.max() + 1
     first = [int(np.flatnonzero(vertex == k)[0]) for k in range(n)]
@@ -77,6 +77,7 @@ def build(odometry, passes, vertex, errors=None):
         xy=passes.centre[first],
         visits=visits,
         pass_vertex=vertex,
+        pass_fair=np.ones(len(vertex), bool) if fair is None else np.array(fair),
         pass_turn=np.zeros(len(passes)),
         noise=RunNoise(),
         errors=VertexErrors.none(n) if errors is None else errors,
@@ -154,6 +155,15 @@ def test_the_confidence_of_a_junction_is_the_mean_of_its_passes():
     passes = replace(passes, confidence=np.array([1.0, 0.5, 0.5, 1.0]))
     assert build(odometry, passes, [0, 1, 0, 1]).confidence.tolist() == [0.75, 0.75]
     assert build(odometry, passes, [0, -1, 0, 1]).confidence.tolist() == [0.75, 1.0]
+
+
+def test_a_pass_that_shows_its_junction_otherwise_is_one_by_it_and_no_more():
+    odometry, rows = track((0, 0), (8, 0), (0, 0), (8, 0))
+    looks = [[EAST], [WEST, NORTH], [EAST], [WEST, SOUTH]]
+    m = build(odometry, seen(odometry, rows, looks), [0, 1, 0, 1], fair=[1, 1, 1, 0])
+    np.testing.assert_allclose(m.branches[1], [WEST, NORTH])
+    assert m.observation_vertex.tolist() == [0, 1, 0, 1]
+    assert m.confidence.tolist() == [1.0, 0.5]
 
 
 def test_angles_cluster_across_the_seam():

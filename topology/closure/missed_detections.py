@@ -1,5 +1,7 @@
 """What the track tells after the places are known: junctions driven by unseen, and phantoms.
 
+Before that, places that the detector cannot have told apart become one (`resolution.py`).
+
 A leg that leads past a known place without a detection was two legs, with a junction missed in
 between. A place that was seen once and driven by unseen again and again was never there.
 """
@@ -18,7 +20,9 @@ from ..track import way_along
 from ..visits import DrawnTrack, Visits, draw_track
 from .dead_reckoning import Walk
 from .estimate import Layout, LayoutSettings
-from .places import ONE_WAY_RAD, Places, tabulate
+from .nearest_neighbour import Identification
+from .places import NOWHERE, ONE_WAY_RAD, Places, tabulate
+from .resolution import blurred, one_drive_by
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -48,14 +52,17 @@ class DrivenBySettings:
 class Settled:
     """The places that stay, and every visit to them.
 
-    place: (p,) of each pass, negative for phantoms; xy: (n, 2); visits: seen and unseen; kept: (n,)
-    number that each had before.
+    place: (p,) of each pass, negative for phantoms; fair: (p,) whether the pass shows its place as
+    it is; xy: (n, 2); visits: seen and unseen; kept: (n,) number that each had before; asked:
+    identifications made.
     """
 
     place: IntArray
+    fair: NDArray[np.bool_]
     xy: FloatArray
     visits: Visits
     kept: IntArray
+    asked: list[Identification]
 
 
 def settle(
@@ -64,23 +71,39 @@ def settle(
     place: IntArray,
     layout: Layout,
     settings: DrivenBySettings = DrivenBySettings(),
+    *,
+    resolution_m: float = 0.0,
 ) -> Settled:
-    """Dissolve the phantoms, then split the legs that lead past known places.
+    """Join what the detector cannot tell apart, dissolve the phantoms, then split the legs that
+    lead past known places.
 
-    place: (p,) of each pass, numbered from 0 by first visit.
+    place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector.
     """
     gap = LayoutSettings().slot_gap_rad
-    places = tabulate(walk, place, layout.pose[:, 2], gap)
-    found = driven_by(odometry, visits_of(walk, place, layout), layout.xy, places, settings)
+    one = blurred(walk, place, layout, resolution_m)
+    fair = one.place[place] == place
+    kept, number = _renumbered(one.place == np.arange(len(layout.xy)))
+    place, xy = number[one.place[place]], layout.xy[kept]
+    # One drive-by is one visit.
+    again = np.zeros(len(place), bool)
+    again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(walk, resolution_m)
+    place = np.where(again, NOWHERE, place)
+    places = tabulate(walk, np.where(fair, place, NOWHERE), layout.pose[:, 2], gap)
+    found = driven_by(odometry, visits_of(walk, place, fair, layout, xy), xy, places, settings)
     unseen = np.bincount(found.place, minlength=len(places))
-    keep = ~phantoms(walk, places, unseen, settings)
-    number = np.where(keep, np.cumsum(keep) - 1, -1)
-    place, xy = number[place], layout.xy[keep]
-    places = tabulate(walk, place, layout.pose[:, 2], gap)
-    visits = visits_of(walk, place, layout)
+    real, number = _renumbered(~phantoms(walk, places, unseen, settings))
+    place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
+    places = tabulate(walk, np.where(fair, place, NOWHERE), layout.pose[:, 2], gap)
+    visits = visits_of(walk, place, fair, layout, xy)
     found = driven_by(odometry, visits, xy, places, settings)
     visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
-    return Settled(place, xy, visits, np.flatnonzero(keep))
+    return Settled(place, fair, xy, visits, kept[real], one.asked)
+
+
+def _renumbered(keep: NDArray[np.bool_]) -> tuple[IntArray, IntArray]:
+    """Rows to keep, and the number that each row has then, NOWHERE for the others."""
+    number = np.where(keep, np.cumsum(keep) - 1, NOWHERE)
+    return np.flatnonzero(keep), number
 
 
 def _time_of(odometry: Odometry, way: FloatArray) -> IntArray:
@@ -210,14 +233,22 @@ def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: Float
     )
 
 
-def visits_of(walk: Walk, place: IntArray, layout: Layout) -> Visits:
-    """The visits that passes tell."""
+def visits_of(
+    walk: Walk, place: IntArray, fair: NDArray[np.bool_], layout: Layout, xy: FloatArray
+) -> Visits:
+    """The visits that passes tell. A pass that does not show its place as it is, not (p,) `fair`,
+    was by where the place is, and not where it seemed."""
     row = np.flatnonzero(place >= 0)
+    pose, centre = layout.pose[row].copy(), walk.passes.centre[row].copy()
+    off = np.where(fair[row, None], 0.0, xy[place[row]] - pose[:, :2])
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    pose[:, :2] += off
+    centre += np.column_stack([c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0]])
     return Visits(
         time_ns=walk.passes.time_ns[row],
         vertex=place[row],
         seen=np.ones(len(row), bool),
-        pose=layout.pose[row],
-        centre=walk.passes.centre[row],
+        pose=pose,
+        centre=centre,
         chain=walk.chain[row],
     )

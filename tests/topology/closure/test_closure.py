@@ -8,6 +8,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
+from topobatch.topology.closure import resolution
 from topobatch.topology.closure.answers import explained
 from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
 from topobatch.topology.closure.dead_reckoning import (
@@ -122,13 +123,17 @@ def record(world, route, rng=None, *, noise=NOISE, bias=0.0, unseen=(), breaks_b
         angle = np.array([np.arctan2(d[1], d[0]) for d in out])
         seen = wrap(angle + turned + (rng.normal(0, noise.branch_rad, len(angle)) if rng else 0))
         order = np.argsort(seen)
-        ends = [beside[here][j] for j in order]
         offset = rng.normal(0, noise.centre_m, 2) if rng is not None else 0.0
         centre.append(pose[at[k], :2] + offset)
         branches.append(seen[order])
         # An unseen neighbour does not change the branch that was driven.
-        entry.append(ends.index(route[k - 1]) if k > 0 else NO_BRANCH)
-        exit_.append(ends.index(route[k + 1]) if k + 1 < len(route) else NO_BRANCH)
+        for ends, other in ((entry, k - 1), (exit_, k + 1)):
+            if 0 <= other < len(route):
+                d = xy[route[other]] - xy[here]
+                off = np.abs(wrap(angle[order] - np.arctan2(d[1], d[0])))
+                ends.append(int(off.argmin()))
+            else:
+                ends.append(NO_BRANCH)
     when = time_ns[[at[k] for k in rows]]
     rows_of_branches = Ragged.from_rows(branches)
     passes = Passes(
@@ -655,6 +660,67 @@ def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
     # Once is not enough for a place with a side branch.
     places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
     assert not phantoms(walk, places, np.zeros(len(places), int)).any()
+
+
+def a_crossing_seen_as_two_forks():
+    """A crossing at 0, 0, and the two forks beside each other that some looks show in its place."""
+    xy = {"west": (-6, 0), "east": (6, 0), "north": (0, 6), "south": (0, -6)}
+    xy |= {"crossing": (0, 0), "left": (-0.5, 0), "right": (0.5, 0)}
+    beside = {
+        **{end: ["crossing"] for end in ("west", "east", "north", "south")},
+        "crossing": ["west", "east", "north", "south"],
+        "left": ["west", "right", "north"],
+        "right": ["east", "left", "south"],
+    }
+    return {name: np.array(at, float) for name, at in xy.items()}, beside
+
+
+def settled_by_sight(route, resolution_m):
+    """Every description of a place taken for a place of its own, then settled."""
+    odometry, passes, truth = record(a_crossing_seen_as_two_forks(), route)
+    walk, place = make_walk(odometry, passes, NOISE), partition(truth)
+    settled = settle(walk, odometry, place, lay_out(walk, place), resolution_m=resolution_m)
+    return settled, {name: int(settled.place[k]) for k, name in reversed([*enumerate(truth)])}
+
+
+THERE = ["west", "left", "right", "east"]
+
+
+def test_two_forks_in_place_of_a_crossing_are_the_crossing_that_was_seen_better():
+    route = [*THERE, "crossing", "west", "crossing", "north"]
+    settled, number = settled_by_sight(route, 1.3)
+    assert number["left"] == number["crossing"]
+    assert number["right"] == NOWHERE  # the same visit
+    assert settled.visits.vertex.tolist() == [0, 2, 1, 2, 0, 2, 3]
+    assert settled.xy[2] - settled.xy[0] == pytest.approx([6.0, 0.0], abs=0.1)
+    assert settled.fair.tolist() == [True, False, False, *[True] * 5]
+    assert [q.reason for q in settled.asked] == [resolution.REASON] * 2
+    assert all(q.accepted and q.bits > 0 for q in settled.asked)
+
+
+def test_two_forks_that_were_seen_better_are_no_crossing():
+    route = [*THERE, *THERE[-2::-1], *THERE[1:], "crossing", "west"]
+    settled, number = settled_by_sight(route, 1.3)
+    assert number["left"] != number["right"]
+    assert number["crossing"] in (number["left"], number["right"])
+    assert len(settled.xy) == 4
+
+
+def test_what_a_detector_tells_apart_stays_apart():
+    route = [*THERE, "crossing", "west"]
+    assert len(settled_by_sight(route, 0.0)[0].xy) == 5
+    assert len(settled_by_sight(route, 0.3)[0].xy) == 5
+    told, number = settled_by_sight([*THERE, *THERE[-2::-1]], 1.3)
+    assert number["left"] != number["right"]
+    assert told.asked == []
+
+
+def test_places_that_may_well_be_farther_apart_stay_two():
+    odometry, passes, truth = record(a_crossing_seen_as_two_forks(), [*THERE, "crossing", "west"])
+    vague = replace(NOISE, along_m_per_sqrt_m=0.2)
+    walk, place = make_walk(odometry, passes, vague), partition(truth)
+    settled = settle(walk, odometry, place, lay_out(walk, place), resolution_m=1.3)
+    assert len(settled.xy) == 5
 
 
 def test_dead_reckoning_covariance_is_that_of_many_drives():

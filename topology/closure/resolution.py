@@ -1,0 +1,105 @@
+"""Places nearer to each other than the detector can tell two junctions apart.
+
+A junction seen from where little of it shows, or a crossing that one drive-by shows as two forks
+and another one as one, makes places that no identification joins: their branches differ. But scans
+show junctions nearer to each other than their resolution as one. So places that are certainly as
+near, and that no drive-by has told apart, are one place; it looks as it was seen best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import log_ndtr
+
+from .dead_reckoning import Walk
+from .estimate import Layout
+from .nearest_neighbour import Identification
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+CERTAIN = 3.0
+"""Standard deviations by which two places must be nearer than the resolution: 99.9 %."""
+
+REASON = "nearer than scans can tell two junctions apart"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blurred:
+    """What stands for what. place: (n,) the place that each one is, most often itself; asked: the
+    identifications that this makes."""
+
+    place: IntArray
+    asked: list[Identification] = field(default_factory=list)
+
+
+def blurred(walk: Walk, place: IntArray, layout: Layout, resolution_m: float) -> Blurred:
+    """The places of a layout that are one. place: (p,) of each pass, none negative.
+
+    resolution_m: junctions nearer than this show as one; 0 for detectors that tell all apart.
+    """
+    of = np.arange(len(layout.xy), dtype=np.int64)
+    if resolution_m <= 0 or len(of) < 2:
+        return Blurred(of)
+    near = cKDTree(layout.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
+    told = _told_apart(walk, place, resolution_m)
+    open_ = [k for k, pair in enumerate(near.tolist()) if frozenset(pair) not in told]
+    a, b = near[open_].T
+    if len(a) == 0:
+        return Blurred(of)
+    # Of each pair the one seen better first, and the pairs of the best first; ties by number.
+    seen = np.bincount(place, walk.passes.messages * walk.passes.confidence, len(of))
+    swap = seen[b] > seen[a]
+    a, b = np.where(swap, b, a), np.where(swap, a, b)
+    order = np.lexsort((b, a, -seen[b], -seen[a]))
+    a, b = a[order], b[order]
+    sigmas = _sigmas_within(walk, layout, a, b, resolution_m)
+    asked = []
+    for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
+        if sure > CERTAIN and of[u] == u and of[v] == v:
+            of[v] = u
+            asked.append(_identified(walk, place, (u, v), sure))
+    # What a drive-by showed beside a part of a crossing is the other part of it.
+    for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
+        parts = np.flatnonzero(of == u).tolist()
+        if of[u] == u and of[v] == v and any({v, part} in told for part in parts if part != u):
+            of[v] = u
+            asked.append(_identified(walk, place, (u, v), sure))
+    return Blurred(of, asked)
+
+
+def _told_apart(walk: Walk, place: IntArray, resolution_m: float) -> set[frozenset[int]]:
+    """Pairs of places that one drive-by showed both."""
+    both = np.stack([place[:-1], place[1:]], axis=1)[one_drive_by(walk, resolution_m)]
+    return {frozenset(pair) for pair in both.tolist()}
+
+
+def _sigmas_within(
+    walk: Walk, layout: Layout, a: IntArray, b: IntArray, resolution_m: float
+) -> FloatArray:
+    """(k,) by how many standard deviations places are nearer to each other than the resolution."""
+    cov = layout.relative_covariance(layout.node[a], layout.node[b])[:, :2, :2]
+    variance = np.linalg.eigvalsh(cov)[:, 1] + 2 * walk.noise.centre_m**2
+    distance = np.hypot(*(layout.xy[a] - layout.xy[b]).T)
+    return np.asarray((resolution_m - distance) / np.sqrt(variance))
+
+
+def _identified(
+    walk: Walk, place: IntArray, pair: tuple[int, int], sigmas: float
+) -> Identification:
+    """Else they are not so near, or each pass by the one missed the other."""
+    first = [int(np.flatnonzero(place == v)[0]) for v in pair]
+    missed = int(np.isin(place, pair).sum()) * float(np.log(walk.noise.miss_rate))
+    bits = -max(float(log_ndtr(-sigmas)), missed) / float(np.log(2))
+    return Identification(min(first), max(first), True, bits, REASON)
+
+
+def one_drive_by(walk: Walk, resolution_m: float) -> NDArray[np.bool_]:
+    """(p - 1,) whether a pass and the next are of one drive-by: no more way between them than to
+    drive by a place of that size."""
+    way: NDArray[np.bool_] = walk.leg < 2 * resolution_m
+    return way
