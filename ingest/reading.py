@@ -86,7 +86,7 @@ def read_log(
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     counts = survey.counts if survey else {}
     progress = Progress(recording.bytes, walks(counts, settings, log), on_bytes)
-    findings = walk(recording, intake, progress)
+    findings = walk(recording, intake, progress, survey)
     warnings = _damage(recording, findings, settings)
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     try:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 from .logs.intake import Intake
-from .logs.messages import Channel, Findings, Survey
+from .logs.messages import Channel, Container, Findings, Survey
 from .logs.recording import Recording, opened, run_name, sniff
 from .read_settings import ReadSettings
 
@@ -15,11 +16,16 @@ OnBytes = Callable[[int], None]
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """What the indexes of all files say together."""
+    """What the indexes of all files say together.
+
+    log: the reader of the only file, which keeps its index; None for several files, or one that was
+    unpacked to be read.
+    """
 
     counts: dict[Channel, int]
     start_ns: int
     end_ns: int
+    log: Container | None = None
 
 
 def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Index | None]:
@@ -28,11 +34,14 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Inde
     A file that is compressed as a whole is only unpacked for exactness.
     """
     surveys: list[Survey] = []
+    only: Container | None = None
     for file in recording.files:
-        if sniff(file) == "zstd" and not exact:
+        packed = sniff(file) == "zstd"
+        if packed and not exact:
             return recording, None
         with opened(file) as log:
             survey = log.survey(exact)
+            only = log if len(recording.files) == 1 and not packed else None
         if survey is None:
             return recording, None
         surveys.append(survey)
@@ -45,11 +54,16 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Inde
     start = min((survey.start_ns for survey in filled), default=0)
     end = max((survey.end_ns for survey in filled), default=0)
     by_start = replace(recording, files=tuple(recording.files[k] for k in order))
-    return by_start, Index(counts, start, end)
+    return by_start, Index(counts, start, end, only)
 
 
-def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Findings:
-    """Read all files; on_bytes is told exactly the size of the recording in the end."""
+def walk(
+    recording: Recording, intake: Intake, on_bytes: OnBytes | None, index: Index | None = None
+) -> Findings:
+    """Read all files; on_bytes is told exactly the size of the recording in the end.
+
+    index: what `surveyed` gave with the recording; what it has read is not read again.
+    """
     findings = Findings()
     for file in recording.files:
         told = 0
@@ -61,9 +75,11 @@ def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Find
                 on_bytes(count)
 
         packed = sniff(file) == "zstd"
-        with opened(file) as log:
+        known = index.log if index is not None else None
+        with opened(file) if known is None else nullcontext(known) as log:
             for block in log.blocks(intake.want, findings, None if packed else progress):
                 intake.take(block)
+                del block  # its memory, still in the processor's cache, serves the next one
         if file.stat().st_size > told:
             progress(file.stat().st_size - told)
     return findings

@@ -11,11 +11,20 @@ from .bag_heads import HEAD_BYTES, compression_of
 from .bag_messages import MessageReader
 from .bag_small import small_chunks
 from .bag_sparse import without_large
-from .bag_wire import INDEX, MESSAGE, U32, Record, listed_offsets, number
+from .bag_wire import (
+    INDEX,
+    INDEX_ENTRY,
+    MESSAGE,
+    U32,
+    IndexTemplate,
+    Record,
+    listed_offsets,
+    number,
+)
 from .chunk_reader import Chunk, ChunkHead, ChunkReader
 from .inflate import WHOLE_BYTES
 from .messages import Block, Bytes, Ints, Walking
-from .walk import bag_listed, bag_records
+from .walk import bag_records
 from .windows import SLAB_BYTES, Window
 
 SPARSE_BYTES = 1 << 26
@@ -35,6 +44,7 @@ class BagChunks(ChunkReader):
     ) -> None:
         super().__init__(window, messages)
         self._record_at = record_at
+        self._index_like: IndexTemplate | None = None
 
     def take(self, position: int, record: Record) -> Walking:
         """Have a chunk inflated ahead, or take what it holds; returns where the next begins."""
@@ -66,13 +76,14 @@ class BagChunks(ChunkReader):
         if head.compression:
             yield from super()._directly(chunk)
             return
-        sparse = where = None
+        listed = None
         if head.size <= SPARSE_BYTES:
             offsets = np.concatenate([np.zeros(0, np.int64), *chunk.offsets])
             sparse = without_large(self._window, head, offsets, self._messages.unwanted)
-            where = bag_listed(sparse, offsets, least=1) if sparse is not None else None
-        if sparse is not None and where is not None:
-            yield from self._messages.records(sparse, where)
+            if sparse is not None:
+                listed = self._messages.listed(sparse, offsets, least=1)
+        if listed is not None:
+            yield from listed
         elif head.size > WHOLE_BYTES:
             yield from super()._directly(chunk)
         else:
@@ -94,16 +105,33 @@ class BagChunks(ChunkReader):
     def _listed_behind(self, position: int) -> int:
         chunk = self._ahead.last
         assert chunk is not None
-        while (record := self._record_at(position)) is not None:
-            if record.op != INDEX or record.end > self._window.size:
-                break
-            chunk.counts[number(record.fields, b"conn")] = number(record.fields, b"count")
+        while (listed := self._index_at(position)) is not None:
+            key, count, data_at, position = listed
+            chunk.counts[key] = count
             # Each entry stands for a record that takes more than the entry does.
-            if record.data_size <= chunk.head.size:
-                entries = self._window.view(record.data_at, record.data_size)
+            if position - data_at <= chunk.head.size:
+                entries = self._window.view(data_at, position - data_at)
                 chunk.offsets.append(listed_offsets(entries))
-            position = record.end
         return position
+
+    def _index_at(self, position: int) -> tuple[int, int, int, int] | None:
+        """Connection and count of the index record at a place, where its data begin and end.
+
+        None if there is none. Recorders write one header again and again: what is like the last one
+        is not taken apart.
+        """
+        head = self._window.view(position, HEAD_BYTES).tobytes()
+        found = self._index_like.read(head) if self._index_like is not None else None
+        if found is None:
+            record = self._record_at(position)
+            if record is None or record.op != INDEX:
+                return None
+            self._index_like = IndexTemplate.of(head[: record.data_at - 4 - position])
+            key, count = number(record.fields, b"conn"), number(record.fields, b"count")
+            found = key, count, record.data_at - position
+        key, count, data_at = found
+        end = position + data_at + INDEX_ENTRY * count
+        return (key, count, position + data_at, end) if end <= self._window.size else None
 
     def _census(self, chunk: Chunk) -> dict[int, int]:
         """Connections that are described nowhere else are taken from the chunk as well."""

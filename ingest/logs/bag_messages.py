@@ -22,7 +22,7 @@ from .bag_wire import (
 from .columns import column, gather, words
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
 from .tally import NUMBERS, Tally
-from .walk import bag_listed, bag_records
+from .walk import LEAST_LISTED, bag_listed, bag_records, inside, seamless
 
 
 class MessageReader:
@@ -41,14 +41,44 @@ class MessageReader:
 
     def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: where an index says they are."""
-        where = bag_listed(data, np.concatenate(offsets)) if offsets else None
-        if where is None:
+        listed = self.listed(data, np.concatenate(offsets)) if offsets else None
+        if listed is None:
             where, stop = bag_records(data)
             if stop != len(data):
                 data, where = self._mended(data)
-        yield from self.records(data, where)
+            listed = self._records(data, where)
+        yield from listed
 
-    def records(self, data: Bytes, where: Ints) -> Iterator[Block]:
+    def listed(
+        self, data: Bytes, offsets: Ints, least: int = LEAST_LISTED
+    ) -> Iterator[Block] | None:
+        """The same by the places of at least so many messages; None unless the index is proven."""
+        regular = self._regular(data, offsets, least)
+        if regular is not None:
+            return self._blocks(data, *regular)
+        where = bag_listed(data, offsets, least)
+        return None if where is None else self._records(data, where)
+
+    def _regular(self, data: Bytes, offsets: Ints, least: int) -> tuple[Ints, Ints, Ints] | None:
+        """Connection, time and place of the size of messages in data that hold nothing else.
+
+        None unless all are like the template and each ends where the next begins, from the first
+        byte to the last: then a walk would have met exactly these.
+        """
+        template = self._template
+        if template is None:
+            return None
+        where = inside(offsets, len(data) - (template.size + 8), least)
+        if where is None or where[0]:
+            return None
+        heads = gather(data, where, template.size + 8)
+        if template.shape.misfits(heads) is not None:
+            return None
+        size_at = where + (4 + template.size)
+        ends = size_at + 4 + column(heads, "<u4", 4 + template.size)
+        return (*template.read(heads), size_at) if seamless(where, ends, len(data)) else None
+
+    def _records(self, data: Bytes, where: Ints) -> Iterator[Block]:
         """The wanted messages among records; connections met are taken in."""
         if self._template is None:
             self._learn(data, where)
@@ -64,6 +94,10 @@ class MessageReader:
                     (conn, time, size_at), zip(*extra, strict=True), strict=True
                 )
             )
+        yield from self._blocks(data, conn, time, size_at)
+
+    def _blocks(self, data: Bytes, conn: Ints, time: Ints, size_at: Ints) -> Iterator[Block]:
+        """The wanted ones among messages."""
         if len(conn) == 0:
             return
         conn = np.minimum(conn, NUMBERS - 1)
@@ -79,7 +113,7 @@ class MessageReader:
         """The messages in whole records at the front of data that were cut."""
         where, stop = bag_records(data)
         self.findings.unreadable_bytes += len(data) - stop
-        yield from self.records(data[:stop], where)
+        yield from self._records(data[:stop], where)
 
     def _mended(self, data: Bytes) -> tuple[Bytes, Ints]:
         """Damaged records without those that cannot be found again, and their places."""
@@ -118,9 +152,7 @@ class MessageReader:
         found = inside
         if other is not None:
             found, heads = inside[~other], heads[~other]
-        conn = column(heads, "<u4", template.conn_at)
-        time = column(heads, "<u4", template.time_at) * 10**9
-        time += column(heads, "<u4", template.time_at + 4)
+        conn, time = template.read(heads)
         left = np.ones(len(where), bool)
         left[np.searchsorted(where, found)] = False
         return conn, time, found + (4 + template.size), where[left]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from .bag_wire import CHUNK, INDEX, INDEX_ENTRY, U32, fields_of
+from .bag_wire import CHUNK, INDEX, INDEX_ENTRY, U32, IndexTemplate, fields_of
 from .chunk_reader import SMALL_BYTES
 from .inflate import inflate
 from .messages import Bytes, DamageError
@@ -26,7 +26,7 @@ class _Likes:
 
     def __init__(self) -> None:
         self._chunk: tuple[int, bytes, bytes] | None = None
-        self._index: tuple[int, bytes] | None = None
+        self._index: IndexTemplate | None = None
         self.compression = b"none"
 
     def chunk_size(self, head: bytes) -> int | None:
@@ -45,17 +45,15 @@ class _Likes:
 
     def is_index(self, head: bytes, data_size: int) -> bool:
         """Whether a header is that of an index record with so many bytes of data."""
-        if self._index is None or not head.startswith(self._index[1]):
-            fields = _fields(head)
-            if fields.get(b"op") != bytes([INDEX]) or len(fields.get(b"count", b"")) != 4:
-                return False
-            at = head.index(b"count=") + 6
-            if at + 4 != len(head):
-                # Another writer's order: read, but not known again.
-                return bool(U32(fields[b"count"])[0] * INDEX_ENTRY == data_size)
-            self._index = (len(head), head[:at])
-        length, before = self._index
-        return len(head) == length and bool(U32(head, len(before))[0] * INDEX_ENTRY == data_size)
+        front = head + data_size.to_bytes(4, "little")
+        if self._index is not None and self._index.read(front) is not None:
+            return True
+        fields = _fields(head)
+        if fields.get(b"op") != bytes([INDEX]) or len(fields.get(b"count", b"")) != 4:
+            return False
+        if len(fields.get(b"conn", b"")) == 4:
+            self._index = IndexTemplate.of(head)
+        return bool(U32(fields[b"count"])[0] * INDEX_ENTRY == data_size)
 
 
 def _fields(head: bytes) -> dict[bytes, bytes]:

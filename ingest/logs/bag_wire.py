@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .chunk_index import ChunkIndex
-from .columns import Shape
+from .columns import Shape, column
 from .messages import (
     SCHEMA_BYTES,
     Bytes,
@@ -266,6 +266,45 @@ class HeadTemplate(NamedTuple):
         fixed = ((0, first[0]), (first[1], last[0]), (last[1], len(head)))
         shape = Shape.of(np.frombuffer(head, np.uint8), fixed)
         return cls(len(head) - 4, shape, conn_at, time_at)
+
+    def read(self, heads: Bytes) -> tuple[Ints, Ints]:
+        """Connections and times [ns] of gathered headers, as rows."""
+        time = column(heads, "<u4", self.time_at) * 10**9
+        time += column(heads, "<u4", self.time_at + 4)
+        return column(heads, "<u4", self.conn_at), time
+
+
+class IndexTemplate(NamedTuple):
+    """The header of an index record, length included, and where its numbers lie.
+
+    fixed: what such headers share, by its place.
+    """
+
+    head: bytes
+    conn_at: int
+    count_at: int
+    fixed: tuple[slice, ...]
+
+    @classmethod
+    def of(cls, head: bytes) -> IndexTemplate:
+        """The template of a sound header; raises DamageError if it lacks a number."""
+        conn_at, count_at = _field_at(head, b"conn="), _field_at(head, b"count=")
+        first, last = sorted((conn_at, count_at))
+        fixed = (slice(first), slice(first + 4, last), slice(last + 4, len(head)))
+        return cls(head, conn_at, count_at, fixed)
+
+    def read(self, front: bytes) -> tuple[int, int, int] | None:
+        """Connection, count, and place of the data of a record, by its first bytes.
+
+        None if its header is not like this one, or its data have another size than the count says.
+        """
+        size = len(self.head)
+        if len(front) < size + 4 or any(front[part] != self.head[part] for part in self.fixed):
+            return None
+        count = U32(front, self.count_at)[0]
+        if U32(front, size)[0] != INDEX_ENTRY * count:
+            return None
+        return U32(front, self.conn_at)[0], count, size + 4
 
 
 def _field_at(head: bytes, name: bytes) -> int:

@@ -90,6 +90,10 @@ class Growing:
         return rows
 
 
+ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
+"""Every bit of a word."""
+
+
 class Shape(NamedTuple):
     """What rows of one kind have in common.
 
@@ -115,5 +119,5 @@ class Shape(NamedTuple):
         found = rows.view(np.uint64)
         wrong = np.zeros(len(rows), bool)
         for k, value, bits in self.words:
-            wrong |= (found[:, k] & bits) != value
+            wrong |= (found[:, k] if bits == ALL else found[:, k] & bits) != value
         return wrong if wrong.any() else None

@@ -105,8 +105,9 @@ def _inside(value: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def _turned(value: NDArray[np.float64]) -> NDArray[np.bool_]:
     # Far below any unit quaternion, far above what rounding leaves of a zero one.
-    rotation = value[:, 3:]
-    return np.asarray(np.einsum("ij,ij->i", rotation, rotation) > 1e-12)
+    # Column by column: numpy's inner loop runs over the poses.
+    x, y, z, w = value[:, 3:].T
+    return np.asarray(x * x + y * y + z * z + w * w > 1e-12)
 
 
 def in_plane(value: NDArray[np.float64]) -> NDArray[np.float64]:

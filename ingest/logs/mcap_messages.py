@@ -14,7 +14,7 @@ from .mcap_mend import mended
 from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
 from .tally import Tally
-from .walk import mcap_listed, mcap_records
+from .walk import inside, mcap_listed, mcap_records, seamless
 
 _HEAD = struct.Struct("<BQ").unpack_from
 
@@ -43,8 +43,12 @@ class MessageReader:
 
     def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: where an index says they are."""
-        data, where, op = self._walked(data, offsets)
-        positions, heads = self._heads(data, where, op)
+        regular = self._regular(data, offsets) if offsets else None
+        if regular is not None:
+            positions, heads = regular
+        else:
+            data, where, op = self._walked(data, offsets)
+            positions, heads = self._heads(data, where, op)
         if len(positions) == 0:
             return
         size = column(heads, "<i8", 1) - MESSAGE_HEAD
@@ -83,6 +87,21 @@ class MessageReader:
                 record[0] = CHANNEL
                 self.define(record, np.zeros(1, np.int64))
         return kept
+
+    def _regular(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Ints, Bytes] | None:
+        """Places and heads of the messages in data that hold nothing else, as an index says.
+
+        None unless each ends where the next begins, from the first byte to the last: then a walk
+        would have met exactly these.
+        """
+        where = inside(np.concatenate(offsets), len(data) - (RECORD_HEAD + MESSAGE_HEAD))
+        if where is None or where[0]:
+            return None
+        heads = gather(data, where, LOG_TIME_AT + 8)
+        length = column(heads, "<i8", 1)
+        if length.min() < MESSAGE_HEAD or not (heads[:, 0] == MESSAGE).all():
+            return None
+        return (where, heads) if seamless(where, where + RECORD_HEAD + length, len(data)) else None
 
     def _walked(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Bytes, Ints, Bytes]:
         """The places and kinds of the records in `data`, which is mended first where it is broken.

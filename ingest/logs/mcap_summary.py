@@ -64,7 +64,7 @@ class McapSummary(NamedTuple):
 
     def numbers(self, chunk: int) -> Ints | None:
         """The channels in the chunk at that place in the file, None for one that is not listed."""
-        k = int(np.searchsorted(self.chunk_starts, chunk))
+        k = int(self.chunk_starts.searchsorted(chunk))
         if k == len(self.chunk_starts) or self.chunk_starts[k] != chunk:
             return None
         return self.chunk_channels[self.chunk_first[k] : self.chunk_first[k + 1]]

@@ -19,10 +19,12 @@ def one_bit_apart(name: Name, other: Name) -> bool:
     """Whether two names of the same length, or two numbers, differ in exactly one bit."""
     if isinstance(name, int) or isinstance(other, int):
         return isinstance(name, int) and isinstance(other, int) and (name ^ other).bit_count() == 1
+    if len(name) != len(other):
+        return False
     # A broken byte of text stands for itself, or for one character that cannot be decoded.
     a, b = (n.encode("latin-1", "replace") if isinstance(n, str) else n for n in (name, other))
-    wrong = [(x, y) for x, y in zip(a, b, strict=False) if x != y]
-    if len(a) != len(b) or len(wrong) != 1:
+    wrong = [(x, y) for x, y in zip(a, b, strict=True) if x != y]
+    if len(wrong) != 1:
         return False
     x, y = wrong[0]
     return (x ^ y).bit_count() == 1 or (isinstance(name, str) and x == ord("?"))

@@ -102,7 +102,7 @@ def mcap_listed(data: Bytes, offsets: Ints) -> Ints | None:
 
     Faster where records of many sizes take turns.
     """
-    where = _inside(offsets, len(data) - 9)
+    where = inside(offsets, len(data) - 9)
     if where is None:
         return None
     length = words(data, "<i8", where + 1)
@@ -111,11 +111,11 @@ def mcap_listed(data: Bytes, offsets: Ints) -> Ints | None:
 
 def bag_listed(data: Bytes, offsets: Ints, least: int = LEAST_LISTED) -> Ints | None:
     """What `bag_records` finds, by at least so many places of an index: proven, or None."""
-    where = _inside(offsets, len(data) - 8, least)
+    where = inside(offsets, len(data) - 8, least)
     if where is None:
         return None
     head = words(data, "<u4", where).astype(np.int64)
-    body = _inside(where + 4 + head, len(data) - 4, least)
+    body = inside(where + 4 + head, len(data) - 4, least)
     if body is None:
         return None
     return _completed(data, where, body + 4 + words(data, "<u4", body), bag_records)
@@ -125,13 +125,21 @@ MOST_GAPS = 16
 """So many places between the listed records may hold others."""
 
 
-def _inside(places: Ints, last: int, least: int = LEAST_LISTED) -> Ints | None:
+def inside(places: Ints, last: int, least: int = LEAST_LISTED) -> Ints | None:
     """The places in ascending order, None if there are few or one is outside of 0 … last."""
     # Ascending per channel: a stable sort merges the runs.
     places = np.sort(places, kind="stable")
     if len(places) < least or places[0] < 0 or places[-1] > last:
         return None
     return places
+
+
+def seamless(where: Ints, ends: Ints, size: int) -> bool:
+    """Whether records from `where` to `ends` fill so many bytes: each ends where the next begins.
+
+    where: ascending; no record may be empty.
+    """
+    return bool(where[0] == 0 and ends[-1] == size and (ends[:-1] == where[1:]).all())
 
 
 def _completed(

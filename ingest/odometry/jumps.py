@@ -182,27 +182,37 @@ def _large(pose: Floats, settings: JumpSettings) -> Ints:
     found = [np.zeros(0, np.int64)]
     for first in range(0, len(pose) - 3, BLOCK_STEPS):
         x, y, turn = np.diff(pose[first : first + BLOCK_STEPS + 3].T.copy(), axis=1)
-        large = _off_both(turn, least_rad) & (_turned(turn[1:-1]) > least_rad)
-        far = np.abs(x) + np.abs(y)
-        if far.max() > least_m:
-            # Seen from the robot, a step is turned by what the one before it turned.
-            off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * _turned(turn[:-1])
-            large |= (np.minimum(off[:-1], off[1:]) > least_m) & (far[1:-1] > least_m)
-        found.append(first + 1 + np.flatnonzero(large))
+        size = np.abs(turn)
+        large = np.zeros(len(turn), bool)
+        k = 1 + np.flatnonzero(size[1:-1] > least_rad)
+        off = np.stack([turn[k], turn[k] - turn[k - 1], turn[k + 1] - turn[k]])
+        large[k] = (_turned(off) > least_rad).all(axis=0)
+        # What bounds all ways of a block costs a fraction of the ways.
+        far = reach(x) + reach(y)
+        turned = float((size if size.max() <= np.pi else _turned(size)).max())
+        if far > least_m and reach(np.diff(x)) + reach(np.diff(y)) + far * turned > least_m:
+            large[1:-1] |= _far_off(x, y, turn, least_m)
+        found.append(first + np.flatnonzero(large))
     return np.concatenate(found)
+
+
+def _far_off(x: Floats, y: Floats, turn: Floats, least_m: float) -> Bools:
+    """(n - 2,) which steps but the first and last may differ by more from those on either side."""
+    far = np.abs(x) + np.abs(y)
+    # Seen from the robot, a step is turned by what the one before it turned.
+    off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * _turned(turn[:-1])
+    return np.asarray((np.minimum(off[:-1], off[1:]) > least_m) & (far[1:-1] > least_m))
+
+
+def reach(values: Floats) -> float:
+    """The largest size among numbers of either sign."""
+    return max(float(values.max()), -float(values.min()))
 
 
 def _turned(turn: Floats) -> Floats:
     """Sizes of turns: from one end of the range of angles to the other is a short one as well."""
     size = np.abs(turn)
     return np.minimum(size, np.abs(size - 2 * np.pi))
-
-
-def _off_both(turn: Floats, least_rad: float) -> Bools:
-    """(n - 2,) which turns but the first and last differ by more from the one on either side."""
-    other = np.abs(np.diff(turn))
-    off = (other > least_rad) & (np.abs(other - 2 * np.pi) > least_rad)
-    return np.asarray(off[:-1] & off[1:])
 
 
 def _at_rank(values: Floats, rank: int) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...topology.errors import LogError
 from ...topology.odometry import Odometry
-from .jumps import BLOCK_STEPS
+from .jumps import BLOCK_STEPS, reach
 
 LONGEST_M = 1e6
 """Widest extent of a drive without a break, 1000 km; what is laid out along it takes memory."""
@@ -20,14 +20,15 @@ def check_plausible(odometry: Odometry, topic: str, log: str) -> None:
     position = odometry.pose[:, :2]
     if len(position) < 2:
         return
-    starts = np.concatenate([[0], odometry.breaks]).astype(np.int64)
-    extent = np.maximum.reduceat(position, starts) - np.minimum.reduceat(position, starts)
-    widest = float(extent.max())
-    if widest > LONGEST_M:
-        raise LogError(
-            f"{log}: {topic} spans {widest / 1000:.0f} km, more than {LONGEST_M / 1000:.0f} km; "
-            "positions are expected in metres"
-        )
+    if 2 * reach(odometry.pose) > LONGEST_M:
+        starts = np.concatenate([[0], odometry.breaks]).astype(np.int64)
+        extent = np.maximum.reduceat(position, starts) - np.minimum.reduceat(position, starts)
+        widest = float(extent.max())
+        if widest > LONGEST_M:
+            raise LogError(
+                f"{log}: {topic} spans {widest / 1000:.0f} km, more than {LONGEST_M / 1000:.0f} "
+                "km; positions are expected in metres"
+            )
     if not _any_fast(odometry):
         return
     way = np.hypot(*np.diff(position, axis=0).T)
@@ -50,10 +51,10 @@ def _any_fast(odometry: Odometry) -> bool:
     most = 0.99e-9 * FASTEST_M_PER_S
     for first in range(0, len(odometry.pose) - 1, BLOCK_STEPS):
         rows = slice(first, first + BLOCK_STEPS + 1)
-        step, duration = np.diff(odometry.pose[rows], axis=0), np.diff(odometry.time_ns[rows])
-        if 2 * max(float(step.max()), -float(step.min())) <= most * float(duration.min()):
+        x, y = (np.diff(along) for along in odometry.pose[rows, :2].T)
+        duration = np.diff(odometry.time_ns[rows])
+        if reach(x) + reach(y) <= most * float(duration.min()):
             continue
-        x, y = np.abs(step[:, :2].T)
-        if (x + y > most * duration).any():
+        if (np.abs(x) + np.abs(y) > most * duration).any():
             return True
     return False

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
+from .jumps import Jumps, measured_jumps, no_jumps, reach, spikes, times
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -234,7 +234,10 @@ def _any_leap(pose: Floats, settings: TrackSettings) -> bool:
     least_rad = 0.99 * min(settings.teleport_min_rad, settings.reset_min_rad)
     # In blocks that stay in the processor's cache, so that no large array is made.
     for first in range(0, len(pose) - 1, BLOCK_STEPS):
-        x, y, turn = np.abs(np.diff(pose[first : first + BLOCK_STEPS + 1], axis=0)).T
+        step = np.diff(pose[first : first + BLOCK_STEPS + 1], axis=0)
+        if 2 * reach(step) <= min(least_m, least_rad):
+            continue
+        x, y, turn = np.abs(step.T)
         # From one end of the range of angles to the other is a short turn as well.
         turned = (turn > least_rad) & (np.abs(turn - 2 * np.pi) > least_rad)
         if turned.any() or (x + y > least_m).any():
