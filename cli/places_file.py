@@ -6,14 +6,19 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import isfinite
 from pathlib import Path
+from typing import TextIO
 
 from ..topology.errors import DataError
 from ..topology.map_schema import FARTHEST_M
 
-MOST_BYTES = 64 << 20
-"""A million places take half of it."""
+MOST_BYTES = 16 << 20
+MOST_PLACES = 100_000
+"""Their rows take a kilobyte each while they are carried; a site has some hundreds."""
+MOST_VALUES = 1 << 20
+"""In all columns and rows together, each of which takes a hundred bytes."""
 OWN = ("name", "x", "y", "theta")
 
 
@@ -40,13 +45,22 @@ class Places:
 
 def read_places(path: Path) -> Places:
     """The places of a CSV file; DataError, with the line, on what is no such table."""
-    if path.stat().st_size > MOST_BYTES:
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MOST_BYTES + 1)  # devices have a size of 0, and no end
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(raw) > MOST_BYTES:
         raise DataError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; not a table of places")
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: is no UTF-8 text ({error.reason})") from error
-    reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    return _places(path, io.StringIO(text, newline=""))
+
+
+def _places(path: Path, file: TextIO) -> Places:
+    reader = csv.DictReader(file, strict=True)
     try:
         names = [name.strip() for name in reader.fieldnames or ()]
         reader.fieldnames = names
@@ -54,7 +68,13 @@ def read_places(path: Path) -> Places:
         if missing or len(set(names)) < len(names):
             wrong = f"has no column {missing[0]!r}" if missing else "has a column twice"
             raise DataError(f"{path}:1: {wrong}; the first line must be name,x,y or name,x,y,theta")
-        rows = tuple(_place(path, reader.line_num, row) for row in reader)
+        most = min(MOST_PLACES, MOST_VALUES // len(names))
+        rows = tuple(_place(path, reader.line_num, row) for row in islice(reader, most))
+        if next(reader, None) is not None:
+            raise DataError(
+                f"{path}: holds more than {most:,} places of {len(names):,} columns; cut it into "
+                "parts"
+            )
     except csv.Error as error:
         raise DataError(f"{path}:{reader.line_num}: is not CSV: {error}") from error
     if not rows:

@@ -162,6 +162,10 @@ def _likeliest_turn(heading_b: FloatArray, heading_a: FloatArray) -> float:
     return float(turns[off.argmin()])
 
 
+TOGETHER = 4096
+"""Points that are carried at once, five kilobytes each."""
+
+
 def transfer(
     points: FloatArray, matched: MatchedJunctions, settings: TransferSettings = DEFAULT_TRANSFER
 ) -> Transferred:
@@ -178,7 +182,11 @@ def transfer(
     distance, rows = tree.query(points, k=count)
     rows = np.asarray(rows, np.int64).reshape(len(points), count)
     nearest = np.asarray(distance).reshape(len(points), count)[:, 0]
-    xy, variance, turn, turn_variance = _carried(points, matched, rows, bending)
+    parts = [
+        _carried(points[k : k + TOGETHER], matched, rows[k : k + TOGETHER], bending)
+        for k in range(0, max(len(points), 1), TOGETHER)
+    ]
+    xy, variance, turn, turn_variance = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Transferred(xy, turn, np.sqrt(variance), np.sqrt(turn_variance), nearest)
 
 

@@ -74,9 +74,9 @@ def protobuf_rows(raw: bytes, frames: Frames) -> list[Row]:
         elif field == 2 and isinstance(value, bytes):
             frame = text(value)
         elif field == 3 and isinstance(value, bytes):
+            if len(poses) == POSES:
+                raise DamageError("implausibly many poses")
             poses.append(protobuf_pose(value))
-    if len(poses) > POSES:
-        raise DamageError("implausibly many poses")
     return [(stamp, frames.number(frame), poses)]
 
 
@@ -102,7 +102,9 @@ def protobuf_transforms(raw: bytes, frames: Frames) -> list[Row]:
     each = [
         value for number, value in protobuf_fields(raw) if number == 1 and isinstance(value, bytes)
     ]
-    return [row for value in each[:POSES] for row in protobuf_transform(value, frames)]
+    if len(each) > POSES:
+        raise DamageError("implausibly many transforms")
+    return [row for value in each for row in protobuf_transform(value, frames)]
 
 
 def protobuf_pose(raw: bytes) -> tuple[float, ...]:

@@ -162,7 +162,12 @@ def log_fingerprint(path: LogPath) -> str:
             if part.is_file():
                 relative = part.name if part is not recording.path else ""
                 digest.update(f"{relative}\0{part.stat().st_size}\0".encode())
-                _sample(part, digest)
+                try:
+                    _sample(part, digest)
+                except OSError:
+                    if part is file:
+                        raise
+                    digest.update(b"unreadable")  # reading the database says so
     return digest.hexdigest()
 
 

@@ -311,8 +311,10 @@ def _connected(path: Path) -> Iterator[sqlite3.Connection]:
         return
     index = path.with_name(path.name + "-shm")
     existed = index.exists()
+    # An index that is there is the recorder's; what is wrong with it is worked out in memory.
+    mode = "mode=ro&readonly_shm=1" if existed else "mode=ro"
     try:
-        with closing(_opened(f"file:{name}?mode=ro", path)) as base:
+        with closing(_opened(f"file:{name}?{mode}", path)) as base:
             try:
                 base.execute("SELECT 1 FROM sqlite_master").fetchone()
             except sqlite3.OperationalError:

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .columns import Shape, column, gather
-from .messages import Bytes, DamageError, Ints, text
+from .messages import NAME_BYTES, Bytes, DamageError, Ints, text
 from .poses import Frames, Heads, Poses, join
 
 Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", "foxglove_poses"]
@@ -105,6 +105,8 @@ class WireParser:
     def string(self) -> str:
         """A string that belongs to the shape."""
         length = self.count()
+        if length > NAME_BYTES:
+            raise DamageError(f"a name of {length} bytes is implausible")
         at = self.advance(length)
         if length:
             self.fixed.append((at, at + length))

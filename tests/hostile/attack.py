@@ -31,7 +31,10 @@ SHARES = {
     "floods of files": 0.01,
     "deep folders": 0.005,
     "broken entries among sound logs": 0.05,
+    "links in a folder of logs": 0.02,
     "names that steer terminals": 0.05,
+    "tables of places": 0.02,
+    "mappings of fields": 0.02,
     "hostile documents": 0.15,
     "hostile cache records": 0.05,
     "no file where one should be": 0.1,
@@ -50,6 +53,7 @@ hostile logs share the rest; each class alike."""
 
 def trials() -> dict[str, Any]:
     """All classes by name."""
+    import trials_arguments
     import trials_documents
     import trials_folders
     import trials_logs
@@ -59,6 +63,7 @@ def trials() -> dict[str, Any]:
         **trials_logs.TRIALS,
         **trials_folders.TRIALS,
         **trials_documents.TRIALS,
+        **trials_arguments.TRIALS,
         **trials_stops.TRIALS,
     }
 

@@ -29,7 +29,8 @@ class Case:
 
     log: file or folder to read; intact: how many messages of the wanted topics are whole in it,
     lost: how many were written but are not whole any more; None where that cannot be known;
-    note: what was done, for the report; kind: of sound log whose cost it is held against.
+    note: what was done, for the report; kind: of sound log whose cost it is held against; says:
+    what errors and warnings have to speak of (a regular expression), "" for anything.
     """
 
     log: Path
@@ -37,6 +38,7 @@ class Case:
     lost: int | None
     note: str
     kind: str = "detections"
+    says: str = ""
 
 
 Generator = Callable[[random.Random, Path], Case]

@@ -113,5 +113,11 @@ def counts(found: int, warnings: Iterable[str], intact: int | None, lost: int | 
     return ""
 
 
+def told(outcome: Outcome, says: str) -> str:
+    """ "" if errors and warnings speak of what they have to, or if nothing has to be said."""
+    spoken = not says or re.search(says, outcome.err) is not None
+    return "" if spoken else f"nothing is said of {says}: {_last(outcome.err)}"
+
+
 def _sum(pattern: re.Pattern[str], sentences: list[str]) -> int:
     return sum(int(match[1]) for text in sentences for match in pattern.finditer(text))

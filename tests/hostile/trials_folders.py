@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 from case import writers
-from judge import halves
+from judge import halves, print_of
 from sandbox import Budget, command, run
 from trials import Ground, Trial, Tried, Victim, ingest, judged
 
@@ -108,6 +108,30 @@ def _broken(path: Path, raw: bytes, rng: random.Random) -> None:
             path.mkdir()
 
 
+def links(ground: Ground, rng: random.Random, folder: Path) -> Tried:
+    """Links among sound logs: in circles, to the folders above, out of the folder, to devices."""
+    place = folder / "logs"
+    shutil.copytree(ground.logs, place)
+    victim = Victim(folder / "victim")
+    shutil.copy(ground.logs / "b.bag", folder / "victim" / "other.bag")
+    before = print_of(victim.folder)
+    homes = [place, place / "more", place / "more" / "deep"]
+    goals = (".", "..", "../..", "gone", "/", "/proc", "/dev", "/dev/zero", "/proc/self/mem")
+    goals += ("../victim", "../victim/precious", "../victim/other.bag", "a.mcap", "/proc/self/fd/0")
+    notes = []
+    for number in range(rng.randrange(1, 12)):
+        home = rng.choice(homes)
+        home.mkdir(parents=True, exist_ok=True)
+        name = f"l{number}{rng.choice(('', '.mcap', '.bag', '.db3', '.yaml'))}"
+        goal = rng.choice((*goals, name, f"l{number + 1}"))
+        (home / name).symlink_to(goal)
+        notes.append(goal)
+    outcome = run(ingest(folder / "ws", place), folder, Budget(cpu_s=20))
+    touched = "" if print_of(victim.folder) == before else "a file outside was touched"
+    kept = _kept(ground, folder / "ws", "abc")
+    return judged([outcome], " ".join(notes), kept, touched, halves(folder / "ws"))
+
+
 def names(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     """Control characters in the names of files, topics, types and frames."""
     place = folder / "logs"
@@ -145,6 +169,7 @@ TRIALS: dict[str, Trial] = {
     "floods of files": flood,
     "deep folders": deep,
     "broken entries among sound logs": broken,
+    "links in a folder of logs": links,
     "names that steer terminals": names,
 }
 """By class."""

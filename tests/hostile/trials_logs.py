@@ -13,7 +13,7 @@ from pathlib import Path
 
 import logs_sensors
 from case import Case, Generator, writers
-from judge import counts, halves, left_overs, print_of
+from judge import counts, halves, left_overs, print_of, told
 from sandbox import Budget, Outcome, command, run
 from trials import Ground, Trial, Tried, ingest, judged
 
@@ -39,9 +39,11 @@ def _clean(kind: str) -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for number, count in enumerate(SIZES[kind]):
-            if kind == "detections":
+            if kind in ENCODINGS:
                 drive = writers().drive(count, count // 30)
-                log = writers().mcap(folder / f"{count}.mcap", drive, compression="NONE")
+                log = writers().mcap(
+                    folder / f"{count}.mcap", drive, ENCODINGS[kind], compression="NONE"
+                )
             else:
                 log = logs_sensors.sound(kind, count, folder)
             calls = [ingest(folder / f"ws{number}{k}", log) for k in range(3)]
@@ -50,8 +52,11 @@ def _clean(kind: str) -> tuple[float, float]:
     return took[0], max(0.0, (took[1] - took[0]) / (size[1] - size[0]))
 
 
-SIZES = {"detections": (600, 30_000), "scans": (100, 300), "grid": (200, 800)}
+SIZES = {"detections": (600, 30_000), "rows": (600, 6000), "scans": (100, 300), "grid": (200, 800)}
 """Messages, scans, and cells across, of small and large sound logs."""
+
+ENCODINGS = {"detections": "cdr", "rows": "protobuf"}
+"""Rows are messages that are decoded one by one."""
 
 
 def budget(log: Path, kind: str) -> Budget:
@@ -82,7 +87,7 @@ def _one_log(generator: Generator, ground: Ground, rng: random.Random, folder: P
         (place / "a.mcap").unlink()
     else:
         outcome = run(ingest(workspace, case.log), folder, budget(case.log, case.kind))
-        problem = _accounted(case, workspace, outcome)
+        problem = _accounted(case, workspace, outcome) or told(outcome, case.says)
     after = "the log itself was changed" if print_of(place) != before else ""
     litter = "temporary files stay" if any((folder / "tmp").iterdir()) else ""
     return judged(

@@ -1,0 +1,279 @@
+"""Floods and monsters beside the messages: connections, attachments, names, logs of databases.
+
+As in `logs_bombs`, every log also holds a small sound run, which has to be used in spite of it.
+"""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from case import Case, Generator, writers
+from logs_bombs import (
+    _TAIL,
+    MIB,
+    ODOMETRY,
+    SOUND,
+    _bag,
+    _bag_chunk,
+    _bag_record,
+    _channel,
+    _db3,
+    _front,
+    _mcap,
+    _record,
+    _share,
+    _text,
+)
+
+# Bags
+
+
+def _connection(number: int, topic: bytes, kind: bytes, definition: bytes = b"") -> bytes:
+    own = {
+        b"topic": topic,
+        b"type": kind,
+        b"md5sum": b"*",
+        b"message_definition": definition,
+    }
+    data = b"".join(
+        struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value
+        for name, value in own.items()
+    )
+    head = {b"op": b"\x07", b"conn": struct.pack("<I", number), b"topic": topic}
+    return _bag_record(head, data)
+
+
+def _in_chunks(rng: random.Random, records: list[bytes]) -> bytes:
+    """Records as they are, or in chunks of 1,000."""
+    if rng.random() < 0.5:
+        return b"".join(records)
+    parts = [b"".join(records[k : k + 1000]) for k in range(0, len(records), 1000)]
+    return b"".join(_bag_chunk(part, b"none", len(part)) for part in parts)
+
+
+def _connections(rng: random.Random) -> bytes:
+    """Up to 10^6 connections, of one number or of any, of one topic or of as many."""
+    count = _share(rng, 10**6)
+    kind = rng.choice((b"nav_msgs/Odometry", b"std_msgs/String", b"x/Y"))
+    topic = rng.choice((b"/t%d", b"/odom2"))
+    first, every = rng.choice(((2, 1), (2, 0), (65_530, 1), ((1 << 32) - 1, 0)))
+    records = [
+        _connection((first + every * k) & 0xFFFFFFFF, topic % k if b"%" in topic else topic, kind)
+        for k in range(count)
+    ]
+    return _in_chunks(rng, records)
+
+
+def _large_connections(rng: random.Random) -> bytes:
+    """Connections of huge topics, types or definitions, or of many fields."""
+    size = _share(rng, 8 * MIB)
+    big = rng.choice((b"x", b"uint8 a\n", b"\xff", b"=" * 80 + b"\nMSG: p/T\n")) * size
+    big = big[:size]
+    how = rng.randrange(5)
+    if how == 0:
+        return _connection(2, b"/" + big, b"nav_msgs/Odometry")
+    if how == 1:
+        return _connection(2, b"/t", b"nav_msgs/" + big)
+    if how == 2:
+        return _connection(2, b"/t", b"nav_msgs/Odometry", big)
+    if how == 3:
+        # A head of nothing but fields.
+        fields = struct.pack("<I", 2) + b"a="
+        head = b"\x04\x00\x00\x00op=\x07" + fields * (size // len(fields))
+        return struct.pack("<I", len(head)) + head + struct.pack("<I", 0)
+    definition = big[: MIB // 4]
+    return b"".join(_connection(2 + k, b"/t%d" % k, b"p/T", definition) for k in range(40))
+
+
+def _same_numbers(rng: random.Random) -> bytes:
+    """The connections of the sound run once more, as something else."""
+    kinds = (b"std_msgs/String", b"nav_msgs/Odometry", b"geometry_msgs/PoseArray", b"")
+    topics = (b"/odom", b"/junctions", b"/other", b"", b"\x1b[31m")
+    records = [
+        _connection(rng.choice((0, 1, 0, 1, 2)), rng.choice(topics), rng.choice(kinds))
+        for _ in range(_share(rng, 1000))
+    ]
+    return _in_chunks(rng, records)
+
+
+# MCAP
+
+
+def _attachments(rng: random.Random) -> bytes:
+    """Attachments by the hundred thousand."""
+    one = struct.pack("<QQ", 1, 1) + _text(rng.choice((b"a", b"../../x", b"\x1b[31m"))) + _text(b"")
+    one += struct.pack("<Q", 4) + b"data" + struct.pack("<I", 0)
+    return _record(9, one) * _share(rng, 300_000)
+
+
+def _metadata(rng: random.Random) -> bytes:
+    """Metadata by the hundred thousand, or of a hundred thousand entries."""
+    if rng.random() < 0.5:
+        return _record(12, _text(b"name") + struct.pack("<I", 0)) * _share(rng, 300_000)
+    entries = b"".join(_text(b"k%d" % k) + _text(b"v" * 20) for k in range(_share(rng, 200_000)))
+    return _record(12, _text(b"name") + struct.pack("<I", len(entries)) + entries)
+
+
+def _false_attachments(rng: random.Random) -> bytes:
+    """Attachments and metadata whose own lengths lead anywhere."""
+    sizes = (0, 1, 1 << 20, 1 << 31, (1 << 32) - 1)
+    return b"".join(
+        _record(rng.choice((9, 12, 10, 13)), struct.pack("<IIQ", *rng.choices(sizes, k=3)) * 4)
+        for _ in range(_share(rng, 20_000))
+    )
+
+
+def _huge_attachment(rng: random.Random, folder: Path) -> Case:
+    """An attachment of up to 1 GB in front of the messages or behind them; it takes no room."""
+    path, size = folder / "run.mcap", _share(rng, 1 << 30)
+    front = _front(folder)
+    op = rng.choice((9, 12, 0x90))
+    before = rng.random() < 0.5
+    head_end = 8 + 9 + struct.unpack_from("<Q", front, 9)[0]
+    with path.open("wb") as file:
+        file.write(front[:head_end] if before else front)
+        file.write(struct.pack("<BQ", op, size))
+        file.seek(size, 1)
+        file.write((front[head_end:] if before else b"") + _TAIL)
+    return Case(path, SOUND, 0, f"record {op} of {size >> 20} MiB")
+
+
+def _summary_flood(rng: random.Random, folder: Path) -> Case:
+    """A summary of hundreds of thousands of records of any kind."""
+    logs = writers()
+    path = logs.mcap(folder / "run.mcap", logs.drive(ODOMETRY), repeat_channels=False)
+    raw = path.read_bytes()
+    start = struct.unpack_from("<Q", raw, len(raw) - 28)[0]
+    count = _share(rng, 300_000)
+    kind = rng.randrange(5)
+    flood = {
+        0: lambda: _record(13, struct.pack("<QQ", 8, 9) + _text(b"m")) * count,
+        1: lambda: _record(10, bytes(48)) * count,
+        2: lambda: b"".join(_channel(k % 65_536, b"/t%d" % k) for k in range(count)),
+        3: lambda: b"".join(
+            _record(3, struct.pack("<H", 1 + k % 65_535) + _text(b"nav_msgs/msg/Odometry") * 3)
+            for k in range(count)
+        ),
+        4: lambda: _record(8, bytes(36) + _text(bytes(10 * 1000)) + bytes(28)) * (count // 100),
+    }[kind]()
+    footer = _record(2, struct.pack("<QQI", start, 0, 0)) + raw[-8:]
+    path.write_bytes(raw[: len(raw) - 37] + flood + footer)
+    return Case(path, SOUND, None, f"a summary with {count} records more ({kind})")
+
+
+# Databases
+
+
+def _without_rowid(rng: random.Random, folder: Path) -> Case:
+    """Tables without row numbers, which are laid out as an index."""
+    path = _db3(folder)
+    with sqlite3.connect(path) as base:
+        for name in rng.sample(("messages", "topics"), rng.randint(1, 2)):
+            (sql,) = base.execute(
+                "SELECT sql FROM sqlite_master WHERE name = ?", (name,)
+            ).fetchone()
+            base.execute(f"ALTER TABLE {name} RENAME TO kept")
+            base.execute(sql + " WITHOUT ROWID")
+            base.execute(f"INSERT INTO {name} SELECT * FROM kept")
+            base.execute("DROP TABLE kept")
+    base.close()
+    return Case(path.parent, SOUND, 0, "tables without row numbers")
+
+
+def _beside(rng: random.Random, folder: Path) -> Case:
+    """A log beside the database that is another's, damaged, random, cut, or no file."""
+    path = _db3(folder)
+    base = sqlite3.connect(path)
+    base.execute("PRAGMA journal_mode=WAL")
+    base.execute("PRAGMA wal_autocheckpoint=0")
+    base.execute("UPDATE messages SET timestamp = timestamp + 1 WHERE id < 200")
+    base.commit()
+    wal = path.with_name(path.name + "-wal").read_bytes()
+    whole = path.read_bytes()
+    base.close()
+    died = folder / "died"
+    died.mkdir()
+    copy = died / path.name
+    copy.write_bytes(whole)
+    how = rng.choice(("foreign", "bits", "cut", "noise", "pages", "journal", "link", "fifo", "shm"))
+    beside = died / (path.name + ("-journal" if how == "journal" else "-wal"))
+    raw = bytearray(wal)
+    if how == "foreign":
+        raw[16:24] = rng.randbytes(8)  # the salts
+    elif how == "bits":
+        for _ in range(rng.choice((1, 10, 1000))):
+            raw[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
+    elif how == "cut":
+        del raw[rng.randrange(len(raw)) :]
+    elif how == "noise":
+        raw[:] = rng.randbytes(rng.choice((1, 31, 32, 5000, 5 * MIB)))
+    elif how == "pages":
+        # Every frame says that the database has 2^31 pages.
+        for at in range(32, len(raw), 24 + 4096):
+            raw[at + 4 : at + 8] = b"\x7f\xff\xff\xff"
+    elif how == "journal":
+        head = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7" + struct.pack(">IIIII", 2, 1, 1, 512, 4096)
+        raw[:] = head.ljust(512, b"\0") + struct.pack(">I", 2) + rng.randbytes(4100) * 3
+    if how == "link":
+        beside.symlink_to(rng.choice(("/dev/zero", beside.name, "gone", "/proc/self/mem")))
+    elif how == "fifo":
+        import os
+
+        os.mkfifo(beside)
+    else:
+        beside.write_bytes(bytes(raw))
+    if how == "shm":
+        (died / (path.name + "-shm")).write_bytes(rng.randbytes(32_768))
+    harmless = how in ("foreign", "noise", "link", "fifo", "shm", "pages")
+    return Case(copy, SOUND if harmless else None, None, f"beside the database: {how}")
+
+
+# Names
+
+
+def _long_names(kind: str, rng: random.Random, folder: Path) -> Case:
+    """Topics, types and frames of up to 10^6 characters."""
+    logs = writers()
+    long = rng.choice(("x", "/", "ä", "\u202e", "a/b", " ", "%s{0}")) * 10**6
+    long = long[: rng.choice((5000, 70_000, 10**6))]
+    messages = logs.drive(ODOMETRY)
+    what = rng.choice(("frame", "child", "topic"))
+    if what == "topic":
+        messages = [*messages, *(replace(m, topic="/" + long) for m in messages[:20])]
+    else:
+        messages = [
+            replace(m, frame="odom" + long) if what == "frame" else replace(m, child="base" + long)
+            for m in messages[:40]
+        ]
+    if kind == "mcap":
+        log = logs.mcap(folder / "run.mcap", messages)
+    elif kind == "bag":
+        log = logs.bag(folder / "run.bag", messages)
+    else:
+        log = logs.ros2_folder(folder / "run", messages)
+    return Case(log, None, None, f"a {what} of {len(long)} characters")
+
+
+def _tails(make: Callable[[random.Random], bytes], note: str) -> Generator:
+    return _mcap(make, note, lost=0)
+
+
+CASES: dict[str, Generator] = {
+    "bag-connections": _bag(_connections, "up to 10^6 connections"),
+    "bag-large-connections": _bag(_large_connections, "connections of megabytes"),
+    "bag-same-connections": _bag(_same_numbers, "connections described again"),
+    "mcap-attachments": _tails(_attachments, "up to 300,000 attachments"),
+    "mcap-metadata": _tails(_metadata, "up to 300,000 records of metadata"),
+    "mcap-false-attachments": _tails(_false_attachments, "attachments of false lengths"),
+    "mcap-huge-attachment": _huge_attachment,
+    "mcap-summary-flood": _summary_flood,
+    "db3-without-rowid": _without_rowid,
+    "db3-log-beside": _beside,
+    **{f"names-{kind}": partial(_long_names, kind) for kind in ("mcap", "bag", "db3")},
+}

@@ -1,0 +1,110 @@
+"""A few of the floods, split folders and absurd messages, read in this process; and arguments."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import logs_floods
+import logs_messages
+import logs_split
+import pytest
+from case import read_of, writers
+from judge import print_of
+
+from topobatch.cli import places_file
+from topobatch.cli.places_file import read_places
+from topobatch.ingest.logs.fields import JunctionFields
+from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
+from topobatch.ingest.logs.messages import NAME_BYTES, DamageError
+from topobatch.ingest.logs.poses import Frames
+from topobatch.ingest.reading import read_log
+from topobatch.topology.errors import DataError, LogError, UsageError
+
+
+class Least(random.Random):
+    """Draws the smallest flood of every class."""
+
+    def choice(self, seq):
+        return seq[0] if seq[0] in (0.05, 10) else super().choice(seq)
+
+
+QUICK = {
+    **{k: v for k, v in logs_floods.CASES.items() if k not in ("bag-connections", "names-bag")},
+    **logs_split.CASES,
+    **logs_messages.CASES,
+}
+
+
+@pytest.mark.parametrize("name", sorted(QUICK))
+@pytest.mark.parametrize("seed", range(2))
+def test_what_is_sound_is_used_and_the_rest_is_told(tmp_path, name, seed):
+    case = QUICK[name](Least(seed), tmp_path)
+    before = print_of(case.log.parent) if "huge" not in name else ""
+    said = ""
+    try:
+        said = " ".join(read_log(case.log).warnings)
+    except LogError as error:
+        said = str(error)
+        assert len(said.splitlines()) == 1
+    if case.intact is not None:
+        used, failed, findings = read_of(case.log)
+        assert used >= 0.99 * case.intact, said
+        assert case.lost is None or used + failed >= case.intact + case.lost or findings.damage
+    assert not before or print_of(case.log.parent) == before
+
+
+def test_a_name_of_a_million_characters_is_none(tmp_path):
+    """Its message is left out and counted; shorter ones are names."""
+    logs = writers()
+    drive = logs.drive(100)
+    for length, used in ((NAME_BYTES - 1, 110), (NAME_BYTES, 109)):
+        long = logs.relabelled(drive[5:6], frame="x" * length)
+        log = logs.mcap(tmp_path / "run.mcap", [*drive[:5], *long, *drive[6:]])
+        found, failed, _ = read_of(log)
+        assert (found, failed) == (used, 110 - used)
+
+
+def test_more_poses_than_any_message_has_are_refused_and_none_is_dropped():
+    pose = b"\x1a\x00"
+    assert len(protobuf_rows(pose * POSES, Frames())[0][2]) == POSES
+    with pytest.raises(DamageError, match="implausibly many"):
+        protobuf_rows(pose * (POSES + 1), Frames())
+    with pytest.raises(DamageError, match="implausibly many"):
+        protobuf_transforms(b"\x0a\x00" * (POSES + 1), Frames())
+
+
+@pytest.mark.parametrize(
+    "mapping",
+    [
+        "center=" + "a." * 100_000,
+        "center=[],branches=a",
+        "center=__class__,branches=a",
+        "center=a,branches=\x1b[31m",
+        "center=\0,branches=\udcff",
+        "," * 1000,
+        "",
+    ],
+)
+def test_mappings_that_lead_nowhere_are_refused(mapping):
+    with pytest.raises(UsageError):
+        JunctionFields.parse(mapping)
+
+
+def test_tables_of_places_are_bounded(tmp_path, monkeypatch):
+    path = tmp_path / "places.csv"
+    monkeypatch.setattr(places_file, "MOST_PLACES", 3)
+    path.write_text("name,x,y\n" + "a,1,2\n" * 3)
+    assert len(read_places(path).rows) == 3
+    path.write_text("name,x,y\n" + "a,1,2\n" * 4)
+    with pytest.raises(DataError, match="more than 3 places of 3 columns"):
+        read_places(path)
+    monkeypatch.setattr(places_file, "MOST_VALUES", 6)
+    path.write_text("name,x,y\n" + "a,1,2\n" * 3)
+    with pytest.raises(DataError, match="more than 2 places of 3 columns"):
+        read_places(path)
+    with pytest.raises(DataError, match="larger than"):
+        read_places(Path("/dev/zero"))
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(DataError, match="cannot be read"):
+        read_places(tmp_path / "loop")
