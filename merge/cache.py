@@ -9,14 +9,14 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ..topology.errors import DocumentError
-from ..topology.files import read_bytes, write_atomically
+from ..topology.files import opened, write_atomically
 from .packs import DamagedPackError, Key, Kind, Pack, joined, joined_count
 
 PACK = re.compile(r"[0-9a-f]{32}\.pack")
@@ -50,9 +50,9 @@ class ResultCache:
     _wanted: set[bytes] = field(default_factory=set)
 
     def packs(self, digests: Sequence[bytes]) -> list[Pack]:
-        """All that is known; what is about things of such digests is wanted."""
+        """All that is known and was kept; what is about things of such digests is wanted."""
         self._wanted.update(digests)
-        return [pack for _, pack in self._whole()]
+        return [*(pack for _, pack in self._whole()), *self._new]
 
     def find(self, kind: Kind, key: Key) -> bytes | None:
         """The payload of a record, wanted from now on; None if there is no undamaged one."""
@@ -72,31 +72,52 @@ class ResultCache:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was added. Where that cannot be, nothing is lost but time."""
-        if self._new and not self._failed:
-            self._write(joined(self.era, self._new))
-        self._new.clear()
+        """Write what was added, and forget it: it is read from there. Where that cannot be, it is
+        held as long as this is."""
+        if self._new and not self._failed and self._write(joined(self.era, self._new)) is not None:
+            self._new.clear()
 
     def settle(self) -> None:
         """Drop what nobody asked for, or what is of another era, once that is much."""
         self.flush()
-        whole, files = dict(self._whole()), list(self._files())
-        packs, wanted = list(whole.values()), frozenset(self._wanted)
-        useful = joined_count(packs, wanted) >= LEAST_LIVE * sum(map(len, packs))
-        if len(files) == len(whole) <= MOST_FILES and useful:
+        whole, wanted = dict(self._whole()), frozenset(self._wanted)
+        packs = list(whole.values())
+        small = [path for path, pack in whole.items() if len(pack) < WRITTEN_TOGETHER // 2]
+        worn = list(whole)
+        if joined_count(packs, wanted) >= LEAST_LIVE * sum(map(len, packs)):
+            worn = small if len(small) > MOST_FILES else []
+        made = self._made_new([whole[path] for path in worn], wanted)
+        if made is None:
             return
-        live = joined(self.era, packs, wanted)
-        kept = self._write(live) if len(live) else None
-        if kept is not None or not len(live):
-            for path in files:
-                if path != kept:
-                    path.unlink(missing_ok=True)
+        for path in self._files():
+            if path not in made and (path in worn or path not in whole):
+                whole.pop(path, None)
+                self._packs.pop(path, None)  # which closes it
+                path.unlink(missing_ok=True)
+
+    def _made_new(self, packs: Sequence[Pack], wanted: frozenset[bytes]) -> list[Path] | None:
+        """What is wanted of some packs in new files, some records in each; None where that cannot
+        be written."""
+        made: list[Path] = []
+        some: list[Pack] = []
+        for k, pack in enumerate(packs):
+            some.append(pack)
+            if k + 1 < len(packs) and sum(map(len, some)) < 2 * WRITTEN_TOGETHER:
+                continue
+            live = joined(self.era, some, wanted)
+            path = self._write(live) if len(live) else None
+            if path is not None:
+                made.append(path)
+            elif len(live):
+                return None
+            some = []
+        return made
 
     def _of(self, kind: Kind) -> dict[Key, list[Record]]:
         """The records of a kind by their keys."""
         if kind not in self._rows:
             self._rows[kind] = {}
-            for pack in (*self.packs(()), *self._new):
+            for pack in self.packs(()):
                 self._enter(pack, kind)
         return self._rows[kind]
 
@@ -125,7 +146,10 @@ class ResultCache:
 
     def _pack(self, path: Path) -> Pack | None:
         try:
-            return Pack.from_bytes(read_bytes(path))
+            with ExitStack() as stack:
+                pack = Pack.of_file(stack.enter_context(opened(path)))
+                stack.pop_all()  # from now on the pack's
+                return pack
         except (DamagedPackError, DocumentError, OSError):
             return None  # a cache: its results are made again, and `settle` removes the file
 
@@ -139,7 +163,7 @@ class ResultCache:
             self._failed = True
             self.say(f"{self.folder}: results are not kept: {error.strerror or error}")
             return None
-        self._packs[path] = pack
+        self._packs[path] = self._pack(path)
         return path
 
 

@@ -13,11 +13,13 @@ whoever reads a payload.
 from __future__ import annotations
 
 import hashlib
+import os
 import struct
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +111,38 @@ def checksum(payload: bytes) -> int:
     return int.from_bytes(hashlib.blake2b(payload, digest_size=8).digest(), "little")
 
 
+class Payloads(Protocol):
+    """Bytes in a row, here or in a file."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> bytes: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+class InFile:
+    """Bytes of a file from `start` on, read as they are asked for: a large cache is no memory. The
+    file is closed with this."""
+
+    file: BinaryIO
+    start: int
+    size: int
+
+    def __post_init__(self) -> None:
+        weakref.finalize(self, self.file.close)
+
+    def __len__(self) -> int:
+        return self.size
+
+    def __getitem__(self, part: slice, /) -> bytes:
+        first, stop, _ = part.indices(self.size)
+        try:
+            self.file.seek(self.start + first)
+            return self.file.read(stop - first)
+        except OSError:
+            return b""  # as if it were damaged
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Pack:
     """Results of pairs of some maps. era: what else they depend on (the program, its settings)."""
@@ -116,7 +150,7 @@ class Pack:
     era: bytes
     digests: tuple[bytes, ...]
     rows: Rows
-    payloads: bytes
+    payloads: Payloads
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -127,32 +161,37 @@ class Pack:
         found = self.payloads[start : start + size]
         return found if not size or checksum(found) == int(self.rows["check"][row]) else None
 
-    def whole(self) -> NDArray[np.bool_]:
-        """(records,) whether the payload is undamaged."""
-        return np.array([self.payload(row) is not None for row in range(len(self))], np.bool_)
-
     def to_bytes(self) -> bytes:
         """The pack as it is kept and sent."""
         body = b"".join(self.digests) + self.rows.tobytes()
         sizes = (len(self.digests), len(self.rows), len(self.payloads))
         head = HEAD.pack(MAGIC, self.era, *sizes, _body_checksum(body))
-        return head + body + self.payloads
+        return head + body + self.payloads[:]
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Pack:
         """Raises DamagedPackError. Payloads are checked one by one, when they are wanted."""
-        if len(data) < HEAD.size:
-            raise DamagedPackError("too short")
-        magic, era, maps, records, payload, check = HEAD.unpack_from(data)
-        body_end = HEAD.size + maps * DIGEST + records * RECORD.itemsize
-        if magic != MAGIC or len(data) != body_end + payload:
-            raise DamagedPackError("no pack, or cut off")
-        body = data[HEAD.size : body_end]
+        era, maps, payload, check = _head(data[: HEAD.size], len(data))
+        start = len(data) - payload
+        return cls._of_body(era, maps, data[HEAD.size : start], check, data[start:])
+
+    @classmethod
+    def of_file(cls, file: BinaryIO) -> Pack:
+        """The same of a file, from which payloads are read when they are wanted."""
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        era, maps, payload, check = _head(file.read(HEAD.size), size)
+        start = size - payload
+        body = file.read(start - HEAD.size)
+        return cls._of_body(era, maps, body, check, InFile(file, start, payload))
+
+    @classmethod
+    def _of_body(cls, era: bytes, maps: int, body: bytes, check: bytes, payloads: Payloads) -> Pack:
         if _body_checksum(body) != check:
             raise DamagedPackError("its checksum is another one")
-        table = body[: maps * DIGEST]
+        table, payload = body[: maps * DIGEST], len(payloads)
         digests = tuple(table[k : k + DIGEST] for k in range(0, len(table), DIGEST))
-        rows = np.frombuffer(body, RECORD, records, len(table))
+        rows = np.frombuffer(body, RECORD, offset=len(table))
         beyond = (
             rows["start"] > payload,
             rows["size"] > payload - np.minimum(rows["start"], payload),
@@ -161,7 +200,17 @@ class Pack:
         numbers = np.stack([rows["bits"], rows["beyond"]])
         if strange.any() or not (np.abs(numbers) <= LARGEST).all():
             raise DamagedPackError("its records point outside of it")
-        return cls(era, digests, rows, data[body_end:])
+        return cls(era, digests, rows, payloads)
+
+
+def _head(head: bytes, size: int) -> tuple[bytes, int, int, bytes]:
+    """Era, maps, bytes of payloads and checksum of a pack of so many bytes."""
+    if len(head) < HEAD.size:
+        raise DamagedPackError("too short")
+    magic, era, maps, records, payload, check = HEAD.unpack(head)
+    if magic != MAGIC or size != HEAD.size + maps * DIGEST + records * RECORD.itemsize + payload:
+        raise DamagedPackError("no pack, or cut off")
+    return era, maps, payload, check
 
 
 def _body_checksum(body: bytes) -> bytes:
@@ -213,7 +262,7 @@ class Store(Protocol):
         ...
 
     def packs(self, digests: Sequence[bytes]) -> list[Pack]:
-        """All that is known; what is about things of such digests is wanted."""
+        """All that is known and was kept; what is about things of such digests is wanted."""
         ...
 
     def find(self, kind: Kind, key: Key) -> bytes | None:
@@ -297,12 +346,11 @@ def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = 
     parts, payloads, end = [], [], 0
     for pack in packs:
         chosen, rows = _of_wanted(pack, number, wanted)
-        whole = pack.whole()[chosen]
-        rows = rows[whole]
-        starts, sizes = rows["start"].tolist(), rows["size"].tolist()
-        ends = end + np.cumsum([0, *sizes])
+        found = [pack.payload(row) for row in chosen.tolist()]
+        rows = rows[np.array([payload is not None for payload in found], np.bool_)]
+        ends = end + np.cumsum([0, *rows["size"].tolist()])
         rows["start"] = ends[:-1]
-        payloads += [pack.payloads[s : s + n] for s, n in zip(starts, sizes, strict=True)]
+        payloads += [payload for payload in found if payload is not None]
         parts.append(rows)
         end = int(ends[-1])
     rows, first = _firsts(parts)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from pydantic_core import from_json
 
@@ -45,16 +45,21 @@ def read_json(path: Path) -> Any:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The bytes of a document; nothing that could block or act on being opened is opened. Raises
+    """The bytes of a document, as `opened`; DocumentError, too, on implausibly long ones."""
+    with opened(path) as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
+            raise DocumentError(f"{path}: is larger than {LARGEST_BYTES >> 30} GiB")
+        return file.read()
+
+
+def opened(path: Path) -> BinaryIO:
+    """A file to be read; nothing that could block or act on being opened is opened. Raises
     DocumentError on what is no file, OSError where it cannot be read."""
     if not stat.S_ISREG(os.lstat(path).st_mode):
         raise DocumentError(f"{path}: is a {kind_of(path)}, not a document; remove it")
     # Whoever puts something else there meanwhile is refused as well.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    with open(os.open(path, flags | getattr(os, "O_BINARY", 0)), "rb") as file:
-        if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
-            raise DocumentError(f"{path}: is larger than {LARGEST_BYTES >> 30} GiB")
-        return file.read()
+    return open(os.open(path, flags | getattr(os, "O_BINARY", 0)), "rb")
 
 
 def kind_of(path: Path) -> str:

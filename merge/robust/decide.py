@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,24 +68,29 @@ def decide(
     matcher = Pairwise(maps, settings, means)
     prepared = matcher.prepared
     locked = _locked_pairs(runs, prepared, locks)
-    batch = Batch(matcher, bars(prepared, settings, matcher.with_themselves()))
     row = {run: k for k, run in enumerate(runs)}
     gone = [(row[a], row[b]) for a, b in sorted(discarded) if a in row and b in row]
+
+    def alone(pair: Pair, view: Opinion) -> PairVerdict:
+        i, j = pair
+        return _by_evidence(prepared[i], prepared[j], _Case(view), _says(view))
+
+    bar_of = bars(prepared, settings, matcher.with_themselves())
+    batch = Batch(matcher, bar_of, alone, frozenset(locked))
     wanted = wanted_pairs(matcher, [*locked, *gone])
     matcher.means.say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
     batch.look_at(wanted, gone)
-    opinions = batch.opinions
     forced = _forced(prepared, locked, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
-    best, order = _strongest_first(opinions, forced, locked)
+    best, order = _strongest_first(batch.opinions, forced, locked)
     refused = join_all(components, order, best, prepared, runs)
     kept = {pair: c for pair, c in best.items() if pair not in refused}
     rematcher = Rematcher(
         maps,
         prepared,
         components,
-        opinions,
+        batch.undecided(),
         batch.level,
         settings,
         frozenset(gone),
@@ -94,22 +99,54 @@ def decide(
     reunions = rematcher.run(kept)
     matcher.means.say(f"{len(kept)} pairs join, {len(reunions)} by what components say together")
     refused |= batch.look_again(components, reunions)
-    return tuple(
-        _verdict(
-            prepared[i],
-            prepared[j],
-            _Case(
-                view=opinions[i, j],
-                forced=forced.get((i, j)),
-                lock=locked.get((i, j)),
-                refused=refused.get((i, j)),
-                reunion=reunions.get((i, j)),
-                seconded=_seconded((i, j), batch.found[i, j].candidates, components, prepared),
-                together=components.together(i, j),
-            ),
+    said = Others(forced, locked, refused, reunions)
+    return tuple(_verdicts(batch, components, said))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Others:
+    """What was said of some pairs by others than their two maps."""
+
+    forced: Mapping[Pair, Candidate]
+    locked: Mapping[Pair, Lock]
+    refused: Mapping[Pair, Refusal]
+    reunions: Mapping[Pair, Reunion]
+
+    def of(self, pair: Pair) -> bool:
+        """Whether there is anything."""
+        return any(pair in of for of in (self.forced, self.locked, self.refused, self.reunions))
+
+
+def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[PairVerdict]:
+    """The verdicts on all pairs that were matched, sorted."""
+    prepared = batch.matcher.prepared
+    pairs = sorted(batch.found)
+    more = [pair for pair in pairs if said.of(pair) or components.together(*pair)]
+    again = batch.views(more)
+    for pair in pairs:
+        i, j = pair
+        view, candidates = again.get(pair, (None, ()))
+        known = batch.opinions.get(pair)
+        if known is not None:
+            view = known if view is None else _as_known(view, known)
+        if view is None:
+            yield batch.alone[pair]
+            continue
+        case = _Case(
+            view=view,
+            forced=said.forced.get(pair),
+            lock=said.locked.get(pair),
+            refused=said.refused.get(pair),
+            reunion=said.reunions.get(pair),
+            seconded=_seconded(pair, candidates, components, prepared),
+            together=components.together(i, j),
         )
-        for i, j in sorted(opinions)
-    )
+        yield _verdict(prepared[i], prepared[j], case)
+
+
+def _as_known(view: Opinion, known: Opinion) -> Opinion:
+    """What two maps say again, with what their mirror images and a person had to add."""
+    return replace(view, verdict=known.verdict, why=known.why, discarded=known.discarded)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

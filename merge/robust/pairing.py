@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import scipy
@@ -33,6 +33,21 @@ Pair = tuple[int, int]
 IntArray = NDArray[np.int64]
 Ready = Callable[[bytes, bool], Prepared]
 """The prepared map of a digest, or its mirror image."""
+
+
+T = TypeVar("T")
+Read = Callable[[Pack, int, IntArray], T | None]
+"""Reads a record of a pack: its row, and the pair that it is of."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What matching two maps comes to. faint: the best alignment where none is beyond chance, None
+    where there is none; against_chance: as `Found` has it; full: whether any is beyond chance."""
+
+    faint: Faint | None = None
+    against_chance: float = 0.0
+    full: bool = False
 
 
 class Maps(Protocol):
@@ -127,82 +142,96 @@ class Pairwise:
         self.prepared = [prepare(m) for m in maps]
         self.digests = [self.means.digest(m) for m in maps]
         self._row = {digest: k for k, digest in enumerate(self.digests)}
+        number = {digest: k for k, digest in enumerate(self._row)}
+        self._number = np.array([number[digest] for digest in self.digests], np.int64)
         self._images: dict[int, Prepared] = {}
         self._packs: list[Pack] = []
-        if self.means.store is not None:
-            if self.means.store.era != era_of(settings):
-                raise ValueError("what the store keeps is of other settings")
-            self._packs = self.means.store.packs(self.digests)
+        self._sorted: dict[tuple[int, Kind], tuple[Pack, IntArray, IntArray]] = {}
+        if self.means.store is not None and self.means.store.era != era_of(settings):
+            raise ValueError("what the store keeps is of other settings")
 
-    def pairs(self, wanted: IntArray) -> dict[Pair, Found]:
-        """What matching each of (k, 2) pairs finds."""
-        return dict(self._all(Kind.PAIR, wanted, told=True))
+    def pairs(self, wanted: IntArray) -> list[Told]:
+        """What matching each of (k, 2) pairs comes to, in short."""
+        return self._all(Kind.PAIR, wanted, _told, said=True)
+
+    def candidates(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
+        """What it found, in full; nothing where that is all that chance would not offer."""
+        return self._all(Kind.PAIR, wanted, self._candidates)
 
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
         """Matches of every map with other parts of itself."""
         rows = np.arange(len(self.maps)).repeat(2).reshape(-1, 2)
-        return [found.candidates for _, found in self._all(Kind.ITSELF, rows)]
+        return self._all(Kind.ITSELF, rows, self._candidates, said=True)
 
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
         """The evidence of the best alignment with the mirror image of each pair's second map."""
-        found = self._all(Kind.IMAGE, wanted)
-        return {pair: f.faint.bits if f.faint else -np.inf for pair, f in found}
+        told = self._all(Kind.IMAGE, wanted, _told, said=True)
+        pairs = ((i, j) for i, j in wanted.tolist())
+        bits = (-np.inf if t.faint is None else t.faint.bits for t in told)
+        return dict(zip(pairs, bits, strict=True))
 
-    def _all(self, kind: Kind, wanted: IntArray, *, told: bool = False) -> list[tuple[Pair, Found]]:
-        """Results in the order of the pairs."""
-        out: list[Found | None] = [None] * len(wanted)
+    def _all(self, kind: Kind, wanted: IntArray, read: Read[T], *, said: bool = False) -> list[T]:
+        """What is read of a record for each pair, in their order; read: None if it cannot be of
+        them. What is not known is matched."""
+        out: list[T | None] = [None] * len(wanted)
         done = 0
 
         def tell(more: int) -> None:
             nonlocal done
             done += more
-            if told and more and self.means.on_pair is not None:
+            if kind is Kind.PAIR and said and more and self.means.on_pair is not None:
                 self.means.on_pair(done, len(wanted))
 
         for pack, rows, places in self._known(kind, wanted):
             for row, place in zip(rows, places, strict=True):
-                out[place] = out[place] or self._decoded(kind, pack, row, wanted[place])
+                if out[place] is None:
+                    out[place] = read(pack, row, wanted[place])
         tell(sum(found is not None for found in out))
         missing = np.array([k for k, found in enumerate(out) if found is None], np.int64)
         known = len(wanted) - len(missing)
-        self.means.say(f"{kind.told}: {len(wanted)}, of which {known} are known already")
+        if said:
+            self.means.say(f"{kind.told}: {len(wanted)}, of which {known} are known already")
         for chosen, pack in self._matched(kind, wanted, missing):
             for row, place in enumerate(chosen.tolist()):
-                out[place] = self._decoded(kind, pack, row, wanted[place])
+                out[place] = read(pack, row, wanted[place])
             tell(len(chosen))
-        return [((i, j), _made(f)) for (i, j), f in zip(wanted.tolist(), out, strict=True)]
+        return [_made(found) for found in out]
 
     def _known(self, kind: Kind, wanted: IntArray) -> Iterator[tuple[Pack, list[int], list[int]]]:
         """Records for some of the pairs: of each pack its rows, and the places of the pairs."""
-        if not self._packs or not len(wanted):
-            return
-        number = {digest: k for k, digest in enumerate(dict.fromkeys(self.digests))}
-        mine = np.array([number[digest] for digest in self.digests])
-        key = mine[wanted[:, 0]] * len(number) + mine[wanted[:, 1]]
-        for pack in self._packs:
-            to = np.array([number.get(d, -1) for d in pack.digests], np.int64)
+        key = self._number[wanted[:, 0]] * len(self._row) + self._number[wanted[:, 1]]
+        store = self.means.store
+        for pack in self._packs if store is None else store.packs(self.digests):
+            keys, rows = self._keys(kind, pack)
+            if len(keys):
+                at = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+                places = np.flatnonzero(keys[at] == key)
+                yield pack, rows[at[places]].tolist(), places.tolist()
+
+    def _keys(self, kind: Kind, pack: Pack) -> tuple[IntArray, IntArray]:
+        """The records of a pack that are of a kind and of maps of the batch: their pairs as
+        numbers, ascending, and their rows."""
+        known = self._sorted.get((id(pack), kind))
+        if known is None or known[0] is not pack:
+            number = {digest: k for k, digest in enumerate(self._row)}
+            to = np.array([number.get(d, -1) for d in pack.digests] or [-1], np.int64)
             a, b = to[pack.rows["a"]], to[pack.rows["b"]]
             rows = np.flatnonzero((a >= 0) & (b >= 0) & (pack.rows["kind"] == kind))
-            theirs = a[rows] * len(number) + b[rows]
-            order = np.argsort(theirs, kind="stable")
-            at = np.minimum(np.searchsorted(theirs[order], key), max(len(order) - 1, 0))
-            if len(order):
-                places = np.flatnonzero(theirs[order][at] == key)
-                yield pack, rows[order][at[places]].tolist(), places.tolist()
+            keys = a[rows] * len(self._row) + b[rows]
+            order = np.argsort(keys, kind="stable")
+            known = pack, keys[order], rows[order]
+            self._sorted[id(pack), kind] = known
+        return known[1], known[2]
 
-    def _decoded(self, kind: Kind, pack: Pack, row: int, pair: IntArray) -> Found | None:
-        """What a record says; None if it cannot be of this pair."""
-        record = pack.rows[row]
-        if not record["size"]:
-            numbers = (float(record["bits"]), float(record["beyond"]))
-            junctions = int(record["junctions"])
-            return Found(faint=Faint(junctions, *numbers) if junctions else None)
+    def _candidates(self, pack: Pack, row: int, pair: IntArray) -> tuple[Candidate, ...] | None:
+        """What a record says in full; None if it cannot be of this pair."""
+        if not pack.rows["size"][row]:
+            return ()
         payload = pack.payload(row)
-        if payload is None or kind is Kind.IMAGE:
+        if payload is None:
             return None
         a, b = (self.prepared[k] for k in pair.tolist())
-        candidates = from_bytes(payload, a, b)
-        return None if candidates is None else Found(candidates)
+        return from_bytes(payload, a, b)
 
     def _matched(
         self, kind: Kind, wanted: IntArray, missing: IntArray
@@ -212,6 +241,8 @@ class Pairwise:
         for k, pack in self._done([task for _, task in tasks]):
             if self.means.store is not None:
                 self.means.store.keep(pack)
+            else:
+                self._packs.append(pack)
             yield tasks[k][0], pack
 
     def _done(self, tasks: list[MatchTask]) -> Iterator[tuple[int, Pack]]:
@@ -272,7 +303,16 @@ def in_tiles(pairs: IntArray) -> IntArray:
     return pairs[tile_order(pairs)]
 
 
-def _made(found: Found | None) -> Found:
+def _told(pack: Pack, row: int, _: IntArray) -> Told:
+    """What a record says in short."""
+    record = pack.rows[row]
+    bits, against_chance = float(record["bits"]), float(record["beyond"])
+    junctions, size = int(record["junctions"]), int(record["size"])
+    faint = Faint(junctions, bits, against_chance) if junctions and not size else None
+    return Told(faint, against_chance, size > 0)
+
+
+def _made(found: T | None) -> T:
     if found is None:
         raise DataError("a worker sent results that cannot be of the maps that it was given")
     return found
@@ -327,7 +367,7 @@ def _match_all(task: MatchTask, ready: Ready) -> Pack:
             task.kind,
             junctions=faint.junctions,
             bits=faint.bits,
-            beyond=faint.against_chance,
+            beyond=kept.against_chance(task.settings),
             payload=to_bytes(kept.candidates),
         )
     return out.pack()

@@ -22,7 +22,7 @@ from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
-from .settings import MATCH, RobustSettings
+from .settings import RobustSettings
 from .verdict import Bar, Opinion, opinion, opinions
 from .wording import summary
 
@@ -62,7 +62,7 @@ class Rematcher:
     maps: Sequence[TopoMap]
     prepared: Sequence[Prepared]
     components: Components
-    opinions: Mapping[Pair, Opinion]
+    undecided: Sequence[Pair]
     level: Callable[[Sequence[int], int], Bar]
     settings: RobustSettings
     discarded: frozenset[Pair] = frozenset()
@@ -102,11 +102,7 @@ class Rematcher:
     def _open(self) -> set[Sides]:
         """Pairs of components with an undecided pair across them."""
         members, head = self.components.members, self.components.head
-        across = {
-            (head[i], head[j])
-            for (i, j), view in self.opinions.items()
-            if view.best is not None and view.bits > MATCH.chance_bits and head[i] != head[j]
-        }
+        across = {(head[i], head[j]) for i, j in self.undecided if head[i] != head[j]}
         runs = {k: tuple(sorted(members[k])) for pair in across for k in pair}
         return {(min(runs[x], runs[y]), max(runs[x], runs[y])) for x, y in across}
 

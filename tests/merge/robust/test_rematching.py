@@ -9,7 +9,7 @@ from topobatch.merge.robust import RobustSettings, match, prepare
 from topobatch.merge.robust.components import Components
 from topobatch.merge.robust.rematching import Rematcher
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import Bar, counted_bits, opinion
+from topobatch.merge.robust.verdict import Bar, counted_bits
 
 SETTINGS = RobustSettings()
 EXACT = {"centre_m": 0.02, "branch_rad": 0.02, "bend_m": 0.0, "missed": 0.0, "branch_fault": -1.0}
@@ -38,11 +38,10 @@ def rematched(three, found, need_bits, never=()):
     """The components and reunions where the first two are joined and merging needs so much."""
     ready = [prepare(m) for m in three]
     level = Bar(need_bits, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
-    views = {(i, j): opinion(ready[i], ready[j], found[i, j], level) for i, j in PAIRS}
     parts = Components(3, never)
     first = found[0, 1][0]
     parts.join(0, 1, first.transform)
-    rematcher = Rematcher(three, ready, parts, views, lambda *_: level, SETTINGS)
+    rematcher = Rematcher(three, ready, parts, PAIRS, lambda *_: level, SETTINGS)
     return parts, rematcher.run({(0, 1): first})
 
 
