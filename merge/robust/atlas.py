@@ -21,6 +21,7 @@ OF_VERTICES = (
     "looks",
     "fault_rate",
     "traits",
+    "confidence",
     "near_m",
     "near_rarity",
     "near_weight",

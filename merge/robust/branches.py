@@ -22,7 +22,7 @@ def branch_bits(
     pairs = _pairs(a, b, va, vb, turn)
     agree = np.add.reduce(pairs.paired, axis=1)
     of_a, of_b = a.traits.take(va, axis=0), b.traits.take(vb, axis=0)
-    branches, variance, faults, _ = (of_a + of_b).T
+    branches, variance, faults, _, sure = (of_a + of_b).T
     lonely = branches - 2 * agree
     turn_b = b.turn_rarity.reshape(-1).take(pairs.nearest + (vb * b.turn_rarity.shape[1])[:, None])
     free = np.minimum(a.turn_rarity.take(va, axis=0), turn_b)
@@ -30,8 +30,19 @@ def branch_bits(
     # One branch of each junction is taken up by the alignment itself.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
     chance = np.minimum(of_a[:, 3], of_b[:, 3])
-    bits = chance + angle + lonely * np.log2(faults)
-    return np.asarray(np.minimum(bits, MATCH.most_bits))
+    bits = np.minimum(chance + angle + lonely * np.log2(faults), MATCH.most_bits)
+    return doubted(bits, sure)
+
+
+def doubted(bits: FloatArray, sure: FloatArray) -> FloatArray:
+    """(k,) bits that a look tells which shows its object as it is with confidence e^sure, and else
+    tells nothing: log2(c 2^bits + 1 - c)."""
+    out = np.array(bits)
+    rows = (sure < 0).nonzero()[0]
+    if len(rows):
+        nothing = np.log(-np.expm1(sure[rows]))
+        out[rows] = np.logaddexp(sure[rows] + bits[rows] * BIT, nothing) / BIT
+    return out
 
 
 def lonely_branches(

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from .atlas import Atlas, cuts
-from .branches import common_branches
+from .branches import common_branches, doubted
 from .growth import Grown
 from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH
@@ -187,14 +187,15 @@ def _weight(
     missing: tuple[Atlas, IntArray], edge: IntArray, extra: tuple[Atlas, IntArray], vertex: IntArray
 ) -> FloatArray:
     """(k,) bits against: the one run drove the corridor and missed it each time, or the other one
-    invented it at each look. missing, extra: an atlas, and the map of it in each case."""
+    invented it at each look; less for a junction that is in doubt. missing, extra: an atlas, and
+    the map of it in each case."""
     blind, seeing = missing[0], extra[0]
     miss, invent = blind.miss_rate[missing[1]], seeing.phantom_rate[extra[1]]
     driven, seen = blind.whole.traversals[edge], seeing.whole.looks[vertex]
     missed = (miss + MATCH.fault_floor) ** np.minimum(driven, 3)
     invented = (invent + MATCH.fault_floor) ** np.minimum(seen, 3)
-    bits = -np.log2(np.minimum(missed + invented, 1.0))
-    return np.asarray(np.minimum(bits, MATCH.most_bits))
+    bits = np.minimum(-np.log2(np.minimum(missed + invented, 1.0)), MATCH.most_bits)
+    return -doubted(-bits, np.log(seeing.whole.confidence[vertex]))
 
 
 def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:

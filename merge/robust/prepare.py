@@ -38,8 +38,9 @@ class Prepared:
     branches of this junction tell, by how common such a pattern is in this map; turn_rarity:
     (n, d) -ln density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
     headings as unit numbers, 0 behind the last; branch_variance: (n,) [rad²] of one heading;
-    fault_rate: (n,) chance of a branch too many or too few. traits: (n, 4) count,
-    branch_variance, fault_rate and surprise side by side.
+    fault_rate: (n,) chance of a branch too many or too few. traits: (n, 5) count,
+    branch_variance, fault_rate, surprise and ln confidence side by side. confidence: (n,) chance
+    that a look at the junction shows just these branches.
     neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances, infinite
     where there are no more;
     near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
@@ -72,6 +73,7 @@ class Prepared:
     branch_variance: FloatArray
     fault_rate: FloatArray
     traits: FloatArray
+    confidence: FloatArray
     neighbour: IntArray
     near_m: FloatArray
     near_rarity: FloatArray
@@ -159,7 +161,10 @@ def prepare(topomap: TopoMap) -> Prepared:
         branch_unit=np.where(heading < NO_HEADING / 2, np.exp(1j * heading), 0.0),
         branch_variance=branch_variance,
         fault_rate=fault_rate,
-        traits=np.column_stack([count, branch_variance, fault_rate, surprise]),
+        traits=np.column_stack(
+            [count, branch_variance, fault_rate, surprise, np.log(m.confidence)]
+        ),
+        confidence=m.confidence,
         neighbour=neighbour,
         near_m=near_m,
         near_rarity=_near_rarity(near_m),

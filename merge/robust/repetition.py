@@ -144,7 +144,7 @@ def _differing(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], ends: IntArray
 ) -> tuple[IntArray, FloatArray]:
     """Of each alignment how many matched junctions differ in their branches, and the sum of the
-    rates at which they would by fault."""
+    rates at which they would by fault or doubt."""
     number: dict[int, int] = {}
     rows = np.array([[number.setdefault(id(m), len(number)) for m in (a, b)] for a, b, _ in cases])
     maps = {id(m): m for a, b, _ in cases for m in (a, b)}
@@ -155,6 +155,7 @@ def _differing(
     turn = np.concatenate([c.turn for _, _, c in cases])
     lonely = lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0
     fault = atlas.whole.fault_rate[va] + atlas.whole.fault_rate[vb]
+    fault += 1 - atlas.whole.confidence[va] * atlas.whole.confidence[vb]
     return np.add.reduceat(lonely, ends[:-1], dtype=np.int64), np.add.reduceat(fault, ends[:-1])
 
 
@@ -266,7 +267,7 @@ def copy_model(
         shape = _Lengths.of(m, m, c.corridors, prior.variation)
         # Half, for every pair of copies is found twice.
         odds = odds + np.array([shape.averaged(share) for share in SHARES]) / 2
-        fault = 2 * float(np.mean(m.fault_rate))
+        fault = 2 * float(np.mean(m.fault_rate + 1 - m.confidence))
         changed += max(same.changed - fault * same.compared, 0.0)
         places += same.compared
     odds = np.exp(odds - np.logaddexp.reduce(odds))

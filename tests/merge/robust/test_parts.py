@@ -166,6 +166,32 @@ def test_equal_branches_speak_for_a_junction_and_different_ones_against(drawn):
     assert (turned < straight).all()
 
 
+def test_a_junction_in_doubt_tells_less_either_way(drawn):
+    plain = drawn("a", POINTS, EDGES), drawn("b", POINTS, EDGES, stubs=[(2, 0.0)])
+    k, turn = np.arange(len(POINTS)), np.ones(len(POINTS), complex)
+    sure = branch_bits(*map(prepare, plain), k, k, turn)
+    doubted = [prepare(replace(m, confidence=[0.8])) for m in plain]
+    # Of 0.64 of looks at both as they are, and of others nothing.
+    assert branch_bits(*doubted, k, k, turn) == pytest.approx(np.log2(0.64 * 2**sure + 0.36))
+    one = prepare(replace(plain[0], confidence=np.where(k == 2, 0.5, 1.0)))
+    changed = branch_bits(one, prepare(plain[1]), k, k, turn)
+    assert np.flatnonzero(changed != sure).tolist() == [2]
+    assert sure[2] < -1 < changed[2] < 0
+
+
+def test_that_a_junction_in_doubt_goes_unseen_says_little(drawn):
+    more = [*POINTS, (8.5, -6)]
+    split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
+    a = prepare(drawn("a", POINTS, EDGES))
+    b = drawn("b", more, split, stubs=[(8, -1.57)])
+    shown = np.where(np.arange(len(more)) == 8, 0.25, 1.0)
+    (sure,), (doubted,) = (
+        against(laid(a, prepare(m))).extra_b_bits for m in (b, replace(b, confidence=shown))
+    )
+    assert doubted == pytest.approx(-np.log2(0.25 * 2**-sure + 0.75))
+    assert doubted < 0.5 < sure
+
+
 def test_what_both_saw_agrees_and_nothing_contradicts(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     grown = laid(a, b)
