@@ -129,7 +129,9 @@ def _split(
         place, counts = _parts(rng, folder)
         intact, lost = change(rng, place, counts)
         if rng.random() < 0.2:
+            # The parts may be runs of their own now.
             (place / "metadata.yaml").unlink()
+            intact = lost = None
         return Case(place, intact, lost, note)
 
     return write
