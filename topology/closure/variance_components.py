@@ -43,10 +43,13 @@ _WALKS, _BRANCH, _GRID = 3, 4, 5
 class ComponentSettings:
     """How far the estimates before closure hold."""
 
-    prior_freedom: tuple[float, ...] = (0.5, 0.5, 0.5, 4.0, 4.0, 4.0)
-    """Degrees of freedom that told each before: its variance to √(2 / freedom) of itself."""
-    rounds: int = 5
-    """Each estimates the components again, with the weights that the one before gave."""
+    prior_freedom: float = 4.0
+    """Degrees of freedom that told the detector and the grid before: a variance to √(2 / freedom)
+    of itself. Of the odometry next to nothing is told (`_pull`)."""
+    rounds: int = 6
+    """Each estimates the components again, with the weights that the one before gave. All but the
+    last take double steps: what the data hardly tell, such as noise that is not there, is reached
+    slowly, and no step of less than double its length leads away."""
     samples: int = 64
     """They tell a variance to √(2 / 64), 18 %: less than the prior's freedom leaves open."""
 
@@ -78,20 +81,34 @@ def fitted_noise(
     prior = np.array([getattr(walk.noise, name) for name in COMPONENTS]) ** 2
     if grid is not None:
         prior = np.append(prior, grid.spread_rad**2)
-    worth = np.array(settings.prior_freedom)[: len(prior)]
     units = _unit_walks(walk, odometry)
     legs = _leg_covariances(walk, units)
     variance = prior
     layout = lay_out(walk, place, layout.pose, grid=grid)
-    for _ in range(settings.rounds):
+    for left in reversed(range(settings.rounds)):
         energy, freedom = _told(layout, legs, variance, grid, settings.samples)
-        variance = (worth * prior + energy * variance) / (worth + freedom)
+        more, less = _pull(variance / prior, settings.prior_freedom)
+        variance = variance * ((energy + more) / (freedom + less)) ** (2 if left else 1)
         walk = _with_variances(walk, units, variance)
         if grid is not None:
             spread_rad = float(np.sqrt(variance[_GRID]))
             grid = with_spread(grid, walk.passes, walk.noise.branch_rad, spread_rad)
         layout = lay_out(walk, place, layout.pose, grid=grid)
     return Fitted(walk, layout, grid)
+
+
+def _pull(ratio: FloatArray, freedom: float) -> tuple[FloatArray, FloatArray]:
+    """(c,) what the prior of every component adds to its squared errors and degrees of freedom.
+
+    ratio: (c,) variances in units of the prior's. Of the detector and the grid so many degrees of
+    freedom were told before (inverse χ²). A random walk of the odometry may be any size, none
+    included: its sigma s has the density 1 / (1 + s²), in units of the prior's (half-Cauchy;
+    Gelman, Prior distributions for variance parameters, 2006), where an inverse χ² denies zero.
+    """
+    more, less = freedom / ratio, np.full(len(ratio), freedom)
+    walk = ratio[:_WALKS]
+    more[:_WALKS], less[:_WALKS] = 1 / (1 + walk), walk / (1 + walk)
+    return more, less
 
 
 def _unit_walks(walk: Walk, odometry: Odometry) -> list[Walk]:
