@@ -227,9 +227,12 @@ def _legs(
     loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
     driven = np.diff(way_at(odometry, visits.time_ns)) > 0.05
     fine = (np.diff(visits.chain) == 0) & ~loop & driven
-    first, u, v, a, b = (x[fine] for x in (first, u, v, a, b))
-    path = _between_centres(odometry, visits, xy, first, settings)
+    path = _between_centres(odometry, visits, xy, first[fine], settings)
     length = np.array([way_of(p)[-1] for p in path])
+    # Who turns about within a junction may seem to leave it by one branch and to enter by another.
+    away = (u != v)[fine] | (length > 2 * settings.junction_m)
+    first, u, v, a, b = (x[fine][away] for x in (first, u, v, a, b))
+    path, length = [p for p, some in zip(path, away.tolist(), strict=True) if some], length[away]
     # Each corridor in one direction: from the smaller (vertex, branch).
     swap = (u > v) | ((u == v) & (a > b))
     s, t = np.where(swap, v, u), np.where(swap, u, v)

@@ -251,3 +251,12 @@ def test_detours_are_chosen_where_the_next_drive_is_shorter():
         found = mapbuilding._chosen_detour(legs(*length), [[0, 1]], xy)
         assert found == pytest.approx(share, abs=1e-9)
     assert mapbuilding._chosen_detour(legs(5.0), [[0]], xy) == 0.0
+
+
+@pytest.mark.parametrize("out_m", [0.06, 0.6])
+def test_turning_about_within_a_junction_makes_no_corridor(out_m):
+    odometry, rows = track((0, 0), (8, 0), (8, out_m), (8, 0), (8, 4))
+    seen_by = [[EAST], [WEST, NORTH, SOUTH], [WEST, SOUTH, NORTH], [SOUTH]]
+    passes = seen(odometry, rows[[0, 1, 3, 4]], seen_by)
+    m = build(odometry, passes, [0, 1, 1, 2])
+    assert list(zip(m.source.tolist(), m.target.tolist(), strict=True)) == [(0, 1), (1, 2)]

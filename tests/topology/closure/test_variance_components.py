@@ -8,6 +8,7 @@ import pytest
 from topobatch.topology.closure.certainty import place_errors
 from topobatch.topology.closure.dead_reckoning import SystematicErrors, make_walk
 from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.manhattan import GridHeadings
 from topobatch.topology.closure.variance_components import fitted_noise
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
@@ -59,6 +60,30 @@ def test_loops_tell_each_kind_of_noise() -> None:
     assert noise.branch_rad == pytest.approx(0.03, rel=0.2)
     assert noise.heading_rad_per_sqrt_m == pytest.approx(0.01, rel=0.4)
     assert fitted.layout.misfit == pytest.approx(1.0, abs=0.25)
+
+
+def test_noise_that_is_not_there_is_not_stated() -> None:
+    exact = RunNoise(0.0, 0.0, 0.0, 0.0, 0.06, 0.03)
+    odometry, passes, place = noisy_square(10, exact, 5)
+    start = RunNoise(0.01, 0.005, 0.01, 0.0, 0.06, 0.03)
+    walk = make_walk(odometry, passes, start, EXACT)
+    noise = fitted_noise(walk, odometry, place, lay_out(walk, place)).walk.noise
+    for name in ("along_m_per_sqrt_m", "heading_rad_per_sqrt_m", "heading_rad_per_sqrt_rad"):
+        assert getattr(noise, name) < 0.2 * getattr(start, name)
+    assert noise.centre_m == pytest.approx(0.06, rel=0.2)
+
+
+def test_a_grid_that_bends_is_none() -> None:
+    true = RunNoise(0.01, 0.01, 0.01, 0.0, 0.05, 0.03)
+    odometry, passes, place = noisy_square(10, true, 6)
+    walk, row = make_walk(odometry, passes, true, EXACT), np.arange(len(passes))
+    layout = lay_out(walk, place)
+    bend = 0.3 * np.sin(np.pi * (place % 8) / 4)
+    for bent, holds in ((bend, False), (0 * bend, True)):
+        sigma = np.full(len(row), 0.03)
+        grid = GridHeadings(row, layout.pose[:, 2] + bent, sigma, wander=1.0)
+        fitted = fitted_noise(walk, odometry, place, layout, grid=grid)
+        assert (fitted.grid is not None) == holds
 
 
 def test_without_loops_nothing_changes() -> None:
