@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,9 @@ DEFAULT_JOINT = JointSettings()
 
 _SAMPLES = 64
 """Of a map as its corridors bend it: the mean over its vertices is told to a few per cent."""
+
+_LEAST_BEND = 0.1
+"""Share of a map's stated variances that is its bending at least: no better are they told."""
 
 SOLVER = SolverSettings(start="given", relative_tolerance=1e-5, max_iterations=25)
 """Cauchy kernels converge slowly in their last digits, which are far below a millimetre."""
@@ -206,30 +209,33 @@ def _concatenated(parts: Sequence[Factors]) -> Factors:
 def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
     """The corridors of one map as relative measurements, from row `first` of the pool on."""
     given = odometry_measurements(topomap)
-    information = given.information / unstated(topomap)
+    information = given.information / bending(topomap, settings)
     roads = Factors(given.source + first, given.target + first, given.measurement, information)
     return _concatenated([roads, _bridges(topomap, first, settings)])
 
 
-def unstated(topomap: TopoMap) -> float:
-    """Factor, at least 1, on the variances of a map's corridors by which they bend it as much as
-    its document states.
+def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
+    """Factor on the variances of a map's corridors by which they bend it as much as its document
+    states.
 
-    Corridor by corridor they know of random walks alone. What an odometry gets wrong in the same
-    way all the time (a steady turning, a scale of turns) bends a map as well, and shows in the
-    `position_sigma` of its vertices.
+    Corridor by corridor they know of random walks alone, and of passes that see a junction's centre
+    each differently. What an odometry gets wrong in the same way all the time (a steady turning, a
+    scale of turns) bends a map as well, and shows in the `position_sigma` of its vertices; there
+    shows, too, that on exact odometry the errors of passes do not add up from corridor to corridor.
     """
     if topomap.position_sigma is None or len(topomap) < 3:
         return 1.0
     graph, noise = map_pose_graph(topomap), topomap.measured
+    graph = replace(graph, priors=_grid_priors(Pool.of([topomap]), graph.pose, settings))
     whole = np.zeros(len(topomap), np.int64)
     walked = SampledMarginals.of(graph, solve(graph, SOLVER), _SAMPLES).error
     bent = VertexErrors(walked).as_a_whole(topomap.xy, whole).position_sigma()
     visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
     seen = noise.centre_m**2 / visits
     stretched = (noise.scale * (topomap.xy - topomap.xy.mean(axis=0))) ** 2
-    stated = topomap.position_sigma**2 - seen - stretched.mean(axis=1)
-    return max(float(stated.sum() / max((bent**2).sum(), 1e-12)), 1.0)
+    stated = topomap.position_sigma**2
+    left = float((stated - seen - stretched.mean(axis=1)).sum())
+    return max(left, _LEAST_BEND * float(stated.sum())) / max(float((bent**2).sum()), 1e-12)
 
 
 def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
