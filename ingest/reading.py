@@ -177,7 +177,7 @@ def _damage(recording: Recording, findings: Findings, settings: ReadSettings) ->
 
 
 def _junctions(read: LogRead, choice: Choice) -> Source:
-    source = source_of(read.intake, read.counts, choice.topic, read.log)
+    source = source_of(read.intake, read.counts, choice, read.log)
     if len(source) == 0:
         raise LogError(
             f"{read.log}: {choice.topic} holds no usable pose{because(source, choice.topic)}"

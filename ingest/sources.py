@@ -24,8 +24,8 @@ class Source:
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: how
     many there were; failed, not_finite, zero_quaternion, empty, elsewhere: what could not be
-    used; reason: why the first of `failed` could not be decoded; rivals: other frames that could be
-    the odometry's.
+    used; foreign: messages beside these, of a type that is decoded in another way; reason: why the
+    first of `failed` could not be decoded; rivals: other frames that could be the odometry's.
     """
 
     columns: PoseColumns
@@ -37,6 +37,7 @@ class Source:
     zero_quaternion: int
     empty: int
     elsewhere: int = 0
+    foreign: int = 0
     reason: str = ""
     rivals: tuple[tuple[str, str], ...] = ()
 
@@ -87,6 +88,7 @@ class Source:
         because = f" ({self.reason})" if self.reason else ""
         for count, what in (
             (self.failed, f"messages could not be decoded{because}"),
+            (self.foreign, "messages are of another type"),
             (self.empty, "messages hold no pose"),
             (self.elsewhere, "poses are between other frames"),
             (self.not_finite, "poses hold numbers that are not finite or absurdly large"),

@@ -30,6 +30,16 @@ JUNCTION_KINDS: Mapping[str, Kind] = {
     "foxglove_msgs/msg/PosesInFrame": "foxglove_poses",
 }
 
+_KINDS: Mapping[str, Kind] = {n: kind for n, (_, kind) in ODOMETRY_KINDS.items()} | dict(
+    JUNCTION_KINDS
+)
+
+
+def decoded_alike(one: str, other: str) -> bool:
+    """Whether messages of two types are the same but for their names."""
+    return one == other or (one in _KINDS and _KINDS[one] == _KINDS.get(other))
+
+
 PARTICLES = ("/particlecloud", "/particle_cloud")
 """Names of topics that hold many poses of the robot, none of a junction."""
 

@@ -10,7 +10,7 @@ from ...topology.errors import LogError
 from ...topology.odometry import Odometry
 from ..logs.intake import Intake, no_columns
 from ..logs.messages import Channel
-from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, listing
+from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, decoded_alike, listing
 from ..read_settings import ReadSettings
 from ..sources import (
     Clock,
@@ -54,7 +54,7 @@ def odometry_topic(
     base = settings.base_frame.lstrip("/") if settings.base_frame else None
     reasons = []
     for choice in choose_odometry(counts, settings.odometry_topic, log):
-        source = source_of(intake, counts, choice.topic, log)
+        source = source_of(intake, counts, choice, log)
         transforms = ODOMETRY_KINDS[choice.type_name][1] == "transforms"
         find = pair_of_transforms if transforms else pair_of_poses
         pair = find(source, base)
@@ -88,10 +88,14 @@ def driven(topic: OdometryTopic, clock: Clock, settings: ReadSettings, log: str)
     return Driven(track.odometry, odometry, track.warnings)
 
 
-def source_of(intake: Intake, counts: Mapping[Channel, int], topic: str, log: str) -> Source:
+def source_of(intake: Intake, counts: Mapping[Channel, int], choice: Choice, log: str) -> Source:
     """What a topic gave; messages of its channels that have no decoder count as failed ones."""
+    topic = choice.topic
     intake.check(topic, log)
-    source = Source.of(intake.of_topic(topic))
+    sinks = intake.of_topic(topic)
+    alike = [sink for sink in sinks if decoded_alike(sink.channel.type_name, choice.type_name)]
+    source = Source.of(alike)
+    source.foreign = sum(sink.messages for sink in sinks) - source.messages
     refused = sum(counts.get(c, 0) for c in intake.refused if c.topic == topic)
     source.messages += refused
     source.failed += refused

@@ -41,6 +41,19 @@ def test_odometry_wins_over_tf_and_poses(logs, tmp_path):
     assert named.source["odometry"]["topic"] == "/wheel"
 
 
+@pytest.mark.parametrize("indexed", [True, False])
+def test_messages_of_another_type_on_a_topic_are_left_out_and_counted(logs, tmp_path, indexed):
+    odometry, seen = split(logs)
+    poses = logs.relabelled(odometry[:7], topic="/odom", type_name=logs.POSE_STAMPED, child="")
+    arrays = logs.relabelled(seen[:3], topic="/odom")
+    mixed = by_time(odometry, poses, arrays, seen)
+    run = read_run(logs.mcap(tmp_path / "a", mixed, use_statistics=indexed))
+    same = read_run(logs.mcap(tmp_path / "b", by_time(odometry, seen)))
+    assert run.warnings == ("/odom: 10 messages are of another type; left out",)
+    assert run.odometry.pose.tobytes() == same.odometry.pose.tobytes()
+    assert run.source["odometry"] == same.source["odometry"]
+
+
 @pytest.mark.parametrize("container", ["mcap", "bag", "db3", "unindexed"])
 def test_two_candidates_ask_for_the_flag(logs, tmp_path, container):
     odometry, seen = split(logs)
