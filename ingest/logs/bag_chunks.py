@@ -100,6 +100,8 @@ class BagChunks(ChunkReader):
             else:
                 for records in batch.data:
                     yield from self._messages.blocks(np.frombuffer(records, np.uint8))
+        if not batch.stop:
+            self._small_run = 0  # none of them is sound: not tried at every single one
         return position + batch.stop
 
     def _listed_behind(self, position: int) -> int:

@@ -189,10 +189,7 @@ class ChunkReader(ABC):
         if self._small_run <= RUN:
             return position
         yield from self.caught_up(everything=True)
-        stop = yield from self._small_chunks(position)
-        if stop == position:
-            self._small_run = 0  # none of them is sound: not tried at every single one
-        return stop
+        return (yield from self._small_chunks(position))
 
     def _queue(self, chunk: Chunk) -> bool:
         """Have a chunk that is slow to inflate begun on another thread; others wait their turn.
