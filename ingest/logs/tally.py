@@ -27,6 +27,7 @@ class Tally:
         self._met = np.zeros(NUMBERS, np.int64)
         self._lost: dict[int, int] = {}
         self._adopted: set[int] = set()
+        self._usual: set[int] = set()
         self._undelivered = 0
         for number, channel in channels.items():
             self.describe(number, channel)
@@ -102,9 +103,7 @@ class Tally:
 
         counts: messages per number. Then there is no `first` one of a channel, and none to `adopt`.
         """
-        end = len(counts)
-        new = (self._met[:end] == 0) | (self._sink[:end] == UNKNOWN)
-        return not counts[new].any()
+        return self._usual.issuperset(counts.nonzero()[0].tolist())
 
     def met(
         self, number: NDArray[Any], time_ns: Ints, counts: Ints | None = None
@@ -119,8 +118,11 @@ class Tally:
         self._findings.span(int(time_ns.min()), int(time_ns.max()))
         numbers: dict[int, list[int]] = {}
         for key in counts.nonzero()[0].tolist():
-            if self._sink[key] >= 0:
-                numbers.setdefault(int(self._sink[key]), []).append(key)
+            sink = int(self._sink[key])
+            if sink != UNKNOWN:
+                self._usual.add(key)
+            if sink >= 0:
+                numbers.setdefault(sink, []).append(key)
         return [
             (sink, (number == keys[0] if len(keys) == 1 else np.isin(number, keys)).nonzero()[0])
             for sink, keys in numbers.items()

@@ -181,7 +181,8 @@ def _large(pose: Floats, settings: JumpSettings) -> Ints:
     least_m, least_rad = share * settings.least_m, share * settings.least_rad
     found = [np.zeros(0, np.int64)]
     for first in range(0, len(pose) - 3, BLOCK_STEPS):
-        x, y, turn = np.diff(pose[first : first + BLOCK_STEPS + 3].T.copy(), axis=1)
+        rows = pose[first : first + BLOCK_STEPS + 3].T.copy()
+        x, y, turn = rows[:, 1:] - rows[:, :-1]
         size = np.abs(turn)
         large = np.zeros(len(turn), bool)
         k = 1 + np.flatnonzero(size[1:-1] > least_rad)
@@ -190,7 +191,7 @@ def _large(pose: Floats, settings: JumpSettings) -> Ints:
         # What bounds all ways of a block costs a fraction of the ways.
         far = reach(x) + reach(y)
         turned = float((size if size.max() <= np.pi else _turned(size)).max())
-        if far > least_m and reach(np.diff(x)) + reach(np.diff(y)) + far * turned > least_m:
+        if far > least_m and reach(x[1:] - x[:-1]) + reach(y[1:] - y[:-1]) + far * turned > least_m:
             large[1:-1] |= _far_off(x, y, turn, least_m)
         found.append(first + np.flatnonzero(large))
     return np.concatenate(found)

@@ -50,11 +50,12 @@ def _any_fast(odometry: Odometry) -> bool:
     """
     most = 0.99e-9 * FASTEST_M_PER_S
     for first in range(0, len(odometry.pose) - 1, BLOCK_STEPS):
-        rows = slice(first, first + BLOCK_STEPS + 1)
-        x, y = (np.diff(along) for along in odometry.pose[rows, :2].T)
-        duration = np.diff(odometry.time_ns[rows])
-        if reach(x) + reach(y) <= most * float(duration.min()):
+        pose = odometry.pose[first : first + BLOCK_STEPS + 1]
+        time_ns = odometry.time_ns[first : first + BLOCK_STEPS + 1]
+        step, duration = pose[1:] - pose[:-1], time_ns[1:] - time_ns[:-1]
+        shortest = most * float(duration.min())
+        if 2 * reach(step) <= shortest or reach(step[:, 0]) + reach(step[:, 1]) <= shortest:
             continue
-        if (np.abs(x) + np.abs(y) > most * duration).any():
+        if (np.abs(step[:, 0]) + np.abs(step[:, 1]) > most * duration).any():
             return True
     return False

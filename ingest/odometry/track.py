@@ -234,7 +234,8 @@ def _any_leap(pose: Floats, settings: TrackSettings) -> bool:
     least_rad = 0.99 * min(settings.teleport_min_rad, settings.reset_min_rad)
     # In blocks that stay in the processor's cache, so that no large array is made.
     for first in range(0, len(pose) - 1, BLOCK_STEPS):
-        step = np.diff(pose[first : first + BLOCK_STEPS + 1], axis=0)
+        rows = pose[first : first + BLOCK_STEPS + 1]
+        step = rows[1:] - rows[:-1]
         if 2 * reach(step) <= min(least_m, least_rad):
             continue
         x, y, turn = np.abs(step.T)
