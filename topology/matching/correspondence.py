@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from ..se2 import wrap
+from .branches import mutual_nearest
 from .structure import FloatArray, IntArray, Structure
 
 World = Literal["auto", "rectilinear", "general"]
@@ -138,21 +139,15 @@ def _most_branches(
     # Strategy: the pair given fixes a rotation, mutually nearest branches within the tolerance
     # correspond, their mean difference is the rotation, and once more with that.
     (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
-    ha, hb = a.heading[vertex_a], b.heading[vertex_b]
-    rows, columns = np.arange(len(vertex_a)), np.arange(ha.shape[1])
-    anchor = ha[rows, branch_a] - hb[rows, branch_b]
-    rotation, partner = anchor, np.zeros(ha.shape, np.int64)
+    ua, ub = a.unit[vertex_a], b.unit[vertex_b]
+    rows, gate = np.arange(len(vertex_a)), float(np.cos(settings.branch_tolerance_rad))
+    rotation = ua[rows, branch_a] * ub[rows, branch_b].conj()
     for _ in range(2):
-        off = np.abs(wrap(ha[:, :, None] - hb[:, None, :] - rotation[:, None, None]))
-        off = np.where(np.isnan(off), np.inf, off)
-        nearest, back = off.argmin(axis=2), off.argmin(axis=1)
-        mutual = np.take_along_axis(back, nearest, axis=1) == columns
-        gap = np.take_along_axis(off, nearest[:, :, None], axis=2)[:, :, 0]
-        matched = mutual & (gap <= settings.branch_tolerance_rad)
-        partner = np.where(matched, nearest, -1)
-        diff = wrap(ha - np.take_along_axis(hb, nearest, axis=1) - anchor[:, None])
-        count = matched.sum(axis=1)
-        rotation = anchor + np.where(matched, diff, 0.0).sum(axis=1) / np.maximum(count, 1)
+        pairs = mutual_nearest(ua, ub * rotation[:, None], gate)
+        off = ua * np.take_along_axis(ub, pairs.nearest, axis=1).conj()
+        mean = np.where(pairs.paired, off, 0.0).sum(axis=1)
+        rotation = np.exp(1j * np.angle(mean))
+    partner, count = np.where(pairs.paired, pairs.nearest, -1), pairs.paired.sum(axis=1)
     spare = settings.unmatched_branches
     ok = (a.degree[vertex_a] - count <= spare) & (b.degree[vertex_b] - count <= spare)
     return ok & (partner[rows, branch_a] == branch_b), partner
@@ -186,10 +181,9 @@ def node_rotations(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) 
         grid = (a.grid_rad or 0.0) - (b.grid_rad or 0.0)
         return np.asarray(wrap(grid + QUARTER * nodes.correspondence))
     partner = partners(a, b, nodes.correspondence)
-    matched = partner >= 0
-    hb = b.heading[nodes.vertex_b[:, None], np.maximum(partner, 0)]
-    diff = np.where(matched, a.heading[nodes.vertex_a] - hb, 0.0)
-    return np.asarray(np.angle((np.exp(1j * diff) * matched).sum(axis=1)))
+    theirs = b.unit[nodes.vertex_b[:, None], np.maximum(partner, 0)]
+    turns = np.where(partner >= 0, a.unit[nodes.vertex_a] * theirs.conj(), 0.0)
+    return np.asarray(np.angle(turns.sum(axis=1)))
 
 
 def encode(

@@ -30,7 +30,8 @@ INFERRED_BRANCH_RAD = np.deg2rad(40.0)
 class Structure:
     """A prepared map of n vertices with at most D branches each, and 2 m darts.
 
-    heading: (n, D) branch headings [rad], NaN beyond a vertex's degree; degree: (n,);
+    heading: (n, D) branch headings [rad], NaN beyond a vertex's degree; unit: (n, D) the same as
+    unit numbers, 0 beyond it; degree: (n,);
     explored: (n, D) True where a corridor was driven by that branch. start, end: (2 m,) vertices;
     out_branch: branch by which the dart leaves its start; in_branch: branch of its end by which it
     arrives; length, sigma: (2 m,) [m]; edge: (2 m,) edge of the map. Edges of which a branch is
@@ -45,6 +46,7 @@ class Structure:
     """
 
     heading: FloatArray
+    unit: NDArray[np.complex128]
     degree: IntArray
     explored: NDArray[np.bool_]
     start: IntArray
@@ -90,6 +92,7 @@ def prepare(topomap: TopoMap) -> Structure:
     crowded = len(np.unique(start * (width + 4) + place)) < len(start)
     return Structure(
         heading=heading,
+        unit=np.where(np.isnan(heading), 0.0, np.exp(1j * np.nan_to_num(heading))),
         degree=degree,
         explored=explored,
         start=start,
