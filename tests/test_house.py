@@ -100,6 +100,22 @@ def test_the_two_methods_of_merging_know_nothing_of_each_other() -> None:
             assert ("merge", other) not in targets, path
 
 
+def test_closure_and_both_methods_of_merging_stand_on_one_matching() -> None:
+    """What is the same in them is stated there; it knows none of them."""
+    matching = ("topology", "matching")
+    wanted = {
+        "topology/closure": {"likelihood", "branches"},
+        "merge/robust": {"likelihood", "branches"},
+        "merge/paper": {"structure", "correspondence", "association"},
+    }
+    for room, parts in wanted.items():
+        used = {target for path in modules(room) for target in imported(path)}
+        assert {target[2] for target in used if target[:2] == matching} >= parts, room
+    inside = {target for path in modules("topology/matching") for target in imported(path)}
+    assert (*matching, "branches") in inside
+    assert not [target for target in inside if target[:2] == ("topology", "closure")]
+
+
 def test_nothing_is_there_that_only_tests_use() -> None:
     """By vulture's reckoning; benchmarks count as use."""
     done = subprocess.run(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...topology.matching.branches import BranchPairs, agreeing_log_density, mutual_nearest
+from ...topology.matching.branches import BranchPairs, agreeing, mutual_nearest
 from ...topology.matching.likelihood import BIT
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH
@@ -26,7 +26,7 @@ def branch_bits(
     lonely = branches - 2 * agree
     turn_b = b.turn_rarity.reshape(-1).take(pairs.nearest + (vb * b.turn_rarity.shape[1])[:, None])
     free = np.minimum(a.turn_rarity.take(va, axis=0), turn_b)
-    angle = agreeing_log_density(pairs, variance, free, MATCH.most_bits * BIT / 2) / BIT
+    angle = agreeing(pairs, variance, free, MATCH.most_bits * BIT / 2) / BIT
     # One branch of each junction is taken up by the alignment itself.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
     chance = np.minimum(of_a[:, 3], of_b[:, 3])

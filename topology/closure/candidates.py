@@ -11,12 +11,12 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ..se2 import turned_axes
+from .branches import align
 from .dead_reckoning import Walk, dead_reckoning_covariance
 from .estimate import Layout
 from .evidence import (
     Background,
     EvidenceSettings,
-    align,
     among_neighbours,
     best_position_odds,
     position_odds,
@@ -257,12 +257,11 @@ class _Surroundings:
 def _surroundings(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> _Surroundings:
     a, b = pairs.a, pairs.b
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0)) + 0.02
-    aligned = align(scene.places, scene.common, a, b, turn_sigma=turn_sigma)
-    branches = aligned.score - np.maximum(scene.rare[a], scene.rare[b])
+    aligned = align(scene.branches, a, b, turn_sigma=turn_sigma)
     grown = grow(scene, a, b, aligned, settings.growth)
     gain = np.minimum(grown.gain, settings.support_cap)
     loss = np.minimum(grown.loss, settings.conflict_cap)
-    return _Surroundings(branches, gain, loss, aligned.turn)
+    return _Surroundings(aligned.odds, gain, loss, aligned.turn)
 
 
 def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..matching.likelihood import LIKELIHOOD
+from .branches import Alignment, Branches, align
 from .dead_reckoning import Walk
-from .evidence import GATE, Alignment, Background, align, length_odds
+from .evidence import Background, length_odds
 from .places import NOWHERE, ONE_WAY_RAD, Places
 
 FloatArray = NDArray[np.float64]
@@ -40,14 +42,14 @@ class GrowthSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """The map as it stands: places with their positions (n, 2), what is common in the run, and how
-    common the branches of each place are (n,) (`evidence.rarity`)."""
+    """The map as it stands: places with their positions (n, 2) and branches, and what is common in
+    the run."""
 
     walk: Walk
     places: Places
     xy: FloatArray
     common: Background
-    rare: FloatArray
+    branches: Branches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,7 @@ def grow(
     settings: GrowthSettings = GrowthSettings(),
 ) -> Support:
     """Support of the hypotheses "place a[k] is place b[k]", grown `settings.hops` corridors far."""
-    places, common, rare = scene.places, scene.common, scene.rare
+    places, common = scene.places, scene.common
     k = len(a)
     gain, loss, legs = np.zeros(k), np.zeros(k), np.zeros(k, np.int64)
     front = _Front(np.arange(k), a, b, aligned.turn, aligned.partner)
@@ -120,14 +122,13 @@ def grow(
         odds = np.where(same, np.where(reached.ea == reached.eb, odds - miss, miss), odds)
         further = np.flatnonzero(~same)
         ends = align(
-            places,
-            common,
+            scene.branches,
             reached.qa[further],
             reached.qb[further],
             turn_sigma=np.full(len(further), settings.turn_sigma_rad),
             turn_mean=front.turn[reached.row[further]],
         )
-        fit = ends.score - np.maximum(rare[reached.qa[further]], rare[reached.qb[further]])
+        fit = ends.odds
         odds[further] += np.clip(fit, 2 * miss, settings.branch_cap)
         gain += weight * np.bincount(h, np.maximum(odds, 0.0), minlength=k)
         loss += weight * np.bincount(h, np.maximum(-odds, 0.0), minlength=k)
@@ -234,13 +235,13 @@ def _agree(
 ) -> NDArray[np.bool_]:
     """Equal lengths, and ends that coincide once the two places do."""
     var = _leg_variance(scene, pairs.la, pairs.lb, settings)
-    near = np.abs(pairs.la - pairs.lb) < GATE * np.sqrt(var)
+    near = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(var)
     da = scene.xy[pairs.qa] - scene.xy[front.a[pairs.row]]
     db = scene.xy[pairs.qb] - scene.xy[front.b[pairs.row]]
     c, s = np.cos(front.turn[pairs.row]), np.sin(front.turn[pairs.row])
     x = da[:, 0] - (c * db[:, 0] - s * db[:, 1])
     y = da[:, 1] - (s * db[:, 0] + c * db[:, 1])
-    room = GATE * np.sqrt(var + (settings.turn_sigma_rad * pairs.la) ** 2)
+    room = LIKELIHOOD.gate_sigmas * np.sqrt(var + (settings.turn_sigma_rad * pairs.la) ** 2)
     result: NDArray[np.bool_] = near & (np.hypot(x, y) < room)
     return result
 

@@ -30,11 +30,12 @@ from .answers import (
     standing_doubts,
     taken_back,
 )
+from .branches import branches_of
 from .candidates import Candidates, CandidateSettings, candidates
 from .dead_reckoning import Walk, louder
 from .detector_faults import RateSettings, measured_rates
 from .estimate import Layout, LayoutSettings, lay_out
-from .evidence import background, rarity, with_pattern
+from .evidence import background, with_pattern
 from .growth import Scene
 from .joint_compatibility import JointSettings, agreeing
 from .manhattan import GridHeadings, RectilinearSettings, grid_headings
@@ -164,7 +165,7 @@ def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) 
     noise = measured_rates(places, walk.noise, settings.rates)
     common = background(walk, noise, evidence)
     common = with_pattern(common, places, layout.xy, evidence)
-    return Scene(walk, places, layout.xy, common, rarity(places, common, evidence))
+    return Scene(walk, places, layout.xy, common, branches_of(places, common, evidence))
 
 
 def _least(scene: Scene) -> float:

@@ -51,15 +51,29 @@ def mutual_nearest(
     return BranchPairs((best > cos_gate) & mutual, nearest_b, 2 - 2 * best)
 
 
-def agreeing_log_density(
-    pairs: BranchPairs, variance: FloatArray, free: FloatArray, most: float
+def agreeing(
+    pairs: BranchPairs,
+    variance: FloatArray,
+    free: FloatArray | float,
+    most: float = np.inf,
 ) -> FloatArray:
-    """(k,) nats that the headings of paired branches tell: same branch against any two.
+    """(k,) nats that the headings of paired branches tell: Σ ln p(d | same) - ln p(heading | any).
 
-    variance: (k,) [rad²] of a difference of headings; free: (k, d_a) -ln density [1/rad] of finding
-    a branch there by chance: the more freely branches point, the more an agreeing one tells; most:
-    what one branch may tell at most.
+    variance: (k,) or (1,) [rad²] of a difference of headings; free: (k, d_a) -ln density [1/rad] of
+    finding a branch there by chance: the more freely branches point, the more an agreeing one
+    tells; most: what one branch may tell at most.
     """
     fit = log_density(pairs.chord2 / variance[:, None], variance[:, None])
     told = np.where(pairs.paired, np.minimum(fit + free, most), 0.0)
     return np.asarray(np.add.reduce(told, axis=1))
+
+
+def missing(pairs: BranchPairs, lack_a: FloatArray, lack_b: FloatArray) -> FloatArray:
+    """(k,) nats that branches without a partner tell. lack_a: (k, d_a), lack_b: (k, d_b): ln of how
+    often a look lacks each of them, weighted by how sure it is; 0 where there is none."""
+    partner = np.where(pairs.paired, pairs.nearest, -1)
+    taken = (partner[:, :, None] == np.arange(lack_b.shape[1])).any(axis=1)
+    told = np.where(pairs.paired, 0.0, lack_a).sum(axis=1) + np.where(taken, 0.0, lack_b).sum(
+        axis=1
+    )
+    return np.asarray(told)

@@ -43,6 +43,9 @@ class LikelihoodSettings:
     """Share of lengths and headings that are measured worse than their noise says …"""
     outlier_width: float = 4.0
     """… by this factor. Also the share of lengths that no histogram of others foretells."""
+    gate_sigmas: float = 3.0
+    """Two readings that differ by more standard deviations are not of one thing: 99.7 % that are
+    differ by less."""
     branch_gate_rad: float = 0.45
     """Branches this close in heading may be the same [rad]: 26°, several sigmas of any detector."""
     cells_per_m: int = 10
@@ -71,18 +74,30 @@ def length_log_density(difference: FloatArray, variance: FloatArray) -> FloatArr
     return log_density(difference * difference / variance, variance)
 
 
-def rarity(length: FloatArray) -> FloatArray:
-    """-ln of the density [1/m] of lengths like each of these [m], among all of them.
+@dataclass(frozen=True, slots=True, eq=False)
+class Lengths:
+    """How common lengths are: density: (cells,) [1/m] by cells of `cells_per_m`."""
 
-    Strategy: a smoothed histogram, a share of it (`outlier_share`) spread evenly.
-    """
-    if len(length) == 0:
-        return np.zeros(0)
-    cell = _cells(length)
-    density = _smoothed(cell) / len(length)
-    spread = LIKELIHOOD.outlier_share
-    density = (1 - spread) * density + spread / max(float(length.max()), 1.0)
-    return np.asarray(-np.log(density)[cell])
+    density: FloatArray
+
+    @classmethod
+    def of(cls, length: FloatArray) -> Lengths:
+        """Of a sample (k,) [m]: a smoothed histogram, a share of it (`outlier_share`) spread evenly
+        from 0 to the longest."""
+        if len(length) == 0:
+            return cls(np.ones(1))
+        spread = LIKELIHOOD.outlier_share
+        density = (1 - spread) * _smoothed(_cells(length)) / len(length)
+        return cls(density + spread / max(float(length.max()), 1.0))
+
+    def rarity(self, length: FloatArray) -> FloatArray:
+        """-ln density [1/m] of each of some lengths [m]: what it tells to have just this one."""
+        return np.asarray(-np.log(self.density)[np.minimum(_cells(length), len(self.density) - 1)])
+
+
+def rarity(length: FloatArray) -> FloatArray:
+    """-ln of the density [1/m] of lengths like each of these [m], among all of them."""
+    return Lengths.of(length).rarity(length)
 
 
 def density_of_equals(length: FloatArray) -> tuple[float, float]:

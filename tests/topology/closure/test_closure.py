@@ -10,6 +10,7 @@ import pytest
 
 from topobatch.topology.closure import resolution
 from topobatch.topology.closure.answers import explained
+from topobatch.topology.closure.branches import align, branches_of
 from topobatch.topology.closure.candidates import Candidates, candidates, likeness_odds
 from topobatch.topology.closure.dead_reckoning import (
     SystematicErrors,
@@ -20,7 +21,7 @@ from topobatch.topology.closure.dead_reckoning import (
 )
 from topobatch.topology.closure.detector_faults import measured_rates
 from topobatch.topology.closure.estimate import lay_out
-from topobatch.topology.closure.evidence import EvidenceSettings, align, background, rarity
+from topobatch.topology.closure.evidence import EvidenceSettings, background
 from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
 from topobatch.topology.closure.incremental import (
     RoundSettings,
@@ -264,7 +265,7 @@ def test_a_second_lap_closes_that_position_alone_speaks_against():
 def _scene(walk, layout):
     places = tabulate(walk, np.arange(len(walk)), layout.pose[:, 2], 0.35)
     common = background(walk, walk.noise)
-    return Scene(walk, places, layout.xy, common, rarity(places, common, EvidenceSettings()))
+    return Scene(walk, places, layout.xy, common, branches_of(places, common, EvidenceSettings()))
 
 
 def revisions(closed):
@@ -897,11 +898,11 @@ def test_blocks_between_the_same_two_streets_count_once():
     layout = lay_out(walk, place)
     places = tabulate(walk, place, layout.pose[:, 2], 0.35)
     common = background(walk, walk.noise)
-    scene = Scene(walk, places, layout.xy, common, rarity(places, common, EvidenceSettings()))
+    scene = Scene(walk, places, layout.xy, common, branches_of(places, common, EvidenceSettings()))
     number = {v: int(place[k]) for k, v in enumerate(truth)}
     off = [(number[v], number[v[0] + 1, v[1]]) for v in number if (v[0] + 1, v[1]) in number]
     a, b = np.array(off).T
-    turned = align(places, common, a, b, turn_sigma=np.full(len(a), 0.05))
+    turned = align(scene.branches, a, b, turn_sigma=np.full(len(a), 0.05))
     lengths = GrowthSettings(branch_cap=0.0)
     independent = grow(scene, a, b, turned, replace(lengths, line_m=0.0))
     together = grow(scene, a, b, turned, lengths)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from topobatch.topology.matching.branches import agreeing_log_density, mutual_nearest
+from topobatch.topology.matching.branches import agreeing, mutual_nearest
 from topobatch.topology.matching.likelihood import LIKELIHOOD, log_density
 from topobatch.topology.se2 import wrap
 
@@ -38,6 +38,6 @@ def test_paired_branches_tell_by_how_near_and_how_free_they_are():
     assert pairs.paired.tolist() == [[True, True, False]]
     variance, free = np.array([0.01]), np.array([[1.0, 2.0, 50.0]])
     fit = log_density(pairs.chord2 / 0.01, np.full((1, 3), 0.01))[0]
-    told = agreeing_log_density(pairs, variance, free, np.inf)
+    told = agreeing(pairs, variance, free, np.inf)
     assert told == pytest.approx(fit[0] + 1.0 + fit[1] + 2.0)
-    assert agreeing_log_density(pairs, variance, free, 0.5) == pytest.approx(1.0)
+    assert agreeing(pairs, variance, free, 0.5) == pytest.approx(1.0)

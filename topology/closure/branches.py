@@ -1,0 +1,170 @@
+"""What the branches of two places say of their being one, in nats.
+
+The terms are those of `matching/branches.py`. Unlike two maps, two places of one run share a frame
+but for what dead reckoning may have turned between them: so the turn has a prior, a branch by
+chance points anywhere, and what a set of branches is worth follows from how often this run has the
+like in these very directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..matching.branches import COS_GATE, BranchPairs, agreeing, missing, mutual_nearest
+from ..matching.likelihood import LIKELIHOOD, log_density
+from .evidence import Background, EvidenceSettings
+from .places import Places
+
+ComplexArray = NDArray[np.complex128]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+ANYWHERE = float(np.log(2 * np.pi))
+"""-ln density [1/rad] of a branch that may point anywhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Branches:
+    """Of n places with up to s branches each, what is compared.
+
+    unit: (n, s) headings as unit numbers, 0 where there is no branch; lack: (n, s) nats that it
+    tells if another look lacks the branch; common: (n,) log likelihood of each place's branches at
+    some other place of this run; variance: [rad²] of a branch between two looks.
+    """
+
+    unit: ComplexArray
+    lack: FloatArray
+    common: FloatArray
+    variance: float
+
+
+def branches_of(places: Places, common: Background, settings: EvidenceSettings) -> Branches:
+    """The branches of all places. O(n · references)."""
+    there = np.isfinite(places.heading)
+    unit = np.where(there, np.exp(1j * np.where(there, places.heading, 0.0)), 0.0)
+    # Another look lacks a branch as often as the looks at this place did, or by a fault.
+    seldom = np.log(np.maximum(1.0 - places.share, common.fault_rate))
+    lack = np.where(there, seldom * places.confidence[:, None], 0.0)
+    variance = 2 * common.branch_sigma**2
+    return Branches(unit, lack, _commonness(unit, lack, variance, settings), variance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """How the branches of two places fit. odds: (k,) nats, one place against any two; turn: (k,)
+    [rad] to be added to b's headings to meet a's; partner: (k, s) slot of b that each slot of a
+    matches, -1 for none."""
+
+    odds: FloatArray
+    turn: FloatArray
+    partner: IntArray
+
+
+def align(
+    branches: Branches,
+    a: IntArray,
+    b: IntArray,
+    *,
+    turn_sigma: FloatArray,
+    turn_mean: FloatArray | None = None,
+) -> Alignment:
+    """Compare the branches of places a and b (k,), which may be turned by N(mean, sigma).
+
+    All pairs at once: every difference of a branch of a and one of b is tried as the turn; the one
+    that explains most wins.
+    """
+    k, s = len(a), branches.unit.shape[1]
+    sigma = np.maximum(turn_sigma, LEAST_TURN_RAD)
+    mean = np.zeros(k) if turn_mean is None else turn_mean
+    unit_a, unit_b = branches.unit[a], branches.unit[b] * np.exp(1j * mean)[:, None]
+    lack_a, lack_b = branches.lack[a], branches.lack[b]
+    score, turn = np.full(k, -np.inf), np.zeros(k)
+    partner = np.full((k, s), -1, np.int64)
+    between = (unit_a[:, :, None] * unit_b.conj()[:, None, :]).reshape(k, s * s)
+    reach = LIKELIHOOD.gate_sigmas * np.sqrt(sigma**2 + branches.variance)
+    for rows, trial in _trials(between, reach):
+        ours, theirs = unit_a[rows], unit_b[rows] * trial[:, None]
+        pairs = mutual_nearest(ours, theirs)
+        rest = ours * np.take_along_axis(theirs, pairs.nearest, axis=1).conj()
+        told, turned_by = _turned(pairs, rest, trial, sigma[rows], branches.variance)
+        told += missing(pairs, lack_a[rows], lack_b[rows])
+        better = told > score[rows]
+        hit = rows[better]
+        score[hit], turn[hit] = told[better], turned_by[better] + mean[hit]
+        partner[hit] = np.where(pairs.paired, pairs.nearest, -1)[better]
+    return Alignment(score - np.maximum(branches.common[a], branches.common[b]), turn, partner)
+
+
+LEAST_TURN_RAD = 1e-3
+"""No turn is known better than this."""
+
+
+def _trials(between: ComplexArray, reach: FloatArray) -> Iterator[tuple[IntArray, ComplexArray]]:
+    """Turns to try: (rows, turn of each row as unit numbers), the smallest first, no two alike.
+
+    between: (k, m) turns from branches of b to branches of a as unit numbers, 0 where there is no
+    branch; reach: (k,) [rad] largest turn.
+    """
+    cosine = np.where(between != 0, between.real, -np.inf)
+    limit = np.cos(np.minimum(reach, np.pi))
+    rows = np.arange(len(between))
+    while True:
+        at = cosine.argmax(axis=1)
+        within = cosine[np.arange(len(rows)), at] > limit
+        rows, between, cosine, limit, at = (x[within] for x in (rows, between, cosine, limit, at))
+        if len(rows) == 0:
+            return
+        trial = between[np.arange(len(rows)), at]
+        yield rows, trial
+        # Turns near this one lead to the same pairs.
+        cosine[(between * trial.conj()[:, None]).real > COS_GATE] = -np.inf
+
+
+def _turned(
+    pairs: BranchPairs, rest: ComplexArray, trial: ComplexArray, sigma: FloatArray, variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """What paired branches tell under the likeliest turn, and that turn: the mean of what the pairs
+    say, held towards 0 by its own sigma. rest: (k, s) turns that they still need after `trial`."""
+    rest = np.where(pairs.paired, rest, 0.0)
+    weight = pairs.paired.sum(axis=1) / variance
+    turn = (np.angle(trial) + np.angle(rest.sum(axis=1))) * weight / (weight + sigma**-2)
+    off = (rest * (trial * np.exp(-1j * turn))[:, None]).real
+    fitted = BranchPairs(pairs.paired, pairs.nearest, 2 - 2 * off)
+    told = agreeing(fitted, np.array([variance]), ANYWHERE)
+    return told - 0.5 * (turn / sigma) ** 2, turn
+
+
+def _commonness(
+    unit: ComplexArray, lack: FloatArray, variance: float, settings: EvidenceSettings
+) -> FloatArray:
+    """(n,) log likelihood of each place's branches at some other place of this run.
+
+    A kernel density: the mean over a fixed sample of places of what their branches say of being
+    these, without a turn; a share of it (`outlier_share`) for sets of branches seen nowhere else.
+    """
+    n = len(unit)
+    sample = np.arange(0, n, max(1, n // settings.references))
+    wide = np.float32(settings.bandwidth_rad**2 + variance)
+    # Slots come first and few places at a time: reductions over a short last axis, and tables that
+    # the processor cannot keep at hand, cost most. Odds need no more than single precision.
+    x, y = unit.real.T.astype(np.float32), unit.imag.T.astype(np.float32)
+    cost = lack.T.astype(np.float32)
+    out = np.empty(n)
+    for begin in range(0, n, settings.strip):
+        rows = slice(begin, begin + settings.strip)
+        cosine = x[:, None, rows, None] * x[None, :, None, sample]
+        cosine += y[:, None, rows, None] * y[None, :, None, sample]
+        near, back = cosine.max(axis=1), cosine.max(axis=0)
+        told = log_density((2 - 2 * near) / wide, wide) + ANYWHERE
+        told = np.where(near > COS_GATE, told, cost[:, rows, None]).sum(axis=0)
+        told += np.where(back > COS_GATE, 0.0, cost[:, None, sample]).sum(axis=0)
+        told[np.arange(n)[rows, None] == sample] = -np.inf
+        top = np.maximum(told.max(axis=1), 0.0)
+        mean = np.exp(told - top[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
+        new = LIKELIHOOD.outlier_share
+        out[rows] = np.log((1 - new) * mean + new * np.exp(-top)) + top
+    return out
