@@ -148,7 +148,7 @@ def _commonness(
     """
     n = len(unit)
     sample = np.arange(0, n, max(1, n // settings.references))
-    wide = np.float32(settings.bandwidth_rad**2 + variance)
+    wide = np.array([settings.bandwidth_rad**2 + variance], np.float32)
     # Slots come first and few places at a time: reductions over a short last axis, and tables that
     # the processor cannot keep at hand, cost most. Odds need no more than single precision.
     x, y = unit.real.T.astype(np.float32), unit.imag.T.astype(np.float32)

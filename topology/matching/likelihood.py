@@ -24,12 +24,15 @@ Branches have their own sum of these terms (`branches.py`), and so has the growt
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Reals = NDArray[np.floating[Any]]
+"""Of single precision where odds need no more."""
 
 BIT = float(np.log(2.0))
 """Nats of a bit: evidence is added up in nats here, and told in bits."""
@@ -59,7 +62,7 @@ class LikelihoodSettings:
 LIKELIHOOD = LikelihoodSettings()
 
 
-def log_density(q: FloatArray, variance: FloatArray) -> FloatArray:
+def log_density(q: Reals, variance: Reals) -> FloatArray:
     """ln density of a difference between two looks at one thing; q: its square over the variance.
 
     The density is per unit of the root of `variance`: 1/m for lengths, 1/rad for headings.
