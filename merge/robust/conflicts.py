@@ -13,7 +13,7 @@ from .growth import Grown
 from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH
 
-BESIDE_M = float(np.hypot(MATCH.sample_m / 2, MATCH.beside_m))
+BESIDE_M = float(np.hypot(MATCH.clear_m / 2, MATCH.gate_m))
 """What lies in a corridor lies so near to one of the points that stand for it."""
 
 
@@ -213,7 +213,7 @@ def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
     across = np.abs(((where - a.road[road]) * a.road_dir[road].conj()).imag)
     farthest = np.zeros(len(lanes))
     np.maximum.at(farthest, lane, off_end)
-    inside = (across < MATCH.beside_m) & (lanes.nearest(where, lane, farthest)[0] > off_end)
+    inside = (across < MATCH.gate_m) & (lanes.nearest(where, lane, farthest)[0] > off_end)
     vertex, edge, lane = lanes.vertex[lone[inside]], a.road_edge[road[inside]], lane[inside]
     bits = _weight((lanes.a, lanes.of_a[lane]), edge, (lanes.b, lanes.of_b[lane]), vertex)
     return _Unseen(lane, vertex, edge, bits)
@@ -238,7 +238,7 @@ def _extra_a(grown: Grown, near: BoolArray) -> _Unseen:
     beside, slot = beside[free], slot[free]
     lane, rows, place, vertex = lane[beside], rows[beside], place[beside], vertex[beside]
     turned = grown.turn[b.road_tail[rows] + lanes.shift[lane]] * b.road_dir[rows]
-    hit = np.abs(((a.z[vertex] - place) * turned.conj()).imag) < MATCH.beside_m
+    hit = np.abs(((a.z[vertex] - place) * turned.conj()).imag) < MATCH.gate_m
     first = np.unique(slot[hit], return_index=True)[1]
     lane, extra, edge = lane[hit][first], vertex[hit][first], b.road_edge[rows[hit][first]]
     bits = _weight((lanes.b, lanes.of_b[lane]), edge, (lanes.a, lanes.of_a[lane]), extra)

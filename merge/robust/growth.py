@@ -57,7 +57,7 @@ def grow(lanes: Lanes, seeds: Sequence[Seed], settings: RobustSettings) -> Grown
         if not len(live):
             break
         predicted = predict(live, now, unit)
-        fresh, found, expected = _rematch(live, predicted[0], predicted[2], settings)
+        fresh, found, expected = _rematch(live, predicted[0], predicted[2])
         enough = found >= np.maximum(MATCH.fewest, MATCH.least_share * expected)
         moved = np.logical_or.reduceat(fresh != now, live.first[:-1])
         going = enough & moved if left else np.zeros(len(live), np.bool_)
@@ -80,7 +80,7 @@ def given_up(lanes: Lanes, seed: Seed, settings: RobustSettings) -> tuple[int, i
     found = expected = np.zeros(1, np.int64)
     for _ in range(settings.growth_rounds):
         place, _, near = predict(lanes, partner, unit)
-        partner, found, expected = _rematch(lanes, place, near, settings)
+        partner, found, expected = _rematch(lanes, place, near)
         if found[0] < max(MATCH.fewest, MATCH.least_share * expected[0]):
             break
     return int(found[0]), int(expected[0])
@@ -177,13 +177,13 @@ def _fits(
     what the fit counts beside the local ones: like a match at the distance that parts two
     placements."""
     count = np.maximum(sums[:, 0].real, 1.0)
-    lever = MATCH.start_weight * start
+    lever = MATCH.place_m**2 * start
     turn, ma, mb = rigid_from_sums(count, sums[:, 1], sums[:, 2], sums[:, 3], lever)
     return turn, ma - turn * mb, mb, MATCH.place_m**2 * turn
 
 
 def _rematch(
-    lanes: Lanes, place: ComplexArray, support: FloatArray, settings: RobustSettings
+    lanes: Lanes, place: ComplexArray, support: FloatArray
 ) -> tuple[IntArray, IntArray, IntArray]:
     """(t,) the vertex of a nearest to each prediction, within the gate; where several choose
     the same one, it goes to the nearest. And for each lane how many were found, and how
@@ -192,7 +192,7 @@ def _rematch(
     active = (support < MATCH.near_m).nonzero()[0]
     lane = lanes.lane.take(active)
     gap, nearest = lanes.nearest(place.take(active), lane, MATCH.place_m)
-    near = (gap < settings.gate_m + settings.gate_per_m * support.take(active)).nonzero()[0]
+    near = (gap < MATCH.gate_m + MATCH.drift_per_m * support.take(active)).nonzero()[0]
     near = near[(-gap[near]).argsort(kind="stable")]
     slot = nearest[near] + lanes.shift_a.take(lane[near])
     owner = np.full(int(lanes.first_a[-1]), -1)

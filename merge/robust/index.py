@@ -121,7 +121,7 @@ class Corridors:
         row, other = row[late], other[late]
         d = a.length[row] - self.length[other]
         fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[other])
-        ok = np.flatnonzero(fits & (np.abs(a.sag[row] - self.sag[other]) < MATCH.sag_m))
+        ok = np.flatnonzero(fits & (np.abs(a.sag[row] - self.sag[other]) < MATCH.gate_m))
         return row[ok], other[ok]
 
     def _hanging_together(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 from dataclasses import dataclass
+from math import isqrt
 
 import numpy as np
 
@@ -75,15 +76,17 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
     low = b.probe_key.searchsorted(key - tolerance)
     high = b.probe_key.searchsorted(key + tolerance)
     size = high - low
-    if np.add.reduce(size) > MATCH.most_links:
+    if np.add.reduce(size) > MATCH.most_pairs:
         order = size.argsort(kind="stable")
-        common = order[size[order].cumsum() > MATCH.most_links]
+        common = order[size[order].cumsum() > MATCH.most_pairs]
         high[common] = low[common]
     i, right = windows(low, high)
     j = b.probe_row[right]
     variance = a.variance[i] + b.variance[j]
     d = a.length[i] - b.length[j]
-    fits = (d * d < MATCH.length_sigmas**2 * variance) & (np.abs(a.sag[i] - b.sag[j]) < MATCH.sag_m)
+    fits = (d * d < MATCH.length_sigmas**2 * variance) & (
+        np.abs(a.sag[i] - b.sag[j]) < MATCH.gate_m
+    )
     ok = fits.nonzero()[0]
     i, j = i[ok], j[ok]
     theta = np.asarray(wrap(a.angle[i] - b.angle[j]))
@@ -154,7 +157,7 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
 def _slack(apart_m: FloatArray) -> FloatArray:
     """How far apart [m] two links of one alignment may place b, seen from each other: what growth
     allows, and twice as much per metre, for either may be turned."""
-    return MATCH.votes_m + 2 * MATCH.drift_per_m * apart_m
+    return MATCH.gate_m + 2 * MATCH.drift_per_m * apart_m
 
 
 def _agreeing(
@@ -163,8 +166,9 @@ def _agreeing(
     """Of a component's links those that share the transform with the most bits; its rotation."""
     if len(rows) == 1:
         return rows, float(links.theta[rows[0]])
-    if len(rows) > MATCH.most_votes:
-        rows = rows[(-links.bits[rows]).argsort(kind="stable")[: MATCH.most_votes]]
+    most = isqrt(MATCH.most_pairs)  # each votes on each
+    if len(rows) > most:
+        rows = rows[(-links.bits[rows]).argsort(kind="stable")[:most]]
     theta, za, zb = links.theta[rows], mid_a[rows], mid_b[rows]
     gap_b = zb[None, :] - zb[:, None]
     unit = np.exp(1j * theta)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.digits import METRES
 from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
@@ -18,6 +19,9 @@ ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+LEAST_M = 10.0**-METRES
+"""No length is known better: documents tell no more."""
 
 SECTOR_RAD = np.pi / 2
 """Branches are sorted into four sectors around the one by which a corridor leaves."""
@@ -124,7 +128,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     z = m.xy[:, 0] + 1j * m.xy[:, 1]
     heading, count = _padded(m)
     looks = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(np.int64)
-    long = np.abs(z[m.source] - z[m.target]) > MATCH.floor_m
+    long = np.abs(z[m.source] - z[m.target]) > LEAST_M
     rows = np.flatnonzero((m.source != m.target) & long)
     tail = np.concatenate([m.source[rows], m.target[rows]])
     head = np.concatenate([m.target[rows], m.source[rows]])
@@ -229,13 +233,11 @@ def _padded(m: TopoMap) -> tuple[FloatArray, IntArray]:
 def _length_variance(
     noise: RunNoise, length: FloatArray, traversals: IntArray, looks_u: IntArray, looks_v: IntArray
 ) -> FloatArray:
-    """Variance [m²] of a corridor's chord: centres at both ends, odometry along it, its scale.
-
-    `MATCH.floor_m` stands for what no estimate holds: detectors that shift with the view.
-    """
+    """Variance [m²] of a corridor's chord: centres at both ends, odometry along it, its scale; no
+    less than documents tell."""
     centres = noise.centre_m**2 * (1 / np.minimum(looks_u, 4) + 1 / np.minimum(looks_v, 4))
     along = noise.along_m_per_sqrt_m**2 * length / np.minimum(traversals, 4)
-    return np.asarray(MATCH.floor_m**2 + centres + along + (noise.scale * length) ** 2)
+    return np.asarray(LEAST_M**2 + centres + along + (noise.scale * length) ** 2)
 
 
 def _corridor_shapes(
@@ -269,11 +271,11 @@ def _corridor_shapes(
     middle = point((start + end) / 2 + shift)
     bow = ((middle - (z[m.source[rows]] + z[m.target[rows]]) / 2) * unit.conj()).imag
     inner = np.maximum(end - start - 2 * MATCH.clear_m, 0.0)
-    pieces = np.ceil(inner / MATCH.sample_m).astype(np.int64)
+    pieces = np.ceil(inner / MATCH.clear_m).astype(np.int64)
     owner = np.repeat(np.arange(len(rows)), pieces)
     nth = np.arange(len(owner)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     s = (start + shift)[owner] + MATCH.clear_m + (nth + 0.5) / pieces[owner] * inner[owner]
-    tangent = point(s + MATCH.sample_m / 2) - point(s - MATCH.sample_m / 2)
+    tangent = point(s + MATCH.clear_m / 2) - point(s - MATCH.clear_m / 2)
     tangent = tangent / np.maximum(np.abs(tangent), 1e-9)
     return np.concatenate([bow, -bow]), point(s), tangent, owner.astype(np.int64)
 

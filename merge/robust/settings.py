@@ -35,10 +35,6 @@ class RobustSettings:
     """Candidate alignments grown per pair."""
     growth_rounds: int = 6
     """Rounds of predict, match, refit, at most."""
-    gate_m: float = 0.55
-    """Growth: a predicted junction is found within this distance …"""
-    gate_per_m: float = 0.06
-    """… plus this much per metre to the matches that predict it."""
     copy_variation: float = 0.02
     """Relative 1 sigma by which lengths differ between two copies of one design."""
     copy_change_rate: float = 0.09
@@ -85,33 +81,28 @@ class MatchSettings:
 
     length_sigmas: float = 3.0
     """Corridors are compared if their lengths differ by less than so much noise: 99.7 %."""
-    sag_m: float = 0.75
-    """Corridors are compared if they are bent alike up to this, half way [m]."""
     turn_rad: float = 0.35
     """Rotations that differ by less belong to one placement [rad]: 20°. Drift turns parts of a map
     by less, and two placements of one building differ by a quarter turn. Tried: 0.3, the same."""
     place_m: float = 3.0
     """So do shifts [m], and `drift_per_m` more per metre to where they were found: most junctions
-    are farther apart. Also the lever [m] that all matches together have beside the near ones.
-    Tried: 2.5, the same."""
+    are farther apart. Also the lever [m] that all matches together have beside the near ones, and
+    the rotation that they began with. Tried: 2.5, the same."""
 
     drift_per_m: float = 0.06
-    """Predictions and placements are off by so much per metre to what they rest on, as growth
-    allows (`gate_per_m`): what is left of drift after loop closure."""
-    votes_m: float = 0.55
-    """Links of one alignment place the other map within this and twice `drift_per_m` [m], as growth
-    allows (`gate_m`)."""
+    """Predictions and placements are off by so much per metre to what they rest on: what is left of
+    drift after loop closure."""
+    gate_m: float = 0.55
+    """What lies apart by less may be the same [m]: a junction and where it was predicted, a
+    junction and the line of a corridor or of a grid, the middles of two corridors over their ends,
+    and, with twice `drift_per_m`, where two links of one alignment place the other map. Tried for
+    lines .8, beside corridors .45, for middles .75: the same."""
     reach_m: float = 8.0
     """Matches weigh exp(-d²/2 reach²) in predicting a junction d metres away: drift bends maps over
     tens of metres, junctions lie some 6 m apart."""
     neighbours: int = 20
     """Junctions around each junction whose matches predict where it lies in the other map: as many
     as lie within twice the reach."""
-    near_m: float = 15.0
-    """Farther from a match predictions are too vague to be looked at [m]. Tried: 10 and 12 merge
-    three and one of 780 pairs of tunnels wrongly, 15 none."""
-    start_weight: float = 4.0
-    """The rotation that a match began with weighs like so many square metres of lever."""
     fewest: int = 3
     """A match that does not reach this many junctions in a round of growth is given up …"""
     least_share: float = 0.6
@@ -120,36 +111,36 @@ class MatchSettings:
     pairs take half as long again."""
     weak_share: float = 0.3
     """Hypotheses with less than this share of the best one's bits are not grown."""
-    most_links: int = 20_000
-    """Where more pairs of corridors than this look alike, those of the commonest patterns are left
-    out: a link to a corridor of which there are hundreds tells nothing."""
-    most_compared: int = 30_000
-    """Up to so many pairs of points are compared outright: one product of matrices is faster than
-    the 22 µs that asking a tree takes before it begins."""
-    most_votes: int = 40
-    """Links of a hypothesis that vote for its transform, for the sake of time (quadratic)."""
+    most_pairs: int = 20_000
+    """Pairs of anything that are compared at once, for the sake of time. Where more pairs of
+    corridors look alike, those of the commonest patterns are left out: a link to a corridor of
+    which there are hundreds tells nothing. Where more pairs of links would vote for a transform,
+    the weakest do not. And up to so many pairs of points are compared outright: one product of
+    matrices is faster than the 22 µs that asking a tree takes before it begins."""
 
-    offset_floor_m: float = 0.05
-    """Noise of the position of one junction seen from another [m] …"""
     offset_per_m: float = 0.02
-    """… and per metre between them, along; across twice as much."""
+    """Noise of the position of one junction seen from another, per metre between them, along;
+    across twice as much: what is left of drift bends a map."""
     offset_bits: float = 3.0
     """What such a pair of junctions tells less than a corridor: there are many to choose from."""
-    line_m: float = 0.8
-    """How far apart two junctions on one line of a building's grid may seem to lie, across it."""
-
-    clear_m: float = 1.3
-    """Nearer than this to its ends a corridor is the junctions' own [m]."""
-    beside_m: float = 0.45
-    """A junction this near to the line of a corridor lies in it [m]."""
-    sample_m: float = 1.0
-    """Spacing of the points that stand for a corridor [m]."""
-    floor_m: float = 0.01
-    """Noise of lengths that no estimate holds [m]: detectors that shift with the view."""
+    clear_m: float = 1.0
+    """Nearer than this to its ends a corridor is the junctions' own [m]; also the spacing of the
+    points that stand for the rest of it. Tried: 1.3, the same."""
     floor_rad: float = 0.03
-    """Noise of branches that no estimate holds [rad]."""
-    soft_rad: float = 0.21
-    """Branches this close to the border of two sectors are looked up in both [rad]: 12°."""
+    """Noise of branches that no estimate holds [rad]: detectors that turn with the view. Without it
+    tunnels repeat themselves more by chance, and fewer pairs of them are told."""
+
+    @property
+    def near_m(self) -> float:
+        """Farther from a match predictions are too vague to be looked at [m]: it hardly weighs.
+        Tried: 10 and 12 merge three and one of 780 pairs of tunnels wrongly, 15 none."""
+        return 2 * self.reach_m
+
+    @property
+    def soft_rad(self) -> float:
+        """Branches this close to the border of two sectors are looked up in both [rad]: of two that
+        may be the same and lie on both sides of it, one is no farther from it."""
+        return self.turn_rad / 2
 
 
 MATCH = MatchSettings()

@@ -46,7 +46,7 @@ class Sites:
         if self.tree is None:
             return np.full(len(where), np.inf), np.zeros(len(where), np.int64)
         moved = where - self.centre
-        if len(where) * len(self.z) > MATCH.most_compared:
+        if len(where) * len(self.z) > MATCH.most_pairs:
             gap, index = self.tree.query(_points(moved), distance_upper_bound=within_m)
             return np.asarray(gap), np.asarray(index)
         # Nearest is where |w - z|² = |w|² - 2 (w · z - |z|² / 2) is least.

@@ -110,7 +110,7 @@ def _corridor_links(
     key = grown.a[i] * len(a) + grown.a[j]
     at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
     row_a = a.pair_row[at]
-    bent_alike = np.abs(a.sag[row_a] - b.sag[rows]) < MATCH.sag_m
+    bent_alike = np.abs(a.sag[row_a] - b.sag[rows]) < MATCH.gate_m
     same = ((a.pair_key[at] == key) & bent_alike).nonzero()[0]
     i, j, row_a, rows, lane = i[same], j[same], row_a[same], rows[same], lane[same]
     d = a.length[row_a] - b.length[rows]
@@ -144,7 +144,7 @@ def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, Floa
     bend = np.abs(np.arctan2(unit.imag, unit.real)) * d
     across = MATCH.offset_per_m * d
     seen = lanes.a.centre_m[lanes.of_a] ** 2 + lanes.b.centre_m[lanes.of_b] ** 2
-    centres = (MATCH.offset_floor_m**2 + seen)[grown.lane[p]] + across**2
+    centres = seen[grown.lane[p]] + across**2
     bits = length_bits(np.abs(offset_a) - d, centres)
     bits = bits - bend * bend / (2 * (centres + (2 * across) ** 2)) / np.log(2)
     return p, q, bits + b.near_rarity[vertex, column + 1] - MATCH.offset_bits
@@ -205,7 +205,7 @@ def _lines(at: list[float]) -> list[int]:
     number, end, line = [0] * len(at), -np.inf, -1
     for k in sorted(range(len(at)), key=at.__getitem__):
         if at[k] > end:
-            end, line = at[k] + MATCH.line_m, line + 1
+            end, line = at[k] + MATCH.gate_m, line + 1
         number[k] = line
     return number
 

@@ -91,7 +91,7 @@ def test_candidate_links_are_those_of_brute_force(halves):
             if (
                 a.pattern[i] == b.pattern[j]
                 and abs(a.length[i] - b.length[j]) < MATCH.length_sigmas * sigma
-                and abs(a.sag[i] - b.sag[j]) < MATCH.sag_m
+                and abs(a.sag[i] - b.sag[j]) < MATCH.gate_m
             ):
                 expected.add((i, j))
     # Branches near the border of two sectors are looked up in both: more may be found, none fewer.
@@ -105,10 +105,10 @@ def test_sites_find_the_nearest_both_ways(n):
     rng = np.random.default_rng(n)
     z, where = (
         (rng.uniform(0, 40, (k, 2)) + 3e5) @ np.array([1, 1j])
-        for k in (n, MATCH.most_compared // n + 1)
+        for k in (n, MATCH.most_pairs // n + 1)
     )
     sites = Sites.of(z)
-    for asked in (where, where[: MATCH.most_compared // n]):
+    for asked in (where, where[: MATCH.most_pairs // n]):
         gap, index = sites.nearest(asked, 3.0)
         all_gaps = np.abs(asked[:, None] - z)
         near = all_gaps.min(axis=1) < 3.0
