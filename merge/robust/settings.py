@@ -90,14 +90,14 @@ class MatchSettings:
     the rotation that they began with. Tried: 2.5, the same."""
 
     drift_per_m: float = 0.06
-    """Predictions and placements are off by so much per metre to what they rest on: what is left of
-    drift after loop closure."""
+    """Predictions and placements are off by no more per metre to what they rest on: `length_sigmas`
+    of what is left of drift after loop closure. Across it is twice as much: it bends maps."""
     gate_m: float = 0.55
     """What lies apart by less may be the same [m]: a junction and where it was predicted, a
     junction and the line of a corridor or of a grid, the middles of two corridors over their ends,
     and, with twice `drift_per_m`, where two links of one alignment place the other map. Tried for
     lines .8, beside corridors .45, for middles .75: the same."""
-    reach_m: float = 8.0
+    reach_m: float = 7.5
     """Matches weigh exp(-d²/2 reach²) in predicting a junction d metres away: drift bends maps over
     tens of metres, junctions lie some 6 m apart."""
     neighbours: int = 20
@@ -118,11 +118,9 @@ class MatchSettings:
     the weakest do not. And up to so many pairs of points are compared outright: one product of
     matrices is faster than the 22 µs that asking a tree takes before it begins."""
 
-    offset_per_m: float = 0.02
-    """Noise of the position of one junction seen from another, per metre between them, along;
-    across twice as much: what is left of drift bends a map."""
     offset_bits: float = 3.0
-    """What such a pair of junctions tells less than a corridor: there are many to choose from."""
+    """What the offset between two junctions tells less than a corridor: there are many to choose
+    from."""
     clear_m: float = 1.0
     """Nearer than this to its ends a corridor is the junctions' own [m]; also the spacing of the
     points that stand for the rest of it. Tried: 1.3, the same."""

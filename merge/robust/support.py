@@ -142,11 +142,11 @@ def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, Floa
     unit = offset_a * (grown.turn[grown.row[p]] * offset_b).conj()
     unit = unit / np.maximum(np.abs(unit), 1e-9)
     bend = np.abs(np.arctan2(unit.imag, unit.real)) * d
-    across = MATCH.offset_per_m * d
+    drift = MATCH.drift_per_m / MATCH.length_sigmas * d
     seen = lanes.a.centre_m[lanes.of_a] ** 2 + lanes.b.centre_m[lanes.of_b] ** 2
-    centres = seen[grown.lane[p]] + across**2
+    centres = seen[grown.lane[p]] + drift**2
     bits = length_bits(np.abs(offset_a) - d, centres)
-    bits = bits - bend * bend / (2 * (centres + (2 * across) ** 2)) / np.log(2)
+    bits = bits - bend * bend / (2 * (centres + (2 * drift) ** 2)) / np.log(2)
     return p, q, bits + b.near_rarity[vertex, column + 1] - MATCH.offset_bits
 
 

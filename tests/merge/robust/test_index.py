@@ -171,4 +171,5 @@ def test_chances_of_other_bytes_are_refused(buildings, large):
     np.testing.assert_array_equal(
         pairs_to_match(ready[::-1], DEFAULT_ROBUST, digests[::-1], kept), turned
     )
-    assert len(right) == len(turned)
+    last = len(maps) - 1  # what is looked up in what makes a difference to what chance offers alone
+    assert {(last - j, last - i) for i, j in turned.tolist()} >= {(i, j) for i, j in right.tolist()}
