@@ -22,6 +22,7 @@ from topobatch.merge.fusion.fuse import components_of
 from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, match, prepare, repetition, verdict
 from topobatch.merge.robust.alignment import best_of
 from topobatch.merge.robust.links import Seed
+from topobatch.merge.robust.settings import MATCH
 from topobatch.simulation import make_world
 from topobatch.topology.se2 import fit_rigid
 
@@ -114,7 +115,7 @@ def placements(kind, worlds, first):
             1,
             beside,
             lead < 0,
-            lead > DEFAULT_ROBUST.lead_bits,
+            lead > MATCH.lead_bits,
             beside and right[1] > wrong[1],
         )
     return out

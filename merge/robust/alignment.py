@@ -178,7 +178,7 @@ def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:
     agree = supports(grown)
     bits = np.array([s.bits for s in agree]) - tested_bits
     first = cuts(grown.lane, len(lanes))
-    against = conflicts(grown, bits > MATCH.chance_bits)
+    against = conflicts(grown, bits > MATCH.lead_bits)
     a = grown.a - lanes.a.vertex[lanes.of_a[grown.lane]]
     b = grown.b - lanes.b.vertex[lanes.of_b[grown.lane]]
     turn = grown.turn[grown.row]

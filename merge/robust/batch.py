@@ -73,7 +73,7 @@ class Batch:
                     likely[pair] = view
                 else:
                     self.alone[pair] = self.worded(pair, view)
-        self.opinions.update(doubt_mirrored(likely, self._image_bits, self.matcher.settings))
+        self.opinions.update(doubt_mirrored(likely, self._image_bits))
 
     def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Opinion, tuple[Candidate, ...]]]:
         """What the two maps of each of some pairs say alone, but for mirror images, and the
@@ -94,7 +94,7 @@ class Batch:
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement that chance does not offer."""
-        chance = MATCH.chance_bits
+        chance = MATCH.lead_bits
         known = ((pair, view.best, view.bits) for pair, view in self.opinions.items())
         worded = ((pair, told.best, told.evidence_bits) for pair, told in self.alone.items())
         both = chain(known, worded)

@@ -183,7 +183,7 @@ def assess(
         best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}
         return {p: c[0].bits if c else -np.inf for p, c in best.items()}
 
-    view = doubt_mirrored({pair: view}, image_bits, settings)[pair]
+    view = doubt_mirrored({pair: view}, image_bits)[pair]
     return Assessment(prepared[i], prepared[j], found, level, view)
 
 
@@ -247,9 +247,9 @@ def _repetition(
         (m, c)
         for m, own in zip(prepared, found, strict=True)
         for c in own
-        if c.bits > MATCH.chance_bits
+        if c.bits > MATCH.lead_bits
     ]
-    copied = [max((len(c) for c in own if c.bits > MATCH.chance_bits), default=0) for own in found]
+    copied = [max((len(c) for c in own if c.bits > MATCH.lead_bits), default=0) for own in found]
     batch = float(np.quantile(copied, settings.copied_share)) if copied else 0.0
     return copy_model(samples, settings), [max(junctions, batch) for junctions in copied]
 
@@ -298,9 +298,7 @@ def _seconded(
     if not components.together(i, j):
         return None
     T_i_j = components.relative(i, j)
-    fitting = (
-        c for c in candidates if c.bits > MATCH.chance_bits and agrees(c, T_i_j, prepared[j])
-    )
+    fitting = (c for c in candidates if c.bits > MATCH.lead_bits and agrees(c, T_i_j, prepared[j]))
     return next(fitting, None)
 
 

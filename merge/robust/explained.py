@@ -166,7 +166,7 @@ def _placement_of(own: Assessment, c: Candidate) -> Shown:
         Answers(view.need_bits, c.bits, counted_bits(c)),
     )
     terms = _terms(_Naming(own.a, own.b), c, answers)
-    searched = c.support.bits - c.tested_bits > MATCH.chance_bits
+    searched = c.support.bits - c.tested_bits > MATCH.lead_bits
     return Placement(own.alignment(c, answers.bits), terms, searched), answers
 
 
@@ -320,7 +320,7 @@ def _requirement(batch: Batch, told: PairVerdict, answers: Answers | None) -> Re
         pairs=pairs,
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
-        lead_bits=settings.lead_bits,
+        lead_bits=MATCH.lead_bits,
         junction_bits=MATCH.junction_bits,
         repetition=0.0 if answers is None else answers.repetition,
         same_place_bits=answers.same_place if answers is not None and asked else None,

@@ -19,7 +19,7 @@ from ...topology.topomap import TopoMap
 from ..result import Verdict
 from .alignment import Candidate
 from .prepare import IntArray
-from .settings import RobustSettings
+from .settings import MATCH
 from .verdict import Opinion
 
 Pair = tuple[int, int]
@@ -52,7 +52,6 @@ def mirrored(m: TopoMap) -> TopoMap:
 def doubt_mirrored(
     opinions: Mapping[Pair, Opinion],
     image_bits: Callable[[list[Pair]], Mapping[Pair, float]],
-    settings: RobustSettings,
 ) -> dict[Pair, Opinion]:
     """The opinions, with "merged" made "ambiguous" where the second map's mirror image fits the
     first one nearly as well as the map itself does, or better.
@@ -63,14 +62,14 @@ def doubt_mirrored(
     out = dict(opinions)
     for pair, bits in image_bits(merged).items():
         view = opinions[pair]
-        if view.best is not None and fits_as_well(bits, view.best, settings):
+        if view.best is not None and fits_as_well(bits, view.best):
             out[pair] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
     return out
 
 
-def fits_as_well(image_bits: float, best: Candidate, settings: RobustSettings) -> bool:
+def fits_as_well(image_bits: float, best: Candidate) -> bool:
     """Does the mirror image of a map fit another one nearly as well as the map itself does?
 
     image_bits: the evidence of the image's best alignment; best: the alignment of the map itself.
     """
-    return image_bits > best.bits - settings.lead_bits
+    return image_bits > best.bits - MATCH.lead_bits

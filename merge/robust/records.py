@@ -48,7 +48,7 @@ class Found:
 
 def in_short(candidates: tuple[Candidate, ...], settings: RobustSettings) -> Found:
     """What is kept of the candidates of a pair: all, or next to nothing."""
-    if any(c.bits > MATCH.chance_bits for c in candidates):
+    if any(c.bits > MATCH.lead_bits for c in candidates):
         return Found(candidates)
     return Found(faint=faint_of(candidates, settings))
 

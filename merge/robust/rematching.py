@@ -142,7 +142,7 @@ class Rematcher:
         if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):
             return False
         image = self._merged.image_bits(one, two, self.settings)
-        return not fits_as_well(image, view.best, self.settings)
+        return not fits_as_well(image, view.best)
 
 
 def _strength(said: Said) -> tuple[float, Runs, Runs]:

@@ -18,8 +18,6 @@ class RobustSettings:
     """Chance that a whole batch holds any false merge, at most."""
     min_matches: int = 5
     """Fewer matched junctions than this are never merged."""
-    lead_bits: float = 4.0
-    """What the best alignment must lead the next best one by."""
     copy_margin_bits: float = 4.0
     """The second question is asked with cautious rates: of copies, fewer than promised pass it by
     this many bits (measured by `benchmarks/calibration.py`)."""
@@ -54,9 +52,9 @@ DEFAULT_ROBUST = RobustSettings()
 class MatchSettings:
     """What matching counts with. "Tried": on maps made by `benchmarks/aliasing.py`."""
 
-    chance_bits: float = 4.0
-    """Alignments with less evidence are what chance offers to every pair; matches with no more are
-    not searched for contradictions."""
+    lead_bits: float = 4.0
+    """What the best alignment must lead the next best one and its mirror image by: odds of 16 to 1.
+    And what it must lead chance by to be worth a word, or to be searched for contradictions."""
     junction_bits: float = 2.5
     """Most that one matched junction counts: few junctions overstate what they tell. Of 297,000
     pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1

@@ -279,7 +279,7 @@ def _opinion(
 def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidate]:
     """The alignments worth a word: those of enough junctions, or, if there are none, those of fewer
     that chance hardly offers."""
-    odd = [c for c in candidates if c.bits > MATCH.chance_bits]
+    odd = [c for c in candidates if c.bits > MATCH.lead_bits]
     enough = [c for c in odd if len(c) >= level.settings.min_matches]
     return enough or [c for c in odd if c.bits > level.need_bits]
 
@@ -292,6 +292,6 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, level: Bar
         return "chance offers as much too often"
     if len(best) < level.settings.min_matches:
         return f"{level.settings.min_matches} junctions at least must agree"
-    if margin is not None and margin < level.settings.lead_bits:
+    if margin is not None and margin < MATCH.lead_bits:
         return "another placement fits nearly as well"
     return ""

@@ -167,5 +167,5 @@ def test_settings_of_a_document_are_checked():
         settings_from_document({"false_merge_rate": 2.0})
     with pytest.raises(ValueError, match="hypotheses must be a whole number"):
         settings_from_document({"hypotheses": 2.5})
-    with pytest.raises(ValueError, match="lead_bits must be a number: 'four'"):
-        settings_from_document({"lead_bits": "four"})
+    with pytest.raises(ValueError, match="size_sigmas must be a number: 'four'"):
+        settings_from_document({"size_sigmas": "four"})

@@ -418,7 +418,7 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
     view = opinion(a, b, found, bar(PairCount(1, 1), COPIES, SETTINGS))
     assert view.verdict == "ambiguous"
     assert view.runner_up is not None
-    assert view.margin < SETTINGS.lead_bits
+    assert view.margin < MATCH.lead_bits
 
 
 def test_cycles_that_contradict_give_way_at_their_weakest_link(halves):
