@@ -179,7 +179,8 @@ class MergeEntry(Contradicted):
     )
     threshold_bits: Finite | None = Field(
         None,
-        description="The evidence that merging needs: log2(pairs of runs / false-merge rate).",
+        description="The evidence that merging needs: log2(pairs of runs / false-merge rate); of "
+        "pairs accepted by components only the pairs that were not joined by then count.",
     )
     margin_bits: Finite | None = Field(
         None,
