@@ -139,7 +139,7 @@ def test_only_packs_are_touched(fleet, tmp_path):
 
 def test_settings_and_program_make_another_era(monkeypatch):
     plain = era_of(DEFAULT_ROBUST)
-    assert era_of(RobustSettings(gate_m=0.6)) != plain
+    assert era_of(RobustSettings(hypotheses=4)) != plain
     assert era_of(RobustSettings(false_merge_rate=0.01)) == plain
     monkeypatch.setattr(pairing, "_program", lambda: "other")
     assert era_of(DEFAULT_ROBUST) != plain
