@@ -3,8 +3,9 @@
 Maps of some 50 junctions are made without logs (`observed.py`): ten runs in each of many sites,
 which are mazes, offices, organic ways and city blocks in turn. For every number of maps, CPU
 seconds of one process: preparing the maps, the index, matching the pairs that have a chance, all of
-a merge up to its document, what of that is none of these (rest); the same merge with one more run
-and a cache that knows the others; and a plain loop over all pairs, measured on a sample of them.
+a merge up to its document and the memory until then, what of that is none of these (rest); the same
+merge with one more run and a cache that knows the others; a plain loop over all pairs, and all of
+them by the matcher of many pairs at a time, both measured on a sample.
 What was joined is judged by the truth: false are runs of different sites in one component; found
 are the pairs of runs that share five junctions or more. Exponents are those between neighbouring
 rows.
@@ -21,6 +22,7 @@ import argparse
 import resource
 import tempfile
 import time
+from collections import deque
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -33,6 +35,8 @@ from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, match, prepare, screening
+from topobatch.merge.robust.alignment import match_all
+from topobatch.merge.robust.pairing import in_tiles
 from topobatch.merge.robust.screening import pairs_to_match
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
 from topobatch.simulation import make_world
@@ -110,8 +114,8 @@ def one_size(count, first):
     wanted = pairs_to_match(ready, DEFAULT_ROBUST)
     row["index"] = clock.lap()
     row["chance"] = len(wanted) / pairs_of(count)
-    for i, j in wanted.tolist():
-        match(ready[i], ready[j], DEFAULT_ROBUST)
+    likely = ((ready[i], ready[j]) for i, j in in_tiles(wanted).tolist())
+    deque(match_all(likely, DEFAULT_ROBUST), maxlen=0)
     row["match"] = clock.lap()
     rng = np.random.default_rng(first)
     pairs = np.sort(rng.integers(count, size=(2 * SAMPLE, 2)), axis=1)
@@ -120,6 +124,9 @@ def one_size(count, first):
     for i, j in pairs.tolist():
         match(ready[i], ready[j], DEFAULT_ROBUST)
     row["loop"] = clock.lap() / len(pairs) * pairs_of(count)
+    some = ((ready[i], ready[j]) for i, j in pairs.tolist())
+    deque(match_all(some, DEFAULT_ROBUST), maxlen=0)
+    row["all"] = clock.lap() / len(pairs) * pairs_of(count)
     del ready
     with tempfile.TemporaryDirectory() as folder:
         cache, path = Path(folder) / "pairs", Path(folder) / "merged.json"
@@ -129,6 +136,7 @@ def one_size(count, first):
         store.flush()
         write_merged(path, result)
         row["merge"] = clock.lap()
+        row["peak MB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         row["rest"] = row["merge"] - row["prepare"] - row["index"] - row["match"]
         row["MB"] = path.stat().st_size / 1e6
         row["cache MB"] = sum(p.stat().st_size for p in cache.iterdir()) / 1e6
@@ -141,7 +149,6 @@ def one_size(count, first):
     row["false"], row["found"], row["overlap"] = judged(
         result, {run: known for run, known in truth.items() if run != late.run}
     )
-    row["peak MB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     return row
 
 
@@ -200,7 +207,7 @@ def beyond(count, first):
     print(f"{count} maps: {len(found)} pairs beyond chance, {lost} of which the index gives none")
 
 
-SECONDS = ("prepare", "index", "match", "rest", "merge", "one more", "loop")
+SECONDS = ("prepare", "index", "match", "rest", "merge", "one more", "loop", "all")
 
 
 def table(sizes, first):
@@ -220,7 +227,8 @@ def table(sizes, first):
         some = row["index"] + row["match"]
         print(
             f"{row['maps']}: the loop takes {row['loop'] / some:.1f} times as long as index and "
-            f"matches; one more run {row['one more'] / row['merge']:.3f} of a merge, "
+            f"matches, all pairs at once {row['all'] / some:.1f} times; "
+            f"one more run {row['one more'] / row['merge']:.3f} of a merge, "
             f"{row['one more'] / (row['loop'] + row['merge'] - some):.3f} of one by the loop"
         )
 

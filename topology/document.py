@@ -113,21 +113,30 @@ def edges_to_document(graph: Any) -> list[dict[str, Any]]:
     keys = edge_keys(graph.source, graph.target)
     length = rounded(np.maximum(graph.length, SHORTEST_M), METRES)
     times = getattr(graph, "traversal_ns", None)
+    paths, stops = _rounded_together(graph.paths)
+    ends = [graph.source.tolist(), graph.target.tolist()]
+    branches = [graph.source_branch.tolist(), graph.target_branch.tolist()]
     return [
         {
-            "source": int(graph.source[i]),
-            "target": int(graph.target[i]),
+            "source": ends[0][i],
+            "target": ends[1][i],
             "key": keys[i],
             "length": length[i],
             "length_sigma": significant(max(float(graph.length_sigma[i]), SHORTEST_M)),
-            "source_branch": branch(int(graph.source_branch[i])),
-            "target_branch": branch(int(graph.target_branch[i])),
-            "path": rounded(graph.paths[i], METRES),
+            "source_branch": branch(branches[0][i]),
+            "target_branch": branch(branches[1][i]),
+            "path": paths[stops[i] : stops[i + 1]],
             "traversals": int(graph.traversals[i]),
             **({} if times is None else {"traversal_ns": times[i].tolist()}),
         }
         for i in range(len(keys))
     ]
+
+
+def _rounded_together(paths: Sequence[NDArray[np.float64]]) -> tuple[list[list[float]], list[int]]:
+    """The points of all paths as they stand in documents, and where each path begins."""
+    stops = np.cumsum([0, *map(len, paths)]).tolist()
+    return rounded(np.concatenate([np.zeros((0, 2)), *paths]), METRES), stops
 
 
 def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
@@ -143,8 +152,8 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise, fitted = _noise(d.graph.noise), d.graph.fitted_noise
     paths = tuple(np.array(e.path) for e in d.edges)
-    lengths = [np.hypot(*np.diff(path, axis=0).T).sum() for path in paths]
-    for k, length in enumerate(lengths):
+    lengths = _lengths(paths)
+    for k, length in enumerate(lengths.tolist()):
         if length > LONGEST_M:
             raise DocumentError(f"{name}: edges.{k}.path: is longer than {LONGEST_M / 1000:.0f} km")
     if sum(lengths) > LONGEST_TOGETHER_M:
@@ -194,6 +203,16 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         )
     except ValueError as error:
         raise DocumentError(f"{name}: {error}") from error
+
+
+def _lengths(paths: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Of each path how long it is [m]; paths have two points or more."""
+    size = np.array([len(path) for path in paths], np.int64)
+    step = np.diff(np.concatenate([np.zeros((0, 2)), *paths]), axis=0)
+    between = np.cumsum(size)[:-1] - 1
+    long = np.hypot(step[:, 0], step[:, 1])
+    long[between] = 0.0
+    return np.bincount(np.arange(len(paths)).repeat(size)[1:], long, len(paths))
 
 
 def _noise(values: dict[str, float]) -> RunNoise:

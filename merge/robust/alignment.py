@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...topology.se2 import apply, fit_rigid, wrap
+from ...topology.se2 import apply, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import Conflicts, conflicts
 from .growth import Grown, grow, ungrown
@@ -182,7 +182,7 @@ def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:
     a = grown.a - lanes.a.vertex[lanes.of_a[grown.lane]]
     b = grown.b - lanes.b.vertex[lanes.of_b[grown.lane]]
     turn = grown.turn[grown.row]
-    transform, rmse = _laid_over_each(grown, first)
+    transform, rmse = _laid_over_each(grown)
     out: list[Candidate | None] = [None] * len(lanes)
     for k, (start, stop) in enumerate(pairwise(first)):
         if stop > start:
@@ -200,14 +200,16 @@ def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:
     return out
 
 
-def _laid_over_each(grown: Grown, first: list[int]) -> tuple[FloatArray, FloatArray]:
-    """`laid_over` of every lane."""
-    lanes = grown.lanes
+def _laid_over_each(grown: Grown) -> tuple[FloatArray, FloatArray]:
+    """`laid_over` of every lane; zeros of those without a match."""
+    lanes, count = grown.lanes, len(grown.lanes)
+    transform, rmse = np.zeros((count, 3)), np.zeros(count)
     pa, pb = _points(lanes.a.whole.z[grown.a]), _points(lanes.b.whole.z[grown.b])
-    transform, rmse = np.zeros((len(lanes), 3)), np.zeros(len(lanes))
-    for k, (start, stop) in enumerate(pairwise(first)):
-        if stop > start:
-            transform[k], rmse[k] = laid_over(pa[start:stop], pb[start:stop])
+    some, group = np.unique(grown.lane, return_inverse=True)
+    transform[some] = fit_groups(pa, pb, group, np.ones(len(group)))
+    off = pa - apply(transform[grown.lane], pb)
+    squared = np.bincount(group, (off * off).sum(axis=1))
+    rmse[some] = np.sqrt(squared / np.bincount(group))
     return transform, rmse
 
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.topomap import RunNoise
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 
 OF_VERTICES = (
@@ -31,13 +33,12 @@ OF_ROADS = ("road", "road_dir", "road_share", "road_end")
 """Arrays of `Prepared` that name no row: of vertices, directed corridors, points of corridors."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Atlas:
     """m maps, their vertices, directed corridors and points of corridors numbered through.
 
     whole: the arrays of all in one; what it says of a map as a whole is that of the first map.
-    vertex, corridor, road: (m + 1,) first row of each map. centre_m, miss_rate, phantom_rate: (m,)
-    of each map's noise.
+    vertex, corridor, road: (m + 1,) first row of each map.
     """
 
     maps: tuple[Prepared, ...]
@@ -45,26 +46,36 @@ class Atlas:
     vertex: IntArray
     corridor: IntArray
     road: IntArray
-    centre_m: FloatArray
-    miss_rate: FloatArray
-    phantom_rate: FloatArray
+    noise: tuple[RunNoise, ...]
 
     @classmethod
     def of(cls, maps: Sequence[Prepared]) -> Atlas:
         """Lay maps end to end. O(rows)."""
-        vertex, corridor, road = (
-            np.cumsum([0, *(len(getattr(m, name)) for m in maps)]) for name in ("z", "tail", "road")
-        )
+        sizes = np.array([(0, 0, 0), *((len(m.z), len(m.tail), len(m.road)) for m in maps)])
+        vertex, corridor, road = sizes.cumsum(axis=0).T
         return cls(
             maps=tuple(maps),
             whole=maps[0] if len(maps) == 1 else _whole(maps, vertex, corridor),
             vertex=vertex,
             corridor=corridor,
             road=road,
-            centre_m=np.array([m.noise.centre_m for m in maps]),
-            miss_rate=np.array([m.noise.miss_rate for m in maps]),
-            phantom_rate=np.array([m.noise.phantom_rate for m in maps]),
+            noise=tuple(m.noise for m in maps),
         )
+
+    @cached_property
+    def centre_m(self) -> FloatArray:
+        """(m,) of the maps' noise."""
+        return np.array([noise.centre_m for noise in self.noise])
+
+    @cached_property
+    def miss_rate(self) -> FloatArray:
+        """(m,) of the maps' noise."""
+        return np.array([noise.miss_rate for noise in self.noise])
+
+    @cached_property
+    def phantom_rate(self) -> FloatArray:
+        """(m,) of the maps' noise."""
+        return np.array([noise.phantom_rate for noise in self.noise])
 
 
 def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Prepared:
@@ -136,9 +147,12 @@ class Lanes:
     @classmethod
     def of(cls, a: Atlas, b: Atlas, of_a: IntArray, of_b: IntArray) -> Lanes:
         """The lanes of some pairs."""
-        first = np.concatenate([[0], np.cumsum(np.diff(b.vertex)[of_b])])
-        first_a = np.concatenate([[0], np.cumsum(np.diff(a.vertex)[of_a])])
-        lane = np.arange(len(of_b)).repeat(np.diff(first))
+        first = np.zeros(len(of_b) + 1, np.int64)
+        first_a = np.zeros(len(of_a) + 1, np.int64)
+        size = b.vertex[of_b + 1] - b.vertex[of_b]
+        size.cumsum(out=first[1:])
+        (a.vertex[of_a + 1] - a.vertex[of_a]).cumsum(out=first_a[1:])
+        lane = np.arange(len(of_b)).repeat(size)
         shift = first[:-1] - b.vertex[of_b]
         vertex = np.arange(len(lane)) - shift[lane]
         shift_a = first_a[:-1] - a.vertex[of_a]

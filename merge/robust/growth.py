@@ -120,6 +120,9 @@ def _matched(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
 
 def _without_contradicted(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
     """The matches, without pairs whose branches contradict each other, and those of one pair."""
+    if partner.max(initial=-1) < 0:
+        none = np.zeros(0, np.int64)
+        return Grown(lanes, none, none, none, np.zeros(0), *predicted)
     all_ = _matched(lanes, partner, predicted)
     fair = (all_.branch > -MATCH.contradicted_bits).nonzero()[0]
     lane = all_.lane[fair]

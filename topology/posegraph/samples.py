@@ -8,12 +8,12 @@ the whole solution costs as many solves whatever the number of pairs, and tells 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from ..se2 import FloatArray, turned_axes
+from ..se2 import FloatArray, IntArray, turned_axes
 from .graph import PoseGraph, corrected_measurement, edge_errors
 from .initialisation import skeleton
 from .marginals import relative_jacobians
@@ -21,20 +21,50 @@ from .normal_equations import Pattern, Point, build_pattern, linearise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Pushes:
+    """What a solution was pushed by: white samples z (3 m, count) and z_known (3 u, count) of edges
+    and priors, in units of the square roots `own` and `own_known` of their information. J_i, J_j:
+    derivatives of the edge errors by their poses; J_b: by the shared errors, None without any."""
+
+    source: IntArray
+    target: IntArray
+    known: IntArray
+    J_i: FloatArray
+    J_j: FloatArray
+    J_b: FloatArray | None
+    own: FloatArray
+    own_known: FloatArray
+    z: FloatArray
+    z_known: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class SampledMarginals:
     """pose: (n, 3) of the solution; error: (n, 3, count) samples of how far off it may be; shared:
-    (k, count) likewise of the shared errors.
-
-    edge_residual: (m, 3, count) and prior_residual: (u, 3, count) what the same samples leave
-    between edges, priors and the solution, in sigmas: times `square_root` of the information. Where
-    nothing else tells of an edge it is 0; its mean square is the edge's redundancy.
-    """
+    (k, count) likewise of the shared errors."""
 
     pose: FloatArray
     error: FloatArray
     shared: FloatArray
-    edge_residual: FloatArray
-    prior_residual: FloatArray
+    _pushes: _Pushes
+
+    @cached_property
+    def edge_residual(self) -> FloatArray:
+        """(m, 3, count) what the same samples leave between edges and the solution, in sigmas:
+        times `square_root` of the information. Where nothing else tells of an edge it is 0; its
+        mean square is the edge's redundancy."""
+        p = self._pushes
+        edge = p.J_i @ self.error[p.source] + p.J_j @ self.error[p.target]
+        if p.J_b is not None:
+            edge = edge + p.J_b @ self.shared
+        return p.z.reshape(edge.shape) - p.own.transpose(0, 2, 1) @ edge
+
+    @cached_property
+    def prior_residual(self) -> FloatArray:
+        """(u, 3, count) the same between priors and the solution."""
+        p, count = self._pushes, self.error.shape[2]
+        off = p.own_known.transpose(0, 2, 1) @ self.error[p.known]
+        return p.z_known.reshape(-1, 3, count) - off
 
     @classmethod
     def of(
@@ -77,18 +107,21 @@ class SampledMarginals:
         error = np.zeros((*pattern.variable.shape, count))
         free = pattern.variable >= 0
         error[free] = x[pattern.variable[free]]
-        edge = J_i @ error[graph.source] + J_j @ error[graph.target]
-        if len(graph.shared):
-            edge = edge + (J_m @ graph.shared.sensitivity) @ b
-        return cls(
-            np.asarray(solution.pose),
-            error,
-            b,
-            z.reshape(edge.shape) - own.transpose(0, 2, 1) @ edge,
-            z_known.reshape(-1, 3, count) - own_known.transpose(0, 2, 1) @ error[graph.priors.node],
+        pushes = _Pushes(
+            source=graph.source,
+            target=graph.target,
+            known=graph.priors.node,
+            J_i=J_i,
+            J_j=J_j,
+            J_b=J_m @ graph.shared.sensitivity if len(graph.shared) else None,
+            own=own,
+            own_known=own_known,
+            z=z,
+            z_known=z_known,
         )
+        return cls(np.asarray(solution.pose), error, b, pushes)
 
-    def relative(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
+    def relative(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) covariance of T_a_b, as `Marginals.relative`, to √(2 / count)."""
         J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
         off = J_a @ self.error[a] + J_b @ self.error[b]
@@ -122,7 +155,7 @@ def square_root(information: FloatArray) -> FloatArray:
 
 
 def _scattered(
-    pattern: Pattern, node: NDArray[np.int64], blocks: FloatArray
+    pattern: Pattern, node: IntArray, blocks: FloatArray
 ) -> sparse.csr_array[np.float64]:
     """(size, 3 k) matrix that puts (k, 3, 3) blocks at the variables of their nodes."""
     variable = pattern.variable[node]
