@@ -103,3 +103,29 @@ def test_the_digest_is_that_of_the_content(halves):
     assert digest_of(one) != digest_of(replace(one, noise=replace(one.noise, scale=0.006)))
     bent = (one.paths[0] + [[0.0, 0.001]] * len(one.paths[0]), *one.paths[1:])
     assert digest_of(one) != digest_of(replace(one, paths=bent))
+
+
+def test_a_pack_in_a_file_reads_what_is_asked_for_and_closes_it(tmp_path):
+    pack = written(*SOME)
+    path = tmp_path / "some.pack"
+    path.write_bytes(pack.to_bytes())
+    file = path.open("rb")
+    again = Pack.of_file(file)
+    assert told(again) == told(pack)
+    assert again.to_bytes() == pack.to_bytes()
+    assert joined(ERA, [again]).to_bytes() == pack.to_bytes()
+    with path.open("r+b") as other:
+        other.seek(-1, 2)
+        other.write(b"!")
+    assert again.payload(0) is None
+    del again
+    assert file.closed
+
+
+def test_a_file_that_is_cut_off_is_no_pack(tmp_path):
+    data = written(*SOME).to_bytes()
+    path = tmp_path / "some.pack"
+    for end in (0, 20, len(data) - 1):
+        path.write_bytes(data[:end])
+        with path.open("rb") as file, pytest.raises(DamagedPackError):
+            Pack.of_file(file)
