@@ -212,7 +212,8 @@ def _lengths(paths: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     between = np.cumsum(size)[:-1] - 1
     long = np.hypot(step[:, 0], step[:, 1])
     long[between] = 0.0
-    return np.bincount(np.arange(len(paths)).repeat(size)[1:], long, len(paths))
+    owner = np.arange(len(paths)).repeat(size)[1:]
+    return np.asarray(np.bincount(owner, long, len(paths)), np.float64)
 
 
 def _noise(values: dict[str, float]) -> RunNoise:
