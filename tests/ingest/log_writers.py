@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -239,6 +240,30 @@ def _schema(writer: Any, message: Message, encoding: str, store: Any, text: bool
     return int(writer.register_schema(name, kind, b"{}"))
 
 
+def mcap_topic(
+    path: Path,
+    topic: str,
+    encoding: str,
+    schema: tuple[str, str, str],
+    payloads: Iterable[tuple[int, bytes]],
+    **options: Any,
+) -> Path:
+    """An MCAP file of one topic, of any type. schema: its name, encoding and text; payloads: each
+    with its log time [ns]."""
+    from mcap.writer import Writer
+
+    name, kind, text = schema
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start()
+        number = writer.register_schema(name, kind, text.encode())
+        channel = writer.register_channel(topic, encoding, number)
+        for log_ns, raw in payloads:
+            writer.add_message(channel, log_ns, raw, log_ns)
+        writer.finish()
+    return path
+
+
 def bag(
     path: Path, messages: list[Message], compression: str = "none", chunk: int = 16_384
 ) -> Path:
@@ -249,14 +274,7 @@ def bag(
     writer.chunk_threshold = chunk
     if compression != "none":
         writer.set_compression(Writer.CompressionFormat[compression.upper()])
-    with writer:
-        links: dict[str, Any] = {}
-        for message in messages:
-            if message.topic not in links:
-                links[message.topic] = writer.add_connection(
-                    message.topic, message.type_name, typestore=store
-                )
-            writer.write(links[message.topic], message.log_ns, payload(message, "ros1", store))
+    _write(writer, messages, "ros1", store)
     return path
 
 
@@ -269,6 +287,12 @@ def ros2_folder(
     writer = Writer(path, version=8, storage_plugin=StoragePlugin[storage])
     if compression != "NONE":
         writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    _write(writer, messages, "cdr", store)
+    return path
+
+
+def _write(writer: Any, messages: list[Message], encoding: str, store: Any) -> None:
+    """All messages, by a writer of rosbags."""
     with writer:
         links: dict[str, Any] = {}
         for message in messages:
@@ -276,8 +300,7 @@ def ros2_folder(
                 links[message.topic] = writer.add_connection(
                     message.topic, message.type_name, typestore=store
                 )
-            writer.write(links[message.topic], message.log_ns, payload(message, "cdr", store))
-    return path
+            writer.write(links[message.topic], message.log_ns, payload(message, encoding, store))
 
 
 def relabelled(messages: list[Message], **changes: Any) -> list[Message]:

@@ -157,7 +157,6 @@ float64 angle
 
 
 def test_fields_of_any_embedded_type_can_be_named(logs, tmp_path):
-    from mcap.writer import Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -168,23 +167,20 @@ def test_fields_of_any_embedded_type_can_be_named(logs, tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
     path.rename(folder / "a.mcap")
-    with (folder / "b.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("lama_msgs/msg/Crossing", "ros2msg", CROSSING.encode())
-        channel = writer.register_channel("/crossing", "cdr", schema)
-        for message in seen:
-            crossing = t["lama_msgs/msg/Crossing"](
-                center=t["geometry_msgs/msg/Point"](x=0.5, y=0.125, z=0.0),
-                radius=1.0,
-                frontiers=[
-                    t["lama_msgs/msg/Frontier"](width=1.0, angle=float(2 * np.arctan2(p[5], p[6])))
-                    for p in message.poses
-                ],
-            )
-            raw = bytes(store.serialize_cdr(crossing, "lama_msgs/msg/Crossing"))
-            writer.add_message(channel, message.log_ns, raw, message.log_ns)
-        writer.finish()
+    payloads = []
+    for message in seen:
+        crossing = t["lama_msgs/msg/Crossing"](
+            center=t["geometry_msgs/msg/Point"](x=0.5, y=0.125, z=0.0),
+            radius=1.0,
+            frontiers=[
+                t["lama_msgs/msg/Frontier"](width=1.0, angle=float(2 * np.arctan2(p[5], p[6])))
+                for p in message.poses
+            ],
+        )
+        raw = bytes(store.serialize_cdr(crossing, "lama_msgs/msg/Crossing"))
+        payloads.append((message.log_ns, raw))
+    schema = "lama_msgs/msg/Crossing", "ros2msg", CROSSING
+    logs.mcap_topic(folder / "b.mcap", "/crossing", "cdr", schema, payloads)
     settings = ReadSettings(
         junction_topic="/crossing",
         junction_fields="center=center,branches=frontiers[].angle",
@@ -198,7 +194,6 @@ def test_fields_of_any_embedded_type_can_be_named(logs, tmp_path):
 
 
 def test_several_junctions_of_one_message_and_json_in_strings(logs, tmp_path):
-    from mcap.writer import Writer
 
     odometry, seen = split(logs)
     folder = tmp_path / "run"
@@ -211,17 +206,13 @@ def test_several_junctions_of_one_message_and_json_in_strings(logs, tmp_path):
             {"at": {"x": -1.0, "y": 2.5}, "ways": [{"x": -1.0, "y": 3.5}]},
         ],
     }
-    with (folder / "b.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("Seen", "jsonschema", b"{}")
-        channel = writer.register_channel("/seen", "json", schema)
-        for message in seen:
-            stamp = {"sec": message.stamp_ns // 10**9, "nsec": message.stamp_ns % 10**9}
-            inner = {**body, "header": {"frame_id": "base_link", "stamp": stamp}}
-            raw = json.dumps({"data": json.dumps(inner), **inner}).encode()
-            writer.add_message(channel, message.log_ns, raw, message.log_ns)
-        writer.finish()
+    payloads = []
+    for message in seen:
+        stamp = {"sec": message.stamp_ns // 10**9, "nsec": message.stamp_ns % 10**9}
+        inner = {**body, "header": {"frame_id": "base_link", "stamp": stamp}}
+        raw = json.dumps({"data": json.dumps(inner), **inner}).encode()
+        payloads.append((message.log_ns, raw))
+    logs.mcap_topic(folder / "b.mcap", "/seen", "json", ("Seen", "jsonschema", "{}"), payloads)
     for prefix in ("", "data."):
         fields = f"each={prefix}found[],center=at,branches=ways"
         run = read_run(folder, ReadSettings(junction_topic="/seen", junction_fields=fields))
@@ -251,7 +242,6 @@ def test_a_wrong_mapping_is_a_usage_error(fields):
 
 def test_an_unusual_definition_is_decoded_by_its_schema(logs, tmp_path):
     """A fork of Odometry with a field in front must not be read by the usual layout."""
-    from mcap.writer import Writer
     from rosbags.typesys import get_types_from_msg
 
     store = logs.store_of(False)
@@ -265,23 +255,20 @@ def test_an_unusual_definition_is_decoded_by_its_schema(logs, tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
     logs.mcap(folder / "seen.mcap", seen)
-    with (folder / "odom.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", text.encode())
-        channel = writer.register_channel("/odom", "cdr", schema)
-        for message in odometry:
-            value = logs.ros_object(message, store, False)
-            forked = fork.types["nav_msgs/msg/Odometry"](
-                quality=1.0,
-                header=value.header,
-                child_frame_id=value.child_frame_id,
-                pose=value.pose,
-                twist=value.twist,
-            )
-            raw = bytes(fork.serialize_cdr(forked, "nav_msgs/msg/Odometry"))
-            writer.add_message(channel, message.log_ns, raw, message.log_ns)
-        writer.finish()
+    payloads = []
+    for message in odometry:
+        value = logs.ros_object(message, store, False)
+        forked = fork.types["nav_msgs/msg/Odometry"](
+            quality=1.0,
+            header=value.header,
+            child_frame_id=value.child_frame_id,
+            pose=value.pose,
+            twist=value.twist,
+        )
+        raw = bytes(fork.serialize_cdr(forked, "nav_msgs/msg/Odometry"))
+        payloads.append((message.log_ns, raw))
+    schema = "nav_msgs/msg/Odometry", "ros2msg", text
+    logs.mcap_topic(folder / "odom.mcap", "/odom", "cdr", schema, payloads)
     run = read_run(folder)
     same = read_run(logs.mcap(tmp_path / "whole.mcap", logs.drive()))
     assert run.odometry.pose.tobytes() == same.odometry.pose.tobytes()

@@ -110,7 +110,6 @@ def test_a_frame_may_be_fixed_to_that_of_the_odometry(logs, drive, tmp_path):
 @pytest.mark.parametrize("encoding", ["json", "protobuf"])
 @pytest.mark.parametrize("many", [False, True])
 def test_transforms_of_foxglove(logs, drive, tmp_path, encoding, many):
-    from mcap.writer import Writer
 
     odometry, seen = drive
     expected = read_run(logs.mcap(tmp_path / "plain.mcap", logs.drive())).detections
@@ -136,14 +135,10 @@ def test_transforms_of_foxglove(logs, drive, tmp_path, encoding, many):
     folder = tmp_path / "run"
     folder.mkdir()
     logs.mcap(folder / "a.mcap", [*odometry, *(mounted(m, TILTED, XYZ, "sensor") for m in seen)])
-    with (folder / "b.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        name = "foxglove.FrameTransforms" if many else "foxglove.FrameTransform"
-        schema = writer.register_schema(name, {"json": "jsonschema"}.get(encoding, encoding), b"{}")
-        channel = writer.register_channel("/transforms", encoding, schema)
-        writer.add_message(channel, odometry[0].log_ns, raw, odometry[0].log_ns)
-        writer.finish()
+    name = "foxglove.FrameTransforms" if many else "foxglove.FrameTransform"
+    schema = name, {"json": "jsonschema"}.get(encoding, encoding), "{}"
+    payloads = [(odometry[0].log_ns, raw)]
+    logs.mcap_topic(folder / "b.mcap", "/transforms", encoding, schema, payloads)
     run = read_run(folder)
     assert run.warnings == ()
     same(run.detections, expected)

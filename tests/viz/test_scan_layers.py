@@ -48,14 +48,21 @@ def scanned(topomap: TopoMap, odometry: Odometry, picture: bool = True) -> Scann
     return Scanned(passes, topomap.noise, ScanPicture(points, points, 6.0) if picture else None)
 
 
+def recorded(
+    path: Path, topomap: TopoMap, odometry: Odometry, picture: bool = True
+) -> tuple[Scanned, Readback]:
+    """What was seen, and the recording of it."""
+    found = scanned(topomap, odometry, picture)
+    write_map_recording(path, topomap, odometry=odometry, scanned=found)
+    return found, Readback(path)
+
+
 def test_scans_lie_where_the_corrected_odometry_puts_them(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:
     topomap = make_map("run1", (2.0, 1.0, 0.5))
     odometry = drive(topomap)
-    found = scanned(topomap, odometry)
-    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, scanned=found)
-    got = Readback(tmp_path / "a.rrd")
+    found, got = recorded(tmp_path / "a.rrd", topomap, odometry)
     walls = np.array(
         [at for row in got.rows("/map/scans/walls", "Points2D:positions") for at in row]
     )
@@ -78,9 +85,7 @@ def test_junctions_tell_their_confidence_and_their_window(
     topomap = make_map("run1", (2.0, 1.0, 0.5))
     topomap = replace(topomap, confidence=np.linspace(0.5, 1.0, len(topomap)))
     odometry = drive(topomap)
-    found = scanned(topomap, odometry)
-    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, scanned=found)
-    got = Readback(tmp_path / "a.rrd")
+    found, got = recorded(tmp_path / "a.rrd", topomap, odometry)
     sure = found.passes.confidence
     for layer in ("junctions", "windows"):
         assert got.value(f"/map/scans/{layer}", "confidence") == pytest.approx(sure)
@@ -106,10 +111,7 @@ def test_junctions_tell_their_confidence_and_their_window(
 
 def test_without_a_picture_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: Drive) -> None:
     topomap = make_map("run1")
-    odometry = drive(topomap)
-    found = scanned(topomap, odometry, picture=False)
-    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, scanned=found)
-    got = Readback(tmp_path / "a.rrd")
+    _, got = recorded(tmp_path / "a.rrd", topomap, drive(topomap), picture=False)
     assert not [entity for entity in got.entities if "scans" in entity]
     assert "laser" not in got.value("/summary", "TextDocument:text")[0]
 

@@ -23,7 +23,6 @@ float32 width
 
 def written(logs, folder, angles, *, encoding="cdr", ros1=False, last=None, index=True):
     """A drive whose detections are of a type of our own; `angles` of all but perhaps the last."""
-    from mcap.writer import Writer
     from rosbags.typesys import get_types_from_msg
 
     store = logs.store_of(ros1)
@@ -35,22 +34,23 @@ def written(logs, folder, angles, *, encoding="cdr", ros1=False, last=None, inde
     drive = logs.drive()
     logs.mcap(folder / "a.mcap", [m for m in drive if m.topic == "/odom"], use_statistics=index)
     seen = [m for m in drive if m.topic == "/junctions"]
-    with (folder / "b.mcap").open("wb") as file:
-        writer = Writer(file, chunk_size=500, use_statistics=index)
-        writer.start()
-        kinds = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
-        encoding = "ros1" if ros1 else encoding
-        schema = writer.register_schema(
-            "a/Seen" if ros1 else name,
-            kinds[encoding],
-            b"{}" if encoding == "json" else definition.encode(),
-        )
-        channel = writer.register_channel("/seen", encoding, schema)
-        for k, message in enumerate(seen):
-            ways = last if last is not None and k == len(seen) - 1 else angles
-            raw = payload(logs, store, name, message=message, ways=ways, encoding=encoding)
-            writer.add_message(channel, message.log_ns, raw, message.log_ns)
-        writer.finish()
+    kinds = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
+    encoding = "ros1" if ros1 else encoding
+    text = "{}" if encoding == "json" else definition
+    payloads = []
+    for k, message in enumerate(seen):
+        ways = last if last is not None and k == len(seen) - 1 else angles
+        raw = payload(logs, store, name, message=message, ways=ways, encoding=encoding)
+        payloads.append((message.log_ns, raw))
+    logs.mcap_topic(
+        folder / "b.mcap",
+        "/seen",
+        encoding,
+        ("a/Seen" if ros1 else name, kinds[encoding], text),
+        payloads,
+        chunk_size=500,
+        use_statistics=index,
+    )
     return folder
 
 

@@ -157,17 +157,6 @@ def test_anything_finite_becomes_a_valid_track(rows):
         assert len(track(time, turned).odometry) == len(result.odometry)
 
 
-def disturbed(logs, change):
-    """The sample drive with the odometry messages changed one by one."""
-    out, number = [], 0
-    for message in logs.drive():
-        if message.topic == "/odom":
-            message = change(number, message)  # noqa: PLW2901
-            number += 1
-        out.append(message)
-    return out
-
-
 def test_detections_outside_the_odometry_are_left_out(logs, tmp_path):
     messages = logs.drive()
     messages = [m for m in messages if m.topic != "/odom" or m.stamp_ns < logs.START_NS + SECOND]
