@@ -18,10 +18,6 @@ from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH, RobustSettings
 from .support import Support, supports
 
-ROWS_TOGETHER = 4000
-"""Junctions of hypotheses that are grown at once: what is worked out of them fits the processor's
-cache."""
-
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -110,7 +106,7 @@ def best_of_all(
     for case in cases:
         some.append(case)
         rows += len(case[1]) * len(case[2])
-        if rows >= ROWS_TOGETHER:
+        if rows >= MATCH.at_once:
             yield from _best_of_some(some, settings)
             some, rows = [], 0
     yield from _best_of_some(some, settings)

@@ -20,9 +20,6 @@ from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
 from .verdict import Bar, Opinion, PairCount, needed_bits, opinions
 
-JUDGED_TOGETHER = 4096
-"""Pairs whose candidates are held at once, some 10 kB each."""
-
 
 @dataclass(eq=False)
 class Batch:
@@ -65,8 +62,8 @@ class Batch:
         self.found.update(found)
         likely = {}
         pairs = list(found)
-        for start in range(0, len(pairs), JUDGED_TOGETHER):
-            for pair, (view, _) in self.views(pairs[start : start + JUDGED_TOGETHER]).items():
+        for start in range(0, len(pairs), MATCH.at_once):
+            for pair, (view, _) in self.views(pairs[start : start + MATCH.at_once]).items():
                 if pair in gone:
                     likely[pair] = replace(view, discarded=True)
                 elif view.verdict is Verdict.MERGED or pair in self.asked:

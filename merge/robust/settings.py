@@ -115,6 +115,9 @@ class MatchSettings:
     which there are hundreds tells nothing. Where more pairs of links would vote for a transform,
     the weakest do not. And up to so many pairs of points are compared outright: one product of
     matrices is faster than the 22 µs that asking a tree takes before it begins."""
+    at_once: int = 4096
+    """Junctions of hypotheses that are grown at once (what is worked out of them fits the cache of
+    a processor), and pairs of maps that are judged at once (10 kB each)."""
 
     offset_bits: float = 3.0
     """What the offset between two junctions tells less than a corridor: there are many to choose
