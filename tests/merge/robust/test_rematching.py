@@ -34,14 +34,21 @@ def found(three):
     return {(i, j): match(ready[i], ready[j], SETTINGS) for i, j in PAIRS}
 
 
-def rematched(three, found, need_bits, never=()):
-    """The components and reunions where the first two are joined and merging needs so much."""
+def rematched(three, found, need_bits, never=(), asked=None):
+    """The components and reunions where the first two are joined and merging needs so much. asked:
+    to be told of what runs, among how many pairs, that was asked."""
     ready = [prepare(m) for m in three]
     level = Bar(need_bits, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
+
+    def level_of(runs, pairs):
+        if asked is not None:
+            asked.append((tuple(runs), pairs))
+        return level
+
     parts = Components(3, never)
     first = found[0, 1][0]
     parts.join(0, 1, first.transform)
-    rematcher = Rematcher(three, ready, parts, PAIRS, lambda *_: level, SETTINGS)
+    rematcher = Rematcher(three, ready, parts, PAIRS, level_of, SETTINGS)
     return parts, rematcher.run({(0, 1): first})
 
 
@@ -67,3 +74,10 @@ def test_runs_kept_apart_stay_apart(three, found):
     parts, reunions = rematched(three, found, 15.0, never=[(1, 2)])
     assert not parts.together(0, 2)
     assert reunions == {}
+
+
+def test_only_pairs_that_are_not_joined_count(three, found):
+    asked = []
+    _, reunions = rematched(three, found, 15.0, asked=asked)
+    assert asked == [((0, 1, 2), 2)]  # of three pairs one is joined
+    assert {said.need_bits for said in reunions.values()} == {15.0}
