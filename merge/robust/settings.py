@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+from ...topology.matching.likelihood import LIKELIHOOD
+
 
 @dataclass(frozen=True, slots=True)
 class RobustSettings:
@@ -50,7 +52,8 @@ DEFAULT_ROBUST = RobustSettings()
 
 @dataclass(frozen=True, slots=True)
 class MatchSettings:
-    """What matching counts with. "Tried": on maps made by `benchmarks/aliasing.py`."""
+    """What matching counts with; some of it is that of every likelihood (`LIKELIHOOD`). "Tried": on
+    maps made by `benchmarks/aliasing.py`."""
 
     lead_bits: float = 4.0
     """What the best alignment must lead the next best one and its mirror image by: odds of 16 to 1.
@@ -64,11 +67,8 @@ class MatchSettings:
     repeats itself, seen or not; from twice as many on it is not. 90 % of pairs of maps have: rows
     -.3 to .2, offices .2 to 1.4, tunnels 1.1 to 2.9, mazes 1.7 to 2.5, organic ways and cities
     more. Without it offices are merged wrongly (`benchmarks/aliasing.py --without uniform`)."""
-    most_bits: float = 6.0
-    """No single junction, corridor or contradiction tells more, for or against [bits]: it may be a
-    fault that no rate foresaw, at a chance of 1/64. Tried: with 7 and 8 fewer offices are told."""
-    fault_floor: float = 0.01
-    """Of junctions and branches so many differ though both runs looked well: doors, furniture."""
+    most_bits: float = LIKELIHOOD.most_bits
+    fault_floor: float = LIKELIHOOD.fault_floor
     contradicted_bits: float = 7.0
     """Two junctions whose branches tell so much against each other are not matched. Tried: with 6
     two of seven corridors that were closed between two runs are no longer told to be (the junctions
@@ -77,8 +77,7 @@ class MatchSettings:
     """Of the corridors that two runs drove by one branch of a falsely matched junction so many lead
     elsewhere (mazes .45, tiles .28, offices .12, on maps made by `benchmarks/observed.py`)."""
 
-    length_sigmas: float = 3.0
-    """Corridors are compared if their lengths differ by less than so much noise: 99.7 %."""
+    length_sigmas: float = LIKELIHOOD.gate_sigmas
     turn_rad: float = 0.35
     """Rotations that differ by less belong to one placement [rad]: 20°. Drift turns parts of a map
     by less, and two placements of one building differ by a quarter turn. Tried: 0.3, the same."""
@@ -90,11 +89,7 @@ class MatchSettings:
     drift_per_m: float = 0.06
     """Predictions and placements are off by no more per metre to what they rest on: `length_sigmas`
     of what is left of drift after loop closure. Across it is twice as much: it bends maps."""
-    gate_m: float = 0.55
-    """What lies apart by less may be the same [m]: a junction and where it was predicted, a
-    junction and the line of a corridor or of a grid, the middles of two corridors over their ends,
-    and, with twice `drift_per_m`, where two links of one alignment place the other map. Tried for
-    lines .8, beside corridors .45, for middles .75: the same."""
+    gate_m: float = LIKELIHOOD.gate_m
     reach_m: float = 7.5
     """Matches weigh exp(-d²/2 reach²) in predicting a junction d metres away: drift bends maps over
     tens of metres, junctions lie some 6 m apart."""

@@ -112,9 +112,9 @@ class _Apart:
     def take(self, rows: IntArray | NDArray[np.bool_]) -> _Apart:
         return _Apart(self.a[rows], self.b[rows], self.shift[rows], self.cov[rows])
 
-    def odds(self, common: Background, settings: EvidenceSettings) -> tuple[FloatArray, FloatArray]:
+    def odds(self, common: Background) -> tuple[FloatArray, FloatArray]:
         """(k,) `position_odds` and squared Mahalanobis distance, the two centres' noise added."""
-        return position_odds(common, self.shift, self.noisy(common), settings)
+        return position_odds(common, self.shift, self.noisy(common))
 
     def noisy(self, common: Background) -> FloatArray:
         """(k, 2, 2) covariance of the shift with the two centres' noise."""
@@ -143,10 +143,10 @@ def candidates(
     pairs = pairs.take((pairs.shift**2).sum(axis=1) < settings.gate * spread)
     pairs = _nearest(pairs, max(settings.most_pairs, 6 * len(scene.places)))
     if exact:
-        best = best_position_odds(common, pairs.shift, settings.evidence)
+        best = best_position_odds(common, pairs.shift)
         pairs = pairs.take(best + _surroundings(scene, pairs, settings).sum() > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
-    odds, d2 = pairs.odds(common, settings.evidence)
+    odds, d2 = pairs.odds(common)
     least = settings.least_position if exact else 0.0
     fine = (d2 < settings.gate) & (odds > least)
     pairs = pairs.take(fine)
@@ -194,7 +194,7 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
     Rows of corridors side by side, of one length because a grid is behind them, look like each
     other more often than independent lengths would: this run tells how often.
     """
-    _, d2 = pairs.odds(scene.common, settings.evidence)
+    _, d2 = pairs.odds(scene.common)
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
     rows = np.flatnonzero((d2 > settings.strangers * settings.gate) & apart)
     aside = scene.common.pattern.is_step(pairs.shift[rows])

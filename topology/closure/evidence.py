@@ -26,17 +26,15 @@ FloatArray = NDArray[np.float64]
 class EvidenceSettings:
     """Rates and widths that the noise of a run does not tell."""
 
-    core_share: float = 0.8
-    """Two junctions are seldom nearer to each other than this share of the shortest corridors."""
     core_quantile: float = 0.03
-    core_exception: float = 0.02
-    """… "seldom": how often they are all the same."""
-    least_rate: float = 0.02
-    """Branch faults and missed junctions are never taken to be rarer than this."""
+    """Two junctions are seldom (`LIKELIHOOD.fault_floor`) nearer to each other than the corridors
+    at this quantile of all are long. Tried: 0.1, the same."""
     inflation: float = 1.2
-    """Widths of the noise are taken this much larger than estimated."""
+    """Widths of the noise are taken this much larger than estimated: of few repeats. Tried: with 1,
+    two places of a run on tiles are taken for one."""
     bandwidth_rad: float = 0.12
-    """Width of the kernels that say how common a set of branches is in this run."""
+    """Width of the kernels that say how common a set of branches is in this run, beside the noise.
+    Tried: with 0 and 0.06 a place of a real run (Intel) is no longer found again."""
     references: int = 100
     """Places that stand for the run when asking how common a set of branches is."""
     strip: int = 64
@@ -77,19 +75,19 @@ def background(
     # Chords: a leg that turns back or winds says nothing about how close junctions lie.
     chord = np.hypot(*np.diff(walk.passes.centre, axis=0).T)
     chord = chord[np.isfinite(walk.leg)]
-    moved = chord[chord > 0.8]
-    shortest = float(np.quantile(moved, settings.core_quantile)) if len(moved) else 1.0
-    core_m = settings.core_share * shortest
-    typical = float(np.median(legs)) if len(legs) else 5.0
+    # A robot that stands has legs, too: of no length but for the noise of the two centres.
+    centre_sigma = settings.inflation * noise.centre_m
+    moved = chord[chord > LIKELIHOOD.gate_sigmas * np.sqrt(2) * centre_sigma]
+    core_m = float(np.quantile(moved, settings.core_quantile)) if len(moved) else 1.0
+    typical = float(np.median(legs)) if len(legs) else core_m
     return Background(
-        # Most legs of a robot that stands are of no length.
         leg_m=max(typical, core_m),
         core_m=core_m,
         lengths=Lengths.of(legs),
         branch_sigma=settings.inflation * noise.branch_rad,
-        centre_sigma=settings.inflation * noise.centre_m,
-        fault_rate=max(noise.branch_fault_rate, settings.least_rate),
-        miss_rate=max(noise.miss_rate, settings.least_rate),
+        centre_sigma=centre_sigma,
+        fault_rate=max(noise.branch_fault_rate, LIKELIHOOD.fault_floor),
+        miss_rate=max(noise.miss_rate, LIKELIHOOD.fault_floor),
     )
 
 
@@ -104,7 +102,7 @@ def with_pattern(
 
 
 def position_odds(
-    common: Background, shift: FloatArray, cov: FloatArray, settings: EvidenceSettings
+    common: Background, shift: FloatArray, cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) log odds of being apart by `shift` (k, 2) with covariance `cov` (k, 2, 2), and d².
 
@@ -113,10 +111,12 @@ def position_odds(
     x, y = shift.T
     d2, det = squared_mahalanobis(x, y, cov)
     s2 = np.sqrt(det)
-    inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, 1e6))
+    # So far off that none of it is inside, it need not be told how far.
+    far = (common.core_m / np.sqrt(s2) + 2 * LIKELIHOOD.gate_sigmas) ** 2
+    inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, far))
     # Exceptions within the core are doors side by side, not one upon the other.
     apart = np.minimum((x * x + y * y + 2 * s2) / common.core_m**2, 1.0)
-    rival = common.density * np.maximum(1.0 - inside, settings.core_exception * apart)
+    rival = common.density * np.maximum(1.0 - inside, LIKELIHOOD.fault_floor * apart)
     odds = -0.5 * d2 - np.log(2 * np.pi * s2) - np.log(rival)
     return odds, d2
 
@@ -140,12 +140,10 @@ def among_neighbours(
     return out
 
 
-def best_position_odds(
-    common: Background, shift: FloatArray, settings: EvidenceSettings
-) -> FloatArray:
+def best_position_odds(common: Background, shift: FloatArray) -> FloatArray:
     """(k,) what `position_odds` could be at most, whatever the covariance."""
     s2 = np.maximum(0.5 * (shift**2).sum(axis=1), 2 * common.centre_sigma**2)
-    odds, _ = position_odds(common, shift, s2[:, None, None] * np.eye(2), settings)
+    odds, _ = position_odds(common, shift, s2[:, None, None] * np.eye(2))
     return odds
 
 

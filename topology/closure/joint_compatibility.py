@@ -86,7 +86,7 @@ class _Beliefs:
         blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
         cov = blocks + 2 * self.common.centre_sigma**2 * np.eye(2)
         shift = self.shift.reshape(k, 2)
-        odds, _ = position_odds(self.common, shift, cov, self.evidence)
+        odds, _ = position_odds(self.common, shift, cov)
         out: FloatArray = among_neighbours(self.common, odds, shift, cov) + self.alike
         return out
 

@@ -210,7 +210,8 @@ def test_the_result_does_not_depend_on_the_frame_of_the_odometry():
     a = full_closure(make_walk(odometry, passes, NOISE))
     b = full_closure(make_walk(there, moved, NOISE))
     assert a.place.tolist() == b.place.tolist()
-    np.testing.assert_allclose(apply(T, a.layout.xy), b.layout.xy, atol=1e-4)
+    # The layout is solved until steps are small against its errors of centimetres, no further.
+    np.testing.assert_allclose(apply(T, a.layout.xy), b.layout.xy, atol=1e-3)
 
 
 def test_twice_the_same_gives_the_same():
@@ -253,7 +254,7 @@ def test_a_second_lap_closes_that_position_alone_speaks_against():
     lap = [(0, c) for c in range(5)] + [(r, 4) for r in range(1, 5)]
     lap += [(4, c) for c in range(3, -1, -1)] + [(r, 0) for r in range(3, 0, -1)]
     odometry, passes, truth = record(world, lap + lap[:9], rng, bias=0.02)
-    walk = make_walk(odometry, passes, NOISE, SystematicErrors(turn_rad_per_m=0.03))
+    walk = make_walk(odometry, passes, NOISE, SystematicErrors(turn_rad_per_m=0.04))
     start = lay_out(walk, np.arange(len(walk)))
     scene = _scene(walk, start)
     plain = candidates(scene, np.arange(len(walk)), start, exact=False)
