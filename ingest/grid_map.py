@@ -88,6 +88,7 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
         observation_time_ns=np.zeros(0, np.int64),
         noise=GRID_NOISE,
         confidence=np.array([places[k].confidence for k in kept]),
+        shows_bends=False,
         info={
             "source": dict(log.source),
             "settings": asdict(settings),

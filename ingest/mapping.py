@@ -142,7 +142,8 @@ def build_map_with_errors(
         closures=_closures([*asked, *settled.asked], revised, passes, settled.place),
         settings=settings.drawing,
     )
-    return replace(topomap, info=_info(run, settings, calibration, walk, odometry)), errors
+    info = _info(run, settings, calibration, walk, odometry)
+    return replace(topomap, info=info, shows_bends=run.scanned is None), errors
 
 
 def _calibration(run: Run, settings: MappingSettings) -> Calibration:

@@ -57,6 +57,8 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
         graph["fitted_noise"] = {
             name: significant(getattr(topomap.fitted_noise, name)) for name in names
         }
+    if not topomap.shows_bends:
+        graph["shows_bends"] = False
     graph["closures"] = [_closure_to_document(c) for c in topomap.closures]
     return {
         "schema": MAP_SCHEMA,
@@ -187,6 +189,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
             traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
             confidence=np.array([node.confidence for node in d.nodes], np.float64),
+            shows_bends=d.graph.shows_bends,
             closures=tuple(
                 Closure(
                     *c.time_ns,

@@ -149,6 +149,11 @@ class MapGraph(Model):
         description="Parts of which nothing tells how they lie to each other; they are drawn side "
         "by side.",
     )
+    shows_bends: bool = Field(
+        True,
+        description="Whether its detector shows places with two branches; in maps from scans and "
+        "grids false.",
+    )
     noise: dict[str, Noise] = Field(
         default_factory=dict,
         description="How well the run was measured, by name with its unit, as closure and matching "

@@ -79,7 +79,8 @@ class TopoMap:
     target each time that it drove the edge (from target to source, the second is the earlier one);
     None where that is not known.
     confidence: (n,) in (0, 1], how sure the detector is that a vertex has the branches that it
-    gives it, or one number for all: 1 for maps from detections.
+    gives it, or one number for all: 1 for maps from detections. shows_bends: whether its detector
+    shows places with two branches; those of scans and grids show where ways fork or end alone.
     Raises ValueError where shapes, indices or values do not fit.
     """
 
@@ -105,6 +106,7 @@ class TopoMap:
     branch_sigma: Ragged | None = None
     traversal_ns: tuple[NDArray[np.int64], ...] | None = None
     confidence: NDArray[np.float64] = field(default_factory=lambda: ALL_SURE)
+    shows_bends: bool = True
     info: Mapping[str, Any] = field(default_factory=dict)
     """What else the document's `graph` holds: source, settings, warnings. JSON values only."""
 

@@ -63,6 +63,11 @@ class Atlas:
         )
 
     @cached_property
+    def shows_bends(self) -> NDArray[np.bool_]:
+        """(m,) as in TopoMap."""
+        return np.array([m.shows_bends for m in self.maps], np.bool_)
+
+    @cached_property
     def centre_m(self) -> FloatArray:
         """(m,) of the maps' noise."""
         return np.array([noise.centre_m for noise in self.noise])

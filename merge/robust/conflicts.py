@@ -91,6 +91,12 @@ class _Unseen:
     edge: IntArray
     bits: FloatArray
 
+    @property
+    def weighty(self) -> _Unseen:
+        """Those that say anything."""
+        rows = self.bits.nonzero()[0]
+        return _Unseen(self.lane[rows], self.vertex[rows], self.edge[rows], self.bits[rows])
+
 
 def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
     """The contradictions of the match of each lane that is asked for, none of the others.
@@ -100,6 +106,7 @@ def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
     near = (grown.support_m < MATCH.near_m) & asked[lanes.lane]
     extra_b, extra_a = _extra_b(grown, near), _extra_a(grown, near)
     lane, leave_a, leave_b = _elsewhere(grown, asked, extra_b, extra_a)
+    extra_b, extra_a = extra_b.weighty, extra_a.weighty
     corridor_a, corridor_b = lanes.a.corridor[lanes.of_a], lanes.b.corridor[lanes.of_b]
     vertex_a, vertex_b = lanes.a.vertex[lanes.of_a], lanes.b.vertex[lanes.of_b]
     own_b, in_a = extra_b.vertex - vertex_b[extra_b.lane], extra_b.edge - corridor_a[extra_b.lane]
@@ -155,6 +162,8 @@ def _elsewhere(
     explained |= told(extra_a.lane, extra_a.vertex, far_a, vertices)
     explained |= told(extra_a.lane, passed_b, either_b, corridors)
     explained |= told(extra_b.lane, extra_b.vertex, far_b, vertices)
+    of_a, of_b = (lanes.a, lanes.of_a[lane]), (lanes.b, lanes.of_b[lane])
+    explained |= _never_shown(of_a, of_b, far_b) | _never_shown(of_b, of_a, far_a)
     left = ~explained
     return lane[left], leave_a[left], leave_b[left]
 
@@ -195,7 +204,16 @@ def _weight(
     missed = (miss + MATCH.fault_floor) ** np.minimum(driven, 3)
     invented = (invent + MATCH.fault_floor) ** np.minimum(seen, 3)
     bits = np.minimum(-np.log2(np.minimum(missed + invented, 1.0)), MATCH.most_bits)
+    bits[_never_shown(missing, extra, vertex)] = 0.0
     return -doubted(-bits, np.log(seeing.whole.confidence[vertex]))
+
+
+def _never_shown(
+    blind: tuple[Atlas, IntArray], seeing: tuple[Atlas, IntArray], vertex: IntArray
+) -> BoolArray:
+    """(k,) whether vertices of the one map are bends, and the detector of the other shows none."""
+    bend = seeing[0].whole.count[vertex] == 2
+    return np.asarray(bend & ~blind[0].shows_bends[blind[1]])
 
 
 def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:

@@ -67,6 +67,7 @@ class Prepared:
 
     run: str
     noise: RunNoise
+    shows_bends: bool
     z: ComplexArray
     heading: FloatArray
     count: IntArray
@@ -156,6 +157,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     return Prepared(
         run=m.run,
         noise=m.noise,
+        shows_bends=m.shows_bends,
         z=z,
         heading=heading,
         count=count,

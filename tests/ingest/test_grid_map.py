@@ -80,6 +80,7 @@ def test_a_grid_shows_the_junctions_of_its_world(kind: str) -> None:
     degree = world.branches.counts[there][gap.argmin(axis=1)]
     right = (found.degree == degree)[of_junctions]
     assert right.mean() >= (0.85 if kind == "organic" else 0.95), f"{right.sum()} of {len(right)}"
+    assert not found.shows_bends
 
 
 def test_lengths_are_those_of_the_corridors() -> None:

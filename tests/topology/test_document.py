@@ -80,6 +80,14 @@ def test_confidence_is_stated_where_it_is_not_1():
         replace(small_map(), confidence=[1.0, 1.5])
 
 
+def test_a_map_of_a_detector_that_shows_no_bends_says_so():
+    doc = map_to_document(replace(small_map(), shows_bends=False))
+    assert doc["graph"]["shows_bends"] is False
+    assert not map_from_document(doc).shows_bends
+    assert "shows_bends" not in map_to_document(small_map())["graph"]
+    assert "shows_bends" not in map_from_document(doc).info
+
+
 def test_a_map_may_lie_far_from_its_origin():
     """Eastings of some national grids begin with the number of the zone."""
     near, far = small_map(), np.array([32_500_000.0, 5_600_000.0])

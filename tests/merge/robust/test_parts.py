@@ -192,6 +192,19 @@ def test_that_a_junction_in_doubt_goes_unseen_says_little(drawn):
     assert doubted < 0.5 < sure
 
 
+@pytest.mark.parametrize("stubs", [[], [(8, -1.57)]], ids=["bend", "fork"])
+def test_bends_contradict_only_maps_whose_detector_shows_them(drawn, stubs):
+    more = [*POINTS, (8.5, -6)]
+    split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
+    a, b = drawn("a", POINTS, EDGES), drawn("b", more, split, stubs=stubs)
+    scans = prepare(replace(a, shows_bends=False))
+    b = prepare(b)
+    for one, two in ((prepare(a), b), (b, prepare(a))):
+        assert len(against(laid(one, two))) == 1
+    for one, two in ((scans, b), (b, scans)):
+        assert len(against(laid(one, two))) == len(stubs)
+
+
 def test_what_both_saw_agrees_and_nothing_contradicts(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     grown = laid(a, b)
