@@ -19,7 +19,7 @@ from .bag_wire import (
     op_of,
     time_ns,
 )
-from .columns import column, gather, words
+from .columns import MANY, column, gather, without_repeats, words
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
 from .tally import NUMBERS, Tally
 from .walk import LEAST_LISTED, bag_listed, bag_records, inside, seamless
@@ -83,6 +83,8 @@ class MessageReader:
         if self._template is None:
             self._learn(data, where)
         conn, time, size_at, others = self._columns(data, where)
+        if len(others) >= MANY:
+            others = self._once(data, others)
         if len(others) and any(self.heads.within(data).record(k) is None for k in others.tolist()):
             data, where = self._mended(data)
             conn, time, size_at, others = self._columns(data, where)
@@ -156,6 +158,20 @@ class MessageReader:
         left = np.ones(len(where), bool)
         left[np.searchsorted(where, found)] = False
         return conn, time, found + (4 + template.size), where[left]
+
+    def _once(self, data: Bytes, places: Ints) -> Ints:
+        """The places without those of connections that are described again and again."""
+        header = words(data, "<u4", places).astype(np.int64)
+        inside = places + header + 8 <= len(data)
+        size = np.full(len(places), len(data), np.int64)
+        size[inside] = words(data, "<u4", places[inside] + 4 + header[inside]) + header[inside] + 8
+        kept = without_repeats(data, places, size)
+        left_out = np.ones(len(places), bool)
+        left_out[kept] = False
+        # Messages count, however alike they are.
+        kinds = (self.heads.within(data).record(k) for k in places[kept].tolist())
+        described = all(record is not None and record.op == CONNECTION for record in kinds)
+        return places[~left_out] if described else places
 
     def one_by_one(self, data: Bytes, places: Ints) -> list[tuple[int, int, int]]:
         """Connection records, and messages whose header is written in another order."""

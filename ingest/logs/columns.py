@@ -121,3 +121,32 @@ class Shape(NamedTuple):
         for k, value, bits in self.words:
             wrong |= (found[:, k] if bits == ALL else found[:, k] & bits) != value
         return wrong if wrong.any() else None
+
+
+MANY = 1024
+"""So many descriptions in one piece of a log are looked through for repeats."""
+
+REPEATED = 8
+"""So many of them are looked for."""
+
+REPEATED_BYTES = 512
+
+
+def without_repeats(data: Bytes, start: Ints, size: Ints) -> Ints:
+    """Which of the records at `start` with `size` to look at, by number, ascending.
+
+    A flood that compresses to nothing repeats a few records. Of many, the first ones are compared
+    with all; of those that are equal byte by byte, the first and the last are left. O(bytes).
+    """
+    left, kept = np.arange(len(start)), []
+    for _ in range(REPEATED):
+        if len(left) < MANY or size[left[0]] > REPEATED_BYTES:
+            break
+        length = int(size[left[0]])
+        alike = left[size[left] == length]
+        rows = gather(data, start[alike], length)
+        other = Shape.of(rows[0, :length], ((0, length),)).misfits(rows)
+        same = alike if other is None else alike[~other]
+        kept.append(same[[0, -1]])
+        left = left[~np.isin(left, same, assume_unique=True)]
+    return np.unique(np.concatenate([*kept, left]))

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import column, gather, words
+from .columns import MANY, column, gather, without_repeats, words
 from .mcap_heads import IN_CHUNKS, Heads
 from .mcap_mend import mended
 from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
@@ -164,7 +164,11 @@ class MessageReader:
         messages: list[int] = []
         if (op == MESSAGE).all():
             return messages
-        for place in where[(op == SCHEMA) | (op == CHANNEL)].tolist():
+        places = where[(op == SCHEMA) | (op == CHANNEL)]
+        if len(places) >= MANY:
+            size = words(data, "<i8", places + 1) + RECORD_HEAD
+            places = places[without_repeats(data, places, size)]
+        for place in places.tolist():
             kind, length = _HEAD(data.data, place)
             record = data[place : place + RECORD_HEAD + length].tobytes()
             if self._definitions.met(kind, record[RECORD_HEAD:]):

@@ -193,14 +193,16 @@ class WireDecoder:
             parts.append(part)
             if len(start) == 0:
                 return parts
+        fresh = True
         while len(start):
             raw = data[start[0] : start[0] + size].tobytes()
             try:
                 template = parse(self._kind, raw, self._ros1, self.frames)
             except DamageError as damage:
-                self.failed += 1
+                left = self._unlike(data, start, raw) if fresh else np.arange(1, len(start))
+                self.failed += len(start) - len(left)
                 self.reason = self.reason or str(damage)
-                start, message = start[1:], message[1:]
+                start, message, fresh = start[left], message[left], False
                 continue
             if len(known) < TEMPLATES:
                 known.append(template)
@@ -212,6 +214,12 @@ class WireDecoder:
         if len(self._templates) > TEMPLATES * TEMPLATES:
             self._templates.clear()
         return parts
+
+    def _unlike(self, data: Bytes, start: Ints, raw: bytes) -> Ints:
+        """Which messages are not those bytes, and may be sound; the first one is."""
+        head = np.frombuffer(raw, np.uint8)
+        other = Shape.of(head, ((0, len(head)),)).misfits(gather(data, start, len(head)))
+        return np.zeros(0, np.int64) if other is None else other.nonzero()[0]
 
     def _fitting(
         self, data: Bytes, start: Ints, message: Ints, template: Template

@@ -5,6 +5,7 @@ As in `logs_bombs`, every log also holds a small sound run, which has to be used
 
 from __future__ import annotations
 
+import bz2
 import random
 import sqlite3
 import struct
@@ -21,11 +22,14 @@ from logs_bombs import (
     SOUND,
     _bag,
     _bag_chunk,
+    _bag_message,
     _bag_record,
     _channel,
+    _chunk,
     _db3,
     _front,
     _mcap,
+    _message,
     _record,
     _share,
     _text,
@@ -167,6 +171,45 @@ def _summary_flood(rng: random.Random, folder: Path) -> Case:
     return Case(path, SOUND, None, f"a summary with {count} records more ({kind})")
 
 
+# Both, out of kilobytes
+
+
+def _packed_records(rng: random.Random) -> bytes:
+    """Chunks of 511 MiB of one record, or of two by turns: descriptions, or broken messages."""
+    import zstandard
+
+    ones = (
+        _channel(9, b"/t"),
+        _channel(9, b"/t") + _channel(9, b"/u"),
+        _record(3, struct.pack("<H", 9) + _text(b"x") * 3),
+        _message(1, b""),
+        _message(1, bytes(40)),
+        _message(99, b""),
+    )
+    one = rng.choice(ones)
+    many = one * (MIB // len(one))
+    packer, count = zstandard.ZstdCompressor().compressobj(), 511 * MIB // len(many)
+    packed = b"".join(packer.compress(many) for _ in range(count)) + packer.flush()
+    return _chunk(packed, b"zstd", count * len(many)) * rng.randint(1, 3)
+
+
+def _packed_connections(rng: random.Random) -> bytes:
+    """Chunks of 32 MiB of one or two connections, or of messages, in bz2 or lz4."""
+    ones = (
+        _connection(2, b"/t", b"x/Y"),
+        _connection(2, b"/t", b"x/Y") + _connection(2, b"/u", b"x/Y"),
+        _bag_message(0, b""),
+        _bag_message(99, b""),
+    )
+    one = rng.choice(ones)
+    many = one * (32 * MIB // len(one))
+    if rng.random() < 0.5:
+        return _bag_chunk(bz2.compress(many), b"bz2", len(many)) * rng.randint(2, 16)
+    import lz4.frame
+
+    return _bag_chunk(lz4.frame.compress(many), b"lz4", len(many)) * rng.randint(2, 16)
+
+
 # Databases
 
 
@@ -268,6 +311,8 @@ CASES: dict[str, Generator] = {
     "bag-connections": _bag(_connections, "up to 10^6 connections"),
     "bag-large-connections": _bag(_large_connections, "connections of megabytes"),
     "bag-same-connections": _bag(_same_numbers, "connections described again"),
+    "bag-packed-records": _bag(_packed_connections, "chunks of 32 MiB of one record"),
+    "mcap-packed-records": _mcap(_packed_records, "chunks of 511 MiB of one record"),
     "mcap-attachments": _tails(_attachments, "up to 300,000 attachments"),
     "mcap-metadata": _tails(_metadata, "up to 300,000 records of metadata"),
     "mcap-false-attachments": _tails(_false_attachments, "attachments of false lengths"),

@@ -8,16 +8,19 @@ from pathlib import Path
 import logs_floods
 import logs_messages
 import logs_split
+import numpy as np
 import pytest
 from case import read_of, writers
 from judge import print_of
 
 from topobatch.cli import places_file
 from topobatch.cli.places_file import read_places
+from topobatch.ingest.logs.columns import without_repeats
 from topobatch.ingest.logs.fields import JunctionFields
 from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
 from topobatch.ingest.logs.messages import NAME_BYTES, DamageError
 from topobatch.ingest.logs.poses import Frames
+from topobatch.ingest.logs.wire import WireDecoder
 from topobatch.ingest.reading import read_log
 from topobatch.topology.errors import DataError, LogError, UsageError
 
@@ -29,8 +32,9 @@ class Least(random.Random):
         return seq[0] if seq[0] in (0.05, 10) else super().choice(seq)
 
 
+NOT_QUICK = ("bag-connections", "names-bag", "bag-packed-records", "mcap-packed-records")
 QUICK = {
-    **{k: v for k, v in logs_floods.CASES.items() if k not in ("bag-connections", "names-bag")},
+    **{k: v for k, v in logs_floods.CASES.items() if k not in NOT_QUICK},
     **logs_split.CASES,
     **logs_messages.CASES,
 }
@@ -52,6 +56,41 @@ def test_what_is_sound_is_used_and_the_rest_is_told(tmp_path, name, seed):
         assert used >= 0.99 * case.intact, said
         assert case.lost is None or used + failed >= case.intact + case.lost or findings.damage
     assert not before or print_of(case.log.parent) == before
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_what_repeats_in_a_flood_is_looked_at_twice(tmp_path, turns):
+    """The first and the last of equal records; all others are taken in."""
+    ones = [bytes([k]) * 20 for k in range(turns)]
+    records = [b"z" * 20, *(ones * 2000), b"y" * 20, *ones, b"q" * 9]
+    data = np.frombuffer(b"".join(records), np.uint8)
+    size = np.array([len(record) for record in records])
+    kept = without_repeats(data, np.cumsum(size) - size, size)
+    found = [records[k] for k in kept.tolist()]
+    assert found == [b"z" * 20, *ones, b"y" * 20, *ones, b"q" * 9]
+    few = without_repeats(data, (np.cumsum(size) - size)[:100], size[:100])
+    assert few.tolist() == list(range(100))
+
+
+@pytest.mark.parametrize("payload", [b"", bytes(40)])
+def test_messages_that_are_alike_and_broken_are_counted_one_by_one(payload):
+    decoder = WireDecoder("odometry", ros1=False)
+    data = np.frombuffer(payload * 5000 + bytes(8), np.uint8)
+    start = np.arange(5000) * len(payload)
+    poses = decoder.decode(data, start, np.full(5000, len(payload)))
+    assert (len(poses.message), decoder.failed) == (0, 5000)
+    assert decoder.reason
+
+
+def test_connections_described_without_end_are_read(tmp_path):
+    case = logs_floods._bag(
+        lambda _: logs_floods._bag_chunk(
+            flood := logs_floods._connection(2, b"/t", b"x/Y") * 3000, b"none", len(flood)
+        ),
+        "",
+    )(random.Random(1), tmp_path)
+    used, failed, _ = read_of(case.log)
+    assert (used, failed) == (case.intact, 0)
 
 
 def test_a_name_of_a_million_characters_is_none(tmp_path):
