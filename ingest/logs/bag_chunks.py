@@ -141,16 +141,20 @@ class BagChunks(ChunkReader):
             return {}  # it was used as far as its records lead on
         data = self._part(chunk.head)
         where, _ = bag_records(data)
-        found: Counter[int] = Counter()
-        for place in where.tolist():
-            record = self._messages.heads.within(data).record(place)
-            if record is None:
+        conn, _, size_at, others = self._messages.columns(data, where)
+        records = [
+            (place, self._messages.heads.within(data).record(place)) for place in others.tolist()
+        ]
+        broken = next((place for place, record in records if record is None), len(data))
+        found = Counter(conn[size_at < broken].tolist())
+        for place, record in records:
+            if place >= broken or record is None:
                 break
             key = number(record.fields, b"conn")
             if record.op == MESSAGE:
                 found[key] += 1
             elif not self._tally.known(key):
-                self._messages.one_by_one(data, where[where == place])
+                self._messages.one_by_one(data, np.array([place]))
         return found
 
     def _front(self, data: Bytes) -> int:

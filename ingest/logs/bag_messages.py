@@ -80,14 +80,10 @@ class MessageReader:
 
     def _records(self, data: Bytes, where: Ints) -> Iterator[Block]:
         """The wanted messages among records; connections met are taken in."""
-        if self._template is None:
-            self._learn(data, where)
-        conn, time, size_at, others = self._columns(data, where)
-        if len(others) >= MANY:
-            others = self._once(data, others)
+        conn, time, size_at, others = self.columns(data, where)
         if len(others) and any(self.heads.within(data).record(k) is None for k in others.tolist()):
             data, where = self._mended(data)
-            conn, time, size_at, others = self._columns(data, where)
+            conn, time, size_at, others = self.columns(data, where)
         extra = self.one_by_one(data, others)
         if extra:
             conn, time, size_at = (
@@ -137,6 +133,13 @@ class MessageReader:
             except DamageError:
                 continue
             return
+
+    def columns(self, data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+        """Connection, time and place of the payload's size of usual messages; the other places."""
+        if self._template is None:
+            self._learn(data, where)
+        conn, time, size_at, others = self._columns(data, where)
+        return conn, time, size_at, self._once(data, others) if len(others) >= MANY else others
 
     def _columns(self, data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
         """Connection, time and place of the payload's size of the records like the template.

@@ -130,6 +130,7 @@ REPEATED = 8
 """So many of them are looked for."""
 
 REPEATED_BYTES = 512
+"""Longer records make no flood out of few bytes."""
 
 
 def without_repeats(data: Bytes, start: Ints, size: Ints) -> Ints:

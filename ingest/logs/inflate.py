@@ -25,7 +25,10 @@ its longest mode 128 MiB)."""
 
 INFLATED_BYTES = 1 << 28
 """What the chunks of one file may inflate to beyond any plausible ratio, all together: a second of
-zstd, four of bz2."""
+zstd."""
+
+DEARER = {"bz2": 2}
+"""A byte of these counts for so many."""
 
 RATIOS = {"zstd": 1000, "bz2": 100}
 """Plausible ratios, in which chunks may inflate without end: empty cost maps reach 500. lz4 cannot
@@ -65,14 +68,14 @@ class Allowance:
 
     def take(self, compression: str, packed: int, size: int) -> None:
         """Count a chunk that inflates from `packed` to `size` bytes; raises DamageError."""
-        excess = max(size - RATIOS.get(compression, 1000) * packed, 0)
+        excess = max(size - RATIOS.get(compression, 1000) * packed, 0) * DEARER.get(compression, 1)
         if excess > self._left:
             raise WrongSizeError
         self._left -= excess
 
     def counted(self, compression: str, packed: int, stream: Iterator[bytes]) -> Iterator[bytes]:
         """The pieces that `packed` bytes inflate to; raises DamageError where they are too many."""
-        most = RATIOS.get(compression, 1000) * packed + self._left
+        most = RATIOS.get(compression, 1000) * packed + self._left // DEARER.get(compression, 1)
         found = 0
         try:
             for piece in stream:
