@@ -1,13 +1,13 @@
 """Prepared maps end to end, so that many pairs of maps are matched by one call for all.
 
 Arrays of one map have some fifty rows, and a call that works on them takes longer to begin than to
-work: laid end to end, pairs are matched in a third of the time.
+work: laid end to end, pairs are matched in half the time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -98,22 +98,24 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
     by_branch += np.where(by_branch < 0, 0, corridor[:-1].repeat(np.diff(vertex))[:, None])
     tail, row = moved("tail", vertex), moved("pair_row", corridor)
     head = moved("head", vertex)
-    return replace(
-        maps[0],
-        **joined,
-        branch_unit=_wide(maps, "branch_unit", 0.0),
-        turn_rarity=_wide(maps, "turn_rarity", 0.0),
-        by_branch=by_branch,
-        neighbour=moved("neighbour", vertex),
-        tail=tail,
-        head=head,
-        twin=moved("twin", corridor),
-        pair_key=tail[row] * len(joined["z"]) + head[row],
-        pair_row=row,
-        road_edge=moved("road_edge", corridor),
-        road_tail=moved("road_tail", vertex),
-        road_head=moved("road_head", vertex),
-    )
+    joined |= {
+        "branch_unit": _wide(maps, "branch_unit", 0.0),
+        "turn_rarity": _wide(maps, "turn_rarity", 0.0),
+        "by_branch": by_branch,
+        "neighbour": moved("neighbour", vertex),
+        "tail": tail,
+        "head": head,
+        "twin": moved("twin", corridor),
+        "pair_key": tail[row] * len(joined["z"]) + head[row],
+        "pair_row": row,
+        "road_edge": moved("road_edge", corridor),
+        "road_tail": moved("road_tail", vertex),
+        "road_head": moved("road_head", vertex),
+    }
+    # What no pair is asked for by row is empty, so that it cannot be taken for what it is not.
+    first = {f.name: getattr(maps[0], f.name) for f in fields(Prepared)}
+    nothing = {name: rows[:0] for name, rows in first.items() if isinstance(rows, np.ndarray)}
+    return replace(maps[0], **(nothing | joined))
 
 
 def _wide(maps: Sequence[Prepared], name: str, nothing: complex) -> NDArray[Any]:
