@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...topology.matching.branches import BranchPairs, agreeing, mutual_nearest
-from ...topology.matching.likelihood import BIT
+from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
-from .settings import MATCH
 
 
 def branch_bits(
@@ -26,23 +25,12 @@ def branch_bits(
     lonely = branches - 2 * agree
     turn_b = b.turn_rarity.reshape(-1).take(pairs.nearest + (vb * b.turn_rarity.shape[1])[:, None])
     free = np.minimum(a.turn_rarity.take(va, axis=0), turn_b)
-    angle = agreeing(pairs, variance, free, MATCH.most_bits * BIT / 2) / BIT
+    angle = agreeing(pairs, variance, free, LIKELIHOOD.most / 2)
     # One branch of each junction is taken up by the alignment itself.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
-    chance = np.minimum(of_a[:, 3], of_b[:, 3])
-    bits = np.minimum(chance + angle + lonely * np.log2(faults), MATCH.most_bits)
-    return doubted(bits, sure)
-
-
-def doubted(bits: FloatArray, sure: FloatArray) -> FloatArray:
-    """(k,) bits that a look tells which shows its object as it is with confidence e^sure, and else
-    tells nothing: log2(c 2^bits + 1 - c)."""
-    out = np.array(bits)
-    rows = (sure < 0).nonzero()[0]
-    if len(rows):
-        nothing = np.log(-np.expm1(sure[rows]))
-        out[rows] = np.logaddexp(sure[rows] + bits[rows] * BIT, nothing) / BIT
-    return out
+    chance = np.minimum(of_a[:, 3], of_b[:, 3]) * BIT
+    told = np.minimum(chance + angle + lonely * np.log(faults), LIKELIHOOD.most)
+    return doubted(told, sure) / BIT
 
 
 def lonely_branches(

@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
 from .atlas import Atlas, cuts
-from .branches import common_branches, doubted
+from .branches import common_branches
 from .growth import Grown
 from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH
@@ -203,9 +204,9 @@ def _weight(
     driven, seen = blind.whole.traversals[edge], seeing.whole.looks[vertex]
     missed = (miss + MATCH.fault_floor) ** np.minimum(driven, 3)
     invented = (invent + MATCH.fault_floor) ** np.minimum(seen, 3)
-    bits = np.minimum(-np.log2(np.minimum(missed + invented, 1.0)), MATCH.most_bits)
-    bits[_never_shown(missing, extra, vertex)] = 0.0
-    return -doubted(-bits, np.log(seeing.whole.confidence[vertex]))
+    told = np.maximum(np.log(np.minimum(missed + invented, 1.0)), -LIKELIHOOD.most)
+    told[_never_shown(missing, extra, vertex)] = 0.0
+    return -doubted(told, np.log(seeing.whole.confidence[vertex])) / BIT
 
 
 def _never_shown(

@@ -18,7 +18,9 @@ rarity among the lengths of its own view, -ln p(x) (`rarity`), and what is commo
 
 *What only one has.* It costs ln(rate), rate being how often a look adds or misses such a thing.
 
-Branches have their own sum of these terms (`branches.py`), and so has the growth of matches.
+A look that shows its object as it is with a confidence c, and else tells nothing, tells
+ln(c e^λ + 1 - c) (`doubted`). Branches have their own sum of these terms (`branches.py`), and so
+has the growth of matches.
 """
 
 from __future__ import annotations
@@ -88,6 +90,16 @@ def log_density(q: Reals, variance: Reals) -> FloatArray:
     share, width = LIKELIHOOD.outlier_share, LIKELIHOOD.outlier_width
     core = (1 - share) * np.exp(-0.5 * q) + share / width * np.exp(-0.5 * q / width**2)
     return np.asarray(np.log(core / np.sqrt(2 * np.pi * variance)))
+
+
+def doubted(told: FloatArray, sure: FloatArray) -> FloatArray:
+    """(k,) nats that looks tell which would tell `told` (k,), were they not in doubt; sure: (k,) ln
+    of the confidence."""
+    out = np.array(told)
+    rows = (sure < 0).nonzero()[0]
+    if len(rows):
+        out[rows] = np.logaddexp(sure[rows] + told[rows], np.log(-np.expm1(sure[rows])))
+    return out
 
 
 def length_log_density(difference: FloatArray, variance: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ import pytest
 from topobatch.topology.matching.likelihood import (
     LIKELIHOOD,
     density_of_equals,
+    doubted,
     length_log_density,
     log_density,
     rarity,
@@ -54,3 +55,11 @@ def test_density_of_equals_is_that_of_all_differences(scale):
     assert total == pytest.approx(weight[~own].sum())
     assert count == np.count_nonzero(~own)
     assert density_of_equals(np.zeros(0)) == (0.0, 0.0)
+
+
+def test_a_look_in_doubt_tells_less_for_and_against():
+    told, sure = np.array([6.0, -6.0, 3.0, -3.0]), np.log([0.5, 0.5, 1.0, 1e-9])
+    mixed = np.log(np.exp(sure) * np.exp(told) + 1 - np.exp(sure))
+    assert doubted(told, sure) == pytest.approx(mixed)
+    assert doubted(told, sure)[2] == 3.0
+    assert doubted(told, sure)[1] == pytest.approx(np.log(0.5), abs=0.01)
