@@ -269,7 +269,11 @@ class ChunkReader(ABC):
         data = self._window.view(head.data_at, min(head.data_size, WHOLE_BYTES))
         if not head.compression:
             return data
-        return np.frombuffer(inflate_part(head.compression, data), np.uint8)
+        limit = min(self._allowance.limit(head.compression, len(data)), WHOLE_BYTES)
+        part = np.frombuffer(inflate_part(head.compression, data, limit), np.uint8)
+        self._allowance.take(head.compression, len(data), len(part))
+        self._findings.lost_at_least |= len(part) == limit < head.size
+        return part
 
     def _directly(self, chunk: Chunk) -> Iterator[Block]:
         """The messages of a chunk too large for the memory; it is checked before any is used."""

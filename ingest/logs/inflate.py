@@ -73,10 +73,13 @@ class Allowance:
             raise WrongSizeError
         self._left -= excess
 
+    def limit(self, compression: str, packed: int) -> int:
+        """What `packed` bytes may inflate to at most."""
+        return RATIOS.get(compression, 1000) * packed + self._left // DEARER.get(compression, 1)
+
     def counted(self, compression: str, packed: int, stream: Iterator[bytes]) -> Iterator[bytes]:
         """The pieces that `packed` bytes inflate to; raises DamageError where they are too many."""
-        most = RATIOS.get(compression, 1000) * packed + self._left // DEARER.get(compression, 1)
-        found = 0
+        most, found = self.limit(compression, packed), 0
         try:
             for piece in stream:
                 found += len(piece)

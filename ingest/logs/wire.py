@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from .columns import Shape, column, gather
+from .columns import MANY, Shape, column, gather
 from .messages import NAME_BYTES, Bytes, DamageError, Ints, text
 from .poses import Frames, Heads, Poses, join
 
@@ -199,7 +199,8 @@ class WireDecoder:
             try:
                 template = parse(self._kind, raw, self._ros1, self.frames)
             except DamageError as damage:
-                left = self._unlike(data, start, raw) if fresh else np.arange(1, len(start))
+                flood = fresh and len(start) >= MANY
+                left = self._unlike(data, start, raw) if flood else np.arange(1, len(start))
                 self.failed += len(start) - len(left)
                 self.reason = self.reason or str(damage)
                 start, message, fresh = start[left], message[left], False
