@@ -18,8 +18,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from ...topology.matching.branches import ComplexArray, mutual_nearest, unit_headings
 from ...topology.passes import NO_BRANCH
-from ...topology.se2 import wrap
 from .joint_graph import pass_counts
 from .vertex_partition import Groups, Pool
 
@@ -68,11 +68,11 @@ class _Surroundings:
 
     def __init__(self, pool: Pool, pose: FloatArray, label: IntArray) -> None:
         self.label = label
-        self.headings: list[FloatArray] = []
+        self.units: list[ComplexArray] = []
         self.legs: list[dict[int, _Leg]] = [{} for _ in range(len(pool))]
         for m in pool.maps:
             first = pool.first[m.run]
-            self.headings += [m.branches[v] + pose[first + v, 2] for v in range(len(m))]
+            self.units += [unit_headings(m.branches[v] + pose[first + v, 2]) for v in range(len(m))]
             columns = (m.source, m.source_branch, m.target, m.target_branch, m.length)
             for s, i, t, j, length in zip(*(c.tolist() for c in columns), strict=True):
                 if NO_BRANCH not in {i, j}:
@@ -81,13 +81,9 @@ class _Surroundings:
 
     def partners(self, u: int, v: int, gate_rad: float) -> list[tuple[int, int]]:
         """Mutually nearest branches of two rows within a gate."""
-        off = np.abs(wrap(self.headings[u][:, None] - self.headings[v]))
-        if off.size == 0:
-            return []
-        nearest, back = off.argmin(axis=1), off.argmin(axis=0)
-        return [
-            (i, int(j)) for i, j in enumerate(nearest) if back[j] == i and off[i, j] <= gate_rad
-        ]
+        pairs = mutual_nearest(self.units[u][None], self.units[v][None], float(np.cos(gate_rad)))
+        i = pairs.paired[0].nonzero()[0]
+        return list(zip(i.tolist(), pairs.nearest[0, i].tolist(), strict=True))
 
 
 def coincident(
@@ -213,7 +209,7 @@ def _candidates(
 def _branches_fit(around: _Surroundings, u: int, v: int, settings: CoincidenceSettings) -> bool:
     """Whether all but a few branches of two rows point the same ways."""
     pairs = len(around.partners(u, v, settings.branch_gate_rad))
-    lone = max(len(around.headings[u]), len(around.headings[v])) - pairs
+    lone = max(len(around.units[u]), len(around.units[v])) - pairs
     return lone <= settings.spare_branches and (pairs > 0 or lone == 0)
 
 

@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ...topology.map_pose_graph import map_pose_graph, odometry_measurements
+from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.structure import grid_direction, padded_branches
 from ...topology.posegraph.samples import SampledMarginals
 from ...topology.posegraph.solve import (
@@ -345,16 +346,14 @@ def measured_turn(
     heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,) the turn
     to within the gate. Mutually nearest branches within the gate measure it: mean of a minus b.
     """
-    off = wrap(heading_a[:, :, None] - heading_b[:, None, :] - expected_rad[:, None, None])
-    size = np.where(np.isnan(off), np.inf, np.abs(off))
-    if size.size == 0:
+    if not (heading_a.size and heading_b.size):
         return expected_rad.copy(), np.zeros(len(expected_rad), np.int64)
-    nearest, back = size.argmin(axis=2), size.argmin(axis=1)
-    mutual = np.take_along_axis(back, nearest, axis=1) == np.arange(heading_a.shape[1])
-    gap = np.take_along_axis(off, nearest[:, :, None], axis=2)[:, :, 0]
-    used = mutual & (np.take_along_axis(size, nearest[:, :, None], axis=2)[:, :, 0] <= gate_rad)
-    count = used.sum(axis=1)
-    mean = np.where(used, gap, 0.0).sum(axis=1) / np.maximum(count, 1)
+    unit_a = unit_headings(heading_a)
+    unit_b = unit_headings(heading_b + expected_rad[:, None])
+    pairs = mutual_nearest(unit_a, unit_b, float(np.cos(gate_rad)))
+    gap = np.angle(unit_a * np.take_along_axis(unit_b, pairs.nearest, axis=1).conj())
+    count = pairs.paired.sum(axis=1)
+    mean = np.where(pairs.paired, gap, 0.0).sum(axis=1) / np.maximum(count, 1)
     return np.asarray(wrap(expected_rad + mean)), count
 
 

@@ -14,7 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..matching.branches import COS_GATE, BranchPairs, agreeing, missing, mutual_nearest
+from ..matching.branches import (
+    COS_GATE,
+    BranchPairs,
+    agreeing,
+    missing,
+    mutual_nearest,
+    unit_headings,
+)
 from ..matching.likelihood import LIKELIHOOD, log_density
 from .evidence import Background, EvidenceSettings
 from .places import Places
@@ -44,11 +51,10 @@ class Branches:
 
 def branches_of(places: Places, common: Background, settings: EvidenceSettings) -> Branches:
     """The branches of all places. O(n · references)."""
-    there = np.isfinite(places.heading)
-    unit = np.where(there, np.exp(1j * np.where(there, places.heading, 0.0)), 0.0)
+    unit = unit_headings(places.heading)
     # Another look lacks a branch as often as the looks at this place did, or by a fault.
     seldom = np.log(np.maximum(1.0 - places.share, common.fault_rate))
-    lack = np.where(there, seldom * places.confidence[:, None], 0.0)
+    lack = np.where(unit != 0, seldom * places.confidence[:, None], 0.0)
     variance = 2 * common.branch_sigma**2
     return Branches(unit, lack, _commonness(unit, lack, variance, settings), variance)
 

@@ -36,11 +36,20 @@ class BranchPairs:
     chord2: FloatArray
 
 
+def unit_headings(heading: FloatArray) -> ComplexArray:
+    """Headings [rad] as unit numbers, 0 for NaN."""
+    there = np.isfinite(heading)
+    return np.asarray(np.where(there, np.exp(1j * np.where(there, heading, 0.0)), 0.0))
+
+
 def mutual_nearest(
     unit_a: ComplexArray, unit_b: ComplexArray, cos_gate: float = COS_GATE
 ) -> BranchPairs:
     """Branches (k, d_a) and (k, d_b), in one frame, that are each other's nearest within a gate."""
     k, d_a, d_b = len(unit_a), unit_a.shape[1], unit_b.shape[1]
+    if not (unit_a.size and unit_b.size):
+        none = np.zeros(unit_a.shape)
+        return BranchPairs(none.astype(np.bool_), none.astype(np.int64), none)
     pairs_a = unit_a.view(np.float64).reshape(k, d_a, 2)
     pairs_b = unit_b.view(np.float64).reshape(k, d_b, 2)
     cosine = np.matmul(pairs_a, pairs_b.transpose(0, 2, 1))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..passes import NO_BRANCH
 from ..se2 import wrap
 from ..topomap import TopoMap
+from .branches import unit_headings
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -92,7 +93,7 @@ def prepare(topomap: TopoMap) -> Structure:
     crowded = len(np.unique(start * (width + 4) + place)) < len(start)
     return Structure(
         heading=heading,
-        unit=np.where(np.isnan(heading), 0.0, np.exp(1j * np.nan_to_num(heading))),
+        unit=unit_headings(heading),
         degree=degree,
         explored=explored,
         start=start,
