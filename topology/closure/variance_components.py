@@ -52,8 +52,8 @@ class ComponentSettings:
     of itself. Of the odometry next to nothing is told (`_pull`)."""
     rounds: int = 6
     """Each estimates the components again, with the weights that the one before gave. All but the
-    last take double steps: what the data hardly tell, such as noise that is not there, is reached
-    slowly, and no step of less than double its length leads away."""
+    last take double steps in the odometry's: what the data hardly tell, such as noise that is not
+    there, is reached slowly."""
     samples: int = 64
     """They tell a variance to √(2 / 64), 18 %: less than the prior's freedom leaves open."""
 
@@ -93,7 +93,9 @@ def fitted_noise(
     for left in reversed(range(settings.rounds)):
         energy, freedom = _told(layout, legs, variance, grid, settings.samples)
         more, less = _pull(variance / prior, settings.prior_freedom)
-        variance = variance * ((energy + more) / (freedom + less)) ** (2 if left else 1)
+        step = (energy + more) / (freedom + less)
+        step[:_WALKS] **= 2 if left else 1
+        variance = variance * step
         walk = _with_variances(walk, units, variance)
         if grid is not None:
             spread_rad = float(np.sqrt(variance[_GRID]))
