@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from ...topology.posegraph.samples import SampledMarginals
+from ...topology.posegraph.samples import SampledMarginals, white
 from ...topology.posegraph.solve import Marginals, PoseGraph, Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
@@ -51,8 +51,8 @@ def place_sigmas(
     gather = csr_array((share, (label, np.arange(rows))), shape=(count, rows))
     sampled = SampledMarginals.of(graph, solution.with_full_weights(), SAMPLES).error[:, :2]
     centre = np.array([m.measured.centre_m for m in pool.maps])[pool.run] / np.sqrt(passes)
-    white = np.random.default_rng(20053).standard_normal(sampled.shape)
-    off = np.asarray(gather @ (sampled + centre[:, None, None] * white).reshape(rows, -1))
+    (noise,) = white(20053, [sampled.shape])
+    off = np.asarray(gather @ (sampled + centre[:, None, None] * noise).reshape(rows, -1))
     error = np.zeros((count, 3, SAMPLES))
     error[:, :2] = off.reshape(count, 2, SAMPLES)
     xy = np.asarray(gather @ solution.pose[:, :2])

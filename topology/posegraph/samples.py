@@ -7,6 +7,8 @@ the whole solution costs as many solves whatever the number of pairs, and tells 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,7 +79,6 @@ class SampledMarginals:
         solution is off by as much more, w Ω taking the place of Ω; else it is as good as it says,
         H⁻¹ Jᵀ w Ω^½ z, and the solution only makes little of it.
         """
-        rng = np.random.default_rng(20040)
         pattern = build_pattern(graph, skeleton(graph))
         system = linearise(graph, pattern, solution)
         factor = system.factorise()
@@ -90,18 +91,18 @@ class SampledMarginals:
             root, known = own, own_known
         else:
             root, known = own * weights[0], own_known * weights[1]
-        z = rng.standard_normal((3 * len(root), count))
+        sizes = (3 * len(root), 3 * len(known), len(graph.shared))
+        z, z_known, z_shared = white(20040, [(size, count) for size in sizes])
         push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
         push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
         right = push @ z
-        z_known = rng.standard_normal((3 * len(known), count))
         right = right + _scattered(pattern, graph.priors.node, known) @ z_known
         x = factor.solve(np.asarray(right))
         b = np.zeros((len(graph.shared), count))
         if len(graph.shared):
             J_b = J_m @ graph.shared.sensitivity
             slope = (root.transpose(0, 2, 1) @ J_b).reshape(-1, len(graph.shared)).T @ z
-            slope = slope + rng.standard_normal(slope.shape) / graph.shared.sigma[:, None]
+            slope = slope + z_shared / graph.shared.sigma[:, None]
             b[:] = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
             x = x - factor.solved_border @ b
         error = np.zeros((*pattern.variable.shape, count))
@@ -127,6 +128,27 @@ class SampledMarginals:
         off = J_a @ self.error[a] + J_b @ self.error[b]
         out: FloatArray = off @ off.transpose(0, 2, 1) / self.error.shape[2]
         return out
+
+
+def white(seed: int, shapes: Sequence[tuple[int, ...]]) -> list[FloatArray]:
+    """Arrays of white noise that are the same at every call, one after the other of one stream."""
+    sizes = [math.prod(shape) for shape in shapes]
+    stream = _drawn.get(seed)
+    if stream is None or len(stream) < sum(sizes):
+        stream = np.random.default_rng(seed).standard_normal(sum(sizes))
+        stream.flags.writeable = False
+        if len(stream) <= MOST_DRAWN:
+            _drawn[seed] = stream
+    ends = np.cumsum(sizes).tolist()
+    parts = zip(shapes, sizes, ends, strict=True)
+    return [stream[end - size : end].reshape(shape) for shape, size, end in parts]
+
+
+MOST_DRAWN = 2**21
+"""Numbers that are kept of a stream, 16 MB: drawing them takes longer than all that is done with
+them."""
+
+_drawn: dict[int, FloatArray] = {}  # by seed, the longest beginning of its stream so far
 
 
 def _jacobians(

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from topobatch.topology.posegraph.samples import SampledMarginals
+from topobatch.topology.posegraph.samples import MOST_DRAWN, SampledMarginals, white
 from topobatch.topology.posegraph.solve import Marginals, PoseGraph, solve
 
 
-def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
-    """A ring of 12 poses."""
-    n = 12
+def ring(n: int) -> PoseGraph:
+    """A ring of poses."""
     turn = 2 * np.pi / n
     pose = np.column_stack([np.cumsum(np.cos(turn * np.arange(n))), np.zeros(n), np.zeros(n)])
     step = np.tile([1.0, 0.0, turn], (n, 1))
     ends = np.arange(n), (np.arange(n) + 1) % n
-    graph = PoseGraph(pose, *ends, step, np.tile(np.diag([400.0, 400.0, 900.0]), (n, 1, 1)))
+    return PoseGraph(pose, *ends, step, np.tile(np.diag([400.0, 400.0, 900.0]), (n, 1, 1)))
+
+
+def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
+    graph = ring(12)
     solution = solve(graph)
     exact, count = Marginals.of(graph, solution), 4000
     sampled = SampledMarginals.of(graph, solution, count)
@@ -24,3 +27,19 @@ def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
     scale = np.sqrt(np.einsum("kii,kjj->kij", want, want))
     assert np.abs((found - want) / scale).max() < 4 * np.sqrt(2 / count)
     assert np.array_equal(found, SampledMarginals.of(graph, solution, count).relative(a, b))
+
+
+def test_white_noise_is_the_same_however_much_was_drawn_before() -> None:
+    for size in (30, 3000, 8, MOST_DRAWN + 1):
+        rng = np.random.default_rng(5)
+        first, second = white(5, [(size // 2, 2), (3,)])
+        assert np.array_equal(first, rng.standard_normal((size // 2, 2)))
+        assert np.array_equal(second, rng.standard_normal(3))
+
+
+def test_many_right_sides_are_solved_as_each_would_be() -> None:
+    graph = ring(30)
+    factor = Marginals.of(graph, solve(graph)).factor
+    right = np.random.default_rng(0).standard_normal((factor.pattern.size, 40))
+    alone = np.column_stack([factor.solve(column) for column in right.T])
+    assert np.array_equal(factor.solve(right), alone)
