@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 class CopySettings:
     """What is assumed of copies, beside `copy_variation` and `copy_change_rate`."""
 
-    noise_stray: float = 0.11
-    """The noise that a run reports is wrong by such a factor, 1 sigma of its logarithm, as sigmas
-    stray in `benchmarks/uncertainty.py`."""
     exact_prior: tuple[float, ...] = (0.15, 0.25, 0.26, 0.22, 0.119, 0.001)
     """Odds, from none to all in equal steps, of how many of the corridors of two copies are built
     exactly alike, as long as no map has shown how exactly it repeats itself: two fifths on average.
@@ -57,10 +54,6 @@ NODES, NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(17)
 NODES, NODE_WEIGHTS = NODES[8:], NODE_WEIGHTS[8:] * [1, *[2] * 8]
 NODE_WEIGHTS = NODE_WEIGHTS / NODE_WEIGHTS.sum()
 """Of quadrature over differences whose sign tells nothing: each node stands for two."""
-
-STRAYS, STRAY_ODDS = np.polynomial.hermite_e.hermegauss(5)
-STRAY_ODDS = STRAY_ODDS / STRAY_ODDS.sum()
-"""Of quadrature over what the noise may be wrong by, in its sigmas."""
 
 SHARES = np.linspace(0.0, 1.0, len(COPIES.exact_prior))
 """Shares of corridors built exactly alike that `exact_prior` speaks of."""
@@ -132,9 +125,9 @@ def _sameness_of(
     spread = compared * np.log(
         (1 - change) * np.exp(tilts * kept_nats) + change * np.exp(tilts * changed_nats)
     )
-    tilted = tilts * nats - spread - _sums(shape.tilted(share), ends)  # (factor, share, tilt, case)
-    weight = np.log(np.outer(STRAY_ODDS, copies.exact_odds))[:, :, None]
-    bound = -np.logaddexp.reduce((weight - tilted.max(axis=2)).reshape(-1, len(cases)), axis=0)
+    tilted = tilts * nats - spread - _sums(shape.tilted(share), ends)  # (share, tilt, case)
+    weight = np.log(copies.exact_odds)[:, None]
+    bound = -np.logaddexp.reduce(weight - tilted.max(axis=1), axis=0)
     # Below what is typical of copies: how far below, to rank by.
     bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
     return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
@@ -221,29 +214,21 @@ class _Lengths:
         return np.asarray(-np.log(share + (1 - share) * np.exp(ahead)))
 
     def averaged(self, share: float) -> float:
-        """log likelihood [nats] of the differences between copies, over factors of the noise."""
-        noise = self._strayed()
-        exact = np.exp(_normal(self.d2, noise))
-        varied = np.exp(_normal(self.d2, noise + self.built))
-        each = np.log(share * exact + (1 - share) * varied).sum(axis=1)
-        return float(np.logaddexp.reduce(each + np.log(STRAY_ODDS)))
+        """log likelihood [nats] of the differences between copies."""
+        exact = np.exp(_normal(self.d2, self.noise))
+        varied = np.exp(_normal(self.d2, self.noise + self.built))
+        return float(np.log(share * exact + (1 - share) * varied).sum())
 
     def tilted(self, share: float) -> FloatArray:
-        """(factor, exact share, tilt, corridor) log E[exp(tilt · odds)] over copies, for all
-        factors of the noise, exact shares and tilts; by Gaussian quadrature over differences."""
-        noise = self._strayed()
+        """(exact share, tilt, corridor) log E[exp(tilt · odds)] over copies, for all exact shares
+        and tilts; by Gaussian quadrature over differences."""
         moments = []
-        for variance in (noise, noise + self.built):
-            odds = self.odds(NODES[:, None, None] ** 2 * variance, share)  # by node
-            flat = odds.reshape(len(NODES), -1)
-            powers = (np.einsum("n,nk", NODE_WEIGHTS, np.exp(tilt * flat)) for tilt in TILTS)
-            moments.append(np.stack([moment.reshape(noise.shape) for moment in powers], axis=1))
+        for variance in (self.noise, self.noise + self.built):
+            odds = self.odds(NODES[:, None] ** 2 * variance, share)  # by node
+            powers = [np.einsum("n,nk", NODE_WEIGHTS, np.exp(tilt * odds)) for tilt in TILTS]
+            moments.append(np.stack(powers))
         exact = SHARES[:, None, None]
-        return np.asarray(np.log(exact * moments[0][:, None] + (1 - exact) * moments[1][:, None]))
-
-    def _strayed(self) -> FloatArray:
-        """(factor, corridor) the noise, were it wrong by each factor."""
-        return self.noise * np.exp(2 * COPIES.noise_stray * STRAYS)[:, None]
+        return np.asarray(np.log(exact * moments[0] + (1 - exact) * moments[1]))
 
 
 def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:

@@ -114,9 +114,6 @@ class MatchSettings:
     """Junctions of hypotheses that are grown at once (what is worked out of them fits the cache of
     a processor), and pairs of maps that are judged at once (10 kB each)."""
 
-    offset_bits: float = 3.0
-    """What the offset between two junctions tells less than a corridor: there are many to choose
-    from."""
     clear_m: float = 1.0
     """Nearer than this to its ends a corridor is the junctions' own [m]; also the spacing of the
     points that stand for the rest of it. Tried: 1.3, the same."""

@@ -15,6 +15,9 @@ from .settings import MATCH
 NEAREST = slice(1, 13)
 """Of a junction's neighbours, itself first, those that are looked at for links."""
 
+CHOICE_BITS = float(np.log2(NEAREST.stop - NEAREST.start))
+"""What the offset of one of them tells less than a corridor: there are so many to choose from."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
@@ -147,7 +150,7 @@ def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, Floa
     centres = seen[grown.lane[p]] + drift**2
     bits = length_bits(np.abs(offset_a) - d, centres)
     bits = bits - bend * bend / (2 * (centres + (2 * drift) ** 2)) / np.log(2)
-    return p, q, bits + b.near_rarity[vertex, column + 1] - MATCH.offset_bits
+    return p, q, bits + b.near_rarity[vertex, column + 1] - CHOICE_BITS
 
 
 def _each_without_repeats(
