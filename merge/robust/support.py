@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...topology.matching.likelihood import BIT
 from .atlas import cuts
 from .growth import Grown
 from .prepare import ComplexArray, FloatArray, IntArray, length_bits
@@ -149,7 +150,7 @@ def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, Floa
     seen = lanes.a.centre_m[lanes.of_a] ** 2 + lanes.b.centre_m[lanes.of_b] ** 2
     centres = seen[grown.lane[p]] + drift**2
     bits = length_bits(np.abs(offset_a) - d, centres)
-    bits = bits - bend * bend / (2 * (centres + (2 * drift) ** 2)) / np.log(2)
+    bits = bits - bend * bend / (2 * (centres + (2 * drift) ** 2)) / BIT
     return p, q, bits + b.near_rarity[vertex, column + 1] - CHOICE_BITS
 
 

@@ -78,35 +78,30 @@ def align(
     turn_sigma: FloatArray,
     turn_mean: FloatArray | None = None,
 ) -> Alignment:
-    """Compare the branches of places a and b (k,), which may be turned by N(mean, sigma).
+    """Compare the branches of places a and b (k,), which may be turned by N(mean, sigma > 0).
 
     All pairs at once: every difference of a branch of a and one of b is tried as the turn; the one
     that explains most wins.
     """
     k, s = len(a), branches.unit.shape[1]
-    sigma = np.maximum(turn_sigma, LEAST_TURN_RAD)
     mean = np.zeros(k) if turn_mean is None else turn_mean
     unit_a, unit_b = branches.unit[a], branches.unit[b] * np.exp(1j * mean)[:, None]
     lack_a, lack_b = branches.lack[a], branches.lack[b]
     score, turn = np.full(k, -np.inf), np.zeros(k)
     partner = np.full((k, s), -1, np.int64)
     between = (unit_a[:, :, None] * unit_b.conj()[:, None, :]).reshape(k, s * s)
-    reach = LIKELIHOOD.gate_sigmas * np.sqrt(sigma**2 + branches.variance)
+    reach = LIKELIHOOD.gate_sigmas * np.sqrt(turn_sigma**2 + branches.variance)
     for rows, trial in _trials(between, reach):
         ours, theirs = unit_a[rows], unit_b[rows] * trial[:, None]
         pairs = mutual_nearest(ours, theirs)
         rest = ours * np.take_along_axis(theirs, pairs.nearest, axis=1).conj()
-        told, turned_by = _turned(pairs, rest, trial, sigma[rows], branches.variance)
+        told, turned_by = _turned(pairs, rest, trial, turn_sigma[rows], branches.variance)
         told += missing(pairs, lack_a[rows], lack_b[rows])
         better = told > score[rows]
         hit = rows[better]
         score[hit], turn[hit] = told[better], turned_by[better] + mean[hit]
         partner[hit] = np.where(pairs.paired, pairs.nearest, -1)[better]
     return Alignment(score - np.maximum(branches.common[a], branches.common[b]), turn, partner)
-
-
-LEAST_TURN_RAD = 1e-3
-"""No turn is known better than this."""
 
 
 def _trials(between: ComplexArray, reach: FloatArray) -> Iterator[tuple[IntArray, ComplexArray]]:

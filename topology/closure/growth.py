@@ -37,6 +37,9 @@ class GrowthSettings:
     """How much the way driven through one corridor varies. Tried: with 0 rows close less often."""
     line_m: float = LIKELIHOOD.gate_m
     """Legs begin and end at the same two lines within this."""
+    beside: int = 4
+    """Of the gaps in order of their middles so many are looked at on either side: few have their
+    middle in one place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,9 +162,6 @@ class _Gaps:
     for independent, they speak for a place one street off as well.
     """
 
-    _BESIDE = 4
-    """So many neighbours in order are looked at: few gaps have their middle in one place."""
-
     def __init__(self, hypotheses: int, settings: GrowthSettings) -> None:
         self._axis = np.full(hypotheses, np.nan)
         self._settings = settings
@@ -188,7 +188,7 @@ class _Gaps:
         self._spans = spans
         order = np.lexsort((spans[:, 1], spans[:, 0]))
         again = np.zeros(len(spans), bool)
-        for k in range(1, min(self._BESIDE, len(spans) - 1) + 1):
+        for k in range(1, min(self._settings.beside, len(spans) - 1) + 1):
             i, j = np.minimum(order[k:], order[:-k]), np.maximum(order[k:], order[:-k])
             off = np.abs(spans[i] - spans[j])
             same = (off[:, 0] == 0) & (spans[i, 0] >= 0)
