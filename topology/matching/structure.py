@@ -20,11 +20,22 @@ from .branches import unit_headings
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
-RECTILINEAR_SHARE = 0.88
-"""A map is rectilinear when this share of its branches lies near the directions of one grid."""
-RECTILINEAR_RAD = np.deg2rad(15.0)
-INFERRED_BRANCH_RAD = np.deg2rad(40.0)
-"""A corridor that left by an unknown branch is given a free one within this angle of its path."""
+
+@dataclass(frozen=True, slots=True)
+class StructureSettings:
+    """What of a map is taken for straight."""
+
+    rectilinear_share: float = 0.88
+    """A map is rectilinear when this share of its branches lies near the directions of one grid:
+    of branches that may point anywhere a third would."""
+    rectilinear_rad: float = np.pi / 12
+    """"Near" are 15°, a third of the way to where the next direction is as near."""
+    inferred_rad: float = np.pi / 4
+    """A corridor that left by an unknown branch is given a free one within this angle of its path:
+    a branch across is farther."""
+
+
+STRUCTURE = StructureSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +155,9 @@ def grid_direction(heading_rad: FloatArray) -> float | None:
         return None
     grid = float(np.angle(np.exp(4j * heading_rad).mean())) / 4 % (np.pi / 2)
     off = np.abs(wrap(4 * (heading_rad - grid))) / 4
-    return grid if np.mean(off <= RECTILINEAR_RAD) >= RECTILINEAR_SHARE else None
+    return (
+        grid if np.mean(off <= STRUCTURE.rectilinear_rad) >= STRUCTURE.rectilinear_share else None
+    )
 
 
 def _known_edges(topomap: TopoMap, heading: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -168,7 +181,7 @@ def _with_inferred(
         vertex, path = int(ends[k, side]), topomap.paths[k]
         step = path[1] - path[0] if side == 0 else path[-2] - path[-1]
         off = np.abs(wrap(heading[vertex] - np.arctan2(step[1], step[0])))
-        near = [int(i) for i in np.argsort(off) if off[i] <= INFERRED_BRANCH_RAD]
+        near = [int(i) for i in np.argsort(off) if off[i] <= STRUCTURE.inferred_rad]
         free = [i for i in near if (vertex, i) not in taken]
         if free:
             out[k, side] = free[0]
