@@ -6,10 +6,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
 from .logs.saved_map import Grid
 from .scans.grid import GridSettings, without_islands
+
+BoolArray = NDArray[np.bool_]
 
 MOST_CELLS = 1 << 21
 """Cells that are thinned at most, 70 by 70 m at 5 cm, 140 at the 10 cm of scans:
@@ -56,7 +59,16 @@ def _coarser(grid: Grid, factor: int) -> Grid:
         return grid
     free, unknown = grid.free, grid.unknown
     for axis in (0, 1):
-        begins = np.arange(0, free.shape[axis], factor)
-        free = np.logical_and.reduceat(free, begins, axis=axis)
-        unknown = np.logical_or.reduceat(unknown, begins, axis=axis)
+        free = _joined(free, factor, axis, np.logical_and)
+        unknown = _joined(unknown, factor, axis, np.logical_or)
     return grid._replace(free=free, unknown=unknown, resolution_m=factor * grid.resolution_m)
+
+
+def _joined(cells: BoolArray, factor: int, axis: int, join: np.ufunc) -> BoolArray:
+    """Every `factor` rows or columns as one; numpy's `reduceat` takes ten times as long."""
+    turned = np.moveaxis(cells, axis, 0)
+    out: BoolArray = turned[::factor].copy()
+    for k in range(1, min(factor, len(turned))):
+        more = turned[k::factor]
+        join(out[: len(more)], more, out=out[: len(more)])
+    return np.ascontiguousarray(np.moveaxis(out, 0, axis))

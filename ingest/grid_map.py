@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -99,17 +99,24 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
 
 def _cropped(grid: Grid) -> Grid:
     """The grid without the rows and columns around its free space."""
-    rows, columns = (np.flatnonzero(grid.free.any(axis=axis)) for axis in (1, 0))
-    if len(rows) == 0:
+    rows, columns = (_span(np.asarray(grid.free.any(axis=axis))) for axis in (1, 0))
+    if rows.stop == 0:
         return grid._replace(free=grid.free[:1, :1], unknown=grid.unknown[:1, :1])
-    corner = grid.resolution_m * np.array([columns[0], rows[0], 0.0])
+    corner = grid.resolution_m * np.array([columns.start, rows.start, 0.0])
     x, y, yaw = compose(np.array(grid.origin), corner).tolist()
-    kept = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     # Beyond the grid nothing is known.
     edged = np.pad(grid.unknown, 1, constant_values=True)
-    unknown = edged[rows[0] : rows[-1] + 3, columns[0] : columns[-1] + 3]
-    rim = binary_dilation(unknown)[1:-1, 1:-1]
-    return grid._replace(free=grid.free[kept], unknown=rim, origin=(x, y, yaw))
+    edged = edged[rows.start : rows.stop + 2, columns.start : columns.stop + 2]
+    rim = edged[1:-1, 1:-1] | edged[:-2, 1:-1] | edged[2:, 1:-1]
+    rim |= edged[1:-1, :-2] | edged[1:-1, 2:]
+    return grid._replace(free=grid.free[rows, columns], unknown=rim, origin=(x, y, yaw))
+
+
+def _span(mask: NDArray[np.bool_]) -> slice:
+    """From the first to the last of those marked, from 0 to 0 if there are none."""
+    if not mask.any():
+        return slice(0, 0)
+    return slice(int(mask.argmax()), len(mask) - int(mask[::-1].argmax()))
 
 
 def _without_open_ends(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.se2 import wrap
-from .skeleton_lines import Lines, lines_of
+from .skeleton_lines import Labels, Lines, lines_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -265,7 +265,7 @@ def _dissolve(net: _Net, node: int) -> None:
         table.pop(node, None)
 
 
-def _graph(net: _Net, label: IntArray, cell_m: float, settings: SkeletonSettings) -> SkeletonGraph:
+def _graph(net: _Net, label: Labels, cell_m: float, settings: SkeletonSettings) -> SkeletonGraph:
     """What is left, with the cells of every way and the headings of every place."""
     home = np.zeros(int(label.max(initial=0)) + 1, np.int64)
     kept = sorted(net.segments)

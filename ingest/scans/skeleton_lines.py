@@ -11,7 +11,7 @@ from scipy import ndimage
 from ...topology.errors import DataError
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+Labels = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 
 SHORTEST_CELLS = 5.0
@@ -39,7 +39,7 @@ class Lines:
     where the grid ends.
     """
 
-    label: IntArray
+    label: Labels
     cell_m: float
     fork_xy: FloatArray
     fork_clearance_m: FloatArray
@@ -101,10 +101,10 @@ def _check(cells: int, lines: int) -> None:
         )
 
 
-def labelled(mask: BoolArray) -> tuple[IntArray, int]:
+def labelled(mask: BoolArray) -> tuple[Labels, int]:
     """Numbers from 1 on of cells that hang together by sides or corners, and how many."""
     label, count = ndimage.label(mask, _AROUND)
-    return np.asarray(label, np.int64), int(count)
+    return np.asarray(label, np.int32), int(count)
 
 
 def _outline(mask: BoolArray) -> BoolArray:
@@ -114,7 +114,7 @@ def _outline(mask: BoolArray) -> BoolArray:
     return out
 
 
-def _lengths(skeleton: BoolArray, label: IntArray, count: int) -> FloatArray:
+def _lengths(skeleton: BoolArray, label: Labels, count: int) -> FloatArray:
     """(count + 1,) length of every line in cells, and from its ends into the forks."""
     out = np.zeros(count + 1)
     s = skeleton
@@ -131,7 +131,7 @@ def _lengths(skeleton: BoolArray, label: IntArray, count: int) -> FloatArray:
     return out
 
 
-def _touching(fork: IntArray, line: IntArray) -> list[tuple[int, int]]:
+def _touching(fork: Labels, line: Labels) -> list[tuple[int, int]]:
     """(line, fork) numbers that touch, a fork twice for a line that touches it with both ends."""
     pairs = []
     ends_line, ends_fork, cells = [], [], []
