@@ -182,12 +182,12 @@ def serialised(type_name: str, ros1: bool, poses: int = 0) -> bytes:
     return out[:-IMAGE_BYTES] if type_name == IMAGE else out
 
 
-def write_mcap(path: Path, size: Size, compression: str) -> None:
+def write_mcap(path: Path, size: Size, compression: str, chunk_bytes: int = CHUNK_BYTES) -> None:
     from mcap.writer import CompressionType, Writer
 
     patterns, store = Patterns(False, size), store_of(False)
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType[compression])
+        writer = Writer(file, chunk_size=chunk_bytes, compression=CompressionType[compression])
         writer.start(profile="ros2", library="benchmark")
         channels: dict[str, int] = {}
         for number, message in enumerate(patterns.messages(patterns.odometry())):
@@ -201,11 +201,13 @@ def write_mcap(path: Path, size: Size, compression: str) -> None:
         writer.finish()
 
 
-def write_bag(path: Path, size: Size) -> None:
+def write_bag(path: Path, size: Size, chunk_bytes: int = CHUNK_BYTES) -> None:
     from rosbags.rosbag1 import Writer
 
     patterns, store = Patterns(True, size), store_of(True)
-    with Writer(path) as writer:
+    writer = Writer(path)
+    writer.chunk_threshold = chunk_bytes
+    with writer:
         links: dict[str, object] = {}
         for message in patterns.messages(patterns.odometry()):
             if message.topic not in links:

@@ -45,7 +45,8 @@ from .tally import Tally
 from .windows import SLAB_BYTES, Window, window_on
 
 TRIED_STARTS = 64
-"""So many chunks of an index are looked for before the index is given up."""
+"""So many chunks of an index are looked for before the index is given up: damage takes a few in a
+row, and of another file's index none is there."""
 
 
 class BagFile(ChunkedFile):

@@ -33,7 +33,8 @@ HEAD_BYTES = 256
 """So much of a record is looked at first, and tried bit by bit: of most connections all lengths."""
 
 REPAIRS = 64
-"""Heads of one file that are tried bit by bit; a file with more wrong bits is read by its rest."""
+"""Heads of one file that are tried bit by bit, 2 ms each; a file with more wrong bits is read by
+its rest."""
 
 COMPRESSIONS = frozenset({b"none", b"bz2", b"lz4"})
 

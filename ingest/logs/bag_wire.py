@@ -29,13 +29,15 @@ MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Codes of the format (http://wiki.ros.org/Bags/Format/2.0)."""
 
 HEADER_BYTES = 1 << 16
-"""Longest record header that is believed."""
+"""Longest record header that is believed: it holds one or two names, which take up to
+4 KiB each."""
 
 RECORD_BYTES = 16
 """No record is shorter: two lengths and the field that tells its kind."""
 
 INDEX_BYTES = 1 << 27
-"""Largest index section that is read."""
+"""Largest index section that is read: a chunk with a dozen topics takes 200 bytes in it,
+so half a million of them."""
 
 U32 = struct.Struct("<I").unpack_from
 _U64 = struct.Struct("<Q").unpack_from

@@ -50,13 +50,14 @@ from .windows import SLAB_BYTES, Window, window_on
 _HEAD = struct.Struct("<BQ").unpack_from
 
 LARGEST_MESSAGE = 1 << 32
-"""A message that claims more is taken for damage."""
+"""A message that claims more is taken for damage: lengths in ROS messages have 32 bits."""
 
 PRIVATE = 0x80
-"""Kinds of records from here on are anybody's."""
+"""Kinds of records from here on are anybody's (https://mcap.dev/spec)."""
 
 TRIED_STARTS = 64
-"""So many chunks of an index are looked for before the index is given up."""
+"""So many chunks of an index are looked for before the index is given up: damage takes a few in a
+row, and of another file's index none is there."""
 
 
 class McapFile(ChunkedFile):

@@ -16,7 +16,7 @@ _BESIDE_IDL = re.compile(r"^(=+|IDL:.*|[ \t]*#.*)$", re.MULTILINE)
 """What stands between the IDL files that a definition is made of, and the includes in them."""
 
 DEPTH = 32
-"""Deepest nesting of types that is followed."""
+"""Deepest nesting of types that is followed; those in use nest less than ten deep."""
 
 PARTS = 10_000
 """Most fields that a type may have with all that is nested in it, sequences counted once. The

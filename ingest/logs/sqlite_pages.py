@@ -27,7 +27,11 @@ NEAR = 8
 """So many pages that are not needed are rather read along than skipped."""
 
 DEPTH = 16
+"""Deepest tree of pages that is followed; sqlite itself follows 20 (BTCURSOR_MAX_DEPTH)."""
+
 _PAD = 32
+"""Zeros behind the pages, so that the head of a cell may be read whole at any place."""
+
 _REAL = 8
 """Bytes of a timestamp as sqlite keeps it (serial type 6)."""
 
