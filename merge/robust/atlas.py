@@ -27,6 +27,8 @@ OF_VERTICES = (
     "near_m",
     "near_rarity",
     "near_weight",
+    "crossing_unit",
+    "crossing_rarity",
 )
 OF_CORRIDORS = ("length", "sag", "variance", "traversals", "rarity")
 OF_ROADS = ("road", "road_dir", "road_share", "road_end")
@@ -103,6 +105,7 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
         "turn_rarity": _wide(maps, "turn_rarity", 0.0),
         "by_branch": by_branch,
         "neighbour": moved("neighbour", vertex),
+        "half": moved("half", vertex),
         "tail": tail,
         "head": head,
         "twin": moved("twin", corridor),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ...topology.matching.branches import BranchPairs, agreeing, mutual_nearest
@@ -14,23 +16,62 @@ def branch_bits(
 ) -> FloatArray:
     """(k,) log2 odds of the branches of vertices va and vb: one junction against any two.
 
-    turn: (k,) rotation b → a as unit numbers. Chance is how common such junctions are in both maps
-    (`surprise`); each branch that only one side has costs what a fault costs in that run, an
-    agreeing one tells the more, the more freely branches point in these maps (`turn_rarity`).
+    turn: (k,) rotation b → a as unit numbers. One of two forks close by may be a whole crossing in
+    the other map: at the price of a fault, it counts as that if that fits better.
     """
-    pairs = _pairs(a, b, va, vb, turn)
+    of_a, of_b = _Looks.of(a, va), _Looks.of(b, vb)
+    told = _nats(of_a, of_b, turn)
+    for m, v, crossing_of_a in ((a, va, True), (b, vb, False)):
+        rows = (m.half.take(v) != v).nonzero()[0]
+        if len(rows):
+            whole = _Looks.of_crossings(m, v[rows])
+            pair = (whole, of_b.take(rows)) if crossing_of_a else (of_a.take(rows), whole)
+            better = _nats(*pair, turn[rows]) + np.log(m.fault_rate[v[rows]])
+            told[rows] = np.maximum(told[rows], better)
+    return doubted(told, of_a.traits[:, 4] + of_b.traits[:, 4]) / BIT
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looks:
+    """Branches of k junctions: (k, d) unit numbers and rarity, (k, 5) traits."""
+
+    unit: ComplexArray
+    rarity: FloatArray
+    traits: FloatArray
+
+    @classmethod
+    def of(cls, m: Prepared, v: IntArray) -> _Looks:
+        traits = m.traits.take(v, axis=0)
+        return cls(m.branch_unit.take(v, axis=0), m.turn_rarity.take(v, axis=0), traits)
+
+    @classmethod
+    def of_crossings(cls, m: Prepared, v: IntArray) -> _Looks:
+        traits = m.traits.take(v, axis=0)
+        traits[:, 0] = 4
+        return cls(m.crossing_unit.take(v, axis=0), m.crossing_rarity.take(v, axis=0), traits)
+
+    def take(self, rows: IntArray) -> _Looks:
+        return _Looks(self.unit[rows], self.rarity[rows], self.traits[rows])
+
+
+def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:
+    """(k,) log odds, whatever the confidence.
+
+    Chance is how common such junctions are in both maps (`surprise`); each branch that only one
+    side has costs what a fault costs in that run, an agreeing one tells the more, the more freely
+    branches point in these maps (`turn_rarity`).
+    """
+    pairs = mutual_nearest(a.unit, b.unit * turn[:, None])
     agree = np.add.reduce(pairs.paired, axis=1)
-    of_a, of_b = a.traits.take(va, axis=0), b.traits.take(vb, axis=0)
-    branches, variance, faults, _, sure = (of_a + of_b).T
+    branches, variance, faults = (a.traits + b.traits).T[:3]
     lonely = branches - 2 * agree
-    turn_b = b.turn_rarity.reshape(-1).take(pairs.nearest + (vb * b.turn_rarity.shape[1])[:, None])
-    free = np.minimum(a.turn_rarity.take(va, axis=0), turn_b)
+    row = np.arange(len(turn))[:, None]
+    free = np.minimum(a.rarity, b.rarity[row, pairs.nearest])
     angle = agreeing(pairs, variance, free, LIKELIHOOD.most / 2)
     # One branch of each junction is taken up by the alignment itself.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
-    chance = np.minimum(of_a[:, 3], of_b[:, 3]) * BIT
-    told = np.minimum(chance + angle + lonely * np.log(faults), LIKELIHOOD.most)
-    return doubted(told, sure) / BIT
+    chance = np.minimum(a.traits[:, 3], b.traits[:, 3]) * BIT
+    return np.asarray(np.minimum(chance + angle + lonely * np.log(faults), LIKELIHOOD.most))
 
 
 def lonely_branches(

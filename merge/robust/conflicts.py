@@ -147,7 +147,11 @@ def _elsewhere(
     partner = np.full(len(lanes.lane), -1)
     partner[grown.row] = grown.a
     far_a, far_b = a.head[leave_a], b.head[leave_b]
-    astray = partner[far_b + lanes.shift[lane]] != far_a
+    # To the other fork of a crossing, or from it, leads by the crossing.
+    found = partner[far_b + lanes.shift[lane]], partner[b.half[far_b] + lanes.shift[lane]]
+    astray = (a.half[a.tail[leave_a]] != far_a) & (b.half[b.tail[leave_b]] != far_b)
+    for there in found:
+        astray &= (there != far_a) & (there != a.half[far_a])
     lane, leave_a, leave_b = lane[astray], leave_a[astray], leave_b[astray]
     far_a, far_b = far_a[astray], far_b[astray]
 
@@ -222,6 +226,7 @@ def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
     lanes, a = grown.lanes, grown.lanes.a.whole
     alone = near.copy()
     alone[grown.row] = False
+    alone[lanes.b.whole.half[lanes.vertex[grown.row]] + lanes.shift[grown.lane]] = False
     lone = alone.nonzero()[0]
     where, lane = grown.place[lone], lanes.lane[lone]
     off_end = MATCH.clear_m + MATCH.drift_per_m * grown.support_m[lone]
@@ -253,6 +258,7 @@ def _extra_a(grown: Grown, near: BoolArray) -> _Unseen:
     slot = vertex[beside] + lanes.shift_a[lane[beside]]
     taken = np.zeros(int(lanes.first_a[-1]), np.bool_)
     taken[grown.a + lanes.shift_a[grown.lane]] = True
+    taken[a.half[grown.a] + lanes.shift_a[grown.lane]] = True
     free = ~taken[slot]
     beside, slot = beside[free], slot[free]
     lane, rows, place, vertex = lane[beside], rows[beside], place[beside], vertex[beside]

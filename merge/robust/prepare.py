@@ -12,6 +12,7 @@ from ...topology.matching.likelihood import BIT, density_of_equals, length_log_d
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
+from .halves import halves
 from .settings import MATCH
 from .sites import Sites
 
@@ -62,6 +63,7 @@ class Prepared:
     road: points inside the corridors (x + iy), road_dir: unit tangents, road_edge: row of the
     directed corridor (one of the first k / 2), road_tail, road_head: its ends, road_share: 0 at
     its tail … 1 at its head, road_end: distance [m] to the nearer end.
+    half, crossing_unit, crossing_rarity: as in `Halves`.
     sites, road_sites: `z` and `road`, to be asked for the nearest.
     """
 
@@ -112,6 +114,9 @@ class Prepared:
     road_head: IntArray
     road_share: FloatArray
     road_end: FloatArray
+    half: IntArray
+    crossing_unit: ComplexArray
+    crossing_rarity: FloatArray
     sites: Sites
     road_sites: Sites
 
@@ -154,6 +159,8 @@ def prepare(topomap: TopoMap) -> Prepared:
     order = np.argsort(tail * len(z) + head, kind="stable")
     sites = Sites.of(z)
     neighbour, near_m = _neighbours(sites)
+    unit = np.where(heading < NO_HEADING / 2, np.exp(1j * heading), 0.0)
+    two_forks = halves(z, unit, turn_rarity, (tail, head), shows_bends=m.shows_bends)
     return Prepared(
         run=m.run,
         noise=m.noise,
@@ -164,7 +171,7 @@ def prepare(topomap: TopoMap) -> Prepared:
         looks=looks,
         surprise=surprise,
         turn_rarity=turn_rarity,
-        branch_unit=np.where(heading < NO_HEADING / 2, np.exp(1j * heading), 0.0),
+        branch_unit=unit,
         branch_variance=branch_variance,
         fault_rate=fault_rate,
         traits=np.column_stack(
@@ -204,6 +211,9 @@ def prepare(topomap: TopoMap) -> Prepared:
         road_head=road_head,
         road_share=np.clip(((road - z[road_tail]) / chord[road_edge]).real, 0.0, 1.0),
         road_end=np.minimum(np.abs(road - z[road_tail]), np.abs(road - z[road_head])),
+        half=two_forks.half,
+        crossing_unit=two_forks.unit,
+        crossing_rarity=two_forks.rarity,
         sites=sites,
         road_sites=Sites.of(road),
     )

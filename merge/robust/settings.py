@@ -117,6 +117,10 @@ class MatchSettings:
     clear_m: float = 1.0
     """Nearer than this to its ends a corridor is the junctions' own [m]; also the spacing of the
     points that stand for the rest of it. Tried: 1.3, the same."""
+    crossing_m: float = 1.7
+    """Skeletons show a crossing as two forks up to so far apart [m]: variants of the detector join
+    forks up to 1.7 m apart, and of the acute crossings of organic ways it shows as two, the forks
+    lie 1.1 to 1.55 m apart."""
     floor_rad: float = 0.03
     """Noise of branches that no estimate holds [rad]: detectors that turn with the view. Without it
     tunnels repeat themselves more by chance, and fewer pairs of them are told."""

@@ -83,7 +83,7 @@ def settle(
     one = blurred(walk, place, layout, resolution_m)
     fair = one.place[place] == place
     kept, number = _renumbered(one.place == np.arange(len(layout.xy)))
-    place, xy = number[one.place[place]], layout.xy[kept]
+    place, xy = number[one.place[place]], one.xy[kept]
     # One drive-by is one visit.
     again = np.zeros(len(place), bool)
     again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(walk, resolution_m)

@@ -30,10 +30,11 @@ REASON = "nearer than scans can tell two junctions apart"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blurred:
-    """What stands for what. place: (n,) the place that each one is, most often itself; asked: the
-    identifications that this makes."""
+    """What stands for what. place: (n,) the place that each one is, most often itself; xy: (n, 2)
+    where it is: amid all that were taken for it; asked: the identifications that this makes."""
 
     place: IntArray
+    xy: FloatArray
     asked: list[Identification] = field(default_factory=list)
 
 
@@ -44,15 +45,16 @@ def blurred(walk: Walk, place: IntArray, layout: Layout, resolution_m: float) ->
     """
     of = np.arange(len(layout.xy), dtype=np.int64)
     if resolution_m <= 0 or len(of) < 2:
-        return Blurred(of)
+        return Blurred(of, layout.xy)
     near = cKDTree(layout.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
     told = _told_apart(walk, place, resolution_m)
     open_ = [k for k, pair in enumerate(near.tolist()) if frozenset(pair) not in told]
     a, b = near[open_].T
     if len(a) == 0:
-        return Blurred(of)
+        return Blurred(of, layout.xy)
     # Of each pair the one seen better first, and the pairs of the best first; ties by number.
-    seen = np.bincount(place, walk.passes.messages * walk.passes.confidence, len(of))
+    windows = walk.passes.messages * walk.passes.confidence
+    seen = np.asarray(np.bincount(place, windows, len(of)), np.float64)
     swap = seen[b] > seen[a]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     order = np.lexsort((b, a, -seen[b], -seen[a]))
@@ -69,7 +71,16 @@ def blurred(walk: Walk, place: IntArray, layout: Layout, resolution_m: float) ->
         if of[u] == u and of[v] == v and any({v, part} in told for part in parts if part != u):
             of[v] = u
             asked.append(_identified(walk, place, (u, v), sure))
-    return Blurred(of, asked)
+    return Blurred(of, _amid(layout.xy, of, seen), asked)
+
+
+def _amid(xy: FloatArray, of: IntArray, seen: FloatArray) -> FloatArray:
+    """(n, 2) means of what stands for each place, by how well it was seen."""
+    out, alone = xy.copy(), np.bincount(of, minlength=len(of)) < 2
+    total = np.bincount(of, seen, len(of))
+    mean = [np.bincount(of, seen * column, len(of)) / np.maximum(total, 1e-9) for column in xy.T]
+    out[~alone] = np.column_stack(mean)[~alone]
+    return out
 
 
 def _told_apart(walk: Walk, place: IntArray, resolution_m: float) -> set[frozenset[int]]:

@@ -10,6 +10,7 @@ from topobatch.merge.robust.atlas import Atlas, Lanes
 from topobatch.merge.robust.prepare import Prepared, prepare
 
 MOVED = {
+    "half": "vertex",
     "neighbour": "vertex",
     "tail": "vertex",
     "head": "vertex",

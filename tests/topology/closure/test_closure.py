@@ -697,6 +697,8 @@ def test_two_forks_in_place_of_a_crossing_are_the_crossing_that_was_seen_better(
     assert settled.xy[2] - settled.xy[0] == pytest.approx([6.0, 0.0], abs=0.1)
     assert settled.fair.tolist() == [True, False, False, *[True] * 5]
     assert [q.reason for q in settled.asked] == [resolution.REASON] * 2
+    # It lies amid all looks: the three here, of which two are a little aside.
+    assert np.hypot(*(settled.xy[2] - settled.xy[0] - [6.0, 0.0])) < 0.01
     assert all(q.accepted and q.bits > 0 for q in settled.asked)
 
 
