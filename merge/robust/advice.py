@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ...topology.matching.likelihood import LIKELIHOOD
@@ -30,7 +32,7 @@ def advice(a: Prepared, b: Prepared, opinion: Opinion) -> str | None:
             f"record {a.run} or {b.run} again, further along the edge of what both have seen: "
             "every corridor they share has been driven by both"
         )
-    blind = _vertices_of(opinion.runner_up)
+    blind = _partners_of(opinion.runner_up)
     known, length, end, other, vertex, known_vertex = max(
         options, key=lambda o: (_telling(o, blind, a), o[1], -o[4])
     )
@@ -44,18 +46,18 @@ def advice(a: Prepared, b: Prepared, opinion: Opinion) -> str | None:
 Option = tuple[Prepared, float, int, Prepared, int, int]
 
 
-def _vertices_of(candidate: Candidate | None) -> tuple[IntArray, IntArray]:
-    none = np.zeros(0, np.int64)
-    return (none, none) if candidate is None else (candidate.a, candidate.b)
+def _partners_of(candidate: Candidate | None) -> dict[int, int]:
+    """The vertex of a by its partner in b."""
+    if candidate is None:
+        return {}
+    return dict(zip(candidate.b.tolist(), candidate.a.tolist(), strict=True))
 
 
-def _telling(option: Option, blind: tuple[IntArray, IntArray], a: Prepared) -> bool:
+def _telling(option: Option, blind: Mapping[int, int], a: Prepared) -> bool:
     """Does the runner-up match the junction at all, so that the corridor can refute it?"""
     known, _, _, _, vertex, known_vertex = option
     ours, theirs = (known_vertex, vertex) if known is a else (vertex, known_vertex)
-    return bool(
-        np.any(blind[1] == theirs) and not np.any((blind[0] == ours) & (blind[1] == theirs))
-    )
+    return blind.get(theirs, ours) != ours
 
 
 def _unexplored(

@@ -194,10 +194,6 @@ class NormalEquations:
         return float((self.gradient * x).sum() + (self.border_gradient * shift).sum())
 
 
-SOLVED_TOGETHER = 16
-"""Right sides: they stay in the processor's cache; 64 of 1,468 rows take 2 ms so, at once 15."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
     """A factorised normal matrix: A by `lu` (None without unknowns), the border by its Schur."""
@@ -212,13 +208,7 @@ class Factor:
         """A⁻¹ right; (size,) or (size, k)."""
         if self.lu is None:
             return right
-        if right.ndim == 1 or right.shape[1] <= SOLVED_TOGETHER:
-            return np.asarray(self.lu.solve(np.ascontiguousarray(right)), np.float64)
-        out = np.empty(right.shape)
-        for start in range(0, right.shape[1], SOLVED_TOGETHER):
-            some = slice(start, start + SOLVED_TOGETHER)
-            out[:, some] = self.lu.solve(np.ascontiguousarray(right[:, some]))
-        return out
+        return np.asarray(self.lu.solve(np.ascontiguousarray(right)), np.float64)
 
 
 def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:

@@ -35,11 +35,3 @@ def test_white_noise_is_the_same_however_much_was_drawn_before() -> None:
         first, second = white(5, [(size // 2, 2), (3,)])
         assert np.array_equal(first, rng.standard_normal((size // 2, 2)))
         assert np.array_equal(second, rng.standard_normal(3))
-
-
-def test_many_right_sides_are_solved_as_each_would_be() -> None:
-    graph = ring(30)
-    factor = Marginals.of(graph, solve(graph)).factor
-    right = np.random.default_rng(0).standard_normal((factor.pattern.size, 40))
-    alone = np.column_stack([factor.solve(column) for column in right.T])
-    assert np.array_equal(factor.solve(right), alone)
