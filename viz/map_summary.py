@@ -83,13 +83,15 @@ def _counts(topomap: TopoMap) -> str:
         f"{n} {kind.replace('_', ' ')}{'s' * (n != 1)}" for kind, n in sorted(kinds.items())
     )
     unseen = int((~driven_branches(topomap)).sum())
+    doubt = int(np.count_nonzero(topomap.confidence < 1))
     rows = [
         several(len(topomap), "vertex", "vertices") + (f" ({plain(named)})" if named else ""),
         f"{several(len(topomap.source), 'corridor')}, {topomap.length.sum():.0f} m in all",
         several(len(topomap.observation_vertex), "pass", "passes") + _span(topomap),
         f"{several(unseen, 'branch', 'branches')} seen and never driven",
+        f"{several(doubt, 'vertex', 'vertices')} that not all looks show so (confidence below 1)",
     ]
-    return bulleted(rows)
+    return bulleted(rows if doubt else rows[:-1])
 
 
 def _span(topomap: TopoMap) -> str:

@@ -11,6 +11,7 @@ from topobatch.merge.component_map import component_map, component_pose_graph, s
 from topobatch.merge.document import MergedDocument, merged_to_document
 from topobatch.merge.member_times import member_times
 from topobatch.merge.merging import merge_maps
+from topobatch.merge.result import fused_confidence
 from topobatch.topology.posegraph.solve import solve
 
 S = 10**9
@@ -18,6 +19,19 @@ S = 10**9
 
 def timed(topomap, *times):
     return replace(topomap, traversal_ns=tuple(np.array(t, np.int64).reshape(-1, 2) for t in times))
+
+
+def test_a_fused_vertex_is_as_sure_as_its_members_by_their_passes(draw) -> None:
+    a = draw("a", {"A": (0, 0), "B": (3, 0)}, [("A", "B")])
+    b = draw("b", {"A": (0, 0), "B": (3, 0)}, [("A", "B")])
+    a = replace(
+        a, confidence=[0.4, 1.0], observation_vertex=[0, 0, 0], observation_time_ns=[1, 2, 3]
+    )
+    b = replace(b, observation_vertex=[0, 1], observation_time_ns=[4, 5])
+    members = [{"a": (0,), "b": (0,)}, {"a": (1,)}, {"b": (1,)}, {"a": (0, 1)}]
+    sure = fused_confidence(members, {"a": a, "b": b})
+    # By three passes and one; a vertex without passes counts like one.
+    assert sure == pytest.approx([(3 * 0.4 + 1) / 4, 1.0, 1.0, (3 * 0.4 + 1) / 4])
 
 
 def test_a_corridor_past_an_unseen_junction_gives_each_part_its_share(draw) -> None:

@@ -106,7 +106,9 @@ def test_junctions_tell_their_confidence_and_their_window(
     surest = [np.flatnonzero(vertex == v)[-1] for v in range(len(topomap))]
     shown = np.array(got.value("/map/junctions", "LineStrips2D:strips"))
     assert shown == pytest.approx(np.array(outlines)[surest])
-    assert "walls that the laser saw" in got.value("/summary", "TextDocument:text")[0]
+    (summary,) = got.value("/summary", "TextDocument:text")
+    assert "walls that the laser saw" in summary
+    assert f"**{len(topomap) - 1}** vert" in summary
 
 
 def test_without_a_picture_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: Drive) -> None:
