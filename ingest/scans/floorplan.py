@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,9 +107,8 @@ def _places(
     ]
     corridors = []
     used = [[False] * len(node.ends) for node in graph.nodes]
-    for number, edge in enumerate(graph.edges):
-        path = _polyline(edge, graph, cell_m)
-        if edge.nodes[0] < 0 or path is None:
+    for number, (edge, path) in enumerate(zip(graph.edges, _polylines(graph, cell_m), strict=True)):
+        if path is None:
             continue
         source, source_branch = edge.nodes[0], _take(graph, used, edge.nodes[0], number)
         target, target_branch = edge.nodes[1], 0
@@ -154,42 +153,63 @@ def _placed(xy: FloatArray, branches: IntArray, settings: FloorplanSettings) -> 
     return np.column_stack([xy, 2 * settings.agree_m * branches])
 
 
-def _polyline(edge: Edge, graph: SkeletonGraph, cell_m: float) -> FloatArray | None:
-    """Cells of a way in order, between the centres of its places; None if it has neither."""
-    start, end = edge.nodes
-    if start < 0:
+def _polylines(graph: SkeletonGraph, cell_m: float) -> list[FloatArray | None]:
+    """Of each way its cells in order, between the centres of its places; None if it has neither."""
+    begun = [k for k, edge in enumerate(graph.edges) if edge.nodes[0] >= 0 and len(edge.cells)]
+    ways = []
+    for edge in (graph.edges[k] for k in begun):
+        away = edge.cells[:, ::-1] * cell_m - graph.nodes[edge.nodes[0]].xy
+        first = int(np.argmin(np.hypot(*away.T)))
+        ways.append(_Way(edge.cells, first, edge.nodes[0] == edge.nodes[1]))
+    chains = dict(zip(begun, _chains(ways), strict=True))
+    return [_polyline(edge, graph, chains.get(k), cell_m) for k, edge in enumerate(graph.edges)]
+
+
+def _polyline(
+    edge: Edge, graph: SkeletonGraph, chain: IntArray | None, cell_m: float
+) -> FloatArray | None:
+    centres = [graph.nodes[node].xy[None] for node in edge.nodes if node >= 0]
+    if edge.nodes[0] < 0 or (chain is None and len(centres) < 2):
         return None
-    centre = graph.nodes[start].xy
-    if len(edge.cells) == 0:
-        return np.array([centre, graph.nodes[end].xy]) if end >= 0 else None
-    xy = edge.cells[:, ::-1] * cell_m
-    order = _chain(edge.cells, int(np.argmin(np.hypot(*(xy - centre).T))), ring=start == end)
-    path = [centre[None], xy[order]]
-    if end >= 0:
-        path.append(graph.nodes[end].xy[None])
-    return np.concatenate(path)
+    between = edge.cells[:0] if chain is None else edge.cells[chain]
+    return np.concatenate([centres[0], between[:, ::-1] * cell_m, *centres[1:]])
 
 
-def _chain(cells: IntArray, first: int, *, ring: bool) -> IntArray:
-    """Rows of cells along the shortest way from `first` to the farthest one.
+class _Way(NamedTuple):
+    """Cells (k, 2) of a way in no order, the number of the first one, whether it is a ring."""
+
+    cells: IntArray
+    first: int
+    ring: bool
+
+
+def _chains(ways: list[_Way]) -> list[IntArray]:
+    """Of each way the rows of its cells along the shortest way from the first to the farthest one.
 
     Neighbouring cells hang together; where a dissolved place left a gap, it is bridged at a price.
+    All ways are one graph of many parts.
     """
-    tree = cKDTree(cells)
-    pairs = tree.query_pairs(4.0, output_type="ndarray")
+    if not ways:
+        return []
+    cells = np.concatenate([way.cells for way in ways])
+    size = np.array([len(way.cells) for way in ways])
+    owner, begin = np.repeat(np.arange(len(ways)), size), np.cumsum(size) - size
+    first = begin + [way.first for way in ways]
+    # Ways lie in planes so far apart that no two are near each other.
+    pairs = cKDTree(np.column_stack([cells, 8 * owner])).query_pairs(4.0, output_type="ndarray")
     gap = np.hypot(*(cells[pairs[:, 0]] - cells[pairs[:, 1]]).T)
-    if ring:
-        # Its two ends come near each other at the place that they hang on.
-        home = np.hypot(*(cells - cells[first]).T) < 8
-        across = (gap > 1.5) & home[pairs].all(axis=1)
-        pairs, gap = pairs[~across], gap[~across]
+    # The two ends of a ring come near each other at the place that they hang on.
+    home = np.hypot(*(cells - cells[first[owner]]).T) < 8
+    home &= np.array([way.ring for way in ways])[owner]
+    across = (gap > 1.5) & home[pairs].all(axis=1)
+    pairs, gap = pairs[~across], gap[~across]
     graph = coo_array((gap**3, (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2).tocsr()
-    start = np.array([first])
-    distance, before = (
-        table[0] for table in dijkstra(graph, False, start, return_predecessors=True)
-    )
-    at = int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))
-    chain = [at]
-    while chain[-1] != first:
-        chain.append(int(before[chain[-1]]))
-    return np.array(chain[::-1], np.int64)
+    distance, before, _ = dijkstra(graph, False, first, return_predecessors=True, min_only=True)
+    distance = np.where(np.isfinite(distance), distance, -1.0)
+    steps, out = before.tolist(), []
+    for k, start in enumerate(begin.tolist()):
+        chain = [start + int(np.argmax(distance[start : start + size[k]]))]
+        while chain[-1] != first[k]:
+            chain.append(steps[chain[-1]])
+        out.append(np.array(chain[::-1], np.int64) - start)
+    return out
