@@ -342,7 +342,9 @@ def _grid_numbers(rng: random.Random) -> list[Message]:
 
 def _cells(rng: random.Random, width: int, height: int) -> bytes:
     """Free, unknown or occupied cells as thinning and tracing like them least."""
-    kind = rng.choice(("free", "noise", "teeth", "board", "holes", "unknown"))
+    kind = rng.choice(("free", "noise", "teeth", "board", "holes", "unknown", "rooms"))
+    if kind == "rooms":
+        return _rooms(width, height)
     if kind == "noise":
         return bytes(100 * (b & 1) for b in rng.randbytes(width * height))
     row = {
@@ -358,6 +360,24 @@ def _cells(rng: random.Random, width: int, height: int) -> bytes:
     if kind in ("board", "holes"):
         lines = [row if k % every == 0 else other for k in range(height)]
     return b"".join(lines)
+
+
+def _rooms(width: int, height: int, room: int = 90, way: int = 32) -> bytes:
+    """A building of rooms on both sides of corridors, which is no noise, however large it is."""
+    free, wall, lane = bytes(width), b"\x64" * width, bytes(way)
+    inside = (b"\x64" * 2 + bytes(room - 2)) * (width // room + 1)
+    doors = (b"\x64" * (room // 2 - 8) + bytes(16) + b"\x64" * (room - room // 2 - 8)) * (
+        width // room + 1
+    )
+    rows = [
+        *[lane + wall] * 2,
+        *[lane + inside[: width - way]] * (room - 4),
+        *[lane + doors[: width - way]] * 2,
+        *[free] * way,
+        *[lane + doors[: width - way]] * 2,
+        *[lane + inside[: width - way]] * (room - 4),
+    ]
+    return b"".join(row[:width] for row in (rows * (height // len(rows) + 1))[:height])
 
 
 def _grid_large(rng: random.Random) -> list[Message]:
