@@ -40,7 +40,8 @@ _WALKS, _BRANCH, _GRID = 3, 4, 5
 
 NO_GRID_RAD = 3 * OWN_SPREAD_RAD
 """Corridors that stray farther from their grid have none: they bend together, as streets do, where
-a spread is taken to be of each by itself. In 170 buildings 0.01 to 0.044, in streets from 0.09."""
+a spread is taken to be of each by itself. In 60 walks of mazes, offices and rows at high and real
+drift 0.010 to 0.044, in three of streets taken for a grid 0.09 to 0.15."""
 
 
 @dataclass(frozen=True, slots=True)
