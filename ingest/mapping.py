@@ -113,8 +113,14 @@ def build_map_with_errors(
     scale = refine_scale(odometry, run.detections, passes, told.walk.noise, settings.noise)
     fair = replace(told.walk, noise=replace(told.walk.noise, scale=scale))
     layout = set_apart(walk, place, told.layout)
-    resolution_m = 0.0 if run.scanned is None else run.scanned.passes.resolution_m
-    settled = settle(walk, odometry, place, layout, settings.driven_by, resolution_m=resolution_m)
+    settled = settle(
+        walk,
+        odometry,
+        place,
+        layout,
+        settings.driven_by,
+        resolution_m=_resolution_m(run, settings),
+    )
     errors = place_errors(fair, told.layout, place, settled.kept, told.grid)
     noise, fitted = (
         refine_noise(
@@ -144,6 +150,13 @@ def build_map_with_errors(
     )
     info = _info(run, settings, calibration, walk, odometry)
     return replace(topomap, info=info, shows_bends=run.scanned is None), errors
+
+
+def _resolution_m(run: Run, settings: MappingSettings) -> float:
+    """Places nearer than this are one [m]; 0 where places are not to be identified so."""
+    if run.scanned is None or settings.closure != "full":
+        return 0.0
+    return run.scanned.passes.resolution_m
 
 
 def _calibration(run: Run, settings: MappingSettings) -> Calibration:

@@ -15,13 +15,15 @@ from topobatch.simulation import (
     simulate_scenario,
     true_vertex_of_nodes,
 )
+from topobatch.topology.closure import resolution
 from topobatch.topology.closure.nearest_neighbour import Identification
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run
+from topobatch.topology.run import Detections, Run, Scanned, ScanPasses
 from topobatch.topology.se2 import apply, compose, fit_rigid
+from topobatch.topology.topomap import RunNoise
 
 
 @pytest.fixture(scope="module")
@@ -234,3 +236,49 @@ def test_identifications_of_a_phantom_are_taken_back():
     assert _without_phantoms(made, np.array([0, 1, 0])) is made
     refused = replace(made, accepted=False)
     assert _without_phantoms(refused, dissolved) is refused
+
+
+def scanned_there_and_back(off_m):
+    """A run along a corridor with two crossings and back, by scans; on the way back the second
+    crossing shows otherwise: with other branches, `off_m` further on."""
+    x = np.concatenate([np.arange(0, 20, 0.1), np.arange(20, 0, -0.1)])
+    pose = np.column_stack([x, np.zeros(len(x)), np.where(np.arange(len(x)) < 200, 0.0, np.pi)])
+    odometry = Odometry(np.arange(len(x)) * 10**8, pose, np.zeros(0, np.int64))
+    rows = np.array([50, 150, round(400 - 10 * (15 + off_m)), 350])
+    ways = np.radians([[0, 90, 180], [0, 90, 180], [0, 45, 180], [0, 90, 180]])
+    branches = Ragged.from_rows(w - t for w, t in zip(ways, pose[rows, 2], strict=True))
+    passes = ScanPasses(
+        time_ns=odometry.time_ns[rows],
+        start_ns=odometry.time_ns[rows],
+        end_ns=odometry.time_ns[rows],
+        centre=np.zeros((4, 2)),
+        branches=branches,
+        support=Ragged(branches.offsets, np.ones(len(branches.values))),
+        confidence=np.array([1.0, 1.0, 5 / 7, 1.0]),
+        windows=np.full(4, 4),
+        clearance_m=np.ones(4),
+        resolution_m=1.3,
+    )
+    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
+    noise = RunNoise(along_m_per_sqrt_m=0.005, heading_rad_per_sqrt_m=0.002)
+    return Run("scans", odometry, none, scanned=Scanned(passes, noise))
+
+
+def test_what_scans_show_otherwise_at_one_place_is_one_place_in_doubt():
+    topomap = build_map(scanned_there_and_back(0.6))
+    assert topomap.observation_vertex.tolist() == [0, 1, 1, 0]
+    assert topomap.confidence.tolist() == [1.0, 0.5]
+    np.testing.assert_allclose(topomap.branches[1], np.radians([-180, 0, 90]), atol=0.02)
+    assert 10.1 < np.hypot(*(topomap.xy[1] - topomap.xy[0])) < 10.5
+    assert topomap.traversals.tolist() == [2]
+    (joined,) = (c for c in topomap.closures if c.reason == resolution.REASON)
+    assert joined.accepted
+    assert not topomap.shows_bends
+    assert map_from_document(map_to_document(topomap)).confidence.tolist() == [1.0, 0.5]
+
+
+def test_places_that_scans_tell_apart_and_maps_without_closure_keep_them():
+    assert len(build_map(scanned_there_and_back(2.0))) == 3
+    apart = build_map(scanned_there_and_back(0.6), MappingSettings(closure="none"))
+    assert len(apart) == 4
+    assert apart.closures == ()
