@@ -278,15 +278,17 @@ class ChunkReader(ABC):
     def _directly(self, chunk: Chunk) -> Iterator[Block]:
         """The messages of a chunk too large for the memory; it is checked before any is used."""
         head = chunk.head
-        self._check_pieces(head)
+        size = self._check_pieces(head)
+        self._allowance.again(head.compression, head.data_size, size)
         for part in whole_records(self._pieces(head), self._records, self._record_length):
             if isinstance(part, Large):
                 self._messages.too_large(part.head)
             else:
                 yield from self._messages.blocks(part)
 
-    def _check_pieces(self, head: ChunkHead) -> None:
-        """Go through all data of a chunk; raises DamageError if they are not what is declared."""
+    def _check_pieces(self, head: ChunkHead) -> int:
+        """Go through all data of a chunk; returns their size, or raises DamageError if they are not
+        what is declared."""
         found, crc = head.data_size, 0
         if head.compression or head.crc:
             found, stream = 0, self._pieces(head)
@@ -299,6 +301,7 @@ class ChunkReader(ABC):
             if not head.crc:
                 raise WrongSizeError
             self._findings.repaired += 1
+        return found
 
     def _pieces(self, head: ChunkHead) -> Iterator[bytes]:
         """What a chunk inflates to, piece by piece."""

@@ -60,6 +60,9 @@ class WrongSizeError(DamageError):
         super().__init__("a chunk does not decompress to its declared size")
 
 
+TOO_MUCH = "a chunk inflates to far more than its bytes can hold"
+
+
 class Allowance:
     """How much the chunks of one file may inflate to beyond plausible ratios."""
 
@@ -77,6 +80,12 @@ class Allowance:
         """What `packed` bytes may inflate to at most."""
         return RATIOS.get(compression, 1000) * packed + self._left // DEARER.get(compression, 1)
 
+    def again(self, compression: str, packed: int, size: int) -> None:
+        """Count a chunk once more that was inflated to be checked; raises DamageError."""
+        if size > self.limit(compression, packed):
+            raise DamageError(TOO_MUCH)
+        self.take(compression, packed, size)
+
     def counted(self, compression: str, packed: int, stream: Iterator[bytes]) -> Iterator[bytes]:
         """The pieces that `packed` bytes inflate to; raises DamageError where they are too many."""
         most, found = self.limit(compression, packed), 0
@@ -84,7 +93,7 @@ class Allowance:
             for piece in stream:
                 found += len(piece)
                 if found > most:
-                    raise DamageError("a chunk inflates to far more than its bytes can hold")
+                    raise DamageError(TOO_MUCH)
                 yield piece
         finally:
             self.take(compression, packed, min(found, most))
