@@ -12,7 +12,7 @@ from .messages import Bytes, DamageError, Ints
 from .windows import Window
 
 LARGE_BYTES = 1 << 16
-"""Less is rather read along than skipped."""
+"""Less is rather read along than skipped; images are larger by far, most other messages smaller."""
 
 HEAD_BYTES = 512
 """So much of a large message is read, which is its header and the size of its data."""
