@@ -88,15 +88,17 @@ class MatchSettings:
     length_sigmas: float = LIKELIHOOD.gate_sigmas
     turn_rad: float = 0.35
     """Rotations that differ by less belong to one placement [rad]: 20°. Drift turns parts of a map
-    by less, and two placements of one building differ by a quarter turn. Tried: 0.3, the same."""
+    by less, and two placements of one building differ by a quarter turn. Tried: .23 and .53, the
+    same."""
     place_m: float = 3.0
     """So do shifts [m], and `drift_per_m` more per metre to where they were found: most junctions
     are farther apart. Also the lever [m] that all matches together have beside the near ones, and
-    the rotation that they began with. Tried: 2.5, the same."""
+    the rotation that they began with. Tried: 2, the same; with 4.5 a pair of mazes is lost."""
 
     drift_per_m: float = 0.06
     """Predictions and placements are off by no more per metre to what they rest on: `length_sigmas`
-    of what is left of drift after loop closure. Across it is twice as much: it bends maps."""
+    of what is left of drift after loop closure. Across it is twice as much: it bends maps. Tried:
+    .04 and .09, the same."""
     gate_m: float = LIKELIHOOD.gate_m
     reach_m: float = 7.5
     """Matches weigh exp(-d²/2 reach²) in predicting a junction d metres away: drift bends maps over
@@ -124,7 +126,7 @@ class MatchSettings:
 
     clear_m: float = 1.0
     """Nearer than this to its ends a corridor is the junctions' own [m]; also the spacing of the
-    points that stand for the rest of it. Tried: 1.3, the same."""
+    points that stand for the rest of it. Tried: .7 and 1.5, the same."""
     crossing_m: float = 1.7
     """Skeletons show a crossing as two forks up to so far apart [m]: variants of the detector join
     forks up to 1.7 m apart, and of the acute crossings of organic ways it shows as two, the forks
