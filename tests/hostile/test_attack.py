@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from judge import conduct, counts, halves, left_overs, print_of
+from judge import conduct, counts, halves, left_overs, print_of, told
 from sandbox import Outcome
 from trials import Victim
 
@@ -18,13 +18,13 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are w
 
 SHORT = (
     *("hostile documents", "hostile cache", "no file", "names that", "among sound", "one time"),
-    *("kill -9 of merge", "full disks"),
+    *("kill -9 of merge", "full disks", "links in", "tables of", "mappings of"),
 )
 
 
 def test_a_few_tries_find_nothing():
     """The long attack is `make attack`; logs are tried by tests of their own as well."""
-    command = [sys.executable, str(HERE / "attack.py"), "--tries", "20", "--jobs", "1"]
+    command = [sys.executable, str(HERE / "attack.py"), "--tries", "24", "--jobs", "1"]
     done = subprocess.run(
         [*command, "--seed", "7", "--only", ",".join(SHORT)],
         capture_output=True,
@@ -101,6 +101,12 @@ def test_good_conduct_is_none():
         outcome(2, err="Usage: z\n"),
     ):
         assert conduct(good) == ""
+
+
+def test_what_has_to_be_said_is_looked_for():
+    spoken = outcome(1, err="error: a.mcap: /odom cannot be decoded\n")
+    assert told(spoken, r"/odom|odometry") == told(outcome(), "") == ""
+    assert told(spoken, "protobuf")
 
 
 LOST = "3 messages of /odom are lost in damaged places"
