@@ -14,9 +14,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import numpy as np
 from closure import simulated
@@ -24,6 +26,7 @@ from uncertainty import recorded
 
 from topobatch.ingest import mapping
 from topobatch.simulation import true_vertex_of_passes
+from topobatch.topology.closure import candidates, incremental, joint_compatibility
 from topobatch.topology.closure.dead_reckoning import Walk, make_walk
 from topobatch.topology.closure.incremental import RoundSettings, full_closure
 from topobatch.topology.closure.missed_detections import DrivenBySettings, settle
@@ -38,27 +41,15 @@ CELLS = (
     ("high", "harsh"),
     ("real", "mild"),
 )
-NEVER, ALWAYS = -1e9, 1e9
+ALWAYS = 1e9
 
 OUT = {
-    "rounds: one threshold": {"thresholds": (4.5,)},
-    "lead over rivals": {"lead": 0.0},
-    "price of conflicts": {"conflict_price": 0.0},
     "caution": {"caution": 1.0},
-    "noise raised": {"loud": ALWAYS},
-    "noise lowered": {"low": 0.0},
-    "taking back": {"strain": ALWAYS},
-    "patience": {"patience": 1_000_000},
     "grid": {"grid.least_share": 2.0},
     "grid: wander": {"grid.most_wander": ALWAYS},
-    "grid: clip": {"grid.clip": ALWAYS},
     "joint compatibility": {"joint.threshold": ALWAYS},
-    "joint: each member": {"joint.member": NEVER},
     "joint: lead": {"joint.lead": 0.0},
-    "joint: one step off": {"joint.stiff": (1e-9,)},
-    "candidates: reach": {"candidates.reach_m": ALWAYS},
-    "candidates: plain first": {"candidates.least_position": NEVER},
-    "strangers": {"candidates.strangers": ALWAYS},
+    "candidates: reach": {"candidates.reach_legs": ALWAYS},
     "strangers: slack": {"candidates.slack": 0.0},
     "cap of support": {"candidates.support_cap": ALWAYS},
     "cap of conflict": {"candidates.conflict_cap": ALWAYS},
@@ -75,8 +66,6 @@ OUT = {
     },
     "growth: known gaps": {"candidates.growth.line_m": 0.0},
     "measured rates": {"rates.prior_passes": ALWAYS},
-    "most rate": {"rates.most": 1.0},
-    "sighting kernel": {"layout.sighting_kernel": ALWAYS},
     "grid kernel": {"layout.grid_kernel": ALWAYS},
     "phantoms": {"driven_by.least_odds": ALWAYS},
     "phantoms: straight": {"driven_by.straight_gain": 0.0},
@@ -84,6 +73,14 @@ OUT = {
     "phantoms: least rate": {"driven_by.least_phantom_rate": 1e-6},
 }
 """Mechanisms, and what takes each out: fields of RoundSettings (`driven_by`: DrivenBySettings)."""
+
+REPLACED = {
+    "noise raised": (incremental, "_loudness", lambda now, *args: now),
+    "taking back": (incremental, "_strained", lambda *args: []),
+    "strangers": (candidates, "_strangers", lambda *args: np.zeros(0)),
+    "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
+}
+"""Mechanisms that no field takes out: module, function, and what stands in for it."""
 
 
 class Case(NamedTuple):
@@ -138,6 +135,16 @@ def without(fields):
     return rounds, driven_by
 
 
+@contextmanager
+def replaced(name):
+    """Without a mechanism of `REPLACED`."""
+    if name not in REPLACED:
+        yield
+        return
+    with mock.patch.object(*REPLACED[name]):
+        yield
+
+
 def closed(one, rounds, driven_by):
     """(p,) place of every pass, negative for phantoms."""
     found = full_closure(one.walk, rounds)
@@ -179,16 +186,17 @@ def main():
     parser.add_argument("--list", action="store_true")
     args = parser.parse_args()
     if args.list:
-        print("\n".join(OUT))
+        print("\n".join([*OUT, *REPLACED]))
         return
     all_cases = list(cases(args.worlds, args.seeds, args.first, args.junctions, args.real))
     kinds = list(dict.fromkeys(one.kind for one in all_cases))
     print(f"{'without':<26} runs  recall  " + " ".join(f"{kind:^12}" for kind in kinds) + "  CPU s")
     usual = None
-    for name in ["nothing", *(OUT if args.only is None else args.only)]:
+    for name in ["nothing", *([*OUT, *REPLACED] if args.only is None else args.only)]:
         settings = without(OUT.get(name, {}))
         begin = time.process_time()
-        places = [closed(one, *settings) for one in all_cases]
+        with replaced(name):
+            places = [closed(one, *settings) for one in all_cases]
         spent = time.process_time() - begin
         usual = usual or places
         otherwise = sum(not np.array_equal(a, b) for a, b in zip(usual, places, strict=True))

@@ -9,12 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors
 from ..topology.closure.dead_reckoning import SystematicErrors, Walk, make_walk
 from ..topology.closure.estimate import lay_out
 from ..topology.closure.incremental import RoundSettings, closure_without_grid, full_closure
 from ..topology.closure.missed_detections import DrivenBySettings, settle
-from ..topology.closure.nearest_neighbour import GatedSettings, Identification, gated_closure
+from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import fitted_noise
 from ..topology.errors import DataError
@@ -47,7 +48,6 @@ class MappingSettings:
     passes: PassSettings = field(default_factory=PassSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
     rounds: RoundSettings = field(default_factory=RoundSettings)
-    gated: GatedSettings = field(default_factory=GatedSettings)
     driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
     drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)
 
@@ -101,7 +101,7 @@ def build_map_with_errors(
         asked: list[Identification] = []
         revised: list[Identification] = []
     elif settings.closure == "gated":
-        (place, asked), revised = gated_closure(walk, settings.gated), []
+        (place, asked), revised = gated_closure(walk, settings.rounds), []
     if settings.closure == "full":
         closed = full_closure(walk, settings.rounds)
         walk, place, layout = closed.walk, closed.place, closed.layout

@@ -16,7 +16,7 @@ from topobatch.simulation import (
     true_vertex_of_nodes,
 )
 from topobatch.topology.closure import resolution
-from topobatch.topology.closure.nearest_neighbour import Identification
+from topobatch.topology.closure.answers import Identification
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-
-from .nearest_neighbour import Identification
 
 IntArray = NDArray[np.int64]
 
@@ -19,6 +17,25 @@ DISAGREE = "corridors disagree"
 COMMON = "places that are certainly two look as much alike"
 APART = "too far apart once the run was laid out anew"
 TORN = "taken back: a pass was torn away"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identification:
+    """Passes `first` and `second` were asked to be one place.
+
+    turn_rad: by how much the branches around `second` had to be turned to meet those around
+    `first`, on top of the layout at that time. round: in which the answer was given, from 1 on; 0
+    if not by rounds. accepted_round: in which it had been accepted, if this takes it back.
+    """
+
+    first: int
+    second: int
+    accepted: bool
+    bits: float
+    reason: str
+    turn_rad: float = 0.0
+    round: int = 0
+    accepted_round: int | None = None
 
 
 Answer = tuple[int | str | None, ...]

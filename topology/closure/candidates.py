@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ..se2 import turned_axes
 from .branches import align
-from .dead_reckoning import Walk, dead_reckoning_covariance
+from .dead_reckoning import dead_reckoning_covariance
 from .estimate import Layout
 from .evidence import (
     Background,
@@ -21,40 +21,26 @@ from .evidence import (
     best_position_odds,
     position_odds,
 )
+from .gates import GateSettings
 from .growth import GrowthSettings, Scene, grow
 from .places import NOWHERE, Places
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_FAR_M = 80.0
-"""Longest way that `known_way_variance` looks at."""
-_STRIP = 256
-_MOST_TABLED = 1_000_000
-"""Pairs of places in one table: some 200 MB."""
-_LEAST_ASIDE = 30
-"""So many strangers one step of the pattern off stand for all."""
-_MOST_STRANGERS = 3000
-"""Pairs of places known to be two that are asked what they have in common."""
-
 
 @dataclass(frozen=True, slots=True)
 class CandidateSettings:
     """Which pairs of places are asked about."""
 
-    gate: float = 14.0
-    """Largest squared Mahalanobis distance (2 d.o.f.)."""
-    reach_m: float = 20.0
-    """Places farther apart than this in the layout are not asked about …"""
-    reach_legs: float = 4.0
-    """… or than this many typical legs, where these are long."""
-    most_pairs: int = 5000
-    """In long runs no more pairs are looked at in one round, the nearest (or six per place)."""
-    least_position: float = -6.0
-    """Log odds that position must leave a candidate; more than 0 in the first round, which takes
-    what is plain: the rest is easier once that is settled."""
-    strangers: float = 1.5
-    """Places this many times farther apart than the gate allows are certainly two."""
+    most_pairs: int = 10
+    """No more pairs for each place are looked at in one round, the nearest of all: time
+    (`benchmarks/closure.py --growth`)."""
+    most_tabled: int = 1_000_000
+    """Pairs of places in one table: some 200 MB."""
+    most_strangers: int = 3000
+    """Pairs of places known to be two that are asked what they have in common: they tell a share
+    of 1/100 to a fifth of itself."""
     slack: float = 3.0
     """In a map that repeats, likeness is worth little where many of these are alike but for so
     much (log odds)."""
@@ -64,6 +50,7 @@ class CandidateSettings:
     """… and take away: junctions upon each other are one, whatever their corridors say."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
+    gate: GateSettings = field(default_factory=GateSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +70,10 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.a)
+
+    def take(self, rows: IntArray | NDArray[np.bool_]) -> Candidates:
+        """Some of them."""
+        return Candidates(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     @property
     def alike(self) -> FloatArray:
@@ -140,15 +131,16 @@ def candidates(
     pairs = _known_apart(scene, place, layout, settings)
     strangers = _strangers(scene, pairs, settings)
     spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
-    pairs = pairs.take((pairs.shift**2).sum(axis=1) < settings.gate * spread)
-    pairs = _nearest(pairs, max(settings.most_pairs, 6 * len(scene.places)))
+    pairs = pairs.take((pairs.shift**2).sum(axis=1) < settings.gate.squared(2) * spread)
+    pairs = _nearest(pairs, settings.most_pairs * len(scene.places))
     if exact:
         best = best_position_odds(common, pairs.shift)
         pairs = pairs.take(best + _surroundings(scene, pairs, settings).sum() > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common)
-    least = settings.least_position if exact else 0.0
-    fine = (d2 < settings.gate) & (odds > least)
+    # First what is plain: the rest is easier once that is settled.
+    least = -np.inf if exact else 0.0
+    fine = (d2 < settings.gate.squared(2)) & (odds > least)
     pairs = pairs.take(fine)
     odds = among_neighbours(common, odds[fine], pairs.shift, pairs.noisy(common))
     pairs, odds = pairs.take(odds > least), odds[odds > least]
@@ -176,15 +168,16 @@ def _known_apart(
     What dead reckoning alone excludes stays excluded: closures only make it more certain.
     """
     walk, places = scene.walk, scene.places
-    reach_m = max(settings.reach_m, settings.reach_legs * scene.common.leg_m)
-    a, b = _pairs_within(layout.xy, reach_m).T
+    reach_m = settings.growth.hops * scene.common.leg_m
+    a, b = _pairs_within(layout.xy, reach_m, settings.most_tabled).T
     i, j = _nearest_in_time(places, place, a, b)
     same = walk.chain[i] == walk.chain[j]
     a, b = a[same], b[same]
     i, j = i[same], j[same]
     turn = 0.5 * (layout.pose[i, 2] + layout.pose[j, 2])
     cov = _turned(dead_reckoning_covariance(walk, i, j), turn)
-    cov = _tighter(cov, *known_way_variance(walk, places, a, b))
+    bounds = known_way_variance(scene, a, b, _telling_way(scene, reach_m, settings), settings)
+    cov = _tighter(cov, *bounds)
     return _Apart(a, b, layout.xy[a] - layout.xy[b], cov)
 
 
@@ -196,12 +189,13 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
     """
     _, d2 = pairs.odds(scene.common)
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
-    rows = np.flatnonzero((d2 > settings.strangers * settings.gate) & apart)
+    rows = np.flatnonzero((d2 > settings.gate.squared(2)) & apart)
     aside = scene.common.pattern.is_step(pairs.shift[rows])
-    if aside.sum() >= _LEAST_ASIDE:
-        # What a place could be taken for is one step of the pattern off.
+    if aside.sum() >= np.exp(settings.slack):
+        # What a place could be taken for is one step of the pattern off: so many of these tell as
+        # much as `slack` asks.
         rows = rows[aside]
-    rows = rows[:: -(-len(rows) // _MOST_STRANGERS) or 1]
+    rows = rows[:: -(-len(rows) // settings.most_strangers) or 1]
     return np.sort(_surroundings(scene, pairs.take(rows), settings).sum())
 
 
@@ -222,11 +216,12 @@ def likeness_odds(alike: FloatArray, strangers: FloatArray, slack: float = 0.0) 
     return out
 
 
-def _pairs_within(xy: FloatArray, reach_m: float) -> IntArray:
+def _pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
     """(k, 2) pairs a < b of points that near, sorted; nearer ones only where that are too many."""
     tree = cKDTree(xy)
-    while int(tree.count_neighbors(tree, reach_m)) > 2 * _MOST_TABLED:
-        reach_m *= 0.7
+    while (count := int(tree.count_neighbors(tree, reach_m))) > 2 * most + len(xy):
+        # In the plane their number, here of both directions, goes with the square of the reach.
+        reach_m *= float(np.sqrt(most / count))
     pairs = tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
     out: IntArray = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     return out
@@ -256,7 +251,7 @@ class _Surroundings:
 
 def _surroundings(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> _Surroundings:
     a, b = pairs.a, pairs.b
-    turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0)) + 0.02
+    turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
     aligned = align(scene.branches, a, b, turn_sigma=turn_sigma)
     grown = grow(scene, a, b, aligned, settings.growth)
     gain = np.minimum(grown.gain, settings.support_cap)
@@ -274,31 +269,46 @@ def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatAr
     return out
 
 
+def _telling_way(scene: Scene, reach_m: float, settings: CandidateSettings) -> float:
+    """A way [m] at whose end places may lie anywhere within reach: it excludes nothing."""
+    way = np.array(reach_m)
+    while settings.gate.squared(2) * _way_variance(scene, way)[0] < reach_m**2:
+        way = 2.0 * way
+    return float(way)
+
+
 def known_way_variance(
-    walk: Walk, places: Places, a: IntArray, b: IntArray
+    scene: Scene, a: IntArray, b: IntArray, far_m: float, settings: CandidateSettings
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) bounds on the squared error [m²] and turn [rad²] of b seen from a.
 
     Those of dead reckoning along the shortest known way: corridors bound the error of a solved
     graph from above, and cheaply, by one Dijkstra over all places, in strips. Ways longer than
-    `_FAR_M` bound nothing (inf).
+    `far_m` bound nothing (inf).
     """
+    places = scene.places
     source, slot = np.nonzero(places.next_place != NOWHERE)
     n = len(places)
-    way = np.maximum(places.length[source, slot], 0.1)
+    way = np.maximum(places.length[source, slot], scene.common.centre_sigma)
     graph = csr_matrix((way, (source, places.next_place[source, slot])), shape=(n, n))
     length = np.full(len(a), np.inf)
     order = np.argsort(a, kind="stable")
     heads = np.unique(a)
     cuts = np.searchsorted(a[order], np.append(heads, n))
-    for begin in range(0, len(heads), _STRIP):
-        end = min(begin + _STRIP, len(heads))
+    strip = max(settings.most_tabled // max(n, 1), 1)
+    for begin in range(0, len(heads), strip):
+        end = min(begin + strip, len(heads))
         rows = order[cuts[begin] : cuts[end]]
-        reach = dijkstra(graph, directed=False, indices=heads[begin:end], limit=_FAR_M)
+        reach = dijkstra(graph, directed=False, indices=heads[begin:end], limit=far_m)
         length[rows] = reach[np.searchsorted(heads[begin:end], a[rows]), b[rows]]
-    noise, extra = walk.noise, walk.systematic
-    # As if every metre of the way lay as far off as the middle of it, with a corner every 4 m.
-    corners = np.pi / 2 * (1.0 + length / 4.0)
+    return _way_variance(scene, length)
+
+
+def _way_variance(scene: Scene, length: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squared error [m²] and turn [rad²] at the end of ways of that length [m]."""
+    noise, extra = scene.walk.noise, scene.walk.systematic
+    # As if every metre of the way lay as far off as the middle of it, with a corner after each leg.
+    corners = np.pi / 2 * (1.0 + length / scene.common.leg_m)
     turn = noise.heading_rad_per_sqrt_m**2 * length + noise.heading_rad_per_sqrt_rad**2 * corners
     turn = turn + (extra.turn_rad_per_m * length) ** 2 + (extra.turn_rad_per_rad * corners) ** 2
     position = 2 * noise.along_m_per_sqrt_m**2 * length + turn * (0.5 * length) ** 2

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-RANDOM_SUMS = 7
+RANDOM = slice(7)
 """Columns of `Walk.sums` that are variances."""
 
 
@@ -100,7 +100,7 @@ def louder(walk: Walk, factor: float) -> Walk:
         branch_rad=factor * n.branch_rad,
     )
     sums = walk.sums.copy()
-    sums[:, :RANDOM_SUMS] *= factor**2
+    sums[:, RANDOM] *= factor**2
     return replace(walk, noise=noise, sums=sums)
 
 
@@ -151,7 +151,7 @@ def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatA
     with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second pass, C_θθ = S0,
     C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    d = _between(walk.sums[:, :RANDOM_SUMS] + walk.jumps, first, second)
+    d = _between(walk.sums[:, RANDOM] + walk.jumps, first, second)
     c = walk.passes.centre[second] - walk.origin
     s0, s1x, s1y, s2xx, s2xy, s2yy, along = d.T
     x, y = c.T

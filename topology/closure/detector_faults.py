@@ -16,8 +16,6 @@ class RateSettings:
 
     prior_passes: float = 25.0
     """Worth of the prior rates, in passes."""
-    most: float = 0.25
-    """No rate is believed to be higher: the evidence would be worthless."""
 
 
 def measured_rates(
@@ -40,7 +38,7 @@ def measured_rates(
 
     def rate(prior: float, count: float, of: float) -> float:
         worth = settings.prior_passes
-        return min((prior * worth + count) / (worth + of), settings.most)
+        return (prior * worth + count) / (worth + of)
 
     return replace(
         noise,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +20,12 @@ from ..posegraph.solve import (
 )
 from ..se2 import wrap
 from .dead_reckoning import Walk, relative_covariance, systematic_modes
+from .gates import GateSettings
 from .manhattan import GridHeadings
 from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-_FEW = 40
-"""Nodes whose covariances are worked out exactly: more cost more than the samples do."""
-_SAMPLES = 64
-_CAUTION = 1.1
-"""What the samples may have missed."""
-_SETTLED = 0.1
-"""A step that lowers χ² by less moves no pose by more than a third of its error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +34,16 @@ class LayoutSettings:
 
     slot_gap_rad: float = ONE_WAY_RAD
     """Branch readings of several passes farther apart than this belong to different branches."""
-    sighting_kernel: float = 3.0
-    """Cauchy width [sigmas] of "this pass was by that place"."""
     grid_kernel: float = 2.0
-    """Cauchy width [sigmas] of headings taken from the grid of a rectilinear building."""
+    """Cauchy width [sigmas] of headings taken from the grid of a rectilinear building: 2.385 would
+    be 95 % efficient with Gaussian errors (Holland, Welsch 1977) and finds fewer places of rows
+    (`benchmarks/ablation.txt`)."""
+    settled_chi2: float = 0.1
+    """Solved to this: a step that lowers χ² by less moves no pose by a third of its error."""
+    samples: int = 64
+    """Covariances of many nodes are sampled: so many tell a variance to √(2 / 64), 18 %."""
+    gate: GateSettings = field(default_factory=GateSettings)
+    """Also the Cauchy width of "this pass was by that place"."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +55,7 @@ class Layout:
     if it has several passes, else its pass. sighting: (k,) pass of each sighting edge;
     sighting_chi2: (k,) its squared error in sigmas. misfit: mean squared error in sigmas per
     degree of freedom, 1 if the noise of the walk is right; freedom: how many degrees tell it.
+    samples: of covariances.
     """
 
     pose: FloatArray
@@ -68,13 +67,19 @@ class Layout:
     freedom: int
     graph: PoseGraph
     solution: Solution
+    samples: int
 
     def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
-        """(k, 3, 3) of nodes b seen from nodes a, axes of a: exact for few, sampled for many."""
-        if len(np.unique(np.concatenate([a, b]))) <= _FEW:
+        """(k, 3, 3) of nodes b seen from nodes a, axes of a: exact for few, sampled for many.
+
+        Sampled ones are larger by what so many samples may have missed (1 sigma).
+        """
+        samples = self.samples
+        # A node takes three solutions, a sample one.
+        if 3 * len(np.unique(np.concatenate([a, b]))) <= samples:
             return Marginals.of(self.graph, self.solution).relative(a, b)
-        sampled = SampledMarginals.of(self.graph, self.solution, _SAMPLES)
-        return _CAUTION * sampled.relative(a, b)
+        sampled = SampledMarginals.of(self.graph, self.solution, samples).relative(a, b)
+        return float(1.0 + np.sqrt(2.0 / samples)) * sampled
 
 
 def lay_out(
@@ -134,10 +139,11 @@ def lay_out(
         node=node,
         sighting=shared.row,
         sighting_chi2=solution.edge_chi2[len(legs.row) :],
-        misfit=_misfit(chi2, freedom),
+        misfit=_misfit(chi2, freedom, settings.gate.squared(3)),
         freedom=freedom,
         graph=graph,
         solution=solution,
+        samples=settings.samples,
     )
 
 
@@ -167,23 +173,26 @@ def _solved(
 ) -> tuple[PoseGraph, Solution, FloatArray]:
     """Believe every sighting at first: a new identification may pull places together from afar,
     where a robust kernel would let go of it. Then let go of those that do not fit."""
-    given = SolverSettings(start="given", relative_tolerance=0.0, absolute_tolerance=_SETTLED)
+    given = SolverSettings(
+        start="given", relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2
+    )
     solution = solve(graph, given)
-    if np.all(solution.edge_chi2[legs:] < settings.sighting_kernel**2):
+    kernel2 = settings.gate.squared(1)
+    if np.all(solution.edge_chi2[legs:] < kernel2):
         return graph, solution, solution.edge_chi2
     width = np.full(len(graph.source), np.inf)
-    width[legs:] = settings.sighting_kernel
+    width[legs:] = np.sqrt(kernel2)
     robust = replace(graph, pose=solution.pose, kernel=width)
     return robust, solve(robust, given), solution.edge_chi2
 
 
-def _misfit(chi2: FloatArray, freedom: int) -> float:
-    """Σ χ² per degree of freedom, edges beyond 4 sigmas of it counted as 4; 1 if there are few."""
-    if freedom < 12:
+def _misfit(chi2: FloatArray, freedom: int, gate: float) -> float:
+    """Σ χ² per degree of freedom, edges beyond the gate counted as on it; 1 if nothing tells."""
+    if freedom == 0:
         return 1.0
     value = float(chi2.sum()) / freedom
     for _ in range(20):
-        value = float(np.minimum(chi2, 16.0 * value).sum()) / freedom
+        value = float(np.minimum(chi2, gate * value).sum()) / freedom
     return value
 
 

@@ -6,8 +6,8 @@ sure, lay the walk out again, look again with the smaller uncertainty that this 
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from .answers import (
     TORN,
     UNSURE,
     Answer,
+    Identification,
     explained,
     is_open,
     note,
@@ -36,10 +37,10 @@ from .dead_reckoning import Walk, louder
 from .detector_faults import RateSettings, measured_rates
 from .estimate import Layout, LayoutSettings, lay_out
 from .evidence import background, with_pattern
+from .gates import GateSettings
 from .growth import Scene
 from .joint_compatibility import JointSettings, agreeing
 from .manhattan import GridHeadings, RectilinearSettings, grid_headings
-from .nearest_neighbour import Identification
 from .places import Places, tabulate
 
 FloatArray = NDArray[np.float64]
@@ -48,30 +49,17 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class RoundSettings:
-    """When an identification is certain enough, round by round."""
+    """When an identification is certain enough.
 
-    thresholds: tuple[float, ...] = (9.0, 7.0, 5.5, 4.5)
-    """Log odds asked of an identification; the next one is used when no more is found."""
-    lead: float = 3.0
-    """Log odds that it must have over every rival that it excludes."""
-    conflict_price: float = 0.2
-    """Added to the threshold for each unit of disagreement."""
-    most_rounds: int = 40
+    What `benchmarks/ablation.txt` says of a mechanism is what the runs there lose without it.
+    """
+
+    least_odds: float = 4.5
+    """Log odds asked of an identification: one in 90 of those that just reach it is wrong, if the
+    odds are right. Stricter rounds before it change nothing (`ablation.txt`: stricter first)."""
     caution: float = 1.25
     """Random errors are taken to be this many times those estimated: a dozen repeats tell a sigma
     to a quarter."""
-    loud: float = 1.5
-    """Mean squared error, in units of what the noise allows, at which the noise is raised …"""
-    loudest: float = 4.0
-    """… to at most this many times what was estimated."""
-    low: float = 0.35
-    """Mean squared error at which the noise is lowered …"""
-    lowest: float = 0.35
-    """… to at least this share of what was estimated."""
-    strain: float = 30.0
-    """Squared error [3 d.o.f.] of a sighting from which its identification is taken back …"""
-    patience: int = 2
-    """… so many times."""
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
     rates: RateSettings = field(default_factory=RateSettings)
     layout: LayoutSettings = field(default_factory=LayoutSettings)
@@ -108,48 +96,43 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
     walk = louder(walk, settings.caution)
     quiet, loudness = walk, 1.0
     links: list[Identification] = []
-    strikes: Counter[tuple[int, int]] = Counter()
-    torn: Counter[int] = Counter()
+    barred: set[tuple[int, int]] = set()
     doubts: dict[tuple[int, int], Identification] = {}
     answers: dict[Answer, Identification] = {}
     place = np.arange(len(walk), dtype=np.int64)
     layout = lay_out(walk, place, grid=grid, settings=settings.layout)
-    stage, exact = 0, False
-    for number in range(1, settings.most_rounds + 1):
+    # Every round but the first identifies what was not, or is the last: what is taken back, is so
+    # for good.
+    for number in count(1):
+        exact = number > 1
         places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
         scene = _scene(walk, places, layout, settings)
         found = candidates(scene, place, layout, settings.candidates, exact=exact)
-        new: list[Identification] = []
-        while not new and stage < len(settings.thresholds):
-            barred = _barred(strikes, stage, place)
-            threshold = max(settings.thresholds[stage], _least(scene))
-            new = _certain(places, found, threshold, barred, settings)
-            stage += not new
+        found = found.take(~_barred(found, barred, place))
+        new = _certain(places, found, max(settings.least_odds, _least(scene)))
         doubts = _doubted(doubts, places, found, settings, number)
         if not new and exact:
-            (new, reasons), stage = _together(scene, found, layout, settings), 0
+            new, reasons = _together(scene, found, layout, settings)
             doubts |= explained(doubts, reasons)
         new = [replace(q, round=number) for q in new]
         made = {(q.first, q.second) for q in new}
         note(answers, (q for pair, q in doubts.items() if is_open(q, place) and pair not in made))
         if not new and exact:
             break
-        if not exact:
-            exact, stage = True, 0
         if not new:
             continue
         links += new
         turn = layout.pose[:, 2] + _turns(place, new)
         place = _partition(len(walk), links)
         layout = lay_out(walk, place, layout.pose, turn=turn, grid=grid, settings=settings.layout)
-        better = _loudness(loudness, layout.misfit, settings)
+        better = _loudness(loudness, layout, settings.layout.gate)
         if better != loudness:
             # The noise is not what it seemed before anything was identified.
             loudness, walk = better, louder(quiet, better)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
-        bad = _strained(place, layout, links, torn, settings)
+        bad = _strained(place, layout, links, settings)
         if bad:
-            strikes.update((q.first, q.second) for q in bad)
+            barred |= {(q.first, q.second) for q in bad}
             back = [taken_back(q, number) for q in bad]
             note(answers, back)
             doubts.update(((q.first, q.second), q) for q in back)
@@ -179,22 +162,18 @@ def _least(scene: Scene) -> float:
     return float(np.log(len(scene.walk))) + 1.0
 
 
-def _loudness(now: float, misfit: float, settings: RoundSettings) -> float:
-    """Factor on the estimated noise: raised to fit, lowered with reserve."""
-    if misfit > settings.loud:
-        return min(now * float(np.sqrt(misfit)), settings.loudest)
-    if misfit < settings.low:
-        return max(now * float(np.sqrt(1.5 * misfit)), settings.lowest)
+def _loudness(now: float, layout: Layout, gate: GateSettings) -> float:
+    """Factor on the estimated noise, raised to fit where errors as large are no chance."""
+    if layout.misfit * layout.freedom > gate.squared(layout.freedom):
+        return now * float(np.sqrt(layout.misfit))
     return now
 
 
-def _barred(strikes: Counter[tuple[int, int]], stage: int, place: IntArray) -> set[frozenset[int]]:
-    """Pairs of places whose identification was taken back more often than stages have passed."""
-    return {
-        frozenset((int(place[i]), int(place[j])))
-        for (i, j), count in strikes.items()
-        if count > stage
-    }
+def _barred(found: Candidates, barred: set[tuple[int, int]], place: IntArray) -> NDArray[np.bool_]:
+    """(k,) candidates that would join two passes again whose identification was taken back."""
+    pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in barred}
+    ends = zip(found.a.tolist(), found.b.tolist(), strict=True)
+    return np.array([frozenset(pair) in pairs for pair in ends], bool)
 
 
 def _partition(count: int, links: list[Identification]) -> IntArray:
@@ -238,40 +217,32 @@ def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
     return out
 
 
-def _certain(
-    places: Places,
-    found: Candidates,
-    threshold: float,
-    barred: set[frozenset[int]],
-    settings: RoundSettings,
-) -> list[Identification]:
-    """The candidates that are sure and have no rival, best first."""
+def _certain(places: Places, found: Candidates, threshold: float) -> list[Identification]:
+    """The candidates that are sure against all that they exclude together, best first."""
     total = found.total
-    # Rivals of a candidate share one of its places and put it somewhere else.
+    likely = np.flatnonzero(total >= 0.0)
     by_place: dict[int, list[int]] = {}
-    serious = np.flatnonzero(total > threshold - settings.lead - 2.0)
-    known = {(int(found.a[k]), int(found.b[k])): float(total[k]) for k in serious}
-    for k in serious:
-        by_place.setdefault(int(found.a[k]), []).append(int(k))
-        by_place.setdefault(int(found.b[k]), []).append(int(k))
+    known = set()
+    for k, a, b in zip(
+        likely.tolist(), found.a[likely].tolist(), found.b[likely].tolist(), strict=True
+    ):
+        by_place.setdefault(a, []).append(k)
+        by_place.setdefault(b, []).append(k)
+        known.add((a, b))
     out = []
-    asked = threshold + settings.conflict_price * found.conflict
-    for k in serious[np.argsort(-total[serious], kind="stable")]:
+    for k in likely[np.argsort(-total[likely], kind="stable")].tolist():
+        if total[k] < threshold:
+            break
         a, b = int(found.a[k]), int(found.b[k])
-        if total[k] < asked[k] or frozenset((a, b)) in barred:
-            continue
-        rival = -np.inf
+        # Rivals share one of its places and put it somewhere else.
+        rivals = [0.0]
         for mine, other in ((a, b), (b, a)):
             for r in by_place[mine]:
                 third = int(found.a[r] + found.b[r]) - mine
-                if third == other:
-                    continue
-                pair = (min(other, third), max(other, third))
-                if known.get(pair, -np.inf) < 0.0:
-                    rival = max(rival, total[r])
-        if total[k] - rival < settings.lead:
-            continue
-        out.append(_answer(places, found, int(k), float(total[k]), reason=AGREE, accepted=True))
+                if third != other and (min(other, third), max(other, third)) not in known:
+                    rivals.append(float(total[r]))
+        if total[k] - np.logaddexp.reduce(rivals) >= threshold:
+            out.append(_answer(places, found, k, float(total[k]), reason=AGREE, accepted=True))
     return out
 
 
@@ -305,21 +276,12 @@ def _answer(
 
 
 def _strained(
-    place: IntArray,
-    layout: Layout,
-    links: list[Identification],
-    torn: Counter[int],
-    settings: RoundSettings,
+    place: IntArray, layout: Layout, links: list[Identification], settings: RoundSettings
 ) -> list[Identification]:
-    """The weakest links of every place that a pass is torn away from, enough to split it in two.
-
-    torn: how often that has been done for a pass already; counted on. What is found the same again
-    and again is left as it is.
-    """
-    loose = layout.sighting[layout.sighting_chi2 > settings.strain]
-    loose = loose[[torn[i] < settings.patience for i in loose.tolist()]]
-    torn.update(loose.tolist())
-    bad = set(place[loose].tolist())
+    """The weakest links of every place that a pass is torn away from, enough to split it in two."""
+    bad = set(
+        place[layout.sighting[layout.sighting_chi2 > settings.layout.gate.squared(3)]].tolist()
+    )
     of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
     for q in links:
         if int(place[q.first]) in bad:
@@ -358,7 +320,7 @@ def _doubted(
         pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
         for pair, q in before.items()
     }
-    total, least = found.total, settings.thresholds[-1]
+    total, least = found.total, settings.least_odds
     for k in np.flatnonzero(found.position + found.branches > 0).tolist():
         reason = UNSURE
         if found.conflict[k] > 2:

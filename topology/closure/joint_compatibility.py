@@ -12,21 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
+from scipy.cluster.hierarchy import linkage
+from scipy.spatial.distance import squareform
 
 from ..posegraph.solve import Marginals
 from .candidates import Candidates
 from .estimate import Layout
 from .evidence import Background, EvidenceSettings, among_neighbours, position_odds
+from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 RIVALS = "sure together with others, but as many that exclude one of them are nearly as sure"
 STEP_OFF = "sure together with others, but all might be one step of the map's pattern off"
-
-_DIRECTIONS = 16
-"""In so many directions a step of the pattern is tried, besides those known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,19 +34,11 @@ class JointSettings:
 
     most: int = 30
     """So many candidates, the best, are looked at together."""
-    least: float = -4.0
-    """Candidates with less than these log odds are left out."""
     threshold: float = 9.0
-    """Log odds asked of all together …"""
-    member: float = 4.5
-    """… and of each, given the others."""
+    """Log odds asked of all together."""
     lead: float = 3.0
     """Log odds that they must have over every set that excludes one of them; asked of a candidate,
     given those before it, to join them."""
-    largest: int = 12
-    stiff: tuple[float, ...] = (0.3, 1.0, 1e3)
-    """Candidates whose errors differ by less than this share of a step of the map's pattern (1
-    sigma) may be a step off together."""
 
 
 class Agreement(NamedTuple):
@@ -112,9 +103,7 @@ def agreeing(
     There are none where no set is certain, or where another set that excludes one of it is nearly
     as good, or the map repeats itself and all might be one step off.
     """
-    total = found.total
-    rows = np.flatnonzero(total > settings.least)
-    rows = np.sort(rows[np.argsort(-total[rows], kind="stable")[: settings.most]])
+    rows = np.sort(np.argsort(-found.total, kind="stable")[: settings.most])
     if len(rows) < 2:
         return _NOBODY
     a, b = found.a[rows], found.b[rows]
@@ -130,23 +119,13 @@ def agreeing(
     rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
     if worth[best] - max(rivals, default=-np.inf) < settings.lead:
         return Agreement(rows[members], np.zeros(0), RIVALS)
-    left = float(worth[best])
-    while len(members) > 1:
-        each = np.array([_odds_given(start, k, members) for k in members.tolist()])
-        weakest = int(each.argmin())
-        if each[weakest] >= settings.member:
-            one_off = _one_step_off(start, members, settings)
-            if one_off > -settings.lead:
-                return Agreement(rows[members], np.zeros(0), STEP_OFF)
-            return Agreement(rows[members], each)
-        left -= float(each[weakest])
-        members = np.delete(members, weakest)
-        if left < settings.threshold:
-            break
-    return _NOBODY
+    if _one_step_off(start, members) > -settings.lead:
+        return Agreement(rows[members], np.zeros(0), STEP_OFF)
+    each = [_odds_given(start, k, members) for k in members.tolist()]
+    return Agreement(rows[members], np.array(each))
 
 
-def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -> float:
+def _one_step_off(start: _Beliefs, members: IntArray) -> float:
     """Log odds of the likeliest rival in a map that repeats: some members one step off.
 
     Those that are tied to each other firmly move together.
@@ -159,16 +138,17 @@ def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -
     own = cov.reshape(len(members), 2, len(members), 2).trace(axis1=1, axis2=3)
     apart = own.diagonal()[:, None] + own.diagonal() - 2 * own
     step_m = np.hypot(*pattern.steps.T)
-    groups = np.concatenate([_tied(apart, share * step_m.min()) for share in settings.stiff])
+    groups = _tied(apart)
     # A map that is not laid out yet may be bent: steps in all directions, too.
-    angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    ways = int(np.ceil(2 * np.pi / ONE_WAY_RAD))
+    angle = np.arange(ways) * (2 * np.pi / ways)
     turned = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     step = np.concatenate([pattern.steps, turned.reshape(-1, 2)])
-    odds = np.log(np.concatenate([pattern.share, pattern.share.repeat(_DIRECTIONS)]))
+    odds = np.log(np.concatenate([pattern.share, pattern.share.repeat(ways)]))
     information = np.linalg.inv(cov)
     push = information @ start.shift[rows]
     worst = -np.inf
-    for group in np.unique(groups, axis=0):
+    for group in groups:
         mine = group.repeat(2)
         # What is known of the mean shift of the group, given the others.
         mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
@@ -179,11 +159,19 @@ def _one_step_off(start: _Beliefs, members: IntArray, settings: JointSettings) -
     return worst
 
 
-def _tied(apart: FloatArray, sigma_m: float) -> NDArray[np.bool_]:
-    """(g, k) groups of candidates whose errors differ by less than that, 1 sigma."""
-    count, group = connected_components(apart <= sigma_m**2, directed=False)
-    out: NDArray[np.bool_] = group == np.arange(count)[:, None]
-    return out
+def _tied(apart: FloatArray) -> NDArray[np.bool_]:
+    """(g, k) groups of members, each and all of them, and those between whose errors differ least.
+
+    apart: (k, k) squared differences of their errors. The groups of single linkage.
+    """
+    count = len(apart)
+    group = np.eye(count, dtype=bool)
+    if count < 2:
+        return group
+    distance = squareform(np.maximum(apart, 0.0), checks=False)
+    for a, b, _, _ in linkage(distance, "single"):
+        group = np.concatenate([group, [group[int(a)] | group[int(b)]]])
+    return group
 
 
 def _sharing(a: IntArray, b: IntArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -221,7 +209,7 @@ def _grown(
     """Joint log odds of the set that grows from a seed, best first, and its members."""
     value, members, beliefs = float(start.odds()[seed]), [seed], start.given(seed)
     allowed = ~shared[seed]
-    while len(members) < settings.largest:
+    while allowed.any():
         odds = np.where(allowed, beliefs.odds(), -np.inf)
         best = int(odds.argmax())
         if odds[best] < settings.lead:

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
+from ..matching.likelihood import LIKELIHOOD
 from .places import NOWHERE, Places
 
 FloatArray = NDArray[np.float64]
-
-TAIL, TAIL_WIDTH = 0.03, 2.0
-"""Share of errors, and how many times wider they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +25,8 @@ class PatternSettings:
     """How neighbours are counted."""
 
     hops: int = 4
-    """Places up to so many legs from each other …"""
-    reach_m: float = 15.0
-    """… and so far apart, or …"""
-    reach_legs: float = 2.0
-    """… so many typical legs, are neighbours."""
+    """Places up to so many legs from each other, and no farther apart than that of typical legs,
+    are neighbours."""
     sample: int = 200
     """So many of them stand for all."""
     width_m: float = 0.3
@@ -105,8 +100,7 @@ def pattern_of(
     a, b = around.nonzero()
     shift = xy[b] - xy[a]
     way = np.hypot(*shift.T)
-    reach = max(settings.reach_m, settings.reach_legs * typical_m)
-    beyond = (way > core_m) & (way < reach)
+    beyond = (way > core_m) & (way < settings.hops * typical_m)
     shift, a = shift[beyond], a[beyond]
     _, piece = connected_components(step, directed=False)
     size = np.bincount(piece)
@@ -132,7 +126,8 @@ def _steps(
     full = np.flatnonzero(count > settings.regular * places / 16)
     mean = np.stack([np.bincount(home, shift[:, k])[full] / count[full] for k in (0, 1)], axis=1)
     count = count[full]
-    near = np.abs(mean[:, None, :] - mean).max(axis=2) < 1.5 * cell
+    # Means in cells side by side are less than two cells apart.
+    near = np.abs(mean[:, None, :] - mean).max(axis=2) < 2 * cell
     total = near @ count
     share = np.minimum(total / places, 1.0)
     # Cells side by side share a step; the first of the fullest stands for it.
@@ -148,8 +143,9 @@ def _gaussians(shift: FloatArray, centre: FloatArray, cov: FloatArray) -> FloatA
     errors are sometimes larger than they should be."""
     x, y = (shift[:, None, :] - centre).transpose(2, 0, 1)
     d2, det = squared_mahalanobis(x, y, cov[:, None])
-    usual = (1.0 - TAIL) * np.exp(-0.5 * d2)
-    tail = TAIL / TAIL_WIDTH**2 * np.exp(-0.5 / TAIL_WIDTH**2 * d2)
+    share, wider = LIKELIHOOD.outlier_share, LIKELIHOOD.outlier_width**2
+    usual = (1.0 - share) * np.exp(-0.5 * d2)
+    tail = share / wider * np.exp(-0.5 / wider * d2)
     out: FloatArray = (usual + tail) / (2 * np.pi * np.sqrt(det))
     return out
 

@@ -6,7 +6,7 @@ knows which quarter: heading drift does not grow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from ..passes import Passes
 from ..se2 import wrap
 from .dead_reckoning import Walk, dead_reckoning_covariance
+from .gates import GateSettings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-OWN_SPREAD_RAD = 0.02
-"""How far a corridor's true direction strays from the grid of its building, 1 sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +25,15 @@ class RectilinearSettings:
     """When a building counts as rectilinear."""
 
     least_share: float = 0.9
-    """Share of the angles between branches of a pass that must be near quarter turns."""
-    tolerance_rad: float = 0.26
-    least_angles: int = 20
+    """Share of the angles between branches of a pass that must be near quarter turns, by the rule
+    of succession: eight angles are the least that can tell. Of angles anywhere a third are near."""
+    spread_rad: float = 0.02
+    """How far a corridor's true direction strays from the grid of its building, 1 sigma: measured
+    by `variance_components` once the run is laid out."""
     most_wander: float = 1.15
     """In streets that meet at right angles and bend between, the grid wanders more than the
     odometry drifts (0.8 to 2.4 in 150 city walks, 0.6 to 1.2 in 170 of mazes and offices)."""
-    clip: float = 6.0
-    """Faults of the detector count no more than this."""
+    gate: GateSettings = field(default_factory=GateSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +51,7 @@ class GridHeadings:
     turn: FloatArray
     sigma: FloatArray
     wander: float
-    spread_rad: float = OWN_SPREAD_RAD
+    spread_rad: float
 
 
 def grid_headings(
@@ -65,10 +64,10 @@ def grid_headings(
     same = owner[1:] == owner[:-1]
     off = from_quarter(np.diff(branches.values)[same])
     # Noise of the sensor alone must not make a grid look crooked.
-    tolerance = max(settings.tolerance_rad, 3.0 * walk.noise.branch_rad)
-    if len(off) < settings.least_angles or tolerance > 0.5:
-        return None
-    if np.mean(np.abs(off) < tolerance) < settings.least_share:
+    one = walk.noise.branch_rad**2 + settings.spread_rad**2
+    tolerance = np.sqrt(settings.gate.squared(1) * 2.0 * one)
+    near = np.count_nonzero(np.abs(off) < tolerance)
+    if tolerance > 0.5 or (near + 1) / (len(off) + 2) < settings.least_share:
         return None
     # Direction of the grid as each pass sees it: mean on the circle of quarter turns.
     count = len(walk)
@@ -82,9 +81,9 @@ def grid_headings(
     grid = np.angle(z[row]) / 4
     # The grid seems to turn as the odometry drifts; between two passes by little.
     step = from_quarter(np.diff(grid))
-    sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + OWN_SPREAD_RAD**2)
+    sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + settings.spread_rad**2)
     drift = dead_reckoning_covariance(walk, row[:-1], row[1:])[:, 2, 2]
-    excess = np.minimum(step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2), settings.clip)
+    excess = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
     joined = walk.chain[row[:-1]] == walk.chain[row[1:]]
     wander = float(excess[joined].mean()) if joined.any() else 0.0
     if wander > settings.most_wander:
@@ -93,7 +92,7 @@ def grid_headings(
     turn = -np.concatenate([[0.0], np.cumsum(step)])
     begin = np.flatnonzero(np.concatenate([[True], ~joined]))
     turn -= np.repeat(turn[begin], np.diff(begin, append=len(row)))
-    return GridHeadings(row, np.asarray(wrap(turn)), sigma, wander)
+    return GridHeadings(row, np.asarray(wrap(turn)), sigma, wander, settings.spread_rad)
 
 
 def with_spread(

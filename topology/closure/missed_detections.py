@@ -18,9 +18,9 @@ from ..odometry import Odometry
 from ..se2 import wrap
 from ..track import way_along
 from ..visits import DrawnTrack, Visits, draw_track
+from .answers import Identification
 from .dead_reckoning import Walk
 from .estimate import Layout, LayoutSettings
-from .nearest_neighbour import Identification
 from .places import NOWHERE, ONE_WAY_RAD, Places, tabulate
 from .resolution import blurred, one_drive_by
 

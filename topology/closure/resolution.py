@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import log_ndtr
 
+from .answers import Identification
 from .dead_reckoning import Walk
 from .estimate import Layout
-from .nearest_neighbour import Identification
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -18,9 +18,9 @@ from ..odometry import Odometry
 from ..posegraph.graph import edge_errors, prior_errors, squared
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
-from .dead_reckoning import RANDOM_SUMS, Walk, make_walk, relative_covariance
+from .dead_reckoning import RANDOM, Walk, make_walk, relative_covariance
 from .estimate import Layout, lay_out
-from .manhattan import OWN_SPREAD_RAD, GridHeadings, with_spread
+from .manhattan import GridHeadings, with_spread
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,11 +38,6 @@ stray from the grid of their building, where a grid holds the layout."""
 _WALKS, _BRANCH, _GRID = 3, 4, 5
 """How many components are random walks of the odometry, and where two others stand."""
 
-NO_GRID_RAD = 3 * OWN_SPREAD_RAD
-"""Corridors that stray farther from their grid have none: they bend together, as streets do, where
-a spread is taken to be of each by itself. In 60 walks of mazes, offices and rows at high and real
-drift 0.010 to 0.044, in three of streets taken for a grid 0.09 to 0.15."""
-
 
 @dataclass(frozen=True, slots=True)
 class ComponentSettings:
@@ -57,6 +52,10 @@ class ComponentSettings:
     there, is reached slowly."""
     samples: int = 64
     """They tell a variance to √(2 / 64), 18 %: less than the prior's freedom leaves open."""
+    most_spread_rad: float = 0.06
+    """Corridors that stray farther from their grid have none: they bend together, as streets do,
+    where a spread is taken to be of each by itself. In 60 walks of mazes, offices and rows at high
+    and real drift 0.010 to 0.044, in three of streets taken for a grid 0.09 to 0.15."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +101,7 @@ def fitted_noise(
             spread_rad = float(np.sqrt(variance[_GRID]))
             grid = with_spread(grid, walk.passes, walk.noise.branch_rad, spread_rad)
         layout = lay_out(walk, place, layout.pose, grid=grid)
-    if grid is not None and grid.spread_rad > NO_GRID_RAD:
+    if grid is not None and grid.spread_rad > settings.most_spread_rad:
         return fitted_noise(before, odometry, place, layout, settings=settings)
     return Fitted(walk, layout, grid)
 
@@ -140,9 +139,8 @@ def _with_variances(walk: Walk, units: list[Walk], variance: FloatArray) -> Walk
     """The walk with other variances of its components; its sums are linear in them."""
     sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=False))
     sums = walk.sums.copy()
-    sums[:, :RANDOM_SUMS] = sum(
-        float(v) * unit.sums[:, :RANDOM_SUMS]
-        for v, unit in zip(variance[:_WALKS], units, strict=True)
+    sums[:, RANDOM] = sum(
+        float(v) * unit.sums[:, RANDOM] for v, unit in zip(variance[:_WALKS], units, strict=True)
     )
     return replace(walk, noise=replace(walk.noise, **sigma), sums=sums)
 
