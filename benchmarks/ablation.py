@@ -44,22 +44,17 @@ CELLS = (
 ALWAYS = 1e9
 
 OUT = {
+    "one wrong in all runs": {"wrong_share": 1.0},
     "caution": {"caution": 1.0},
     "grid": {"grid.least_share": 2.0},
     "grid: wander": {"grid.most_wander": ALWAYS},
-    "joint compatibility": {"joint.threshold": ALWAYS},
-    "joint: lead": {"joint.lead": 0.0},
-    "candidates: reach": {"candidates.reach_legs": ALWAYS},
-    "strangers: slack": {"candidates.slack": 0.0},
-    "cap of support": {"candidates.support_cap": ALWAYS},
-    "cap of conflict": {"candidates.conflict_cap": ALWAYS},
     "hard core: the shortest": {"candidates.evidence.core_quantile": 0.0},
     "inflation": {"candidates.evidence.inflation": 1.0},
     "rarity: bandwidth": {"candidates.evidence.bandwidth_rad": 0.0},
     "pattern": {"candidates.evidence.pattern.regular": ALWAYS},
     "growth": {"candidates.growth.hops": 0},
     "growth: one hop": {"candidates.growth.hops": 1},
-    "growth: discount": {"candidates.growth.discount": 1.0},
+    "lead": {"candidates.evidence.lead": 0.0},
     "growth: caps": {
         "candidates.growth.leg_cap": ALWAYS,
         "candidates.growth.branch_cap": ALWAYS,
@@ -77,6 +72,8 @@ OUT = {
 REPLACED = {
     "noise raised": (incremental, "_loudness", lambda now, *args: now),
     "taking back": (incremental, "_strained", lambda *args: []),
+    "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
+    "rivals": (incremental, "_rivals", lambda *args: []),
     "strangers": (candidates, "_strangers", lambda *args: np.zeros(0)),
     "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
 }

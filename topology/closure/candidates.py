@@ -41,13 +41,6 @@ class CandidateSettings:
     most_strangers: int = 3000
     """Pairs of places known to be two that are asked what they have in common: they tell a share
     of 1/100 to a fifth of itself."""
-    slack: float = 3.0
-    """In a map that repeats, likeness is worth little where many of these are alike but for so
-    much (log odds)."""
-    support_cap: float = 12.0
-    """Most that growth may add …"""
-    conflict_cap: float = 8.0
-    """… and take away: junctions upon each other are one, whatever their corridors say."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
     gate: GateSettings = field(default_factory=GateSettings)
@@ -146,7 +139,7 @@ def candidates(
     pairs, odds = pairs.take(odds > least), odds[odds > least]
     found = _surroundings(scene, pairs, settings)
     alike = found.sum()
-    slack = settings.slack if common.pattern.repeats else 0.0
+    slack = settings.evidence.lead if common.pattern.repeats else 0.0
     commonness = np.maximum(alike - likeness_odds(alike, strangers, slack), 0.0)
     return Candidates(
         pairs.a,
@@ -191,9 +184,9 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
     rows = np.flatnonzero((d2 > settings.gate.squared(2)) & apart)
     aside = scene.common.pattern.is_step(pairs.shift[rows])
-    if aside.sum() >= np.exp(settings.slack):
+    if aside.sum() >= np.exp(settings.evidence.lead):
         # What a place could be taken for is one step of the pattern off: so many of these tell as
-        # much as `slack` asks.
+        # much as `lead` asks.
         rows = rows[aside]
     rows = rows[:: -(-len(rows) // settings.most_strangers) or 1]
     return np.sort(_surroundings(scene, pairs.take(rows), settings).sum())
@@ -254,8 +247,9 @@ def _surroundings(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> _
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
     aligned = align(scene.branches, a, b, turn_sigma=turn_sigma)
     grown = grow(scene, a, b, aligned, settings.growth)
-    gain = np.minimum(grown.gain, settings.support_cap)
-    loss = np.minimum(grown.loss, settings.conflict_cap)
+    # Legs side by side are not independent: no more than one, at its most, of every hop.
+    cap = settings.growth.hops * settings.growth.leg_cap
+    gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
     return _Surroundings(aligned.odds, gain, loss, aligned.turn)
 
 

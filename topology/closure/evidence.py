@@ -39,6 +39,10 @@ class EvidenceSettings:
     """Places that stand for the run when asking how common a set of branches is."""
     strip: int = 64
     """Places whose commonness is worked out at once: what the processor keeps at hand."""
+    lead: float = 3.0
+    """Log odds that tell two answers apart, 20 to one: of sets of identifications over those that
+    exclude one of them and of each candidate that joins a set (`joint_compatibility.py`), and of
+    likeness over what is nearly as much alike (`candidates.py`)."""
     pattern: PatternSettings = field(default_factory=PatternSettings)
 
 

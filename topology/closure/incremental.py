@@ -54,9 +54,9 @@ class RoundSettings:
     What `benchmarks/ablation.txt` says of a mechanism is what the runs there lose without it.
     """
 
-    least_odds: float = 4.5
-    """Log odds asked of an identification: one in 90 of those that just reach it is wrong, if the
-    odds are right. Stricter rounds before it change nothing (`ablation.txt`: stricter first)."""
+    wrong_share: float = 0.1
+    """Share of runs that may hold a wrong identification if all just reach the odds asked. At 0.37
+    two of 60 walks through mazes and cities do that none of 0.1 does (`ablation.txt`)."""
     caution: float = 1.25
     """Random errors are taken to be this many times those estimated: a dozen repeats tell a sigma
     to a quarter."""
@@ -65,6 +65,11 @@ class RoundSettings:
     layout: LayoutSettings = field(default_factory=LayoutSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     grid: RectilinearSettings = field(default_factory=RectilinearSettings)
+
+    def least_odds(self, passes: int) -> float:
+        """Log odds asked of an identification in a run of so many passes, which is as many chances
+        to be wrong."""
+        return float(np.log(passes / self.wrong_share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +114,7 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         scene = _scene(walk, places, layout, settings)
         found = candidates(scene, place, layout, settings.candidates, exact=exact)
         found = found.take(~_barred(found, barred, place))
-        new = _certain(places, found, max(settings.least_odds, _least(scene)))
+        new = _certain(places, found, settings.least_odds(len(walk)))
         doubts = _doubted(doubts, places, found, settings, number)
         if not new and exact:
             new, reasons = _together(scene, found, layout, settings)
@@ -149,17 +154,6 @@ def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) 
     common = background(walk, noise, evidence)
     common = with_pattern(common, places, layout.xy, evidence)
     return Scene(walk, places, layout.xy, common, branches_of(places, common, evidence))
-
-
-def _least(scene: Scene) -> float:
-    """Log odds that are asked at least: where many are doubtful, some of many chances come true.
-
-    In a map that repeats, so many that of as many answers as there are passes one is wrong in e
-    runs.
-    """
-    if not scene.common.pattern.repeats:
-        return 0.0
-    return float(np.log(len(scene.walk))) + 1.0
 
 
 def _loudness(now: float, layout: Layout, gate: GateSettings) -> float:
@@ -217,32 +211,49 @@ def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
     return out
 
 
-def _certain(places: Places, found: Candidates, threshold: float) -> list[Identification]:
-    """The candidates that are sure against all that they exclude together, best first."""
+def _certain(places: Places, found: Candidates, least: float) -> list[Identification]:
+    """The candidates that are as sure as that against all that they exclude, best first."""
     total = found.total
     likely = np.flatnonzero(total >= 0.0)
+    ends = dict(
+        zip(
+            likely.tolist(),
+            zip(found.a[likely].tolist(), found.b[likely].tolist(), strict=True),
+            strict=True,
+        )
+    )
     by_place: dict[int, list[int]] = {}
-    known = set()
-    for k, a, b in zip(
-        likely.tolist(), found.a[likely].tolist(), found.b[likely].tolist(), strict=True
-    ):
-        by_place.setdefault(a, []).append(k)
-        by_place.setdefault(b, []).append(k)
-        known.add((a, b))
+    for k, pair in ends.items():
+        for place in pair:
+            by_place.setdefault(place, []).append(k)
+    known = set(ends.values())
     out = []
     for k in likely[np.argsort(-total[likely], kind="stable")].tolist():
-        if total[k] < threshold:
+        if total[k] < least:
             break
-        a, b = int(found.a[k]), int(found.b[k])
-        # Rivals share one of its places and put it somewhere else.
-        rivals = [0.0]
-        for mine, other in ((a, b), (b, a)):
-            for r in by_place[mine]:
-                third = int(found.a[r] + found.b[r]) - mine
-                if third != other and (min(other, third), max(other, third)) not in known:
-                    rivals.append(float(total[r]))
-        if total[k] - np.logaddexp.reduce(rivals) >= threshold:
+        rivals = [0.0, *total[_rivals(ends, k, by_place, known)].tolist()]
+        if total[k] - np.logaddexp.reduce(rivals) >= least:
             out.append(_answer(places, found, k, float(total[k]), reason=AGREE, accepted=True))
+    return out
+
+
+def _rivals(
+    ends: dict[int, tuple[int, int]],
+    row: int,
+    by_place: dict[int, list[int]],
+    known: set[tuple[int, int]],
+) -> list[int]:
+    """Candidates that share a place with one and put it somewhere else.
+
+    ends: the places of each; by_place: candidates of each place; known: pairs that may be one.
+    """
+    a, b = ends[row]
+    out = []
+    for mine, other in ((a, b), (b, a)):
+        for r in by_place[mine]:
+            third = sum(ends[r]) - mine
+            if third != other and (min(other, third), max(other, third)) not in known:
+                out.append(r)
     return out
 
 
@@ -251,7 +262,10 @@ def _together(
 ) -> tuple[list[Identification], dict[tuple[int, int], str]]:
     """The candidates that are sure only together; by their passes, why those were refused."""
     evidence = settings.candidates.evidence
-    agreed = agreeing(layout, found, scene.common, evidence, settings.joint)
+    least = settings.least_odds(len(scene.walk))
+    agreed = agreeing(
+        layout, found, scene.common, evidence, least_odds=least, settings=settings.joint
+    )
     rows = agreed.rows.tolist()
     if agreed.reason:
         firsts = scene.places.first
@@ -320,7 +334,7 @@ def _doubted(
         pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
         for pair, q in before.items()
     }
-    total, least = found.total, settings.least_odds
+    total, least = found.total, settings.least_odds(len(places.entry))
     for k in np.flatnonzero(found.position + found.branches > 0).tolist():
         reason = UNSURE
         if found.conflict[k] > 2:

@@ -33,12 +33,7 @@ class JointSettings:
     """When identifications are believed that are doubtful one by one."""
 
     most: int = 30
-    """So many candidates, the best, are looked at together."""
-    threshold: float = 9.0
-    """Log odds asked of all together."""
-    lead: float = 3.0
-    """Log odds that they must have over every set that excludes one of them; asked of a candidate,
-    given those before it, to join them."""
+    """So many candidates, the best, are looked at together: time, which goes with its cube."""
 
 
 class Agreement(NamedTuple):
@@ -96,9 +91,11 @@ def agreeing(
     found: Candidates,
     common: Background,
     evidence: EvidenceSettings,
+    *,
+    least_odds: float,
     settings: JointSettings = JointSettings(),
 ) -> Agreement:
-    """The candidates that are certain together.
+    """The candidates that are certain together, to these log odds.
 
     There are none where no set is certain, or where another set that excludes one of it is nearly
     as good, or the map repeats itself and all might be one step off.
@@ -110,16 +107,16 @@ def agreeing(
     start = _Beliefs(*_shifts(layout, a, b), found.alike[rows], common, evidence)
     shared, excluded = _sharing(a, b)
     # Candidates that share a place say in part the same; one of them is enough for now.
-    sets = [_grown(start, seed, shared, settings) for seed in range(len(rows))]
+    sets = [_grown(start, seed, shared) for seed in range(len(rows))]
     worth = np.array([value for value, _ in sets])
     best = int(worth.argmax())
     members = np.sort(np.array(sets[best][1]))
-    if len(members) < 2 or worth[best] < settings.threshold:
+    if len(members) < 2 or worth[best] < least_odds:
         return _NOBODY
     rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
-    if worth[best] - max(rivals, default=-np.inf) < settings.lead:
+    if worth[best] - max(rivals, default=-np.inf) < evidence.lead:
         return Agreement(rows[members], np.zeros(0), RIVALS)
-    if _one_step_off(start, members) > -settings.lead:
+    if _one_step_off(start, members) > -evidence.lead:
         return Agreement(rows[members], np.zeros(0), STEP_OFF)
     each = [_odds_given(start, k, members) for k in members.tolist()]
     return Agreement(rows[members], np.array(each))
@@ -203,16 +200,14 @@ def _shifts(layout: Layout, a: IntArray, b: IntArray) -> tuple[FloatArray, Float
     return (layout.xy[a] - layout.xy[b]).ravel(), difference @ full @ difference.T
 
 
-def _grown(
-    start: _Beliefs, seed: int, shared: NDArray[np.bool_], settings: JointSettings
-) -> tuple[float, list[int]]:
+def _grown(start: _Beliefs, seed: int, shared: NDArray[np.bool_]) -> tuple[float, list[int]]:
     """Joint log odds of the set that grows from a seed, best first, and its members."""
     value, members, beliefs = float(start.odds()[seed]), [seed], start.given(seed)
     allowed = ~shared[seed]
     while allowed.any():
         odds = np.where(allowed, beliefs.odds(), -np.inf)
         best = int(odds.argmax())
-        if odds[best] < settings.lead:
+        if odds[best] < start.evidence.lead:
             break
         value += float(odds[best])
         members.append(best)

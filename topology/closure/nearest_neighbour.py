@@ -30,6 +30,7 @@ def gated_closure(walk: Walk, settings: RoundSettings) -> tuple[IntArray, list[I
     """
     count = len(walk)
     scene = _scene(louder(walk, settings.caution), settings)
+    least = settings.least_odds(count)
     place = np.full(count, -1, np.int64)
     latest = np.zeros(count, np.int64)  # last pass by each place
     asked: list[Identification] = []
@@ -43,8 +44,8 @@ def gated_closure(walk: Walk, settings: RoundSettings) -> tuple[IntArray, list[I
             best, first = int(known[order[0]]), float(odds[order[0]])
             # Against all others, a place not seen before among them.
             others = float(np.logaddexp.reduce(odds[order[1:]], initial=0.0))
-            enough = first >= settings.least_odds
-            sure = first - others >= settings.least_odds
+            enough = first >= least
+            sure = first - others >= least
             reason = "nearest place" if sure else "a rival is as near" if enough else "weak"
             asked.append(Identification(best, i, sure, first / float(np.log(2)), reason))
             if sure:

@@ -29,7 +29,7 @@ from topobatch.topology.closure.incremental import (
     full_closure,
     weakest_cut,
 )
-from topobatch.topology.closure.joint_compatibility import JointSettings, agreeing
+from topobatch.topology.closure.joint_compatibility import agreeing
 from topobatch.topology.closure.lattice import pattern_of
 from topobatch.topology.closure.manhattan import RectilinearSettings, grid_headings
 from topobatch.topology.closure.missed_detections import phantoms, settle
@@ -542,7 +542,7 @@ def test_identifications_that_agree_on_one_position_are_sure_together(offsets, t
     a, b = np.arange(k), 8 + np.arange(k)
     position = np.full(k, -2.0)
     found = _asked(a, b, position, np.full(k, 4.0))
-    rows, odds, reason = agreeing(layout, found, common, EvidenceSettings())
+    rows, odds, reason = agreeing(layout, found, common, EvidenceSettings(), least_odds=9.0)
     assert (rows.tolist() == list(range(k))) is together
     assert (np.all(odds > 4.5), reason) == (True, "")
 
@@ -553,7 +553,9 @@ def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
     walk, layout = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
     a, b = np.array([0, 1, 2, 1, 2, 3]), np.array([8, 9, 10, 8, 9, 10])
     found = _asked(a, b, np.full(6, -2.0), np.full(6, 5.0))
-    agreed = agreeing(layout, found, background(walk, walk.noise), EvidenceSettings())
+    agreed = agreeing(
+        layout, found, background(walk, walk.noise), EvidenceSettings(), least_odds=9.0
+    )
     accepted = [] if agreed.reason else agreed.rows.tolist()
     assert accepted == expected
     assert ("exclude" in agreed.reason) is (expected == [])
@@ -871,7 +873,7 @@ def test_settings_are_the_gate_keeper():
     world = grid_world(4, 4, rng)
     odometry, passes, truth = record(world, wander(world[1], 40, rng), rng)
     walk = make_walk(odometry, passes, NOISE)
-    strict = RoundSettings(least_odds=1000.0, joint=JointSettings(threshold=1000.0))
+    strict = RoundSettings(wrong_share=1e-300)
     closed = full_closure(walk, strict)
     assert closed.place.tolist() == list(range(len(truth)))
     assert any(not q.accepted and q.bits > 0 for q in closed.asked)
