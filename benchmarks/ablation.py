@@ -59,6 +59,7 @@ OUT = {
         "candidates.growth.leg_cap": ALWAYS,
         "candidates.growth.branch_cap": ALWAYS,
     },
+    "growth: discount": {"candidates.growth.discount": 1.0},
     "growth: known gaps": {"candidates.growth.line_m": 0.0},
     "measured rates": {"rates.prior_passes": ALWAYS},
     "grid kernel": {"layout.grid_kernel": ALWAYS},

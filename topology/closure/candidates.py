@@ -247,8 +247,8 @@ def _surroundings(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> _
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
     aligned = align(scene.branches, a, b, turn_sigma=turn_sigma)
     grown = grow(scene, a, b, aligned, settings.growth)
-    # Legs side by side are not independent: no more than one, at its most, of every hop.
-    cap = settings.growth.hops * settings.growth.leg_cap
+    # Legs side by side are not independent: every hop tells two answers apart, and no more.
+    cap = settings.growth.hops * settings.evidence.lead
     gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
     return _Surroundings(aligned.odds, gain, loss, aligned.turn)
 

@@ -72,14 +72,14 @@ class Layout:
     def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) of nodes b seen from nodes a, axes of a: exact for few, sampled for many.
 
-        Sampled ones are larger by what so many samples may have missed (1 sigma).
+        Sampled ones are larger by the share to which so many samples tell a sigma.
         """
         samples = self.samples
         # A node takes three solutions, a sample one.
         if 3 * len(np.unique(np.concatenate([a, b]))) <= samples:
             return Marginals.of(self.graph, self.solution).relative(a, b)
         sampled = SampledMarginals.of(self.graph, self.solution, samples).relative(a, b)
-        return float(1.0 + np.sqrt(2.0 / samples)) * sampled
+        return float(1.0 + np.sqrt(0.5 / samples)) * sampled
 
 
 def lay_out(

@@ -72,7 +72,7 @@ def _odds(scene: Scene, known: IntArray, i: int, settings: CandidateSettings) ->
     here = np.full(len(known), i, np.int64)
     cov = dead_reckoning_covariance(scene.walk, known, here)
     spread = cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
-    odds, d2 = position_odds(common, scene.xy[known] - scene.xy[i], spread, settings.evidence)
+    odds, d2 = position_odds(common, scene.xy[known] - scene.xy[i], spread)
     near = np.flatnonzero(d2 < settings.gate.squared(2))
     turn_sigma = np.sqrt(cov[near, 2, 2])
     out = np.full(len(known), -np.inf)
