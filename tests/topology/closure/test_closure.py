@@ -29,7 +29,7 @@ from topobatch.topology.closure.incremental import (
     full_closure,
     weakest_cut,
 )
-from topobatch.topology.closure.joint_compatibility import agreeing
+from topobatch.topology.closure.joint_compatibility import RIVALS, STEP_OFF, agreeing
 from topobatch.topology.closure.lattice import pattern_of
 from topobatch.topology.closure.manhattan import RectilinearSettings, grid_headings
 from topobatch.topology.closure.missed_detections import phantoms, settle
@@ -491,7 +491,8 @@ def test_doubts_are_kept_with_what_became_of_them(seed, steps):
         "places that are certainly two look as much alike",
         "too far apart once the run was laid out anew",
         "taken back: a pass was torn away",
-        "sure together with others, but all might be one step of the map's pattern off",
+        RIVALS,
+        STEP_OFF,
     }
 
 
