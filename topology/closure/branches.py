@@ -84,6 +84,8 @@ def align(
     that explains most wins.
     """
     k, s = len(a), branches.unit.shape[1]
+    # A robot that stands does not turn.
+    turn_sigma = np.maximum(turn_sigma, 1e-6)
     mean = np.zeros(k) if turn_mean is None else turn_mean
     unit_a, unit_b = branches.unit[a], branches.unit[b] * np.exp(1j * mean)[:, None]
     lack_a, lack_b = branches.lack[a], branches.lack[b]
