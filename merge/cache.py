@@ -35,9 +35,11 @@ Record = tuple[Pack, int]
 
 @dataclass(slots=True, eq=False)
 class ResultCache:
-    """Results of merging the maps of a workspace, of one era. say: is told what could not be
-    written; held:
-    entered while a file is written, where others may clear away what they take for left over."""
+    """Results of merging the maps of a workspace, of one era.
+
+    say: is told what could not be written. held: entered while a file is written, where others may
+    clear away what they take for left over.
+    """
 
     folder: Path
     era: bytes
