@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import log_ndtr
 
+from ..matching.likelihood import LIKELIHOOD
 from .answers import Identification
 from .dead_reckoning import Walk
 from .estimate import Layout
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-CERTAIN = 3.0
-"""Standard deviations by which two places must be nearer than the resolution: 99.9 %."""
 
 REASON = "nearer than scans can tell two junctions apart"
 
@@ -62,7 +60,7 @@ def blurred(walk: Walk, place: IntArray, layout: Layout, resolution_m: float) ->
     sigmas = _sigmas_within(walk, layout, a, b, resolution_m)
     asked = []
     for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
-        if sure > CERTAIN and of[u] == u and of[v] == v:
+        if sure > LIKELIHOOD.gate_sigmas and of[u] == u and of[v] == v:
             of[v] = u
             asked.append(_identified(walk, place, (u, v), sure))
     # What a drive-by showed beside a part of a crossing is the other part of it.
