@@ -89,9 +89,10 @@ def topobatch(
 ) -> None:
     """Turn recorded robot runs into topological maps, and merge the maps of many runs.
 
-    Reads MCAP files, ROS 1 bags and ROS 2 bag folders with odometry and junction detections. Runs
-    need no common frame; for every pair of runs topobatch says how sure it is that they overlap.
-    Results land in a workspace folder: maps/RUN.json, maps/RUN.rrd, merged.json, merged.rrd.
+    Reads MCAP files, ROS 1 bags and ROS 2 bag folders: odometry with junction detections, laser
+    scans or clouds of points; and grids, also as saved maps. Runs need no common frame; for every
+    pair of runs topobatch says how sure it is that they overlap. Results land in a workspace
+    folder: maps/RUN.json, maps/RUN.rrd, merged.json, merged.rrd.
     """
 
 
