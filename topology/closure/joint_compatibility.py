@@ -107,7 +107,7 @@ def agreeing(
     start = _Beliefs(*_shifts(layout, a, b), found.alike[rows], common, evidence)
     shared, excluded = _sharing(a, b)
     # Candidates that share a place say in part the same; one of them is enough for now.
-    sets = [_grown(start, seed, shared) for seed in range(len(rows))]
+    sets = [_grown(start, found.support[rows], seed, shared) for seed in range(len(rows))]
     worth = np.array([value for value, _ in sets])
     best = int(worth.argmax())
     members = np.sort(np.array(sets[best][1]))
@@ -200,12 +200,18 @@ def _shifts(layout: Layout, a: IntArray, b: IntArray) -> tuple[FloatArray, Float
     return (layout.xy[a] - layout.xy[b]).ravel(), difference @ full @ difference.T
 
 
-def _grown(start: _Beliefs, seed: int, shared: NDArray[np.bool_]) -> tuple[float, list[int]]:
-    """Joint log odds of the set that grows from a seed, best first, and its members."""
+def _grown(
+    start: _Beliefs, support: FloatArray, seed: int, shared: NDArray[np.bool_]
+) -> tuple[float, list[int]]:
+    """Joint log odds of the set that grows from a seed, best first, and its members.
+
+    support: (k,) of the odds, what the corridors around tell. That counts once, with the seed: the
+    corridors around the others are in part the same.
+    """
     value, members, beliefs = float(start.odds()[seed]), [seed], start.given(seed)
     allowed = ~shared[seed]
     while allowed.any():
-        odds = np.where(allowed, beliefs.odds(), -np.inf)
+        odds = np.where(allowed, beliefs.odds() - support, -np.inf)
         best = int(odds.argmax())
         if odds[best] < start.evidence.lead:
             break
