@@ -42,12 +42,14 @@ def affordable(grid: Grid, island_m: float = ISLAND_M) -> tuple[Grid, tuple[str,
     )
     reach = int(distance_transform_cdt(np.pad(open_, 1), "chessboard").max())
     peel = math.ceil((found.free.size * reach / MOST_PEELED) ** (1 / 3))
-    factor *= max(peel, 1)
+    if peel > 1:
+        factor *= peel
+        found = _coarser(grid, factor)
     if factor == 1:
         return grid, ()
     height, width = grid.free.shape
     cell = factor * grid.resolution_m
-    return _coarser(grid, factor), (
+    return found, (
         f"the free space of the grid, {width} x {height} cells, is large; cells of {cell:g} m are "
         "taken",
     )

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...topology.topomap import RunNoise
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 
 OF_VERTICES = (
@@ -48,7 +47,6 @@ class Atlas:
     vertex: IntArray
     corridor: IntArray
     road: IntArray
-    noise: tuple[RunNoise, ...]
 
     @classmethod
     def of(cls, maps: Sequence[Prepared]) -> Atlas:
@@ -61,7 +59,6 @@ class Atlas:
             vertex=vertex,
             corridor=corridor,
             road=road,
-            noise=tuple(m.noise for m in maps),
         )
 
     @cached_property
@@ -72,17 +69,17 @@ class Atlas:
     @cached_property
     def centre_m(self) -> FloatArray:
         """(m,) of the maps' noise."""
-        return np.array([noise.centre_m for noise in self.noise])
+        return np.array([m.noise.centre_m for m in self.maps])
 
     @cached_property
     def miss_rate(self) -> FloatArray:
         """(m,) of the maps' noise."""
-        return np.array([noise.miss_rate for noise in self.noise])
+        return np.array([m.noise.miss_rate for m in self.maps])
 
     @cached_property
     def phantom_rate(self) -> FloatArray:
         """(m,) of the maps' noise."""
-        return np.array([noise.phantom_rate for noise in self.noise])
+        return np.array([m.noise.phantom_rate for m in self.maps])
 
 
 def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Prepared:

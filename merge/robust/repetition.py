@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...topology.matching.likelihood import BIT, LIKELIHOOD
 from .atlas import Atlas
 from .branches import lonely_branches
 from .prepare import FloatArray, IntArray, Prepared
@@ -41,7 +42,7 @@ COPIES = CopySettings()
 ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
 """The bound is never negative; of what a typical copy reaches it is 0 but for rounding."""
 
-WORST_NATS = MATCH.most_bits * np.log(2)
+WORST_NATS = LIKELIHOOD.most
 """No single corridor decides: it may have been measured past a junction."""
 
 TOGETHER = 2**6
@@ -129,7 +130,7 @@ def _sameness_of(
     weight = np.log(copies.exact_odds)[:, None]
     bound = -np.logaddexp.reduce(weight - tilted.max(axis=1), axis=0)
     # Below what is typical of copies: how far below, to rank by.
-    bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / np.log(2)
+    bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / BIT
     return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
 
 

@@ -205,7 +205,7 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) 
 
 
 def _lines(at: list[float]) -> list[int]:
-    """Number of the line on which each coordinate lies; a line is `line_m` wide at most."""
+    """Number of the line on which each coordinate lies; a line is `gate_m` wide at most."""
     number, end, line = [0] * len(at), -np.inf, -1
     for k in sorted(range(len(at)), key=at.__getitem__):
         if at[k] > end:

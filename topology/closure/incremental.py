@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..matching.likelihood import BIT
 from .answers import (
     AGREE,
     APART,
@@ -216,13 +217,7 @@ def _certain(places: Places, found: Candidates, least: float) -> list[Identifica
     """The candidates that are as sure as that against all that they exclude, best first."""
     total = found.total
     likely = np.flatnonzero(total >= 0.0)
-    ends = dict(
-        zip(
-            likely.tolist(),
-            zip(found.a[likely].tolist(), found.b[likely].tolist(), strict=True),
-            strict=True,
-        )
-    )
+    ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely.tolist()}
     by_place: dict[int, list[int]] = {}
     for k, pair in ends.items():
         for place in pair:
@@ -287,7 +282,7 @@ def _answer(
     turn = float(found.turn[row])
     if i > j:
         i, j, turn = j, i, -turn
-    return Identification(i, j, accepted, odds / float(np.log(2)), reason, turn)
+    return Identification(i, j, accepted, odds / BIT, reason, turn)
 
 
 def _strained(

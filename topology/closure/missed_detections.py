@@ -45,7 +45,6 @@ class DrivenBySettings:
     """A junction driven by unseen once is unseen again at least this often: causes last."""
     least_phantom_rate: float = 0.01
     """A junction seen once may be invented at least this often, whatever the run shows."""
-    """Two branches this close to opposite are a corridor and nothing else: 20 degrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..matching.likelihood import BIT
 from .answers import Identification
 from .branches import align, branches_of
 from .candidates import CandidateSettings
@@ -47,7 +48,7 @@ def gated_closure(walk: Walk, settings: RoundSettings) -> tuple[IntArray, list[I
             enough = first >= least
             sure = first - others >= least
             reason = "nearest place" if sure else "a rival is as near" if enough else "weak"
-            asked.append(Identification(best, i, sure, first / float(np.log(2)), reason))
+            asked.append(Identification(best, i, sure, first / BIT, reason))
             if sure:
                 place[i] = place[best]
         if place[i] < 0:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import log_ndtr
 
-from ..matching.likelihood import LIKELIHOOD
+from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
 from .dead_reckoning import Walk
 from .estimate import Layout
@@ -103,7 +103,7 @@ def _identified(
     """Else they are not so near, or each pass by the one missed the other."""
     first = [int(np.flatnonzero(place == v)[0]) for v in pair]
     missed = int(np.isin(place, pair).sum()) * float(np.log(walk.noise.miss_rate))
-    bits = -max(float(log_ndtr(-sigmas)), missed) / float(np.log(2))
+    bits = -max(float(log_ndtr(-sigmas)), missed) / BIT
     return Identification(min(first), max(first), True, bits, REASON)
 
 
