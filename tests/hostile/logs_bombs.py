@@ -347,24 +347,31 @@ def _db3(folder: Path) -> Path:
     return Path(logs.ros2_folder(folder / "run", logs.drive(ODOMETRY)) / "run.db3")
 
 
-def _wal_of_images(rng: random.Random, folder: Path) -> Case:
+def _died(folder: Path, write: Callable[[sqlite3.Connection], object]) -> tuple[Path, Path]:
+    """A database and the log beside it, which holds what was written: the recorder died."""
     path = _db3(folder)
     base = sqlite3.connect(path)
     base.execute("PRAGMA journal_mode=WAL")
     base.execute("PRAGMA wal_autocheckpoint=0")
-    base.execute("INSERT INTO topics SELECT 9, '/camera', 'sensor_msgs/msg/Image', 'cdr', '', '' ")
-    image = rng.randbytes(MIB)
-    for k in range(_share(rng, 400)):
-        base.execute("INSERT INTO messages VALUES (?, 9, ?, ?)", (10_000 + k, k, image))
+    write(base)
     base.commit()
-    # The log beside the database stays as if the recorder had died.
-    copy = folder / "died"
-    copy.mkdir()
-    for suffix in ("", "-wal"):
-        source = path.with_name(path.name + suffix)
-        (copy / source.name).write_bytes(source.read_bytes())
+    copies = [folder / "died" / (path.name + suffix) for suffix in ("", "-wal")]
+    copies[0].parent.mkdir()
+    for copy in copies:
+        copy.write_bytes(path.with_name(copy.name).read_bytes())
     base.close()
-    return Case(copy / path.name, SOUND, 0, "an unmerged log full of images")
+    return copies[0], copies[1]
+
+
+def _wal_of_images(rng: random.Random, folder: Path) -> Case:
+    def images(base: sqlite3.Connection) -> None:
+        topic = "9, '/camera', 'sensor_msgs/msg/Image', 'cdr', '', '' "
+        base.execute("INSERT INTO topics SELECT " + topic)
+        image = rng.randbytes(MIB)
+        for k in range(_share(rng, 400)):
+            base.execute("INSERT INTO messages VALUES (?, 9, ?, ?)", (10_000 + k, k, image))
+
+    return Case(_died(folder, images)[0], SOUND, 0, "an unmerged log full of images")
 
 
 _SCHEMAS = {

@@ -27,6 +27,7 @@ from logs_bombs import (
     _channel,
     _chunk,
     _db3,
+    _died,
     _front,
     _mcap,
     _message,
@@ -231,22 +232,12 @@ def _without_rowid(rng: random.Random, folder: Path) -> Case:
 
 def _beside(rng: random.Random, folder: Path) -> Case:
     """A log beside the database that is another's, damaged, random, cut, or no file."""
-    path = _db3(folder)
-    base = sqlite3.connect(path)
-    base.execute("PRAGMA journal_mode=WAL")
-    base.execute("PRAGMA wal_autocheckpoint=0")
-    base.execute("UPDATE messages SET timestamp = timestamp + 1 WHERE id < 200")
-    base.commit()
-    wal = path.with_name(path.name + "-wal").read_bytes()
-    whole = path.read_bytes()
-    base.close()
-    died = folder / "died"
-    died.mkdir()
-    copy = died / path.name
-    copy.write_bytes(whole)
+    later = "UPDATE messages SET timestamp = timestamp + 1 WHERE id < 200"
+    path, wal = _died(folder, lambda base: base.execute(later))
+    raw = bytearray(wal.read_bytes())
+    wal.unlink()
     how = rng.choice(("foreign", "bits", "cut", "noise", "pages", "journal", "link", "fifo", "shm"))
-    beside = died / (path.name + ("-journal" if how == "journal" else "-wal"))
-    raw = bytearray(wal)
+    beside = path.with_name(path.name + ("-journal" if how == "journal" else "-wal"))
     if how == "foreign":
         raw[16:24] = rng.randbytes(8)  # the salts
     elif how == "bits":
@@ -272,9 +263,9 @@ def _beside(rng: random.Random, folder: Path) -> Case:
     else:
         beside.write_bytes(bytes(raw))
     if how == "shm":
-        (died / (path.name + "-shm")).write_bytes(rng.randbytes(32_768))
+        path.with_name(path.name + "-shm").write_bytes(rng.randbytes(32_768))
     harmless = how in ("foreign", "noise", "link", "fifo", "shm", "pages")
-    return Case(copy, SOUND if harmless else None, None, f"beside the database: {how}")
+    return Case(path, SOUND if harmless else None, None, f"beside the database: {how}")
 
 
 # Names

@@ -54,15 +54,11 @@ def _usual(encoding: str, text: bytes = b"", kind: str = "") -> dict[str, tuple[
 
 
 def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes([*out, value])
+    return bytes(writers().varint(value))
 
 
 def _part(number: int, raw: bytes) -> bytes:
-    return _varint(number << 3 | 2) + _varint(len(raw)) + raw
+    return bytes(writers().field(number, raw))
 
 
 def _descriptors(rng: random.Random) -> bytes:

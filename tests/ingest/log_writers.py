@@ -148,11 +148,11 @@ def payload(message: Message, encoding: str, store: Any) -> bytes:
     return bytes(write(value, message.type_name))
 
 
-def _field(number: int, raw: bytes) -> bytes:
-    return _varint(number << 3 | 2) + _varint(len(raw)) + raw
+def field(number: int, raw: bytes) -> bytes:
+    return varint(number << 3 | 2) + varint(len(raw)) + raw
 
 
-def _varint(value: int) -> bytes:
+def varint(value: int) -> bytes:
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -163,17 +163,13 @@ def _varint(value: int) -> bytes:
 def _doubles(values: Any) -> bytes:
     # proto3 leaves zeros out.
     pairs = enumerate(values, 1)
-    return b"".join(_varint(n << 3 | 1) + struct.pack("<d", v) for n, v in pairs if v)
+    return b"".join(varint(n << 3 | 1) + struct.pack("<d", v) for n, v in pairs if v)
 
 
 def protobuf(message: Message) -> bytes:
-    stamp = (
-        b"\x08" + _varint(message.stamp_ns // 10**9) + b"\x10" + _varint(message.stamp_ns % 10**9)
-    )
-    poses = [
-        _field(3, _field(1, _doubles(p[:3])) + _field(2, _doubles(p[3:]))) for p in message.poses
-    ]
-    return _field(1, stamp) + _field(2, message.frame.encode()) + b"".join(poses)
+    stamp = b"\x08" + varint(message.stamp_ns // 10**9) + b"\x10" + varint(message.stamp_ns % 10**9)
+    poses = [field(3, field(1, _doubles(p[:3])) + field(2, _doubles(p[3:]))) for p in message.poses]
+    return field(1, stamp) + field(2, message.frame.encode()) + b"".join(poses)
 
 
 def foxglove_json(message: Message) -> bytes:

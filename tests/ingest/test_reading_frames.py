@@ -130,8 +130,8 @@ def test_transforms_of_foxglove(logs, drive, tmp_path, encoding, many):
             logs._doubles(XYZ),
             logs._doubles(turn),
         ]
-        raw = b"".join(logs._field(n, value) for n, value in enumerate(fields, 1))
-        raw = logs._field(1, raw) if many else raw
+        raw = b"".join(logs.field(n, value) for n, value in enumerate(fields, 1))
+        raw = logs.field(1, raw) if many else raw
     folder = tmp_path / "run"
     folder.mkdir()
     logs.mcap(folder / "a.mcap", [*odometry, *(mounted(m, TILTED, XYZ, "sensor") for m in seen)])
