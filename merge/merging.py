@@ -83,8 +83,12 @@ def merge_maps(
                 ordered, settings.paper, locks=locks, on_pair=means.on_pair, executor=executor
             )
         verdicts = tuple(_taken_back(v) if (v.a, v.b) in discarded else v for v in verdicts)
-    components, fused = fuse(ordered, verdicts, settings.fusion, how_sure=True, kept=means.kept)
-    listed, unlisted = _listed_pairs(len(ordered), verdicts, components, discarded)
+    listed = _listed_pairs(len(ordered), verdicts, discarded)
+    asked = ((v.a, v.b) for v in listed)
+    components, fused = fuse(
+        ordered, verdicts, settings.fusion, how_sure=True, asked=asked, kept=means.kept
+    )
+    unlisted = _unlisted(len(ordered), verdicts, listed, components)
     told = _placed(listed, components)
     info = _info(settings, components, told)
     return MergeResult(components, fused, told, info=info, unlisted=unlisted)
@@ -101,26 +105,34 @@ def _taken_back(verdict: PairVerdict) -> PairVerdict:
 
 
 def _listed_pairs(
-    runs: int,
-    verdicts: tuple[PairVerdict, ...],
-    components: Sequence[Component],
-    discarded: Collection[Names],
-) -> tuple[tuple[PairVerdict, ...], Unlisted | None]:
-    """The verdicts to list, all of a small merge, and the numbers of the others of a large one."""
+    runs: int, verdicts: tuple[PairVerdict, ...], discarded: Collection[Names]
+) -> tuple[PairVerdict, ...]:
+    """The verdicts to list: all of a small merge, of a large one those with something to say."""
     if pairs_of(runs) <= MOST_LISTED:
-        return verdicts, None
-    home = {run: c.id for c in components for run in c.poses}
-    shown = tuple(
+        return verdicts
+    return tuple(
         v
         for v in verdicts
         if v.verdict is not Verdict.UNRELATED or v.locked or (v.a, v.b) in discarded
     )
+
+
+def _unlisted(
+    runs: int,
+    verdicts: tuple[PairVerdict, ...],
+    shown: tuple[PairVerdict, ...],
+    components: Sequence[Component],
+) -> Unlisted | None:
+    """The numbers of the pairs of a large merge that are not shown."""
+    if pairs_of(runs) <= MOST_LISTED:
+        return None
+    home = {run: c.id for c in components for run in c.poses}
     joined = sum(pairs_of(len(c.poses)) for c in components)
     joined -= sum(home[v.a] == home[v.b] for v in shown)
     apart = [v for v in verdicts if home[v.a] != home[v.b]]
     unrelated = len(apart) - sum(home[v.a] != home[v.b] for v in shown)
     screened = pairs_of(runs) - len(shown) - joined - unrelated
-    return shown, Unlisted(joined, unrelated, screened)
+    return Unlisted(joined, unrelated, screened)
 
 
 def _apart(spread: Spread, pair: PairVerdict) -> tuple[float, float]:

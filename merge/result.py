@@ -134,24 +134,38 @@ class PairVerdict:
 class Spread:
     """Errors of the placements of r runs, sorted by name, all in one frame.
 
-    middle: (r, 2) middles of their maps [m]; covariance: (3 r, 3 r) of x, y of the middle and of
-    the turn of each map [m, rad].
+    middle: (r, 2) middles of their maps [m]; own: (r, 3, 3) covariance of x, y of the middle and
+    of the turn of each map [m, rad]; cross: (k, 3, 3) covariance of
+    run i with run j, of those pairs i < j of which something is stated; key: (k,) i r + j of each,
+    ascending.
     """
 
     runs: tuple[str, ...]
     middle: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    own: NDArray[np.float64]
+    key: NDArray[np.int64]
+    cross: NDArray[np.float64]
 
     def between(self, a: str, b: str) -> tuple[float, float]:
-        """1 sigma [m] of where the middle of b's map lies, seen from a's, and [rad] of the turn."""
-        i, j = (3 * bisect_left(self.runs, run) for run in (a, b))
-        x, y = self.middle[j // 3] - self.middle[i // 3]
+        """1 sigma [m] of where the middle of b's map lies, seen from a's, and [rad] of the turn.
+        Raises KeyError of pairs that were not asked for."""
+        i, j = (bisect_left(self.runs, run) for run in (a, b))
+        x, y = self.middle[j] - self.middle[i]
         seen = np.zeros((3, 6))
         seen[:, :3] = [[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]]
         seen[:, 3:] = np.eye(3)
-        rows = [i, i + 1, i + 2, j, j + 1, j + 2]
-        variance = np.diag(seen @ self.covariance[np.ix_(rows, rows)] @ seen.T)
+        one, other = self._cross(i, j), self._cross(j, i)
+        covariance = np.block([[self.own[i], one], [other, self.own[j]]])
+        variance = np.diag(seen @ covariance @ seen.T)
         return float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2]))
+
+    def _cross(self, i: int, j: int) -> NDArray[np.float64]:
+        """(3, 3) covariance of run i with run j."""
+        key = min(i, j) * len(self.runs) + max(i, j)
+        row = int(np.searchsorted(self.key, key))
+        if row == len(self.key) or self.key[row] != key:
+            raise KeyError((self.runs[i], self.runs[j]))
+        return np.asarray(self.cross[row] if i < j else self.cross[row].T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

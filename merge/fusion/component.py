@@ -23,8 +23,9 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 Rows = tuple[tuple[tuple[str, int], ...], ...]
 
-ARRAYS = "ffffiifiiiiiiiffiiff"
-"""Poses; middles and covariance of the spread, empty where it was not asked for; positions; kinds
+ARRAYS = "fffiffiifiiiiiiiffiiff"
+"""Poses; middles, own covariances, keys and cross covariances of the spread, empty where it was not
+asked for; positions; kinds
 and numbers of branches, and these; what is behind the vertices, as numbers, runs and rows; the same
 of the edges; their ends and branches, length, sigma, traversals; points of their paths, and these;
 sigmas of the positions, empty where they were not asked for.
@@ -66,7 +67,9 @@ def to_bytes(component: FusedComponent, maps: Sequence[TopoMap]) -> bytes:
         [
             np.array([component.poses[m.run] for m in maps], np.float64),
             np.zeros(0) if sure is None else sure.middle,
-            np.zeros(0) if sure is None else sure.covariance,
+            np.zeros(0) if sure is None else sure.own,
+            np.zeros(0, np.int64) if sure is None else sure.key,
+            np.zeros(0) if sure is None else sure.cross,
             fused.xy,
             np.array([kinds[kind] for kind in fused.kind], np.int64),
             fused.branches.counts,
@@ -89,7 +92,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     arrays = arrays_from_bytes(data, ARRAYS)
     if arrays is None:
         return None
-    poses, middle, covariance, xy, kind, degree, branches, *arrays = arrays
+    poses, middle, own, key, cross, xy, kind, degree, branches, *arrays = arrays
     places, corridors, (ends, length, sigma, traversals, steps, points, off) = (
         arrays[:3], arrays[3:6], arrays[6:],
     )  # fmt: skip
@@ -97,7 +100,8 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
         return None
     r, n, m, sure = len(maps), len(degree), len(length), len(middle) > 0
     sizes = (
-        (poses, 3 * r), (middle, 2 * r * sure), (covariance, 9 * r * r * sure), (xy, 2 * n),
+        (poses, 3 * r), (middle, 2 * r * sure), (own, 9 * r * sure),
+        (cross, 9 * len(key) * sure), (xy, 2 * n),
         (kind, n), (places[0], n), (corridors[0], m), (ends, 4 * m), (sigma, m), (traversals, m),
         (steps, m), (points, 2 * steps.sum()), (branches, degree.sum()),
         (off, n * (len(off) > 0)),
@@ -110,6 +114,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
         (kind, 0, len(kinds)), (traversals, 0, np.inf),
         (source, 0, n), (target, 0, n), (leave[0], NO_BRANCH, degree[source % max(n, 1)]),
         (leave[1], NO_BRANCH, degree[target % max(n, 1)]),
+        (key, 0, r * r), (np.diff(key), 1, np.inf),
     )  # fmt: skip
     if not all(((low <= x) & (x < high)).all() for x, low, high in bounds):
         return None
@@ -136,7 +141,10 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
         edge_members=along,
         position_sigma=off if len(off) else None,
     )
-    spread = Spread(runs, middle.reshape(-1, 2), covariance.reshape(3 * r, -1)) if sure else None
+    spread = None
+    if sure:
+        blocks = (own.reshape(-1, 3, 3), key, cross.reshape(-1, 3, 3))
+        spread = Spread(runs, middle.reshape(-1, 2), *blocks)
     return FusedComponent(dict(zip(runs, poses.reshape(-1, 3), strict=True)), fused, spread)
 
 

@@ -6,7 +6,7 @@ Works on any method's verdicts: only the matched vertices and transforms of acce
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -17,6 +17,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
+from ..discards import Names
 from ..packs import DIGEST, Kept, Kind
 from ..result import Component, FusedMap, PairVerdict, Spread
 from .component import FusedComponent, from_bytes, observations_of, to_bytes
@@ -63,6 +64,7 @@ def fuse(
     settings: FusionSettings = DEFAULT_FUSION,
     *,
     how_sure: bool = False,
+    asked: Iterable[Names] = (),
     kept: Kept | None = None,
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
@@ -71,8 +73,9 @@ def fuse(
     over all vertices of a component; vertices are fused from matched pairs, transitively, and
     where they coincide afterwards. Components, vertices and edges are numbered by run name and
     vertex: independent of the order of the input. A run that nothing matched is a component of
-    its own, its map unchanged. how_sure: with the `spread` of every component and the
-    sigmas of its vertices. kept: components fused earlier, which are not fused again.
+    its own, its map unchanged. how_sure: with the sigmas of all
+    vertices and the `spread` of every component, for accepted pairs and those asked for. kept:
+    components fused earlier, which are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -81,9 +84,14 @@ def fuse(
     inside: list[list[PairVerdict]] = [[] for _ in groups]
     for v in accepted:
         inside[home[v.a]].append(v)
+    wanted: list[list[Names]] = [[] for _ in groups]
+    for a, b in asked:
+        if how_sure and home[a] == home[b]:
+            wanted[home[a]].append((a, b))
     parts = [
-        fused_once([by_name[run] for run in runs], own, settings, how_sure=how_sure, kept=kept)
-        for runs, own in zip(groups, inside, strict=True)
+        fused_once([by_name[run] for run in runs], own, settings, sure, kept)
+        for runs, own, some in zip(groups, inside, wanted, strict=True)
+        for sure in [_keys(runs, own, some) if how_sure else None]
     ]
     components = tuple(Component(k, p.poses, p.spread) for k, p in enumerate(parts))
     return components, _in_a_row([p.fused for p in parts])
@@ -97,24 +105,38 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
     return sorted(sorted(component) for component in joined.subsets())
 
 
+def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Names]) -> IntArray:
+    """The pairs of runs of a component of which is said how surely they lie to each other, as
+    `Spread` has them."""
+    number, count = {run: k for k, run in enumerate(runs)}, len(runs)
+    pairs = {(v.a, v.b) for v in inside}.union(asked)
+    return np.array(sorted(number[a] * count + number[b] for a, b in pairs), np.int64)
+
+
 def fused_once(
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
     settings: FusionSettings = DEFAULT_FUSION,
-    *,
-    how_sure: bool = False,
+    sure: IntArray | None = None,
     kept: Kept | None = None,
 ) -> FusedComponent:
     """`fuse_component` of maps sorted by run, or what is kept of when it was done before."""
     if kept is None:
-        return fuse_component(maps, inside, settings, how_sure=how_sure)
-    digest = component_digest([kept.digest(m) for m in maps], maps, inside, (settings, how_sure))
+        return fuse_component(maps, inside, settings, sure)
+    asked = None if sure is None else sure.tobytes()
+    digest = component_digest([kept.digest(m) for m in maps], maps, inside, (settings, asked))
     data = kept.find(Kind.COMPONENT, (digest, digest))
     found = None if data is None else from_bytes(data, maps)
-    if found is None:
-        found = fuse_component(maps, inside, settings, how_sure=how_sure)
+    if found is None or not _tells(found, sure):
+        found = fuse_component(maps, inside, settings, sure)
         kept.add(Kind.COMPONENT, (digest, digest), to_bytes(found, maps))
     return found
+
+
+def _tells(found: FusedComponent, sure: IntArray | None) -> bool:
+    """Whether a component that was kept says of all pairs that are asked for how surely they lie:
+    one of a single run has none."""
+    return sure is None or found.spread is None or np.array_equal(found.spread.key, sure)
 
 
 def component_digest(
@@ -139,10 +161,10 @@ def fuse_component(
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
     settings: FusionSettings = DEFAULT_FUSION,
-    *,
-    how_sure: bool = False,
+    sure: IntArray | None = None,
 ) -> FusedComponent:
-    """One component. inside: accepted verdicts, all between its runs, that join them."""
+    """One component. inside: accepted verdicts, all between its runs, that join them; sure: the
+    pairs of its `spread`, None where not even the sigmas of its vertices are asked for."""
     pool = Pool.of(maps)
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
@@ -163,12 +185,12 @@ def fuse_component(
         corridors = split_at_places(corridors, xy, headings, settings.passages, settings.corridors)
     poses = fitted_poses(pool, pose)
     fused = _fused_map(pool, xy, places, corridors)
-    if how_sure:
+    if sure is not None:
         fused = replace(fused, position_sigma=_sigmas(pool, label, joint))
     return FusedComponent(
         {run: poses[run] for run in sorted(poses)},
         fused,
-        _spread(pool, joint) if how_sure else None,
+        None if sure is None else _spread(pool, joint, sure),
     )
 
 
@@ -179,11 +201,11 @@ def _sigmas(pool: Pool, label: IntArray, joint: Joint) -> FloatArray | None:
     return place_sigmas(pool, label, joint.graph, joint.solution)
 
 
-def _spread(pool: Pool, joint: Joint) -> Spread | None:
+def _spread(pool: Pool, joint: Joint, key: IntArray) -> Spread | None:
     """How surely a component's runs are placed; None where it is one run."""
     if joint.graph is None or joint.solution is None:
         return None
-    return spread(pool, joint.graph, joint.solution)
+    return spread(pool, joint.graph, joint.solution, key)
 
 
 def _settle(

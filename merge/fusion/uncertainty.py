@@ -25,8 +25,9 @@ VAGUE_M = 1.5
 VAGUE_RAD = 0.087
 """Placements less sure than this (1 sigma) are no ground for a claim."""
 
-CHUNK = 96
-"""Columns solved for at once: memory stays with them and not with the square of the graph."""
+CHUNK = 32
+"""Runs whose columns are solved for at once: memory stays with them, and not with the square of the
+graph or of the runs."""
 
 SAMPLES = 64
 """They tell a sigma to 1 / √(2 · 64) = 9 %, which takes some points from its coverage."""
@@ -59,11 +60,12 @@ def place_sigmas(
     return VertexErrors(error).as_a_whole(xy, np.zeros(count, np.int64)).position_sigma()
 
 
-def spread(pool: Pool, graph: PoseGraph, solution: Solution) -> Spread:
-    """Errors of rigid fits to the solution of a joint pose graph over a pool.
+def spread(pool: Pool, graph: PoseGraph, solution: Solution, key: IntArray) -> Spread:
+    """Errors of rigid fits to the solution of a joint pose graph over a pool; key: as in `Spread`.
 
     A rigid fit is linear in small shifts of its points, so its covariance is G H⁻¹ Gᵀ with H the
-    normal matrix and three rows of G for each run. Cost: three pairs of triangular solves per run.
+    normal matrix and three rows of G for each run. Cost: three pairs of triangular solves per run;
+    what is held is the blocks that are asked for, and some columns at a time.
     """
     marginals = Marginals.of(graph, solution.with_full_weights())
     pattern = marginals.factor.pattern
@@ -88,9 +90,21 @@ def spread(pool: Pool, graph: PoseGraph, solution: Solution) -> Spread:
     row = np.broadcast_to((3 * pool.run)[:, None, None] + np.arange(3)[:, None], weight.shape)
     used = (column >= 0) & (weight != 0)
     fit = csr_array((weight[used], (row[used], column[used])), shape=(3 * count, pattern.size))
-    covariance = np.zeros((3 * count, 3 * count))
-    for start in range(0, 3 * count, CHUNK):
-        some = slice(start, start + CHUNK)
-        covariance[:, some] = fit @ marginals.through(fit[some].toarray().T)
+    first, second = np.divmod(key, count)
+    own, above, below = np.zeros((count, 3, 3)), *np.zeros((2, len(key), 3, 3))
+    for start in range(0, count, CHUNK):
+        some = slice(3 * start, 3 * (start + CHUNK))
+        columns = fit @ marginals.through(fit[some].toarray().T)
+        block = columns.reshape(count, 3, -1, 3).transpose(0, 2, 1, 3)  # (run, run of these)
+        here = np.arange(block.shape[1])
+        own[start + here] = block[start + here, here]
+        for blocks, row, column in ((above, first, second), (below, second, first)):
+            rows = np.flatnonzero((column >= start) & (column < start + CHUNK))
+            blocks[rows] = block[row[rows], column[rows] - start]
     names = tuple(m.run for m in pool.maps)
-    return Spread(names, middle, (covariance + covariance.T) / 2)
+    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below))
+
+
+def _symmetric(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Blocks of a matrix that is symmetric but for rounding; other: those across its diagonal."""
+    return np.asarray((one + other.transpose(0, 2, 1)) / 2, np.float64)

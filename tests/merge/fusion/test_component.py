@@ -9,7 +9,7 @@ import pytest
 
 from topobatch.merge.fusion import fuse as fusing
 from topobatch.merge.fusion.component import from_bytes, to_bytes
-from topobatch.merge.fusion.fuse import component_digest, fuse, fuse_component
+from topobatch.merge.fusion.fuse import component_digest, fuse, fuse_component, fused_once
 from topobatch.merge.packs import Kept, Pack, digest_of
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
@@ -43,18 +43,21 @@ def same(one, two):
         np.testing.assert_array_equal(x, y)
 
 
-@pytest.mark.parametrize("how_sure", [True, False])
-def test_a_component_is_the_same_to_the_last_bit(joined, how_sure):
+FIRST_WITH_SECOND = np.array([1])
+
+
+@pytest.mark.parametrize("sure", [FIRST_WITH_SECOND, FIRST_WITH_SECOND[:0], None])
+def test_a_component_is_the_same_to_the_last_bit(joined, sure):
     maps, inside = joined
-    component = fuse_component(maps, inside, how_sure=how_sure)
-    assert (component.spread is not None) == how_sure
+    component = fuse_component(maps, inside, sure=sure)
+    assert (component.spread is not None) == (sure is not None)
     same(from_bytes(to_bytes(component, maps), maps), component)
 
 
 def test_no_bytes_reach_outside(joined):
     """Cut off or overwritten, they are refused or make a component of these maps."""
     maps, inside = joined
-    data = to_bytes(fuse_component(maps, inside, how_sure=True), maps)
+    data = to_bytes(fuse_component(maps, inside, sure=FIRST_WITH_SECOND), maps)
     for end in range(0, len(data), 997):
         assert from_bytes(data[:end], maps) is None
     rng = np.random.default_rng(5)
@@ -106,6 +109,17 @@ def test_what_was_fused_is_not_fused_again(joined, monkeypatch):
     other = replace(inside[0], a=renamed[0].run, b=renamed[1].run, evidence_bits=31.0)
     poses = fuse(renamed, [other], how_sure=True, kept=kept)[0][0].poses
     assert sorted(poses) == [m.run for m in renamed]
+
+
+def test_a_component_kept_with_other_pairs_is_fused_again(joined):
+    """A record that somebody exchanged for one of fewer pairs leaves no pair without its sigma."""
+    maps, inside = joined
+    store, other = Shelf(), Shelf()
+    first = fuse(maps, inside, how_sure=True, kept=Kept(store))
+    fused_once(maps, inside, sure=FIRST_WITH_SECOND[:0], kept=Kept(other))
+    (theirs,) = other.known.values()
+    store.known = dict.fromkeys(store.known, theirs)
+    same(fuse(maps, inside, how_sure=True, kept=Kept(store)), first)
 
 
 def test_a_component_is_known_by_all_that_it_follows_from(joined):

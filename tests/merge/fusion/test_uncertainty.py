@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.merge.fusion import uncertainty
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.fusion.joint_graph import run_poses, settle
 from topobatch.merge.fusion.uncertainty import spread
@@ -41,7 +42,7 @@ def test_spread_is_the_covariance_of_rigid_fits(chain):
     label = np.arange(len(pool))
     label[[9, 10, 11]], label[[18, 19, 20]] = [6, 7, 8], [15, 16, 17]
     joint = settle(pool, label, run_poses(list(pool.first), links))
-    found = spread(pool, joint.graph, joint.solution)
+    found = spread(pool, joint.graph, joint.solution, np.array([0 * 3 + 2]))
     rows = np.arange(len(pool))
     every = np.repeat(rows, len(rows)), np.tile(rows, len(rows))
     marginals = Marginals.of(joint.graph, joint.solution)
@@ -67,9 +68,26 @@ def test_spread_is_the_covariance_of_rigid_fits(chain):
     assert radians == pytest.approx(sampled[2], rel=0.05)
 
 
+def test_only_what_is_asked_for_is_held_and_it_is_the_same(chain, monkeypatch):
+    maps, links = chain
+    asked = [("a", "c")]
+    (whole,), _ = fuse(maps, links, how_sure=True, asked=asked)
+    assert len(whole.spread.cross) == 3
+    (less,), _ = fuse(maps, links, how_sure=True)
+    assert len(less.spread.cross) == 2
+    for a, b in ("ab", "bc"):
+        assert less.spread.between(a, b) == whole.spread.between(a, b)
+    with pytest.raises(KeyError, match="'a', 'c'"):
+        less.spread.between("a", "c")
+    monkeypatch.setattr(uncertainty, "CHUNK", 2)  # columns of a pair's runs apart
+    (parts,), _ = fuse(maps, links, how_sure=True, asked=asked)
+    np.testing.assert_allclose(parts.spread.cross, whole.spread.cross, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(parts.spread.own, whole.spread.own, rtol=1e-9)
+
+
 def test_placements_grow_vaguer_along_a_chain(chain):
     maps, links = chain
-    (component,), _ = fuse(maps, links, how_sure=True)
+    (component,), _ = fuse(maps, links, how_sure=True, asked=[("a", "c")])
     near = [component.spread.between(*pair) for pair in ("ab", "bc")]
     far = component.spread.between("a", "c")
     assert far[0] > max(m for m, _ in near)
@@ -91,7 +109,7 @@ def test_a_run_of_one_junction_has_its_own_heading(draw):
     links = [verdict(a, c, [(k + 4, k) for k in range(5)])]
     one = Alignment(np.array([*a.xy[3], 0.0]), 20.0, np.array([[3, 0]]), 0.0)
     links.append(PairVerdict("a", "b", Verdict.MERGED, True, 20.0, "by hand", best=one))
-    (component,), _ = fuse([a, b, c], links, how_sure=True)
+    (component,), _ = fuse([a, b, c], links, how_sure=True, asked=[("b", "c")])
     metres, radians = component.spread.between("b", "c")
     assert 0 < metres < 5
     assert 0 < radians < 0.2
