@@ -21,7 +21,7 @@ from .evidence import (
     best_position_odds,
     position_odds,
 )
-from .gates import GateSettings
+from .gates import GATE
 from .growth import GrowthSettings, Scene, grow
 from .places import NOWHERE, Places
 
@@ -43,7 +43,6 @@ class CandidateSettings:
     of 1/100 to a fifth of itself."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
-    gate: GateSettings = field(default_factory=GateSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +123,7 @@ def candidates(
     pairs = _known_apart(scene, place, layout, settings)
     strangers = _strangers(scene, pairs, settings)
     spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
-    pairs = pairs.take((pairs.shift**2).sum(axis=1) < settings.gate.squared(2) * spread)
+    pairs = pairs.take((pairs.shift**2).sum(axis=1) < GATE.squared(2) * spread)
     pairs = _nearest(pairs, settings.most_pairs * len(scene.places))
     if exact:
         best = best_position_odds(common, pairs.shift)
@@ -133,7 +132,7 @@ def candidates(
     odds, d2 = pairs.odds(common)
     # First what is plain: the rest is easier once that is settled.
     least = -np.inf if exact else 0.0
-    fine = (d2 < settings.gate.squared(2)) & (odds > least)
+    fine = (d2 < GATE.squared(2)) & (odds > least)
     pairs = pairs.take(fine)
     odds = among_neighbours(common, odds[fine], pairs.shift, pairs.noisy(common))
     pairs, odds = pairs.take(odds > least), odds[odds > least]
@@ -182,7 +181,7 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
     """
     _, d2 = pairs.odds(scene.common)
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
-    rows = np.flatnonzero((d2 > settings.gate.squared(2)) & apart)
+    rows = np.flatnonzero((d2 > GATE.squared(2)) & apart)
     aside = scene.common.pattern.is_step(pairs.shift[rows])
     if aside.sum() >= np.exp(settings.evidence.lead):
         # What a place could be taken for is one step of the pattern off: so many of these tell as
@@ -266,7 +265,7 @@ def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatAr
 def _telling_way(scene: Scene, reach_m: float, settings: CandidateSettings) -> float:
     """A way [m] at whose end places may lie anywhere within reach: it excludes nothing."""
     way = np.array(reach_m)
-    while settings.gate.squared(2) * _way_variance(scene, way)[0] < reach_m**2:
+    while GATE.squared(2) * _way_variance(scene, way)[0] < reach_m**2:
         way = 2.0 * way
     return float(way)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from ..posegraph.solve import (
 )
 from ..se2 import wrap
 from .dead_reckoning import Walk, relative_covariance, systematic_modes
-from .gates import GateSettings
+from .gates import GATE
 from .manhattan import GridHeadings
 from .places import ONE_WAY_RAD
 
@@ -42,8 +42,6 @@ class LayoutSettings:
     """Solved to this: a step that lowers χ² by less moves no pose by a third of its error."""
     samples: int = 64
     """Covariances of many nodes are sampled: so many tell a variance to √(2 / 64), 18 %."""
-    gate: GateSettings = field(default_factory=GateSettings)
-    """Also the Cauchy width of "this pass was by that place"."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +137,7 @@ def lay_out(
         node=node,
         sighting=shared.row,
         sighting_chi2=solution.edge_chi2[len(legs.row) :],
-        misfit=_misfit(chi2, freedom, settings.gate.squared(3)),
+        misfit=_misfit(chi2, freedom, GATE.squared(3)),
         freedom=freedom,
         graph=graph,
         solution=solution,
@@ -177,7 +175,7 @@ def _solved(
         start="given", relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2
     )
     solution = solve(graph, given)
-    kernel2 = settings.gate.squared(1)
+    kernel2 = GATE.squared(1)
     if np.all(solution.edge_chi2[legs:] < kernel2):
         return graph, solution, solution.edge_chi2
     width = np.full(len(graph.source), np.inf)

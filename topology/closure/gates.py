@@ -18,3 +18,6 @@ class GateSettings:
     def squared(self, freedom: int) -> float:
         """Largest squared error, in sigmas, of so many dimensions together: the quantile of χ²."""
         return float(chdtri(freedom, self.chance))
+
+
+GATE = GateSettings()

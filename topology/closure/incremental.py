@@ -38,7 +38,7 @@ from .dead_reckoning import Walk, louder
 from .detector_faults import RateSettings, measured_rates
 from .estimate import Layout, LayoutSettings, lay_out
 from .evidence import background, with_pattern
-from .gates import GateSettings
+from .gates import GATE
 from .growth import Scene
 from .joint_compatibility import JointSettings, agreeing
 from .manhattan import GridHeadings, RectilinearSettings, grid_headings
@@ -132,12 +132,12 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         turn = layout.pose[:, 2] + _turns(place, new)
         place = _partition(len(walk), links)
         layout = lay_out(walk, place, layout.pose, turn=turn, grid=grid, settings=settings.layout)
-        better = _loudness(loudness, layout, settings.layout.gate)
+        better = _loudness(loudness, layout)
         if better != loudness:
             # The noise is not what it seemed before anything was identified.
             loudness, walk = better, louder(quiet, better)
             layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
-        bad = _strained(place, layout, links, settings)
+        bad = _strained(place, layout, links)
         if bad:
             barred |= {(q.first, q.second) for q in bad}
             back = [taken_back(q, number) for q in bad]
@@ -158,9 +158,9 @@ def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) 
     return Scene(walk, places, layout.xy, common, branches_of(places, common, evidence))
 
 
-def _loudness(now: float, layout: Layout, gate: GateSettings) -> float:
+def _loudness(now: float, layout: Layout) -> float:
     """Factor on the estimated noise, raised to fit where errors as large are no chance."""
-    if layout.misfit * layout.freedom > gate.squared(layout.freedom):
+    if layout.misfit * layout.freedom > GATE.squared(layout.freedom):
         return now * float(np.sqrt(layout.misfit))
     return now
 
@@ -285,13 +285,9 @@ def _answer(
     return Identification(i, j, accepted, odds / BIT, reason, turn)
 
 
-def _strained(
-    place: IntArray, layout: Layout, links: list[Identification], settings: RoundSettings
-) -> list[Identification]:
+def _strained(place: IntArray, layout: Layout, links: list[Identification]) -> list[Identification]:
     """The weakest links of every place that a pass is torn away from, enough to split it in two."""
-    bad = set(
-        place[layout.sighting[layout.sighting_chi2 > settings.layout.gate.squared(3)]].tolist()
-    )
+    bad = set(place[layout.sighting[layout.sighting_chi2 > GATE.squared(3)]].tolist())
     of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
     for q in links:
         if int(place[q.first]) in bad:

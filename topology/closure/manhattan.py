@@ -6,7 +6,7 @@ knows which quarter: heading drift does not grow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..passes import Passes
 from ..se2 import wrap
 from .dead_reckoning import Walk, dead_reckoning_covariance
-from .gates import GateSettings
+from .gates import GATE
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -33,7 +33,6 @@ class RectilinearSettings:
     most_wander: float = 1.15
     """In streets that meet at right angles and bend between, the grid wanders more than the
     odometry drifts (0.8 to 2.4 in 150 city walks, 0.6 to 1.2 in 170 of mazes and offices)."""
-    gate: GateSettings = field(default_factory=GateSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +64,7 @@ def grid_headings(
     off = from_quarter(np.diff(branches.values)[same])
     # Noise of the sensor alone must not make a grid look crooked.
     one = walk.noise.branch_rad**2 + settings.spread_rad**2
-    tolerance = np.sqrt(settings.gate.squared(1) * 2.0 * one)
+    tolerance = np.sqrt(GATE.squared(1) * 2.0 * one)
     near = np.count_nonzero(np.abs(off) < tolerance)
     if tolerance > 0.5 or (near + 1) / (len(off) + 2) < settings.least_share:
         return None

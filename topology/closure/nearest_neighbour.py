@@ -16,6 +16,7 @@ from .branches import align, branches_of
 from .candidates import CandidateSettings
 from .dead_reckoning import Walk, dead_reckoning_covariance, louder
 from .evidence import background, position_odds
+from .gates import GATE
 from .growth import Scene
 from .incremental import RoundSettings
 from .places import tabulate
@@ -74,7 +75,7 @@ def _odds(scene: Scene, known: IntArray, i: int, settings: CandidateSettings) ->
     cov = dead_reckoning_covariance(scene.walk, known, here)
     spread = cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
     odds, d2 = position_odds(common, scene.xy[known] - scene.xy[i], spread)
-    near = np.flatnonzero(d2 < settings.gate.squared(2))
+    near = np.flatnonzero(d2 < GATE.squared(2))
     turn_sigma = np.sqrt(cov[near, 2, 2])
     out = np.full(len(known), -np.inf)
     fit = align(scene.branches, known[near], here[near], turn_sigma=turn_sigma)

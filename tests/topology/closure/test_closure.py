@@ -20,7 +20,7 @@ from topobatch.topology.closure.dead_reckoning import (
     relative_covariance,
 )
 from topobatch.topology.closure.detector_faults import measured_rates
-from topobatch.topology.closure.estimate import LayoutSettings, lay_out
+from topobatch.topology.closure.estimate import lay_out
 from topobatch.topology.closure.evidence import EvidenceSettings, background
 from topobatch.topology.closure.gates import GateSettings
 from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
@@ -307,13 +307,13 @@ def test_what_was_put_off_keeps_the_round_and_the_reason():
     assert max(q.round for q in refused) >= max(q.round for q in made)
 
 
-def test_what_is_taken_back_is_kept_with_both_rounds():
+def test_what_is_taken_back_is_kept_with_both_rounds(monkeypatch):
     """With hardly any strain allowed, passes are torn away from places that are right."""
     rng = np.random.default_rng(10)
     world = grid_world(4, 4, rng)
     odometry, passes, _ = record(world, wander(world[1], 50, rng), rng)
-    tight = RoundSettings(layout=LayoutSettings(gate=GateSettings(chance=0.5)))
-    closed = full_closure(make_walk(odometry, passes, NOISE), tight)
+    monkeypatch.setattr("topobatch.topology.closure.incremental.GATE", GateSettings(chance=0.5))
+    closed = full_closure(make_walk(odometry, passes, NOISE))
     _, refused, revised = revisions(closed)
     back = [q for q in refused + revised if q.accepted_round is not None]
     assert back
