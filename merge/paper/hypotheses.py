@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.columns import joined, take
 from ...topology.matching.association import Growth, SingleMatches, grow, single_matches
 from ...topology.matching.correspondence import (
     DEFAULT_GROWTH,
@@ -136,7 +137,7 @@ def _grown(
     growth = grow_from(a, b, seeds, settings)
     untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
     pairs = len(np.unique(seeds.vertex_a * len(b) + seeds.vertex_b))
-    return growth, SingleMatches(seeds.take(untested), len(seeds), pairs)
+    return growth, SingleMatches(take(seeds, untested), len(seeds), pairs)
 
 
 def _surviving(growth: Growth, bits: FloatArray) -> _Matches:
@@ -147,17 +148,15 @@ def _surviving(growth: Growth, bits: FloatArray) -> _Matches:
     of_link = number[growth.link_component[links]]
     count = int(np.count_nonzero(~growth.rejected))
     corridors = np.bincount(of_link, minlength=count).astype(np.int64)
-    of, nodes = number[growth.component[keep]], growth.nodes.take(keep)
+    of, nodes = number[growth.component[keep]], take(growth.nodes, keep)
     return _Matches(of, nodes, corridors, bits[~growth.rejected])
 
 
 def _with_singles(matches: _Matches, singles: Nodes, bits: float) -> _Matches:
     lone = np.arange(len(singles)) + len(matches.corridors)
-    names = ("vertex_a", "vertex_b", "correspondence")
-    joined = (np.concatenate([getattr(matches.nodes, n), getattr(singles, n)]) for n in names)
     return _Matches(
         of=np.concatenate([matches.of, lone]),
-        nodes=Nodes(*joined),
+        nodes=joined([matches.nodes, singles]),
         corridors=np.concatenate([matches.corridors, np.zeros(len(lone), np.int64)]),
         bits=np.concatenate([matches.bits, np.full(len(lone), bits)]),
     )
@@ -176,7 +175,7 @@ def _ordered(matches: _Matches) -> _Matches:
     rank[order] = np.arange(count)
     rows = np.lexsort((*keys, rank[of]))
     chosen = (matches.corridors[order], matches.bits[order])
-    return _Matches(rank[of][rows], nodes.take(rows), *chosen)
+    return _Matches(rank[of][rows], take(nodes, rows), *chosen)
 
 
 def _transforms(

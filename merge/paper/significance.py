@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc
 
+from ...topology.columns import take
 from ...topology.matching.association import Growth, components, grow
 from ...topology.matching.correspondence import (
     TURNED,
@@ -61,7 +62,7 @@ def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
     """The map matched with itself, without the match of every vertex with itself."""
     growth = grow(s, s, settings)
     itself = np.flatnonzero(growth.nodes.vertex_a == growth.nodes.vertex_b)
-    turn = node_rotations(s, s, growth.nodes.take(itself), growth.rectilinear)
+    turn = node_rotations(s, s, take(growth.nodes, itself), growth.rectilinear)
     other = np.ones(len(growth.rejected), np.bool_)
     # A vertex may well be laid on itself turned: only unturned it is the map as it is.
     other[growth.component[itself[np.abs(turn) < 1e-6]]] = False

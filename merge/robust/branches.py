@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...topology.columns import take
 from ...topology.matching.branches import BranchPairs, agreeing, mutual_nearest
 from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
 from .prepare import ComplexArray, FloatArray, IntArray, Prepared
@@ -25,7 +26,7 @@ def branch_bits(
         rows = (m.half.take(v) != v).nonzero()[0]
         if len(rows):
             whole = _Looks.of_crossings(m, v[rows])
-            pair = (whole, of_b.take(rows)) if crossing_of_a else (of_a.take(rows), whole)
+            pair = (whole, take(of_b, rows)) if crossing_of_a else (take(of_a, rows), whole)
             better = _nats(*pair, turn[rows]) + np.log(m.fault_rate[v[rows]])
             told[rows] = np.maximum(told[rows], better)
     return doubted(told, of_a.traits[:, 4] + of_b.traits[:, 4]) / BIT
@@ -49,9 +50,6 @@ class _Looks:
         traits = m.traits.take(v, axis=0)
         traits[:, 0] = 4
         return cls(m.crossing_unit.take(v, axis=0), m.crossing_rarity.take(v, axis=0), traits)
-
-    def take(self, rows: IntArray) -> _Looks:
-        return _Looks(self.unit[rows], self.rarity[rows], self.traits[rows])
 
 
 def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:

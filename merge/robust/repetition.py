@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...topology.columns import joined
 from ...topology.matching.likelihood import BIT, LIKELIHOOD
 from .atlas import Atlas
 from .branches import lonely_branches
@@ -118,7 +119,7 @@ def _sameness_of(
     change = fault + (1 - fault) * copies.change_rate
     kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
     parts = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]
-    shape, ends = _Lengths.joined(parts), np.cumsum([0, *(len(part.d2) for part in parts)])
+    shape, ends = joined(parts), np.cumsum([0, *(len(part.d2) for part in parts)])
     share = float(np.dot(copies.exact_odds, SHARES))
     nats = _sums(shape.odds(shape.d2, share), ends)
     nats += (compared - changed) * kept_nats + changed * changed_nats
@@ -200,11 +201,6 @@ class _Lengths:
             noise=a.variance[i] + b.variance[j],
             built=2 * (variation * longer) ** 2,
         )
-
-    @classmethod
-    def joined(cls, parts: Sequence[_Lengths]) -> _Lengths:
-        names = ("d2", "noise", "built")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def odds(self, d2: FloatArray, share: float) -> FloatArray:
         """log odds [nats] of the same place against a copy of which `share` is exactly alike."""

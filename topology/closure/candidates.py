@@ -10,6 +10,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from ..columns import take
 from ..se2 import turned_axes
 from .branches import align
 from .dead_reckoning import dead_reckoning_covariance
@@ -63,10 +64,6 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.a)
 
-    def take(self, rows: IntArray | NDArray[np.bool_]) -> Candidates:
-        """Some of them."""
-        return Candidates(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
     @property
     def alike(self) -> FloatArray:
         """(k,) all evidence but that of position."""
@@ -91,9 +88,6 @@ class _Apart:
 
     def __len__(self) -> int:
         return len(self.a)
-
-    def take(self, rows: IntArray | NDArray[np.bool_]) -> _Apart:
-        return _Apart(self.a[rows], self.b[rows], self.shift[rows], self.cov[rows])
 
     def odds(self, common: Background) -> tuple[FloatArray, FloatArray]:
         """(k,) `position_odds` and squared Mahalanobis distance, the two centres' noise added."""
@@ -123,19 +117,19 @@ def candidates(
     pairs = _known_apart(scene, place, layout, settings)
     strangers = _strangers(scene, pairs, settings)
     spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
-    pairs = pairs.take((pairs.shift**2).sum(axis=1) < GATE.squared(2) * spread)
+    pairs = take(pairs, (pairs.shift**2).sum(axis=1) < GATE.squared(2) * spread)
     pairs = _nearest(pairs, settings.most_pairs * len(scene.places))
     if exact:
         best = best_position_odds(common, pairs.shift)
-        pairs = pairs.take(best + _surroundings(scene, pairs, settings).sum() > 0.0)
+        pairs = take(pairs, best + _surroundings(scene, pairs, settings).sum() > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common)
     # First what is plain: the rest is easier once that is settled.
     least = -np.inf if exact else 0.0
     fine = (d2 < GATE.squared(2)) & (odds > least)
-    pairs = pairs.take(fine)
+    pairs = take(pairs, fine)
     odds = among_neighbours(common, odds[fine], pairs.shift, pairs.noisy(common))
-    pairs, odds = pairs.take(odds > least), odds[odds > least]
+    pairs, odds = take(pairs, odds > least), odds[odds > least]
     found = _surroundings(scene, pairs, settings)
     alike = found.sum()
     slack = settings.evidence.lead if common.pattern.repeats else 0.0
@@ -188,7 +182,7 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
         # much as `lead` asks.
         rows = rows[aside]
     rows = rows[:: -(-len(rows) // settings.most_strangers) or 1]
-    return np.sort(_surroundings(scene, pairs.take(rows), settings).sum())
+    return np.sort(_surroundings(scene, take(pairs, rows), settings).sum())
 
 
 def likeness_odds(alike: FloatArray, strangers: FloatArray, slack: float = 0.0) -> FloatArray:
@@ -224,7 +218,7 @@ def _nearest(pairs: _Apart, most: int) -> _Apart:
     if len(pairs) <= most:
         return pairs
     near = np.argsort((pairs.shift**2).sum(axis=1), kind="stable")[:most]
-    return pairs.take(np.sort(near))
+    return take(pairs, np.sort(near))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
 from .branches import Alignment, Branches, align
 from .dead_reckoning import Walk
@@ -223,11 +224,11 @@ def _compare(
     """Pairs of legs that agree, also past one missed junction; rows of the front for the others."""
     agree = _agree(scene, front, pairs, settings)
     rest = np.flatnonzero(~agree)
-    through = _past_missed(scene, front, _take(pairs, rest), settings)
+    through = _past_missed(scene, front, take(pairs, rest), settings)
     found = np.zeros(len(rest), bool)
     found[through[1]] = True
     torn = pairs.row[rest[~found]]
-    return _join(_take(pairs, np.flatnonzero(agree)), through[0]), torn
+    return joined([take(pairs, np.flatnonzero(agree)), through[0]]), torn
 
 
 def _agree(
@@ -276,16 +277,7 @@ def _past_missed(
     off = np.abs(tried.la[fine] - tried.lb[fine])
     order = fine[np.lexsort((off, index[fine]))]
     once = order[np.concatenate([[True], np.diff(index[order]) != 0])] if len(order) else order
-    return _take(tried, once), index[once]
-
-
-def _take(pairs: _Reached, rows: IntArray) -> _Reached:
-    return _Reached(*(getattr(pairs, name)[rows] for name in _Reached.__dataclass_fields__))
-
-
-def _join(a: _Reached, b: _Reached) -> _Reached:
-    names = _Reached.__dataclass_fields__
-    return _Reached(*(np.concatenate([getattr(a, x), getattr(b, x)]) for x in names))
+    return take(tried, once), index[once]
 
 
 def _leg_variance(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..columns import take
 from ..matching.likelihood import BIT
 from .answers import (
     AGREE,
@@ -115,7 +116,7 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
         scene = _scene(walk, places, layout, settings)
         found = candidates(scene, place, layout, settings.candidates, exact=exact)
-        found = found.take(~_barred(found, barred, place))
+        found = take(found, ~_barred(found, barred, place))
         new = _certain(places, found, settings.least_odds(len(walk)))
         doubts = _doubted(doubts, places, found, settings, number)
         if not new and exact:

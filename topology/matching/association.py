@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from ..columns import take
 from .correspondence import (
     DEFAULT_GROWTH,
     GrowthSettings,
@@ -339,7 +340,7 @@ def single_matches(
         return _slot_singles(a, b, settings)
     nodes = candidate_nodes(a, b, settings)
     return SingleMatches(
-        nodes=nodes.take(shared_branches(a, b, nodes, False) == 0),
+        nodes=take(nodes, shared_branches(a, b, nodes, False) == 0),
         candidates=len(nodes),
         pairs=len(np.unique(nodes.vertex_a * len(b) + nodes.vertex_b)),
     )

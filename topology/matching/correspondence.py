@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..columns import take
 from ..errors import UsageError
 from ..se2 import wrap
 from .branches import mutual_nearest
@@ -89,10 +90,6 @@ class Nodes:
 
     def __len__(self) -> int:
         return len(self.vertex_a)
-
-    def take(self, rows: IntArray | NDArray[np.bool_]) -> Nodes:
-        """The given rows."""
-        return Nodes(self.vertex_a[rows], self.vertex_b[rows], self.correspondence[rows])
 
 
 def is_rectilinear(a: Structure, b: Structure, settings: GrowthSettings) -> bool:
@@ -306,7 +303,7 @@ class SlotClasses:
         vertex_a = self.rows[0][self.first[0][i][triple] + x]
         vertex_b = self.rows[1][self.first[1][j][triple] + y]
         nodes = Nodes(vertex_a, vertex_b, turn[triple])
-        return nodes.take(np.lexsort((nodes.correspondence, vertex_b, vertex_a)))
+        return take(nodes, np.lexsort((nodes.correspondence, vertex_b, vertex_a)))
 
 
 def _angle_candidates(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..columns import take
 from .association import (
     Growth,
     Links,
@@ -55,7 +56,7 @@ def _links_from(a: Structure, b: Structure, front: IntArray, settings: GrowthSet
     nodes = decode(a, b, front, rectilinear)
     row_a, dart_a = _leaving(a, nodes.vertex_a)
     row_b, dart_b = _leaving(b, nodes.vertex_b[row_a])
-    dart_a, nodes = dart_a[row_b], nodes.take(row_a[row_b])
+    dart_a, nodes = dart_a[row_b], take(nodes, row_a[row_b])
     bound = search_bound(a, b, settings) * np.hypot(a.sigma[dart_a], b.sigma[dart_b])
     ok = leaves_alike(a, b, nodes, (dart_a, dart_b), rectilinear)
     ok &= np.abs(a.length[dart_a] - b.length[dart_b]) <= bound

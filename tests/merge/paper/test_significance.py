@@ -17,6 +17,7 @@ from topobatch.merge.paper.significance import (
     self_similarity,
     single_bits,
 )
+from topobatch.topology.columns import take
 from topobatch.topology.matching.association import grow
 from topobatch.topology.matching.correspondence import TURNED, GrowthSettings
 from topobatch.topology.matching.structure import prepare
@@ -96,7 +97,7 @@ def test_equal_branches_tell_where_degrees_may_differ(maze_pair):
     bits, untold = (match_bits(growth, sa, sb, (x, x)) for x in (half, replace(half, equal=1.0)))
     largest = np.bincount(growth.component).argmax()
     rows = np.flatnonzero(growth.component == largest)
-    n = growth.nodes.take(rows)
+    n = take(growth.nodes, rows)
     equal = np.count_nonzero(sa.mask[n.vertex_a] == TURNED[sb.mask[n.vertex_b], n.correspondence])
     expected = -binom.logsf(equal - 3, len(rows) - 2, 0.5) / np.log(2)
     assert bits[largest] - untold[largest] == pytest.approx(expected)

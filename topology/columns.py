@@ -1,0 +1,26 @@
+"""Tables: frozen dataclasses of which every field is an array with one row for each thing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    Table = TypeVar("Table", bound=DataclassInstance)
+
+
+def take(table: Table, rows: NDArray[Any]) -> Table:
+    """The given rows of a table, by their numbers or a mask."""
+    return type(table)(*(getattr(table, name)[rows] for name in table.__dataclass_fields__))
+
+
+def joined(tables: Sequence[Table]) -> Table:
+    """The rows of one or more tables of one kind, one table after the other."""
+    first = tables[0]
+    columns = ([getattr(part, name) for part in tables] for name in first.__dataclass_fields__)
+    return type(first)(*(np.concatenate(column) for column in columns))
