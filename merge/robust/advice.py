@@ -10,7 +10,7 @@ from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from .alignment import Candidate
-from .prepare import NO_HEADING, IntArray, Prepared
+from .prepare import IntArray, Prepared
 from .verdict import Opinion
 
 
@@ -70,7 +70,7 @@ def _unexplored(
     tail = known.tail[row]
     vertex, theirs = partner[tail], other.heading[partner[tail]]
     gap = np.abs(wrap(theirs - (known.heading[tail, known.leave[row]] - turn)[:, None]))
-    gap[theirs > NO_HEADING / 2] = np.pi  # as far off as can be
+    gap[np.isnan(theirs)] = np.pi  # as far off as can be
     branch = gap.argmin(axis=1)
     open_ = (gap.min(axis=1) < LIKELIHOOD.branch_gate_rad) & (other.by_branch[vertex, branch] < 0)
     columns = (known.length[row], known.head[row], vertex, tail)

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.digits import METRES
+from ...topology.matching.branches import unit_headings
 from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
+from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
@@ -30,15 +32,12 @@ SECTOR_RAD = np.pi / 2
 LENGTH_SCALE = 2.0**10
 """Separates the pattern from the length in a sort key; above any corridor's length [m]."""
 
-NO_HEADING = 2.0**10
-"""Fills the rows of `heading` behind the last branch; no gate ever reaches it."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
     """A map of n junctions and k directed corridors (both directions of each, loops left out).
 
-    z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NO_HEADING behind the last;
+    z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NaN behind the last;
     count: (n,) branches; looks: (n,) passes that saw the junction; surprise: (n,) bits that the
     branches of this junction tell, by how common such a pattern is in this map; turn_rarity:
     (n, d) -ln density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
@@ -132,7 +131,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     """
     m = topomap
     z = m.xy[:, 0] + 1j * m.xy[:, 1]
-    heading, count = _padded(m)
+    heading, count = padded_branches(m), m.branches.counts
     looks = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(np.int64)
     long = np.abs(z[m.source] - z[m.target]) > LEAST_M
     rows = np.flatnonzero((m.source != m.target) & long)
@@ -159,7 +158,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     order = np.argsort(tail * len(z) + head, kind="stable")
     sites = Sites.of(z)
     neighbour, near_m = _neighbours(sites)
-    unit = np.where(heading < NO_HEADING / 2, np.exp(1j * heading), 0.0)
+    unit = unit_headings(heading)
     two_forks = halves(z, unit, turn_rarity, (tail, head), shows_bends=m.shows_bends)
     return Prepared(
         run=m.run,
@@ -232,16 +231,6 @@ def _fault_rate(noise: RunNoise, looks: IntArray) -> FloatArray:
     return np.asarray(MATCH.fault_floor + noise.branch_fault_rate / np.minimum(looks, 3))
 
 
-def _padded(m: TopoMap) -> tuple[FloatArray, IntArray]:
-    """Branch headings as a rectangle."""
-    count = m.branches.counts
-    width = int(count.max(initial=1))
-    heading = np.full((len(count), max(width, 1)), NO_HEADING)
-    column = np.arange(len(m.branches.values)) - np.repeat(m.branches.offsets[:-1], count)
-    heading[m.branches.owner, column] = m.branches.values
-    return heading, count
-
-
 def _length_variance(
     noise: RunNoise, length: FloatArray, traversals: IntArray, looks_u: IntArray, looks_v: IntArray
 ) -> FloatArray:
@@ -310,8 +299,8 @@ def _masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
     choices of all subsets of the two branches nearest to a border.
     """
     there = np.isfinite(offset)
-    turn = np.where(there, offset, 0.0) / SECTOR_RAD
-    sector = np.where(there, np.round(turn), 0).astype(np.int64) % 4
+    offset = np.where(there, offset, 0.0)
+    turn, sector = offset / SECTOR_RAD, _sector(offset)
     slack = np.where(there, 0.5 - np.abs(turn - np.round(turn)), np.inf) * SECTOR_RAD
     second = (np.where(turn > np.round(turn), sector + 1, sector - 1)) % 4
     mask = _mask_of(sector, there)
@@ -330,6 +319,11 @@ def _masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
             moved[rows, column] = second[rows, column]
         variants.append(np.where(soft, _mask_of(moved, there), -1))
     return mask, np.stack(variants, axis=1)
+
+
+def _sector(angle: FloatArray) -> IntArray:
+    """The sector that each angle [rad] lies in."""
+    return np.asarray(np.round(angle / SECTOR_RAD).astype(np.int64) % 4)
 
 
 def _mask_of(sector: IntArray, there: BoolArray) -> IntArray:
@@ -358,11 +352,11 @@ def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Flo
     frequency, and so has, within a sector, the angle (24 smoothed bins, folded into a sector).
     """
     n, d = heading.shape
-    there = heading < NO_HEADING / 2
+    there = np.isfinite(heading)
     offset = np.asarray(wrap(heading[:, None, :] - heading[:, :, None]))  # (n, reference, other)
     other = there[:, None, :] & there[:, :, None] & ~np.eye(d, dtype=np.bool_)
-    flat = np.where(other, offset, np.nan).reshape(n * d, d)
-    mask = _masks_only(flat)
+    offset = np.where(other, offset, 0.0)
+    mask = _mask_of(_sector(offset).reshape(n * d, d), other.reshape(n * d, d))
     used = there.reshape(-1)
     seen = np.bincount(mask[used], minlength=16) + 0.5
     frequency = (seen / seen.sum())[mask].reshape(n, d)
@@ -377,12 +371,6 @@ def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Flo
     gain = np.where(other, -np.log(density)[cell], 0.0)
     turn_rarity = gain.sum(axis=1) / np.maximum(other.sum(axis=1), 1)
     return surprise, turn_rarity
-
-
-def _masks_only(offset: FloatArray) -> IntArray:
-    there = np.isfinite(offset)
-    sector = np.where(there, np.round(np.where(there, offset, 0.0) / SECTOR_RAD), 0)
-    return _mask_of(sector.astype(np.int64) % 4, there)
 
 
 def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:

@@ -98,7 +98,7 @@ def prepare(topomap: TopoMap) -> Structure:
     explored = np.zeros((n, width), np.bool_)
     explored[start, out_branch] = True
     bit = np.where(slot >= 0, 1 << np.maximum(slot, 0), 0)
-    mask = np.bitwise_or.reduce(bit, axis=1) if width else np.zeros(n, np.int64)
+    mask = np.bitwise_or.reduce(bit, axis=1)
     out_slot, in_slot = slot[start, out_branch], slot[end, in_branch]
     place = out_slot if grid is not None else out_branch
     crowded = len(np.unique(start * (width + 4) + place)) < len(start)
@@ -117,9 +117,7 @@ def prepare(topomap: TopoMap) -> Structure:
         grid_rad=grid,
         slot=slot,
         mask=mask,
-        explored_mask=np.bitwise_or.reduce(np.where(explored, bit, 0), axis=1)
-        if width
-        else np.zeros(n, np.int64),
+        explored_mask=np.bitwise_or.reduce(np.where(explored, bit, 0), axis=1),
         out_slot=out_slot,
         in_slot=in_slot,
         slot_kind=_slot_kind(out_slot, in_slot, mask[start], mask[end]),
@@ -138,9 +136,9 @@ def _slot_kind(
 
 
 def padded_branches(topomap: TopoMap) -> FloatArray:
-    """(n, D) headings of all vertices, NaN beyond their degree."""
+    """(n, D) headings of all vertices, NaN beyond their degree; D is no less than 1."""
     rows = topomap.branches
-    width = int(rows.counts.max(initial=0))
+    width = int(rows.counts.max(initial=1))
     out = np.full((len(topomap), width), np.nan)
     out[np.arange(width) < rows.counts[:, None]] = rows.values
     return out
