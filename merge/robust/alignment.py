@@ -18,10 +18,6 @@ from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 from .settings import MATCH, RobustSettings
 from .support import Support, supports
 
-ALIKE = 6
-"""Decimals of evidence [bits] by which placements are ranked: copies that are built alike have the
-same but for rounding, which is no order."""
-
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -134,7 +130,9 @@ def _best_of_some(
 def _apart(found: list[Candidate], b: Prepared) -> tuple[Candidate, ...]:
     """The best first, and of versions of one placement that one alone."""
     kept: list[Candidate] = []
-    for candidate in sorted(found, key=lambda c: (-round(c.bits, ALIKE), c.transform.tolist())):
+    for candidate in sorted(
+        found, key=lambda c: (-round(c.bits, MATCH.ranked_decimals), c.transform.tolist())
+    ):
         if not any(same_placement(candidate, other, b) for other in kept):
             kept.append(candidate)
     return tuple(kept)

@@ -131,6 +131,10 @@ class MatchSettings:
     """Skeletons show a crossing as two forks up to so far apart [m]: variants of the detector join
     forks up to 1.7 m apart, and of the acute crossings of organic ways it shows as two, the forks
     lie 1.1 to 1.55 m apart."""
+    ranked_decimals: int = 6
+    """Decimals of evidence [bits] by which placements are ranked: copies that are built alike have
+    the same but for rounding, which is no order. Sums of a thousand bits are rounded at the twelfth
+    decimal, documents at the second."""
     floor_rad: float = 0.03
     """Noise of branches that no estimate holds [rad]: detectors that turn with the view. Without it
     tunnels repeat themselves more by chance, and fewer pairs of them are told."""

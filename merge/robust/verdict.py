@@ -9,7 +9,7 @@ import numpy as np
 
 from ...topology.digits import BITS, rounded
 from ..result import Verdict
-from .alignment import ALIKE, Candidate
+from .alignment import Candidate
 from .prepare import Prepared
 from .repetition import CopyModel, Sameness, sameness_of, size_sigmas
 from .settings import MATCH, RobustSettings
@@ -262,7 +262,7 @@ def _opinion(
         need_same = share * level.need_copy_bits
         carried = counted_bits(c)
         answers.append(Answers(level.need_bits, c.bits, carried, share, same_bits, need_same))
-    ranking = sorted(range(len(odd)), key=lambda i: -round(answers[i].bits, ALIKE))
+    ranking = sorted(range(len(odd)), key=lambda i: -round(answers[i].bits, MATCH.ranked_decimals))
     ranked = tuple((odd[i], answers[i].bits) for i in ranking)
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
     why = _missing(odd[ranking[0]], answers[ranking[0]], margin, level)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -15,8 +17,13 @@ from .manhattan import GridHeadings
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SAMPLES = 256
-"""They tell a sigma to 1 / √(2 · 256) = 4 %, which takes a point or less from its coverage."""
+
+@dataclass(frozen=True, slots=True)
+class CertaintySettings:
+    """How well errors are told."""
+
+    samples: int = 256
+    """They tell a sigma to 1 / √(2 · 256) = 4 %, which takes a point or less from its coverage."""
 
 
 def place_errors(
@@ -25,29 +32,32 @@ def place_errors(
     place: IntArray,
     kept: IntArray,
     grid: GridHeadings | None = None,
+    *,
+    settings: CertaintySettings = CertaintySettings(),
 ) -> VertexErrors:
     """Errors of the places `kept` of a layout, by the noise that the walk was laid out with.
 
     The pose graph holds all but two: a place of one pass is as far off as its detection, and all
     lengths share the odometry's error of scale.
     """
-    sampled = SampledMarginals.of(layout.graph, layout.solution.with_full_weights(), SAMPLES)
+    count = settings.samples
+    sampled = SampledMarginals.of(layout.graph, layout.solution.with_full_weights(), count)
     node = layout.node[kept]
     error = sampled.error[node]
     error[:, 2] = _mean_turns(sampled.error[: len(walk), 2], place, kept)
     rng = np.random.default_rng(20052)
     alone = node < len(walk)
-    error[alone, :2] += walk.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, SAMPLES))
+    error[alone, :2] += walk.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, count))
     position = sampled.pose[node, :2]
-    scale = walk.noise.scale * rng.standard_normal(SAMPLES)
+    scale = walk.noise.scale * rng.standard_normal(count)
     if len(kept):
         error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
     own = np.zeros(len(kept))
     if grid is not None:
         # The grid tells a pass its turn by the mean of its branches, to how well these were read
         # and how well corridors keep to the grid.
-        count = np.maximum(walk.passes.branches.counts, 1)
-        read = walk.noise.branch_rad**2 / np.mean(count)
+        branches = np.maximum(walk.passes.branches.counts, 1)
+        read = walk.noise.branch_rad**2 / np.mean(branches)
         own[:] = read / (read + grid.spread_rad**2)
     return VertexErrors(error, own)
 
