@@ -23,8 +23,7 @@ import gtsam
 import numpy as np
 
 from topobatch.topology.posegraph.graph import edge_errors, squared
-from topobatch.topology.posegraph.solve import Marginals, PoseGraph, solve, solve_robust
-from topobatch.topology.se2 import between
+from topobatch.topology.posegraph.solve import Marginals, solve
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "topology" / "posegraph"))
 from public_graphs import read_g2o
@@ -68,25 +67,6 @@ def gtsam_poses(values, n):
     return np.array([[(p := values.atPose2(k)).x(), p.y(), p.theta()] for k in range(n)])
 
 
-def with_false_loops(graph, share, seed=0):
-    """The graph with `share` of its loops again between random poses; and which edges to trust."""
-    rng = np.random.default_rng(seed)
-    odometry = np.abs(graph.target - graph.source) == 1
-    loops = np.flatnonzero(~odometry)
-    k = int(share * len(loops))
-    like = rng.choice(loops, k)
-    source = rng.integers(0, len(graph), k)
-    target = (source + rng.integers(2, len(graph) - 1, k)) % len(graph)
-    false = PoseGraph(
-        graph.pose,
-        np.concatenate([graph.source, source]),
-        np.concatenate([graph.target, target]),
-        np.concatenate([graph.measurement, graph.measurement[like]]),
-        np.concatenate([graph.information, graph.information[like]]),
-    )
-    return false, np.concatenate([odometry, np.zeros(k, bool)])
-
-
 def row(path, repeats):
     graph = read_g2o(path)
     solution, ours = best_ms(lambda: solve(graph), repeats)
@@ -101,30 +81,15 @@ def row(path, repeats):
         lambda: optimizer(factors, gtsam.lago.initialize(rough)).optimize(), repeats
     )
     cells += [f"{started:.1f}", f"{chi2(graph, gtsam_poses(lago, len(graph))):,.3f}"]
-    return [*cells, f"{min(plain, started) / ours:.1f}"]
+    cells.append(f"{min(plain, started) / ours:.1f}")
+    return [*cells, f"{covariances_ms(graph, solution, repeats):,.0f}"]
 
 
-def further_row(path, repeats):
-    """Robust solution among 20 % false loops, and covariances of many pairs."""
-    graph = read_g2o(path)
-    false, trusted = with_false_loops(graph, 0.2)
-    robust, robust_ms = best_ms(lambda: solve_robust(false, trusted), 1)
-    kept = robust.edge_weight > 0.5
-    m = len(graph.source)
-    solution = solve(graph)
+def covariances_ms(graph, solution, repeats):
+    """Time of 10,000 covariances between random poses, the factorisation included."""
     marginals, factor_ms = best_ms(lambda: Marginals.of(graph, solution), repeats)
-    rng = np.random.default_rng(0)
-    a, b = rng.integers(0, len(graph), (2, 10_000))
-    _, pairs_ms = best_ms(lambda: marginals.relative(a, b), 1)
-    off = between(solution.pose[a], solution.pose[b]) - between(robust.pose[a], robust.pose[b])
-    return [
-        path.stem,
-        f"{robust_ms:,.0f}",
-        f"{kept[m:].sum()} of {len(kept) - m}",
-        f"{(~kept[:m]).sum()} of {(~trusted[:m]).sum()}",
-        f"{np.median(np.hypot(*off[:, :2].T)):.3f}",
-        f"{factor_ms + pairs_ms:,.0f}",
-    ]
+    a, b = np.random.default_rng(0).integers(0, len(graph), (2, 10_000))
+    return factor_ms + best_ms(lambda: marginals.relative(a, b), 1)[1]
 
 
 def table(head, rows):
@@ -137,16 +102,12 @@ def table(head, rows):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="+", type=Path)
-    parser.add_argument("--robust", action="store_true", help="also with 20 %% false loops; slow")
     parser.add_argument("--repeats", type=int, default=7)
     arguments = parser.parse_args()
     head = ["graph", "poses", "edges", "ours ms", "χ²", "steps"]
     head += ["GTSAM ms", "χ²", "LAGO+GTSAM ms", "χ²", "times faster"]
+    head.append("10,000 covariances ms")
     table(head, [row(path, arguments.repeats) for path in arguments.files])
-    if not arguments.robust:
-        return
-    head = ["20 % false loops", "ms", "false kept", "true lost", "moved m", "10,000 covariances ms"]
-    table(head, [further_row(path, arguments.repeats) for path in arguments.files])
 
 
 if __name__ == "__main__":

@@ -6,8 +6,7 @@
     Marginals.of(graph, solution).relative(a, b)      # how sure is pose b, seen from a?
 
 `solve` is Gauss–Newton from a chordal start, with Levenberg–Marquardt damping only where a full
-step would raise the cost. `solve_robust` finds by itself which of the doubtful edges to believe
-(graduated non-convexity).
+step would raise the cost.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..se2 import FloatArray, wrap
 from .graph import (
@@ -36,12 +34,10 @@ __all__ = [
     "Marginals",
     "PoseGraph",
     "Priors",
-    "RobustSettings",
     "SharedErrors",
     "Solution",
     "SolverSettings",
     "solve",
-    "solve_robust",
     "straight_sensitivity",
 ]
 
@@ -65,27 +61,14 @@ class SolverSettings:
     """Full steps that may raise the cost before the solver goes back to the best point."""
 
 
-@dataclass(frozen=True, slots=True)
-class RobustSettings:
-    """How `solve_robust` tells believed edges from rejected ones."""
-
-    threshold: float = 3.368
-    """Largest error of a believed edge in sigmas; 3.368² is the 99 % quantile of χ²(3)."""
-    growth: float = 1.4
-    """Factor by which the non-convexity grows from round to round."""
-    max_rounds: int = 100
-    """The non-convexity grows by 1.4¹⁰⁰ at most, 15 decades: beyond any start."""
-    solver: SolverSettings = SolverSettings()
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """Poses and the evidence for them.
 
     pose: (n, 3); shared: (k,) systematic errors; chi2: Σ eᵀΩe over all edges, without kernels,
     weights and priors (g2o's metric); cost: what was minimised, with kernels, weights and priors;
-    edge_chi2: (m,) eᵀΩe; edge_weight: (m,) in [0, 1], what kernels and `solve_robust` left of each
-    edge; prior_weight: (u,) likewise; iterations: factorisations made; converged: whether the
+    edge_chi2: (m,) eᵀΩe; edge_weight: (m,) in [0, 1], what kernels left of each edge;
+    prior_weight: (u,) likewise; iterations: factorisations made; converged: whether the
     gradient vanishes: no step of full length has anything to gain (see `SolverSettings`).
     """
 
@@ -118,45 +101,7 @@ def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solu
     """
     problem = _Problem(graph)
     pose, shared = problem.start(settings)
-    return problem.minimise(pose, shared, np.ones(len(graph.source)), settings)
-
-
-def solve_robust(
-    graph: PoseGraph, trusted: NDArray[np.bool_], settings: RobustSettings = RobustSettings()
-) -> Solution:
-    """`solve`, believing only those edges that fit; `trusted` (m,) edges are always believed.
-
-    Graduated non-convexity with truncated least squares (Yang, Antonante, Tzoumas, Carlone, RA-L
-    2020): the weights of doubtful edges start at 1 and are driven to 0 or 1 while the surrogate
-    cost grows from convex to truncated. `edge_weight` says which were believed.
-    """
-    problem = _Problem(graph)
-    pose, shared = problem.start(settings.solver)
-    weight = np.ones(len(graph.source))
-    here = problem.minimise(pose, shared, weight, settings.solver)
-    limit = settings.threshold**2
-    doubtful = ~np.asarray(trusted, bool)
-    worst = float(here.edge_chi2[doubtful].max(initial=0.0))
-    if worst <= limit:
-        return here
-    mu, iterations = limit / (2 * worst - limit), here.iterations
-    coarse = SolverSettings(start="given", max_iterations=12)
-    for _ in range(settings.max_rounds):
-        weight = np.where(doubtful, _truncated_weight(here.edge_chi2, mu, limit), 1.0)
-        if np.all((weight < 1e-6) | (weight > 1 - 1e-6)):
-            break
-        here = problem.minimise(here.pose, here.shared, weight, coarse)
-        iterations += here.iterations
-        mu *= settings.growth
-    final = problem.minimise(here.pose, here.shared, weight, settings.solver)
-    return replace(final, iterations=iterations + final.iterations)
-
-
-def _truncated_weight(chi2: FloatArray, mu: float, limit: float) -> FloatArray:
-    """Weights of the truncated-least-squares surrogate (Yang et al., equation 14)."""
-    between = np.sqrt(limit * mu * (mu + 1) / np.maximum(chi2, 1e-300)) - mu
-    out = np.where(chi2 >= (mu + 1) / mu * limit, 0.0, between)
-    return np.where(chi2 <= mu / (mu + 1) * limit, 1.0, np.clip(out, 0.0, 1.0))
+    return problem.minimise(pose, shared, settings)
 
 
 def _excess(promised: float, before: float) -> float:
@@ -219,15 +164,13 @@ class _Problem:
             return np.array(self.graph.pose), shared
         return chordal_start(self.graph, self.frame, shared), shared
 
-    def minimise(
-        self, pose: FloatArray, shared: FloatArray, weight: FloatArray, settings: SolverSettings
-    ) -> Solution:
+    def minimise(self, pose: FloatArray, shared: FloatArray, settings: SolverSettings) -> Solution:
         """Gauss–Newton with a watchdog (Chamberlain, Powell, Lemaréchal, Pedersen 1982).
 
         A full step may raise the cost, as long as a few more full steps end below the best point
         so far: the way into a narrow curved valley. Else back to the best point and damp.
         """
-        best = here = self._evaluate(pose, shared, weight)
+        best = here = self._evaluate(pose, shared)
         damping = _Damping(settings.first_damping)
         leaps, iterations, chords, before = 0, 0, 0, 0.0
         factor: Factor | None = None
@@ -237,7 +180,7 @@ class _Problem:
             if factor is not None and here is best and chords < _MOST_CHORDS:
                 chords += 1
                 # Near the minimum the last factors still serve: a step for a tenth of the price.
-                there, promised = self._moved(system, factor, here, weight)
+                there, promised = self._moved(system, factor, here)
                 if _excess(promised, before) <= enough:
                     return _lower(there, best, iterations)
                 if promised <= settings.chord_share * best.cost and there.cost <= best.cost:
@@ -245,7 +188,7 @@ class _Problem:
                     continue
             iterations, chords, full = iterations + 1, 0, damping.now == 0
             factors = system.factorise(damping.now)
-            there, promised = self._moved(system, factors, here, weight)
+            there, promised = self._moved(system, factors, here)
             factor = factors if full else None
             if full and here is best:
                 if _excess(promised, before) <= enough:
@@ -265,30 +208,30 @@ class _Problem:
         return replace(best, iterations=iterations)
 
     def _moved(
-        self, system: NormalEquations, factor: Factor, here: Solution, weight: FloatArray
+        self, system: NormalEquations, factor: Factor, here: Solution
     ) -> tuple[Solution, float]:
         """Where a step leads, and by how much the cost would fall were it quadratic."""
         move, shift = system.step(factor)
         pose = here.pose + move
         pose[:, 2] = np.where(self.frame.fixed[:, 2], pose[:, 2], wrap(pose[:, 2]))
-        there = self._evaluate(pose, here.shared + shift, weight)
+        there = self._evaluate(pose, here.shared + shift)
         return there, system.promise(move, shift)
 
-    def _evaluate(self, pose: FloatArray, shared: FloatArray, weight: FloatArray) -> Solution:
+    def _evaluate(self, pose: FloatArray, shared: FloatArray) -> Solution:
         graph = self.graph
         edge_chi2 = squared(edge_errors(graph, pose, shared), graph.information)
         prior_chi2 = squared(prior_errors(graph, pose), graph.priors.information)
         edge_cost, edge_weight = _cauchy(edge_chi2, graph.kernel)
         prior_cost, prior_weight = _cauchy(prior_chi2, graph.priors.kernel)
         belief = np.square((shared - graph.shared.mean) / graph.shared.sigma).sum()
-        cost = float((weight * edge_cost).sum() + prior_cost.sum() + belief)
+        cost = float(edge_cost.sum() + prior_cost.sum() + belief)
         return Solution(
             pose,
             shared,
             float(edge_chi2.sum()),
             cost,
             edge_chi2,
-            weight * edge_weight,
+            edge_weight,
             prior_weight,
             0,
             False,

@@ -22,7 +22,6 @@ from topobatch.topology.posegraph.solve import (
     Solution,
     SolverSettings,
     solve,
-    solve_robust,
     straight_sensitivity,
 )
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, wrap
@@ -390,41 +389,6 @@ def test_columns_in_many_chunks_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = marginals.relative(a, b)
     monkeypatch.setattr("topobatch.topology.posegraph.marginals._CHUNK", 4)
     np.testing.assert_allclose(marginals.relative(a, b), whole, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_false_loops_are_found_out(seed: int) -> None:
-    graph, _ = loop_graph(20 + seed, n=80, loops=60, noise=0.5)
-    rng = np.random.default_rng(seed)
-    k = 12
-    a = rng.integers(0, 40, k)
-    false = PoseGraph(
-        graph.pose,
-        np.concatenate([graph.source, a]),
-        np.concatenate([graph.target, a + rng.integers(10, 40, k)]),
-        np.concatenate([graph.measurement, rng.uniform(-1, 1, (k, 3))]),
-        np.concatenate([4 * graph.information, np.tile(np.diag([400.0, 400, 900]), (k, 1, 1))]),
-    )
-    trusted = np.arange(len(false.source)) < len(graph) - 1
-    solution = solve_robust(false, trusted)
-    assert np.all(solution.edge_weight[-k:] < 0.5)
-    assert np.mean(solution.edge_weight[:-k] > 0.5) > 0.95
-    assert np.all(solution.edge_weight[trusted] == 1)
-    believed = solution.edge_weight > 0.5
-    rest = PoseGraph(
-        false.pose,
-        false.source[believed],
-        false.target[believed],
-        false.measurement[believed],
-        false.information[believed],
-    )
-    assert solution.cost == pytest.approx(solve(rest).cost, rel=1e-5)
-
-
-def test_robust_without_doubt_is_the_plain_solution() -> None:
-    graph, _ = loop_graph(30, noise=0.5)
-    plain, robust = solve(graph), solve_robust(graph, np.zeros(len(graph.source), bool))
-    np.testing.assert_array_equal(robust.pose, plain.pose)
 
 
 def test_chordal_start_is_near_the_minimum() -> None:
