@@ -29,7 +29,7 @@ from topobatch.simulation import true_vertex_of_passes
 from topobatch.topology.closure import candidates, incremental, joint_compatibility
 from topobatch.topology.closure.dead_reckoning import Walk, make_walk
 from topobatch.topology.closure.incremental import RoundSettings, full_closure
-from topobatch.topology.closure.missed_detections import DrivenBySettings, settle
+from topobatch.topology.closure.missed_detections import DrivenBySettings, correct_detections
 from topobatch.topology.odometry import Odometry
 
 WORLDS = ("maze", "office", "organic", "city", "rows")
@@ -146,7 +146,7 @@ def replaced(name):
 def closed(one, rounds, driven_by):
     """(p,) place of every pass, negative for phantoms."""
     found = full_closure(one.walk, rounds)
-    return settle(found.walk, one.odometry, found.place, found.layout, driven_by).place
+    return correct_detections(found.walk, one.odometry, found.place, found.layout, driven_by).place
 
 
 def judged(one, place):

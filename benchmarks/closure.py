@@ -43,7 +43,7 @@ from topobatch.simulation import (
 from topobatch.simulation.drift import DRIFTS
 from topobatch.topology.closure.dead_reckoning import make_walk
 from topobatch.topology.closure.incremental import full_closure
-from topobatch.topology.closure.missed_detections import settle
+from topobatch.topology.closure.missed_detections import correct_detections
 from topobatch.topology.se2 import apply, between, compose, fit_rigid
 
 WORLDS = ("maze", "office", "organic", "city")
@@ -376,10 +376,10 @@ def growth(first):
         walk = make_walk(odometry, passes, noise)
         closed = full_closure(walk)
         clock.append(time.process_time())
-        settled = settle(walk, odometry, closed.place, closed.layout)
+        corrected = correct_detections(walk, odometry, closed.place, closed.layout)
         clock.append(time.process_time())
         print(
-            f"{len(passes):>7} {len(settled.xy):>7} "
+            f"{len(passes):>7} {len(corrected.xy):>7} "
             + " ".join(f"{s:>12.2f}" for s in np.diff(clock)),
             flush=True,
         )

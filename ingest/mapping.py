@@ -13,8 +13,17 @@ from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors
 from ..topology.closure.dead_reckoning import SystematicErrors, Walk, make_walk
 from ..topology.closure.estimate import lay_out
-from ..topology.closure.incremental import RoundSettings, closure_without_grid, full_closure
-from ..topology.closure.missed_detections import DrivenBySettings, settle
+from ..topology.closure.incremental import (
+    Closed,
+    RoundSettings,
+    closure_without_grid,
+    full_closure,
+)
+from ..topology.closure.missed_detections import (
+    CorrectedPlaces,
+    DrivenBySettings,
+    correct_detections,
+)
 from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import fitted_noise
@@ -85,71 +94,80 @@ def build_map_with_errors(
     step("noise")
     noise = _noise(run, odometry, passes, settings)
     step("loop closure")
-    systematic = _systematic(calibration, settings)
-
-    def walk_of(track: Odometry) -> Walk:
-        fused = _passes(run, track, settings)
-        return make_walk(track, fused, noise, systematic)
-
-    if len(odometry.jumps) and settings.closure == "full":
-        odometry = bridged(odometry, walk_of, lambda w: closure_without_grid(w, settings.rounds))
-        passes = _passes(run, odometry, settings)
-    walk = quiet = make_walk(odometry, passes, noise, systematic)
-    grid = None
-    if settings.closure == "none":
-        place = np.arange(len(passes), dtype=np.int64)
-        asked: list[Identification] = []
-        revised: list[Identification] = []
-    elif settings.closure == "gated":
-        (place, asked), revised = gated_closure(walk, settings.rounds), []
-    if settings.closure == "full":
-        closed = full_closure(walk, settings.rounds)
-        walk, place, layout = closed.walk, closed.place, closed.layout
-        grid, asked, revised = closed.grid, closed.asked, closed.revised
-    else:
-        layout = lay_out(walk, place)
+    walk = make_walk(odometry, passes, noise, _systematic(calibration, settings))
+    odometry, walk = _with_jumps_measured(run, odometry, walk, settings)
+    closed = _closed(walk, settings)
     step("map")
-    told = fitted_noise(quiet, odometry, place, layout, grid=grid)
-    scale = refine_scale(odometry, run.detections, passes, told.walk.noise, settings.noise)
-    fair = replace(told.walk, noise=replace(told.walk.noise, scale=scale))
-    layout = set_apart(walk, place, told.layout)
-    settled = settle(
-        walk,
+    fit = fitted_noise(walk, odometry, closed.place, closed.layout, grid=closed.grid)
+    layout = set_apart(walk, closed.place, fit.layout)
+    corrected = correct_detections(
+        closed.walk,
         odometry,
-        place,
+        closed.place,
         layout,
         settings.driven_by,
         resolution_m=_resolution_m(run, settings),
     )
-    errors = place_errors(fair, told.layout, place, settled.kept, told.grid)
-    noise, fitted = (
-        refine_noise(
-            passes,
-            settled.place,
+    measured = _with_scale(run, odometry, fit.walk, settings)
+    errors = place_errors(measured, fit.layout, closed.place, corrected.kept, fit.grid)
+
+    def refined(prior: RunNoise) -> RunNoise:
+        return refine_noise(
+            walk.passes,
+            corrected.place,
             layout.pose[:, 2],
             prior,
-            drive_bys=int(np.sum(~settled.visits.seen)),
+            drive_bys=int(np.sum(~corrected.visits.seen)),
             settings=_noise_settings(run, settings),
         )
-        for prior in (walk.noise, replace(fair.noise, branch_rad=quiet.noise.branch_rad))
-    )
+
     topomap = build_topomap(
         run.name,
         odometry,
-        passes,
-        xy=settled.xy,
-        visits=settled.visits,
-        pass_vertex=settled.place,
-        pass_fair=settled.fair,
+        walk.passes,
+        xy=corrected.xy,
+        visits=corrected.visits,
+        pass_vertex=corrected.place,
+        pass_fair=corrected.fair,
         pass_turn=layout.pose[:, 2],
-        noise=noise,
-        fitted_noise=fitted,
+        noise=refined(closed.walk.noise),
+        fitted_noise=refined(replace(measured.noise, branch_rad=walk.noise.branch_rad)),
         errors=errors,
-        closures=_closures([*asked, *settled.asked], revised, passes, settled.place),
+        closures=_closures(closed, corrected, walk.passes),
         settings=settings.drawing,
     )
     info = _info(run, settings, calibration, walk, odometry)
     return replace(topomap, info=info, shows_bends=run.scanned is None), errors
+
+
+def _with_jumps_measured(
+    run: Run, odometry: Odometry, walk: Walk, settings: MappingSettings
+) -> tuple[Odometry, Walk]:
+    """The odometry and its walk, once the places on both sides told how far it jumped."""
+    if len(odometry.jumps) == 0 or settings.closure != "full":
+        return odometry, walk
+
+    def walk_of(track: Odometry) -> Walk:
+        return make_walk(track, _passes(run, track, settings), walk.noise, walk.systematic)
+
+    odometry = bridged(odometry, walk_of, lambda w: closure_without_grid(w, settings.rounds))
+    return odometry, walk_of(odometry)
+
+
+def _closed(walk: Walk, settings: MappingSettings) -> Closed:
+    """The places of the passes, by as much of loop closure as is asked for."""
+    if settings.closure == "full":
+        return full_closure(walk, settings.rounds)
+    if settings.closure == "gated":
+        return gated_closure(walk, settings.rounds)
+    place = np.arange(len(walk), dtype=np.int64)
+    return Closed(walk, place, lay_out(walk, place), asked=[], grid=None)
+
+
+def _with_scale(run: Run, odometry: Odometry, walk: Walk, settings: MappingSettings) -> Walk:
+    """The walk with the error of scale that no loop tells of."""
+    scale = refine_scale(odometry, run.detections, walk.passes, walk.noise, settings.noise)
+    return replace(walk, noise=replace(walk.noise, scale=scale))
 
 
 def _resolution_m(run: Run, settings: MappingSettings) -> float:
@@ -223,18 +241,11 @@ def _require_passes(run: Run, passes: Passes) -> None:
     )
 
 
-def _closures(
-    asked: list[Identification],
-    revised: list[Identification],
-    passes: Passes,
-    place: IntArray,
-) -> tuple[Closure, ...]:
-    """The record of the map: every identification made, refused and taken back.
-
-    revised: answers that others replaced; place: (p,) of each pass, negative for phantoms.
-    """
-    standing = [_without_phantoms(q, place) for q in asked]
-    answers = [(q, False) for q in standing] + [(q, True) for q in revised]
+def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
+    """The record of the map: every identification made, refused and taken back."""
+    asked = [*closed.asked, *corrected.asked]
+    answers = [(_without_phantoms(q, corrected.place), False) for q in asked]
+    answers += [(q, True) for q in closed.revised]
     answers.sort(key=lambda a: (a[0].second, a[0].first, a[0].round, a[1]))
     times = passes.time_ns.tolist()
     return tuple(

@@ -48,7 +48,7 @@ class DrivenBySettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settled:
+class CorrectedPlaces:
     """The places that stay, and every visit to them.
 
     place: (p,) of each pass, negative for phantoms; fair: (p,) whether the pass shows its place as
@@ -64,7 +64,7 @@ class Settled:
     asked: list[Identification]
 
 
-def settle(
+def correct_detections(
     walk: Walk,
     odometry: Odometry,
     place: IntArray,
@@ -72,7 +72,7 @@ def settle(
     settings: DrivenBySettings = DrivenBySettings(),
     *,
     resolution_m: float = 0.0,
-) -> Settled:
+) -> CorrectedPlaces:
     """Join what the detector cannot tell apart, dissolve the phantoms, then split the legs that
     lead past known places.
 
@@ -96,7 +96,7 @@ def settle(
     visits = visits_of(walk, place, fair, layout, xy)
     found = driven_by(odometry, visits, xy, places, settings)
     visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
-    return Settled(place, fair, xy, visits, kept[real], one.asked)
+    return CorrectedPlaces(place, fair, xy, visits, kept[real], one.asked)
 
 
 def _renumbered(keep: NDArray[np.bool_]) -> tuple[IntArray, IntArray]:

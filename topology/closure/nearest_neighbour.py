@@ -15,18 +15,19 @@ from .answers import Identification
 from .branches import align, branches_of
 from .candidates import CandidateSettings
 from .dead_reckoning import Walk, dead_reckoning_covariance, louder
+from .estimate import lay_out
 from .evidence import background, position_odds
 from .gates import GATE
 from .growth import Scene
-from .incremental import RoundSettings
+from .incremental import Closed, RoundSettings
 from .places import tabulate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def gated_closure(walk: Walk, settings: RoundSettings) -> tuple[IntArray, list[Identification]]:
-    """(p,) place of every pass, numbered by first visit, and the questions that were asked.
+def gated_closure(walk: Walk, settings: RoundSettings) -> Closed:
+    """The places of the passes, numbered by first visit, and the questions that were asked.
 
     O(p · places), vectorised over the places.
     """
@@ -56,7 +57,7 @@ def gated_closure(walk: Walk, settings: RoundSettings) -> tuple[IntArray, list[I
             place[i] = places
             places += 1
         latest[place[i]] = i
-    return place, asked
+    return Closed(walk, place, lay_out(walk, place), asked, None)
 
 
 def _scene(walk: Walk, settings: RoundSettings) -> Scene:

@@ -32,7 +32,7 @@ from topobatch.topology.closure.incremental import (
 from topobatch.topology.closure.joint_compatibility import RIVALS, STEP_OFF, agreeing
 from topobatch.topology.closure.lattice import pattern_of
 from topobatch.topology.closure.manhattan import RectilinearSettings, grid_headings
-from topobatch.topology.closure.missed_detections import phantoms, settle
+from topobatch.topology.closure.missed_detections import correct_detections, phantoms
 from topobatch.topology.closure.nearest_neighbour import gated_closure
 from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
@@ -583,7 +583,8 @@ def test_the_gated_closure_is_honest_and_finds_less():
     rng = np.random.default_rng(11)
     world = grid_world(5, 5, rng)
     odometry, passes, truth = record(world, wander(world[1], 80, rng), rng)
-    place, asked = gated_closure(make_walk(odometry, passes, NOISE), RoundSettings())
+    closed = gated_closure(make_walk(odometry, passes, NOISE), RoundSettings())
+    place, asked = closed.place, closed.asked
     groups = [{truth[i] for i in np.flatnonzero(place == k)} for k in range(place.max() + 1)]
     assert all(len(group) == 1 for group in groups)
     assert len(set(truth)) <= len(groups) < len(truth)
@@ -645,9 +646,9 @@ def test_a_missed_junction_becomes_an_unseen_visit():
     walk = make_walk(odometry, passes, NOISE)
     closed = full_closure(walk)
     assert closed.place.tolist() == partition(truth).tolist()
-    settled = settle(walk, odometry, closed.place, closed.layout)
-    assert int((~settled.visits.seen).sum()) == 1
-    again = settled.visits.vertex.tolist()
+    corrected = correct_detections(walk, odometry, closed.place, closed.layout)
+    assert int((~corrected.visits.seen).sum()) == 1
+    again = corrected.visits.vertex.tolist()
     assert again == partition(route).tolist()
 
 
@@ -662,9 +663,9 @@ def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
     odometry, passes, truth = record(world, first + back)
     walk = make_walk(odometry, passes, NOISE)
     closed = full_closure(walk)
-    settled = settle(walk, odometry, closed.place, closed.layout)
-    assert settled.place[truth.index("ghost")] == -1
-    assert len(settled.xy) == 3
+    corrected = correct_detections(walk, odometry, closed.place, closed.layout)
+    assert corrected.place[truth.index("ghost")] == -1
+    assert len(corrected.xy) == 3
     # Once is not enough for a place with a side branch.
     places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
     assert not phantoms(walk, places, np.zeros(len(places), int)).any()
@@ -683,12 +684,14 @@ def a_crossing_seen_as_two_forks():
     return {name: np.array(at, float) for name, at in xy.items()}, beside
 
 
-def settled_by_sight(route, resolution_m):
-    """Every description of a place taken for a place of its own, then settled."""
+def corrected_by_sight(route, resolution_m):
+    """Every description of a place taken for a place of its own, then corrected."""
     odometry, passes, truth = record(a_crossing_seen_as_two_forks(), route)
     walk, place = make_walk(odometry, passes, NOISE), partition(truth)
-    settled = settle(walk, odometry, place, lay_out(walk, place), resolution_m=resolution_m)
-    return settled, {name: int(settled.place[k]) for k, name in reversed([*enumerate(truth)])}
+    corrected = correct_detections(
+        walk, odometry, place, lay_out(walk, place), resolution_m=resolution_m
+    )
+    return corrected, {name: int(corrected.place[k]) for k, name in reversed([*enumerate(truth)])}
 
 
 THERE = ["west", "left", "right", "east"]
@@ -696,31 +699,31 @@ THERE = ["west", "left", "right", "east"]
 
 def test_two_forks_in_place_of_a_crossing_are_the_crossing_that_was_seen_better():
     route = [*THERE, "crossing", "west", "crossing", "north"]
-    settled, number = settled_by_sight(route, 1.3)
+    corrected, number = corrected_by_sight(route, 1.3)
     assert number["left"] == number["crossing"]
     assert number["right"] == NOWHERE  # the same visit
-    assert settled.visits.vertex.tolist() == [0, 2, 1, 2, 0, 2, 3]
-    assert settled.xy[2] - settled.xy[0] == pytest.approx([6.0, 0.0], abs=0.1)
-    assert settled.fair.tolist() == [True, False, False, *[True] * 5]
-    assert [q.reason for q in settled.asked] == [resolution.REASON] * 2
+    assert corrected.visits.vertex.tolist() == [0, 2, 1, 2, 0, 2, 3]
+    assert corrected.xy[2] - corrected.xy[0] == pytest.approx([6.0, 0.0], abs=0.1)
+    assert corrected.fair.tolist() == [True, False, False, *[True] * 5]
+    assert [q.reason for q in corrected.asked] == [resolution.REASON] * 2
     # It lies amid all looks: the three here, of which two are a little aside.
-    assert np.hypot(*(settled.xy[2] - settled.xy[0] - [6.0, 0.0])) < 0.01
-    assert all(q.accepted and q.bits > 0 for q in settled.asked)
+    assert np.hypot(*(corrected.xy[2] - corrected.xy[0] - [6.0, 0.0])) < 0.01
+    assert all(q.accepted and q.bits > 0 for q in corrected.asked)
 
 
 def test_two_forks_that_were_seen_better_are_no_crossing():
     route = [*THERE, *THERE[-2::-1], *THERE[1:], "crossing", "west"]
-    settled, number = settled_by_sight(route, 1.3)
+    corrected, number = corrected_by_sight(route, 1.3)
     assert number["left"] != number["right"]
     assert number["crossing"] in (number["left"], number["right"])
-    assert len(settled.xy) == 4
+    assert len(corrected.xy) == 4
 
 
 def test_what_a_detector_tells_apart_stays_apart():
     route = [*THERE, "crossing", "west"]
-    assert len(settled_by_sight(route, 0.0)[0].xy) == 5
-    assert len(settled_by_sight(route, 0.3)[0].xy) == 5
-    told, number = settled_by_sight([*THERE, *THERE[-2::-1]], 1.3)
+    assert len(corrected_by_sight(route, 0.0)[0].xy) == 5
+    assert len(corrected_by_sight(route, 0.3)[0].xy) == 5
+    told, number = corrected_by_sight([*THERE, *THERE[-2::-1]], 1.3)
     assert number["left"] != number["right"]
     assert told.asked == []
 
@@ -729,8 +732,8 @@ def test_places_that_may_well_be_farther_apart_stay_two():
     odometry, passes, truth = record(a_crossing_seen_as_two_forks(), [*THERE, "crossing", "west"])
     vague = replace(NOISE, along_m_per_sqrt_m=0.2)
     walk, place = make_walk(odometry, passes, vague), partition(truth)
-    settled = settle(walk, odometry, place, lay_out(walk, place), resolution_m=1.3)
-    assert len(settled.xy) == 5
+    corrected = correct_detections(walk, odometry, place, lay_out(walk, place), resolution_m=1.3)
+    assert len(corrected.xy) == 5
 
 
 def test_dead_reckoning_covariance_is_that_of_many_drives():
