@@ -273,7 +273,7 @@ class _Edges:
     traversals: IntArray
     time_ns: tuple[IntArray, ...]
     leg: IntArray
-    """The leg whose track is drawn: the one of median length."""
+    """The leg whose track is drawn, and whose length is the corridor's: the shortest sound one."""
     wander: float
     """Variance, per metre, of the ways driven through one corridor."""
     detour: float
@@ -318,10 +318,10 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
     for e, key in enumerate(keys):
         member = np.array(groups[key])
         ordered = member[np.argsort(legs.length[member], kind="stable")]
-        leg[e] = ordered[len(ordered) // 2]
-        middle = legs.length[leg[e]]
-        sound = member[np.abs(legs.length[member] - middle) < 1.0]
-        length[e] = legs.length[sound].min()  # who wanders drives farther, nobody less far
+        middle = legs.length[ordered[len(ordered) // 2]]
+        sound = ordered[np.abs(legs.length[ordered] - middle) < 1.0]
+        leg[e] = sound[0]  # who wanders drives farther, nobody less far
+        length[e] = legs.length[leg[e]]
         excess += float(np.var(legs.length[sound]) * len(sound))
         way += float(length[e] * (len(sound) - 1))
     traversals = np.array([len(groups[key]) for key in keys], np.int64)

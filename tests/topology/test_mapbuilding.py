@@ -253,6 +253,15 @@ def test_detours_are_chosen_where_the_next_drive_is_shorter():
     assert mapbuilding._chosen_detour(legs(5.0), [[0]], xy) == 0.0
 
 
+def test_the_path_is_the_drive_that_the_length_is_of():
+    odometry, rows = track((0, 0), (8, 0), (4, 0.7), (0, 0))
+    passes = seen(odometry, rows[[0, 1, 3]], [[EAST], [WEST, NORTH], [EAST]])
+    m = build(odometry, passes, [0, 1, 0])
+    assert m.traversals.tolist() == [2]
+    assert m.length[0] == pytest.approx(8.0, abs=0.01)
+    assert way_of(m.paths[0])[-1] == pytest.approx(m.length[0], abs=0.01)
+
+
 @pytest.mark.parametrize("out_m", [0.06, 0.6])
 def test_turning_about_within_a_junction_makes_no_corridor(out_m):
     odometry, rows = track((0, 0), (8, 0), (8, out_m), (8, 0), (8, 4))

@@ -54,9 +54,15 @@ def _edges(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
     """Ids go on where those of the nodes end; the way back follows the way there."""
     xy, number = rounded(graph.xy, METRES), len(graph.xy)
     lengths, seconds = rounded(graph.length, METRES), graph.seconds.tolist()
+    sigmas, drives = rounded(graph.length_sigma, METRES), topomap.traversals.tolist()
     out = []
     for k, edge in enumerate(graph.edge.tolist()):
-        metadata = {"length": lengths[k], "corridor": edge}
+        metadata = {
+            "length": lengths[k],
+            "length_sigma": sigmas[k],
+            "corridor": edge,
+            "traversals": drives[edge],
+        }
         if seconds[k] == seconds[k]:
             metadata["abs_time_taken"] = max(float(rounded(seconds[k], SECONDS)), 10.0**-SECONDS)
         ends = int(graph.source[k]), int(graph.target[k])

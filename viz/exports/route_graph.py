@@ -27,8 +27,8 @@ class RouteGraph:
 
     xy: (p, 2) [m], the map's n vertices first, then points on the way; vertex: (p,) their vertex,
     or VIA. source, target: (s,) points of each piece, along the direction of its edge; edge: (s,)
-    of the map; length: (s,) [m]; seconds: (s,) that driving it takes, NaN where that is not known.
-    max_error_m: no path of the map lies farther from its pieces.
+    of the map; length, length_sigma: (s,) [m]; seconds: (s,) that driving it takes, NaN where that
+    is not known. max_error_m: no path of the map lies farther from its pieces.
     """
 
     xy: FloatArray
@@ -37,12 +37,14 @@ class RouteGraph:
     target: IntArray
     edge: IntArray
     length: FloatArray
+    length_sigma: FloatArray
     seconds: FloatArray
     max_error_m: float
 
 
 def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGraph:
-    """The straight pieces of all corridors. A piece takes its share of its corridor's time.
+    """The straight pieces of all corridors. A piece takes its share of its corridor's time, and of
+    the variance of its length: errors of corridors one after the other add up by their squares.
 
     Raises ValueError unless max_error_m is positive. O(points of all paths).
     """
@@ -74,6 +76,7 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
         target=np.concatenate(target) if some else none,
         edge=of,
         length=lengths,
+        length_sigma=np.sqrt(share) * topomap.length_sigma[of],
         seconds=share * driving_seconds(topomap)[of],
         max_error_m=max_error_m,
     )

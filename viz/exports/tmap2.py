@@ -93,7 +93,10 @@ def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
             edge_id = f"{names[start]}_{names[end]}"
             used[edge_id] = used.get(edge_id, 0) + 1
             again = f"_{used[edge_id]}" if used[edge_id] > 1 else ""
-            properties: dict[str, Any] = {"length": rounded(graph.length[k], METRES)}
+            properties: dict[str, Any] = {
+                "length": rounded(graph.length[k], METRES),
+                "length_sigma": rounded(graph.length_sigma[k], METRES),
+            }
             if np.isfinite(graph.seconds[k]):
                 properties["seconds"] = significant(float(graph.seconds[k]))
             out[start].append(

@@ -41,3 +41,17 @@ def test_straight_pieces_stay_near_the_path(driven) -> None:
     assert len(route_graph(driven[1], 0.02).xy) > len(route_graph(driven[1], 0.3).xy)
     with pytest.raises(ValueError, match="positive"):
         route_graph(driven[1], 0.0)
+
+
+def test_the_variances_of_the_pieces_add_up_to_those_of_the_corridors(driven) -> None:
+    topomap = driven[1]
+    graph = route_graph(topomap, 0.02)
+    assert np.bincount(graph.edge).max() > 1
+    whole = np.sqrt(np.bincount(graph.edge, graph.length_sigma**2))
+    assert whole == pytest.approx(topomap.length_sigma)
+    for form in ("nav2", "tmap2"):
+        told = sum(
+            data["length_sigma"] ** 2
+            for *_, data in READERS[form](text_of(topomap, form)).edges(data=True)
+        )
+        assert told == pytest.approx(2 * float((topomap.length_sigma**2).sum()), rel=0.05)
