@@ -40,8 +40,8 @@ def view(
     """Open the merged map, or a run's, in the rerun viewer.
 
     Drag the time line below the map: a run's map grows as it was driven, a merged map as its runs
-    were joined. With --with-log the topics of the raw log stand beside it, under /log, and share
-    its time.
+    were joined. With --with-log a page for every topic of the raw log stands beside it, at the same
+    time: speeds, laser echoes, pictures, tables of messages.
     """
     place = Workspace(workspace)
     if with_log and run is None:
@@ -52,8 +52,8 @@ def view(
         return
     if recording != place.map_rrd(run):
         raise UsageError(ONE_RUN)
-    with _raw_log(place, run) as raw:
-        _open([recording, raw])
+    with _raw_log(place, run, recording) as both:
+        _open(both)
 
 
 def _recording(place: Workspace, run: str | None) -> Path:
@@ -73,24 +73,25 @@ def _recording(place: Workspace, run: str | None) -> Path:
 
 
 @contextmanager
-def _raw_log(place: Workspace, run: str) -> Iterator[Path]:
-    """A recording of the log that a run's map was made from: kept in the workspace or, where that
-    cannot be written, as long as the viewer is open."""
+def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]]:
+    """The recording of a run with the log that its map was made from, and the views of both: kept
+    in the workspace or, where that cannot be written, as long as the viewer is open."""
     from ..viz import write_raw_log
 
     log = place.log_of(run)
     if not isinstance(log, Path):
         raise DataError(f"{log}: the viewer reads files only; copy the log here to look at it")
+    topomap = place.read_map(run)
     with tempfile.TemporaryDirectory() as spare:
-        raw = place.raw_log_rrd(run)
+        both, views = place.raw_log_rrd(run), place.raw_log_views_rrd(run)
         try:
-            write_raw_log(raw, log, run)
+            write_raw_log(both, views, log, recording, topomap)
         except PermissionError:
             if not _has_display():
                 raise
-            raw = Path(spare) / raw.name
-            write_raw_log(raw, log, run)
-        yield raw
+            both, views = (Path(spare) / file.name for file in (both, views))
+            write_raw_log(both, views, log, recording, topomap)
+        yield [views, both]
 
 
 def _open(recordings: list[Path]) -> None:

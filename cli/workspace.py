@@ -161,8 +161,12 @@ class Workspace:
         return self.root / "cache" / "pairs"
 
     def raw_log_rrd(self, run: str) -> Path:
-        """The log of a run as a recording; may be deleted at any time."""
+        """The recording of a run with its log; may be deleted at any time."""
         return self.root / "cache" / "log" / f"{plain_name(run)}.log.rrd"
+
+    def raw_log_views_rrd(self, run: str) -> Path:
+        """How to show that recording; may be deleted at any time."""
+        return self.root / "cache" / "log" / f"{plain_name(run)}.views.rrd"
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""

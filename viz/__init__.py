@@ -71,12 +71,13 @@ def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, explanation: Exp
     write(path, a, b, explanation)
 
 
-def write_raw_log(path: Path, log: Path, run: str) -> None:
-    """Write a raw log, an MCAP file or a folder of them, as a recording that the viewer lays under
-    the map of its run: its topics lie below /log, and share the map's time.
+def write_raw_log(path: Path, views: Path, log: Path, recording: Path, topomap: TopoMap) -> None:
+    """Write the recording of a run's map together with its raw log, an MCAP file or a folder of
+    them: topics lie below /log, and share the map's time.
 
-    Raises LogError if the viewer cannot read it, OSError if the file cannot be written.
+    recording: of the map; views: a recording to open before `path`, which says how to show both.
+    Raises LogError if the viewer cannot read the log, OSError if a file cannot be written.
     """
     from .raw_log import write
 
-    write(path, log, run)
+    write(path, views, log, recording, topomap)

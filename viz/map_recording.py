@@ -11,40 +11,21 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
-from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Scanned
 from ..topology.topomap import TopoMap
 from . import palette
 from .detections import write_detections
-from .drawing import MOST_NUMBERED, bounds, branch_arrows, driven_branches, pen_m
+from .drawing import MOST_NUMBERED, branch_arrows, driven_branches, pen_m
 from .growing import light_up
 from .history import History, Question, history, questions
+from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
 from .map_summary import Shown, map_summary
 from .odometry_health import Lane, lanes
-from .recording import (
-    CLOCKS,
-    HAIR,
-    UP,
-    PathParts,
-    Recording,
-    entity,
-    map_view,
-    markdown,
-    write_recording,
-)
+from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
-from .scan_layers import overrides_of_scans, scan_layers, write_scans
-
-MOST_NODES = 300
-"""Above this many vertices there is no room for a graph of boxes."""
-
-GRAPH_CORRIDOR = 90.0
-"""The usual corridor's length in the graph, in units of which a node takes about twenty."""
-
-TRAIL_S, DETECTION_S = 60.0, 0.3
-"""So long behind the cursor the robot's trail and its detections are shown."""
+from .scan_layers import scan_layers, write_scans
 
 FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
 """Radii, in pens, of the rings round a junction, one for each accepted closure."""
@@ -52,9 +33,6 @@ FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
 _CIRCLE = np.stack(
     [np.cos(np.linspace(0, 2 * np.pi, 25)), np.sin(np.linspace(0, 2 * np.pi, 25))], 1
 )
-
-WIDEST = 1.4
-"""The view holds the recorded odometry unless that makes the map smaller than by this."""
 
 HEALTH_COLOURS = {
     "steady": palette.MERGED,
@@ -66,8 +44,6 @@ HEALTH_COLOURS = {
     "new ground": palette.TRAIL,
     "known ground": palette.SINGLE,
 }
-
-MAP: PathParts = ("map",)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +93,7 @@ def write(path: Path, topomap: TopoMap, beside: Beside) -> None:
             scans=seen is not None,
         )
         recording.static(("summary",), markdown(map_summary(topomap, asked, shown)))
-        return _blueprint(topomap, track, health, scans=seen is not None)
+        return map_blueprint(topomap, track, health=bool(health), scans=seen is not None)
 
     write_recording(path, topomap.run, fill)
 
@@ -203,12 +179,6 @@ def _junctions(
     light_up(recording, path, rr.Points2D, known.vertex_ns, colours, begin_ns=begin_ns)
 
 
-def _on_graph(topomap: TopoMap) -> NDArray[np.float64]:
-    """(n, 2) where the vertices lie in the graph; y points down."""
-    usual = float(np.median(topomap.length)) if len(topomap.length) else 1.0
-    return GRAPH_CORRIDOR / usual * topomap.xy * [1.0, -1.0]
-
-
 def _graph(recording: Recording, topomap: TopoMap) -> None:
     """The map as boxes and straight lines: its topology without its shape."""
     if not 0 < len(topomap) <= MOST_NODES:
@@ -218,7 +188,7 @@ def _graph(recording: Recording, topomap: TopoMap) -> None:
         ids,
         labels=ids,
         colors=palette.by_degree(topomap.degree),
-        positions=_on_graph(topomap),
+        positions=on_graph(topomap),
     )
     ends = zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)
     edges = [(str(u), str(v)) for u, v in ends if u != v]
@@ -352,103 +322,3 @@ def _track(recording: Recording, track: RobotTrack) -> None:
         radii=rr.Radius.ui_points(2.5), colors=palette.TRAIL, draw_order=palette.Order.TIE
     )
     recording.static((*MAP, "trail"), trail)
-
-
-def _blueprint(
-    topomap: TopoMap, track: RobotTrack | None, health: Sequence[Lane], *, scans: bool
-) -> rrb.Blueprint:
-    views: list[rrb.View] = [_map_view(topomap, track, scans=scans)]
-    if 0 < len(topomap) <= MOST_NODES:
-        low, high = bounds([_on_graph(topomap)])
-        around = rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[low[1], high[1]])
-        views.append(rrb.GraphView(origin="/graph", name="Graph", visual_bounds=around))
-    pages: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
-    if len(topomap.observation_time_ns):
-        pages.append(rrb.TextLogView(origin="/events", name="Events", columns=_event_columns()))
-    side: list[rrb.View | rrb.Container] = [rrb.Tabs(*pages, active_tab=0, name="Details")]
-    if track is not None:
-        side.append(_drift_view(track))
-    if health:
-        whole = rrb.TimeAxis(view_range=_ALL_TIMES)
-        side.append(
-            rrb.StateTimelineView(origin="/health", name="Odometry, health", time_view=whole)
-        )
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Tabs(*views, active_tab=0, name="Maps"),
-            rrb.Vertical(*side, row_shares=[5, 2, 2][: len(side)], name="Run"),
-            column_shares=[3, 1],
-            name="Map of one run",
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        # Following shows the end, where the whole map is known, until somebody moves the cursor.
-        rrb.TimePanel(state="collapsed", timeline=CLOCKS[0], play_state="following"),
-        auto_layout=False,
-        auto_views=False,
-    )
-
-
-_ALL_TIMES = rr.TimeRange(
-    start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
-)
-
-
-def _drift_view(track: RobotTrack) -> rrb.TimeSeriesView:
-    """How far the recorded odometry is from the map, over the whole run."""
-    return rrb.TimeSeriesView(
-        origin="/drift",
-        name="Drift [m]",
-        axis_x=rrb.TimeAxis(view_range=_ALL_TIMES),
-        axis_y=rrb.ScalarAxis(range=(0.0, 1.8 * max(float(track.drift_m.max()), 0.1))),
-        plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
-    )
-
-
-def _event_columns() -> rrb.TextLogColumns:
-    return rrb.TextLogColumns(
-        timeline_columns=[TimelineColumn(CLOCKS[0])],
-        text_log_columns=[
-            TextLogColumn(TextLogColumnKind.LogLevel),
-            TextLogColumn(TextLogColumnKind.Body),
-        ],
-    )
-
-
-def _map_view(topomap: TopoMap, track: RobotTrack | None, *, scans: bool) -> rrb.Spatial2DView:
-    shown: list[NDArray[np.float64]] = [topomap.xy, *topomap.paths]
-    low, high = bounds(shown)
-    if track is not None:
-        wide_low, wide_high = bounds([*shown, *track.stretches])
-        if np.all(wide_high - wide_low <= WIDEST * (high - low)):
-            low, high = wide_low, wide_high
-    hidden = rrb.EntityBehavior(visible=False)
-    overrides: dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges] = {
-        entity((*MAP, "branches driven")): hidden,
-        entity((*MAP, "closures", "refused")): hidden,
-    }
-    if track is not None:
-        overrides[entity((*MAP, "detection"))] = rrb.VisibleTimeRanges(
-            [
-                rrb.VisibleTimeRange(
-                    clock,
-                    start=rr.TimeRangeBoundary.cursor_relative(seconds=-DETECTION_S),
-                    end=rr.TimeRangeBoundary.cursor_relative(),
-                )
-                for clock in CLOCKS
-            ]
-        )
-        trail = rrb.VisibleTimeRanges(
-            [
-                rrb.VisibleTimeRange(
-                    clock,
-                    start=rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
-                    end=rr.TimeRangeBoundary.cursor_relative(),
-                )
-                for clock in CLOCKS
-            ]
-        )
-        overrides[entity((*MAP, "trail"))] = trail
-    if scans:
-        overrides |= overrides_of_scans(MAP)
-    return map_view(MAP[0], "Map", low, high, overrides)

@@ -18,9 +18,10 @@ def place(topobatch, logs, tmp_path):
 def test_the_log_is_opened_beside_the_map(topobatch, place) -> None:
     done = topobatch("view", "mcap", "--with-log", "-w", place)
     assert done.code == 0, done
-    raw = place / "cache" / "log" / "mcap.log.rrd"
-    assert str(raw) in done.out
-    assert raw.is_file()
+    for name in ("mcap.views.rrd", "mcap.log.rrd"):
+        raw = place / "cache" / "log" / name
+        assert str(raw) in done.out
+        assert raw.is_file()
 
 
 def test_what_the_viewer_cannot_read_is_said(topobatch, place, tmp_path) -> None:
