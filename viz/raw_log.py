@@ -6,7 +6,7 @@ are drawn here. Of the other messages it draws what it knows, and shows the rest
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -183,7 +183,7 @@ def _views(held: dict[str, set[str]]) -> list[rrb.View]:
         elif "TextLog" in shown:
             drawn.append(rrb.TextLogView(origin=place, name=topic))
         elif "Transform3D" not in shown:
-            tables.append(_table(place, topic, held[topic]))
+            tables.append(_table(place, topic))
     return drawn + tables
 
 
@@ -206,10 +206,7 @@ def _speed_view(place: str, topic: str) -> rrb.View:
     )
 
 
-def _table(place: str, topic: str, components: Iterable[str]) -> rrb.View:
+def _table(place: str, topic: str) -> rrb.View:
     """The messages of a topic, a row each, following the cursor."""
-    columns = [f"{place}:{name}" for name in sorted(components)]
-    query = rrb.archetypes.DataframeQuery(
-        timeline=CLOCKS[0], select=[CLOCKS[0], *columns], auto_scroll=True
-    )
+    query = rrb.archetypes.DataframeQuery(timeline=CLOCKS[0], auto_scroll=True)
     return rrb.DataframeView(origin=place, contents=place, name=topic, query=query)
