@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
@@ -43,6 +42,9 @@ MAGIC = b"\x89MCAP0\r\n"
 IN_SPACE = ("Points3D", "LineStrips3D", "Boxes3D", "Mesh3D", "GridMap", "Arrows3D")
 """What the viewer draws in space of messages that it knows, by rerun's names."""
 IMAGES = ("Image", "EncodedImage", "DepthImage", "EncodedDepthImage", "VideoStream")
+
+Messages = Any
+"""Arrow's array of the messages of a topic, structs of their fields."""
 
 Drawn = dict[str, tuple[Any, Any]]
 """What changes, a row for each message (or nothing), and what does not, by the name of the entity
@@ -107,14 +109,14 @@ def _with_drawn(chunk: Chunk, held: dict[str, set[str]]) -> Iterator[Chunk]:
             yield Chunk.from_columns(place, [], look)
 
 
-def _at(message: pa.StructArray, *names: str) -> NDArray[Any]:
+def _at(message: Messages, *names: str) -> NDArray[Any]:
     """The numbers of a field of all messages."""
     for name in names:
         message = message.field(name)
     return np.asarray(message.to_numpy(zero_copy_only=False))
 
 
-def _speeds(message: pa.StructArray) -> Drawn:
+def _speeds(message: Messages) -> Drawn:
     """Speeds as the odometry says them, forward [m/s] and turning [rad/s]."""
     out: Drawn = {}
     for name, field, colour in (
@@ -126,7 +128,7 @@ def _speeds(message: pa.StructArray) -> Drawn:
     return out
 
 
-def _laser(message: pa.StructArray) -> Drawn:
+def _laser(message: Messages) -> Drawn:
     """Echoes in the laser's frame, ahead up in the view (whose y points down)."""
     ranges = message.field("ranges")
     count = np.diff(ranges.offsets.to_numpy(zero_copy_only=False))
@@ -146,7 +148,7 @@ def _laser(message: pa.StructArray) -> Drawn:
     return {"echoes": (points, look), "laser": ((), here)}
 
 
-DRAWN: dict[str, Callable[[pa.StructArray], Drawn]] = {
+DRAWN: dict[str, Callable[[Messages], Drawn]] = {
     "nav_msgs.msg.Odometry:message": _speeds,
     "sensor_msgs.msg.LaserScan:message": _laser,
 }
