@@ -54,7 +54,8 @@ def _edges(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
     """Ids go on where those of the nodes end; the way back follows the way there."""
     xy, number = rounded(graph.xy, METRES), len(graph.xy)
     lengths, seconds = rounded(graph.length, METRES), graph.seconds.tolist()
-    sigmas, drives = rounded(graph.length_sigma, METRES), topomap.traversals.tolist()
+    sigmas, spread = rounded(graph.length_sigma, METRES), graph.seconds_sigma.tolist()
+    drives = topomap.traversals.tolist()
     out = []
     for k, edge in enumerate(graph.edge.tolist()):
         metadata = {
@@ -65,6 +66,8 @@ def _edges(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
         }
         if seconds[k] == seconds[k]:
             metadata["abs_time_taken"] = max(float(rounded(seconds[k], SECONDS)), 10.0**-SECONDS)
+        if spread[k] == spread[k]:
+            metadata["time_sigma"] = float(rounded(spread[k], SECONDS))
         ends = int(graph.source[k]), int(graph.target[k])
         for start, end in (ends, ends[::-1]):
             out.append(

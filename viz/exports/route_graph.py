@@ -27,8 +27,8 @@ class RouteGraph:
 
     xy: (p, 2) [m], the map's n vertices first, then points on the way; vertex: (p,) their vertex,
     or VIA. source, target: (s,) points of each piece, along the direction of its edge; edge: (s,)
-    of the map; length, length_sigma: (s,) [m]; seconds: (s,) that driving it takes, NaN where that
-    is not known. max_error_m: no path of the map lies farther from its pieces.
+    of the map; length, length_sigma: (s,) [m]; seconds, seconds_sigma: (s,) that driving it takes,
+    NaN where that is not known. max_error_m: no path of the map lies farther from its pieces.
     """
 
     xy: FloatArray
@@ -39,12 +39,13 @@ class RouteGraph:
     length: FloatArray
     length_sigma: FloatArray
     seconds: FloatArray
+    seconds_sigma: FloatArray
     max_error_m: float
 
 
 def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGraph:
     """The straight pieces of all corridors. A piece takes its share of its corridor's time, and of
-    the variance of its length: errors of corridors one after the other add up by their squares.
+    the variances of its length and time: errors along a route add up by their squares.
 
     Raises ValueError unless max_error_m is positive. O(points of all paths).
     """
@@ -78,6 +79,7 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
         length=lengths,
         length_sigma=np.sqrt(share) * topomap.length_sigma[of],
         seconds=share * driving_seconds(topomap)[of],
+        seconds_sigma=np.sqrt(share) * seconds_sigma(topomap)[of],
         max_error_m=max_error_m,
     )
 
@@ -97,6 +99,25 @@ def driving_seconds(topomap: TopoMap) -> FloatArray:
             took = max(float(np.median(np.abs(times[:, 1] - times[:, 0]))) * 1e-9, 1e-3)
             out[e] = took
     return out
+
+
+def seconds_sigma(topomap: TopoMap) -> FloatArray:
+    """(m,) 1 sigma [s] of `driving_seconds`; NaN where that, or how far drives differ, is unknown.
+
+    Two or three drives do not show how far they differ: all corridors of the map that were driven
+    more than once tell together, as the share of their times, and of n drives the mean of that is
+    known to one part in the root of n.
+    """
+    seconds = driving_seconds(topomap)
+    times = topomap.traversal_ns or ()
+    took = [np.abs(t[:, 1] - t[:, 0]) * 1e-9 for t in times]
+    count = np.array([len(t) for t in took] or np.zeros(len(seconds)))
+    again = [t / t.mean() - 1 for t in took if len(t) > 1 and t.mean() > 0]
+    if not again:
+        return np.full(len(seconds), np.nan)
+    freedom = sum(len(t) - 1 for t in again)
+    differ = np.sqrt(sum(float(t @ t) for t in again) / freedom)
+    return np.asarray(differ * seconds / np.sqrt(np.maximum(count, 1)))
 
 
 def driving_speed(topomap: TopoMap) -> FloatArray:
