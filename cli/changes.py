@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def changes(
     component: Annotated[
-        int | None, typer.Option(min=0, help="Only this component of the merged map.")
+        int | None, typer.Option(metavar="N", min=0, help="Only this component of the merged map.")
     ] = None,
     everything: Annotated[
         bool, typer.Option("--all", help="Also differences that chance may have made.")

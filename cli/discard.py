@@ -19,7 +19,7 @@ def discard(
     what: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[RUN | A:B]...",
+            metavar="RUN|A:B",
             help="Runs, or matches of two runs.",
             autocompletion=complete_run,
         ),
@@ -28,12 +28,13 @@ def discard(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     quiet: QuietOption = False,
 ) -> None:
-    """Take back runs, or matches of two runs, and what depends on them.
+    """Take back runs, or matches of two runs.
 
-    RUN: its map, recordings and locks are removed; its log, ingested again, makes it anew. A:B:
-    what was found between the two is not counted any more, in this merge and in later ones; other
-    runs may still join them (to keep them apart whatever is found: topobatch lock A B --never). The
-    last merge is made anew without it. Without arguments, the matches that were taken back.
+    What depends on them goes with them. RUN: its map, recordings and locks are removed; its log,
+    ingested again, makes it anew. A:B: what was found between the two is not counted any more, in
+    this merge and in later ones; other runs may still join them (to keep them apart whatever is
+    found: topobatch lock A B --never). The last merge is made anew without it. Without arguments,
+    the matches that were taken back.
     """
     place, screen = Workspace(workspace), Screen(quiet)
     if not what:

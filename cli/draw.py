@@ -10,7 +10,7 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import listed
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
 from .output import say
 from .workspace import MERGED, Workspace
 
@@ -27,6 +27,7 @@ def draw(
             metavar="RUN|merged|A:B",
             help="A run, for its map; merged, or the --output NAME of a merge; or two runs, for "
             "why they were merged or not.",
+            autocompletion=complete_map,
         ),
     ],
     out: Annotated[Path, typer.Argument(metavar="OUT.svg|OUT.png", help="The picture to write.")],

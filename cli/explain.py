@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 
 
 def explain(
-    a: Annotated[str, typer.Argument(help="A run.", autocompletion=complete_run)],
-    b: Annotated[str, typer.Argument(help="Another run.", autocompletion=complete_run)],
+    a: Annotated[str, typer.Argument(metavar="A", help="A run.", autocompletion=complete_run)],
+    b: Annotated[
+        str, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
+    ],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     method: Annotated[
         Literal["robust", "paper"],
@@ -49,6 +51,7 @@ def explain(
     rows: Annotated[
         int | None,
         typer.Option(
+            metavar="N",
             min=1,
             help="Links, or rows of a table and clusters, to print at most. Default: what fits a "
             "screen; 20 of the paper's.",

@@ -11,7 +11,7 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import listed
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_map
 from .output import Screen, count, say_text
 from .workspace import MERGED, Workspace
 
@@ -43,6 +43,7 @@ def export(
         typer.Argument(
             metavar="RUN|merged",
             help="A run, or the merged map (merged, or the --output NAME of a merge).",
+            autocompletion=complete_map,
         ),
     ],
     form: Annotated[
@@ -66,15 +67,17 @@ def export(
     ] = None,
     component: Annotated[
         int | None,
-        typer.Option(min=0, help="Only this component of the merged map; default: a file each."),
+        typer.Option(
+            metavar="N", min=0, help="Only this component of the merged map; default: a file each."
+        ),
     ] = None,
     tolerance: Annotated[
         float,
         typer.Option(
+            metavar="METRES",
             min=0.001,
             max=10.0,
-            help="How far in metres a corridor may lie from its straight pieces (nav2, lif, rmf, "
-            "tmap2).",
+            help="How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
         ),
     ] = 0.05,
     log: Annotated[
@@ -87,7 +90,7 @@ def export(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a run's map, or the merged map, in a format that others load.
+    """Write a map in a format that others load.
 
     The merged map has components that share no frame: each becomes a file of its own, numbered like
     the components of topobatch merge. Trajectories (tum) are read from the run's log again.

@@ -28,7 +28,7 @@ def info(
     logs: Annotated[
         list[str],
         typer.Argument(
-            metavar="LOG...",
+            metavar="LOG",
             help="MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
             "elsewhere (s3://, gs://, az://, https://).",
         ),

@@ -73,7 +73,7 @@ def ingest(
     logs: Annotated[
         list[str],
         typer.Argument(
-            metavar="LOG...",
+            metavar="LOG",
             help="Logs, or folders to search for logs; here, or elsewhere (s3://, gs://, az://, "
             "https://).",
         ),
@@ -101,7 +101,10 @@ def ingest(
         typer.Option(help="Name of the run (one log only); default: the log's name."),
     ] = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=0, help="Logs read at once; 0: one per core.")
+        int,
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=0, help="Logs read at once; 0: one per core."
+        ),
     ] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Redo finished runs; replace maps made from other logs.")

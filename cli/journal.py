@@ -59,10 +59,15 @@ def _entry(line: str) -> dict[str, Any] | None:
 
 def history(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    most: Annotated[int, typer.Option("--last", "-n", min=1, help="How many, the last ones.")] = 20,
+    most: Annotated[
+        int, typer.Option("--last", "-n", metavar="N", min=1, help="How many, the last ones.")
+    ] = 20,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Show what was done to the workspace: ingested, merged, locked, discarded, renamed."""
+    """Show what was done to the workspace.
+
+    What was ingested, merged, locked, discarded and renamed, and when.
+    """
     lines = _lines(Workspace(workspace))
     entries = [entry for line in lines if (entry := _entry(line)) is not None][-most:]
     if as_json:

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 def lock(
     a: Annotated[
-        str | None, typer.Argument(metavar="[A]", help="A run.", autocompletion=complete_run)
+        str | None, typer.Argument(metavar="A", help="A run.", autocompletion=complete_run)
     ] = None,
     b: Annotated[
-        str | None, typer.Argument(metavar="[B]", help="Another run.", autocompletion=complete_run)
+        str | None, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
     ] = None,
     same: Annotated[
         bool, typer.Option("--same", help="The two share places: join them, where they fit best.")

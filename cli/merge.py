@@ -40,9 +40,7 @@ WORTH_PROCESSES = 4000
 def merge(
     runs: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[RUN]...", help="Runs to merge, by name.", autocompletion=complete_run
-        ),
+        typer.Argument(metavar="RUN", help="Runs to merge, by name.", autocompletion=complete_run),
     ] = None,
     everything: Annotated[
         bool, typer.Option("--all", help="Merge every run of the workspace.")
@@ -58,6 +56,7 @@ def merge(
     false_merge_rate: Annotated[
         float | None,
         typer.Option(
+            metavar="SHARE",
             min=1e-9,
             max=0.5,
             help="Share of batches that may hold any false merge; default 0.001.",
@@ -81,7 +80,10 @@ def merge(
     iterative: paper_options.IterativeOption = None,
     met: paper_options.MetOption = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=0, help="Processes to match with; 0: one per core.")
+        int,
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=0, help="Processes to match with; 0: one per core."
+        ),
     ] = 0,
     cluster: Annotated[
         str | None,

@@ -39,3 +39,9 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     except (TopobatchError, OSError):
         return []
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]
+
+
+def complete_map(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The same, and the merged map."""
+    merged = [name for name in ("merged",) if name.startswith(incomplete)]
+    return [*merged, *complete_run(ctx, incomplete)]

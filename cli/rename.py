@@ -20,15 +20,16 @@ PIECE = re.compile(r"#[0-9]{1,9}")
 
 
 def rename(
-    old: Annotated[str, typer.Argument(help="A run.", autocompletion=complete_run)],
-    new: Annotated[str, typer.Argument(help="Its new name.")],
+    old: Annotated[str, typer.Argument(metavar="OLD", help="A run.", autocompletion=complete_run)],
+    new: Annotated[str, typer.Argument(metavar="NEW", help="Its new name.")],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     quiet: QuietOption = False,
 ) -> None:
-    """Give a run another name, in its map, in locks and in the last merge.
+    """Give a run another name.
 
-    Its pieces (RUN#2 and so on) are renamed with it. Its log, ingested again, goes by the new name.
-    The recording of its map shows the old name until then.
+    In its map, in locks and in the last merge. Its pieces (RUN#2 and so on) are renamed with it.
+    Its log, ingested again, goes by the new name. The recording of its map shows the old name until
+    then.
     """
     place, screen = Workspace(workspace), Screen(quiet)
     checked_run_name(new)

@@ -23,7 +23,7 @@ STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "matplotlib", "rerun-sdk")
 def report(
     out: Annotated[
         Path | None,
-        typer.Argument(metavar="[OUT.html]", help="The page; default: report.html there."),
+        typer.Argument(metavar="OUT.html", help="The page; default: report.html in the workspace."),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     merge: Annotated[

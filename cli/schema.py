@@ -18,7 +18,7 @@ class Document(StrEnum):
 
 
 def schema(
-    document: Annotated[Document, typer.Argument(help="Which document: map or merged.")],
+    document: Annotated[Document, typer.Argument(metavar="map|merged", help="Which document.")],
 ) -> None:
     """Print the JSON Schema of a document.
 

@@ -14,7 +14,9 @@ from .output import Screen, count
 
 
 def simulate(
-    out: Annotated[Path, typer.Argument(help="Folder to write; must be new or empty.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Folder to write; must be new or empty.")
+    ],
     world: Annotated[
         Literal["maze", "office", "organic", "city", "rows", "tiles"],
         typer.Option(
@@ -37,15 +39,23 @@ def simulate(
     ] = "mild",
     jumps: Annotated[
         int,
-        typer.Option(min=0, help="How often every run's odometry jumps while the robot drives on."),
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="How often every run's odometry jumps while the robot drives on.",
+        ),
     ] = 0,
     jump_m: Annotated[
         float | None,
-        typer.Option(min=0, help="How far it jumps, in metres; default 0.5. Goes with --jumps."),
+        typer.Option(
+            metavar="METRES", min=0, help="How far it jumps; default 0.5. Goes with --jumps."
+        ),
     ] = None,
     jump_deg: Annotated[
         float | None,
-        typer.Option(min=0, help="How far it turns, in degrees; default 30. Goes with --jumps."),
+        typer.Option(
+            metavar="DEGREES", min=0, help="How far it turns; default 30. Goes with --jumps."
+        ),
     ] = None,
     laser: Annotated[
         bool,

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption
+from .options import (
+    DEFAULT_WORKSPACE,
+    QuietOption,
+    WorkspaceOption,
+    complete_map,
+    complete_run,
+)
 from .output import Screen, count, say_text
 from .workspace import MERGED, Workspace
 
@@ -30,17 +36,29 @@ def transfer(
         ),
     ],
     source: Annotated[
-        str, typer.Option("--from", metavar="RUN", help="The run in whose map the places are.")
+        str,
+        typer.Option(
+            "--from",
+            metavar="RUN",
+            help="The run in whose map the places are.",
+            autocompletion=complete_run,
+        ),
     ],
     target: Annotated[
         str,
-        typer.Option("--to", metavar="RUN|merged", help="The run, or merged, to carry them to."),
+        typer.Option(
+            "--to",
+            metavar="RUN|merged",
+            help="The run, or merged, to carry them to.",
+            autocompletion=complete_map,
+        ),
     ],
     within: Annotated[
         float,
         typer.Option(
+            metavar="METRES",
             min=0.01,
-            help="Metres: a place of which 95 % of the errors may be larger is not carried.",
+            help="A place of which 95 % of the errors may be larger is not carried.",
         ),
     ] = 0.5,
     merge: Annotated[
@@ -54,12 +72,13 @@ def transfer(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     quiet: QuietOption = False,
 ) -> None:
-    """Carry named places from one run's map to another run's, or to the merged map.
+    """Carry named places from one map to another.
 
-    Each place goes through the matched junctions nearest to it, for maps bend. Writes the table
-    again with the places' new coordinates (metres, radians), sigma_m (1 sigma of each coordinate),
-    sigma_rad, nearest_m (to the nearest matched junction); what could not be carried keeps its row,
-    without coordinates, and note says why. The exit code is then 1.
+    From a run's map to another run's, or to the merged map. Each place goes through the matched
+    junctions nearest to it, for maps bend. Writes the table again with the places' new coordinates
+    (metres, radians), sigma_m (1 sigma of each coordinate), sigma_rad, nearest_m (to the nearest
+    matched junction); what could not be carried keeps its row, without coordinates, and note says
+    why. The exit code is then 1.
     """
     from .places_file import places_text, read_places
 

@@ -25,6 +25,7 @@ def view(
     run: Annotated[
         str | None,
         typer.Argument(
+            metavar="RUN",
             help="Run whose map to open, or the --output NAME of a merge; the merged map without.",
             autocompletion=complete_run,
         ),

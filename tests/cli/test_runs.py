@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from topobatch.cli.options import complete_run
+from topobatch.cli.options import complete_map, complete_run
 from topobatch.topology.files import read_json
 
 
@@ -195,6 +195,8 @@ def test_shells_complete_names_of_runs(merged, monkeypatch):
     context = SimpleNamespace(params={"workspace": merged})
     assert complete_run(context, "") == runs
     assert complete_run(context, runs[0]) == [runs[0]]
+    assert complete_map(context, "") == ["merged", *runs]
+    assert complete_map(context, runs[0]) == [runs[0]]
     monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(merged))
     assert complete_run(SimpleNamespace(params={}), "") == runs
     assert complete_run(SimpleNamespace(params={"workspace": merged / "none"}), "") == []
