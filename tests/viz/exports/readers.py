@@ -161,7 +161,7 @@ TMAP2_SCHEMA = {
                     },
                     "node": {
                         "type": "object",
-                        "required": ["edges", "name", "pose", "verts"],
+                        "required": ["edges", "name", "parent_frame", "pose", "verts"],
                         "properties": {
                             "name": _TEXT,
                             "parent_frame": _TEXT,
@@ -185,7 +185,10 @@ TMAP2_SCHEMA = {
         },
     },
 }
-"""The rules of LCAS/topological_navigation's map schema, and of the positions that it uses."""
+"""The rules of LCAS/topological_navigation's map schema (`config/tmap-schema.yaml`), and of the
+positions that it uses. Of its two published forms this is the later, with dates day first; nodes
+have a `parent_frame`, which only the earlier asks for. LCAS's `validate_map.py` is in no
+registry."""
 
 
 def read_tmap2(text: str) -> nx.MultiDiGraph:
