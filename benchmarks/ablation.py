@@ -74,6 +74,7 @@ REPLACED = {
     "noise raised": (incremental, "_loudness", lambda now, *args: now),
     "taking back": (incremental, "_strained", lambda *args: []),
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
+    "straight corridors": (incremental, "_straight", lambda *args: None),
     "rivals": (incremental, "_rivals", lambda *args: []),
     "strangers": (candidates, "_strangers", lambda *args: np.zeros(0)),
     "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),

@@ -21,7 +21,7 @@ from ..posegraph.solve import (
 from ..se2 import wrap
 from .dead_reckoning import Walk, relative_covariance, systematic_modes
 from .gates import GATE
-from .manhattan import GridHeadings
+from .manhattan import GridCorridors, GridHeadings, turns_by_grid
 from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
@@ -87,6 +87,7 @@ def lay_out(
     *,
     turn: FloatArray | None = None,
     grid: GridHeadings | None = None,
+    corridors: GridCorridors | None = None,
     settings: LayoutSettings = LayoutSettings(),
 ) -> Layout:
     """Most likely poses of passes and places, from odometry and identifications.
@@ -97,7 +98,8 @@ def lay_out(
 
     Nodes of the pose graph are the passes (at their centre, turned like the odometry's frame) and
     the places of several passes; legs join passes, sightings join passes to places, the systematic
-    errors of the odometry are variables shared by all legs.
+    errors of the odometry are variables shared by all legs. A corridor of the grid is a node, too,
+    a line that its passes lie on.
     """
     count = len(walk)
     if start is None:
@@ -117,26 +119,34 @@ def lay_out(
     for k in (0, 1):
         total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
         guess[:, k] = total[several] / visits[several]
-    sensitivity = np.zeros((len(legs.row) + len(shared.row), 3, 2))
-    sensitivity[: len(legs.row)] = systematic_modes(walk, legs.row, legs.row + 1)
+    lines, pose = _lines(start, corridors)
+    line = count + len(several) + (lines.row if corridors is None else corridors.corridor)
+    parts = (legs, shared, lines)
+    row, sighting = len(legs.row), slice(len(legs.row), len(legs.row) + len(shared.row))
+    edges = sighting.stop + len(lines.row)
+    sensitivity = np.zeros((edges, 3, 2))
+    sensitivity[:row] = systematic_modes(walk, legs.row, legs.row + 1)
+    kernel = np.full(edges, np.inf)
+    kernel[sighting.stop :] = settings.grid_kernel
     s = walk.systematic
     graph = PoseGraph(
-        pose=np.vstack([start, guess]),
-        source=np.concatenate([legs.row, shared.row]),
-        target=np.concatenate([legs.row + 1, node[place[shared.row]]]),
-        measurement=np.vstack([legs.measurement, shared.measurement]),
-        information=np.concatenate([legs.information, shared.information]),
-        priors=_priors(grid, settings),
+        pose=np.vstack([start, guess, pose]),
+        source=np.concatenate([legs.row, shared.row, line]),
+        target=np.concatenate([legs.row + 1, node[place[shared.row]], lines.row]),
+        measurement=np.vstack([part.measurement for part in parts]),
+        information=np.concatenate([part.information for part in parts]),
+        kernel=kernel,
+        priors=_priors(grid, corridors, count + len(several), settings),
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
     )
-    graph, solution, chi2 = _solved(graph, len(legs.row), settings)
-    freedom = 3 * (len(shared.row) - len(several))
+    graph, solution, chi2 = _solved(graph, sighting, settings)
+    freedom = 3 * (len(shared.row) - len(several)) + len(lines.row) - len(pose)
     return Layout(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
         node=node,
         sighting=shared.row,
-        sighting_chi2=solution.edge_chi2[len(legs.row) :],
+        sighting_chi2=solution.edge_chi2[sighting],
         misfit=_misfit(chi2, freedom, GATE.squared(3)),
         freedom=freedom,
         graph=graph,
@@ -154,10 +164,7 @@ def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
     centre = walk.passes.centre
     if grid is None:
         return np.column_stack([centre, np.zeros(len(centre))])
-    turn, piece = np.zeros(len(centre)), walk.chain[grid.row]
-    for k in np.unique(piece).tolist():
-        mine, known = np.flatnonzero(walk.chain == k), piece == k
-        turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
+    turn = turns_by_grid(walk, grid)
     half = 0.5 * (turn[1:] + turn[:-1])
     step = np.diff(centre, axis=0)
     c, s = np.cos(half), np.sin(half)
@@ -167,7 +174,7 @@ def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
 
 
 def _solved(
-    graph: PoseGraph, legs: int, settings: LayoutSettings
+    graph: PoseGraph, sighting: slice, settings: LayoutSettings
 ) -> tuple[PoseGraph, Solution, FloatArray]:
     """Believe every sighting at first: a new identification may pull places together from afar,
     where a robust kernel would let go of it. Then let go of those that do not fit."""
@@ -176,10 +183,10 @@ def _solved(
     )
     solution = solve(graph, given)
     kernel2 = GATE.squared(1)
-    if np.all(solution.edge_chi2[legs:] < kernel2):
+    if np.all(solution.edge_chi2[sighting] < kernel2):
         return graph, solution, solution.edge_chi2
-    width = np.full(len(graph.source), np.inf)
-    width[legs:] = np.sqrt(kernel2)
+    width = graph.kernel.copy()
+    width[sighting] = np.sqrt(kernel2)
     robust = replace(graph, pose=solution.pose, kernel=width)
     return robust, solve(robust, given), solution.edge_chi2
 
@@ -194,11 +201,21 @@ def _misfit(chi2: FloatArray, freedom: int, gate: float) -> float:
     return value
 
 
-def _priors(grid: GridHeadings | None, settings: LayoutSettings) -> Priors:
+def _priors(
+    grid: GridHeadings | None, corridors: GridCorridors | None, line: int, settings: LayoutSettings
+) -> Priors:
+    """Headings of passes and of lines, the nodes from `line` on."""
     if grid is None:
         return Priors.empty()
-    kernel = np.full(len(grid.row), settings.grid_kernel)
-    return Priors.headings(grid.row, grid.turn, grid.sigma, kernel)
+    row, turn, sigma = grid.row, grid.turn, grid.sigma
+    kernel = np.full(len(row), settings.grid_kernel)
+    if corridors is not None:
+        count = len(corridors.direction)
+        row = np.concatenate([row, line + np.arange(count)])
+        turn = np.concatenate([turn, corridors.direction])
+        sigma = np.concatenate([sigma, np.full(count, corridors.spread_rad)])
+        kernel = np.concatenate([kernel, np.full(count, np.inf)])
+    return Priors.headings(row, turn, sigma, kernel)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,3 +270,18 @@ def _sightings(
     information[:, 0, 0] = information[:, 1, 1] = walk.noise.centre_m**-2
     information[:, 2, 2] = counts[row] * walk.noise.branch_rad**-2
     return _Factors(row, measurement, information)
+
+
+def _lines(start: FloatArray, corridors: GridCorridors | None) -> tuple[_Factors, FloatArray]:
+    """Passes (`row`) that lie on lines, and these (c, 3); a line begins at its first pass."""
+    if corridors is None:
+        none = np.zeros((0, 3))
+        return _Factors(np.zeros(0, np.int64), none, np.zeros((0, 3, 3))), none
+    row, begin = corridors.row, np.diff(corridors.corridor, prepend=-1) > 0
+    information = np.zeros((len(row), 3, 3))
+    information[:, 1, 1] = corridors.sigma_m**-2
+    information[begin, 0, 0] = corridors.sigma_m**-2
+    pose = np.column_stack([start[row[begin], :2], corridors.direction])
+    measurement = np.zeros((len(row), 3))
+    measurement[:, 1] = corridors.aside
+    return _Factors(row, measurement, information), pose

@@ -42,8 +42,15 @@ from .evidence import background, with_pattern
 from .gates import GATE
 from .growth import Scene
 from .joint_compatibility import JointSettings, agreeing
-from .manhattan import GridHeadings, RectilinearSettings, grid_headings
+from .manhattan import (
+    GridCorridors,
+    GridHeadings,
+    RectilinearSettings,
+    grid_corridors,
+    grid_headings,
+)
 from .places import Places, tabulate
+from .variance_components import with_shown_spread
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -108,17 +115,34 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
     doubts: dict[tuple[int, int], Identification] = {}
     answers: dict[Answer, Identification] = {}
     place = np.arange(len(walk), dtype=np.int64)
-    layout = lay_out(walk, place, grid=grid, settings=settings.layout)
+    corridors: GridCorridors | None = None
+
+    def laid_out(start: FloatArray | None = None, turn: FloatArray | None = None) -> Layout:
+        return lay_out(
+            walk,
+            place,
+            start,
+            turn=turn,
+            grid=grid,
+            corridors=corridors,
+            settings=settings.layout,
+        )
+
+    layout = laid_out()
     # Every round but the first identifies what was not, or is the last: what is taken back, is so
     # for good.
     for number in count(1):
         exact = number > 1
-        places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
-        scene = _scene(walk, places, layout, settings)
+        scene = _scene(walk, place, layout, settings)
+        if grid is not None and scene.common.pattern.repeats:
+            # Likeness tells little here: the layout is to tell more.
+            corridors = _straight(corridors, grid, scene, layout)
+            layout = laid_out(layout.pose)
+            scene = _scene(walk, place, layout, settings)
         found = candidates(scene, place, layout, settings.candidates, exact=exact)
         found = take(found, ~_barred(found, barred, place))
-        new = _certain(places, found, settings.least_odds(len(walk)))
-        doubts = _doubted(doubts, places, found, settings, number)
+        new = _certain(scene.places, found, settings.least_odds(len(walk)))
+        doubts = _doubted(doubts, scene.places, found, settings, number)
         if not new and exact:
             new, reasons = _together(scene, found, layout, settings)
             doubts |= explained(doubts, reasons)
@@ -132,26 +156,39 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
         links += new
         turn = layout.pose[:, 2] + _turns(place, new)
         place = _partition(len(walk), links)
-        layout = lay_out(walk, place, layout.pose, turn=turn, grid=grid, settings=settings.layout)
+        layout = laid_out(layout.pose, turn)
         better = _loudness(loudness, layout)
         if better != loudness:
             # The noise is not what it seemed before anything was identified.
             loudness, walk = better, louder(quiet, better)
-            layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
+            layout = laid_out(layout.pose)
         bad = _strained(place, layout, links)
         if bad:
             barred |= {(q.first, q.second) for q in bad}
-            back = [taken_back(q, number) for q in bad]
-            note(answers, back)
-            doubts.update(((q.first, q.second), q) for q in back)
+            doubts |= {(q.first, q.second): taken_back(q, number) for q in bad}
+            note(answers, (doubts[q.first, q.second] for q in bad))
             links = [q for q in links if q not in bad]
             place = _partition(len(walk), links)
-            layout = lay_out(walk, place, layout.pose, grid=grid, settings=settings.layout)
+            layout = laid_out(layout.pose)
+    if corridors is not None:
+        # They were to tell places apart: the map shows corridors as they were measured.
+        corridors = None
+        layout = laid_out(layout.pose)
     asked = links + standing_doubts(place, doubts)
     return Closed(walk, place, layout, asked, grid, revised_answers(place, answers.values(), asked))
 
 
-def _scene(walk: Walk, places: Places, layout: Layout, settings: RoundSettings) -> Scene:
+def _straight(
+    corridors: GridCorridors | None, grid: GridHeadings, scene: Scene, layout: Layout
+) -> GridCorridors:
+    """Corridors along the grid; those that were known, as the layout by them shows them."""
+    if corridors is None:
+        return grid_corridors(scene.walk, grid, scene.common.core_m)
+    return with_shown_spread(corridors, layout)
+
+
+def _scene(walk: Walk, place: IntArray, layout: Layout, settings: RoundSettings) -> Scene:
+    places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
     evidence = settings.candidates.evidence
     noise = measured_rates(places, walk.noise, settings.rates)
     common = background(walk, noise, evidence)

@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..matching.likelihood import LIKELIHOOD
 from ..passes import Passes
 from ..se2 import wrap
 from .dead_reckoning import Walk, dead_reckoning_covariance
 from .gates import GATE
+from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -40,14 +42,16 @@ class GridHeadings:
     """Passes whose branches tell the turn from the odometry's frame to the map's.
 
     The map's frame is that of the odometry at the first of them, in each piece of a broken odometry
-    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; sigma: (k,) [rad], of
-    which every corridor's own share is spread_rad.
+    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; axis: (k,) [rad]
+    direction of the grid in that frame; sigma: (k,) [rad], of which every corridor's own share is
+    spread_rad.
     wander: mean squared turn of the grid from one pass to the next, in units of what the odometry
     may drift.
     """
 
     row: IntArray
     turn: FloatArray
+    axis: FloatArray
     sigma: FloatArray
     wander: float
     spread_rad: float
@@ -90,8 +94,84 @@ def grid_headings(
     # A break in the odometry starts anew, in a frame of its own.
     turn = -np.concatenate([[0.0], np.cumsum(step)])
     begin = np.flatnonzero(np.concatenate([[True], ~joined]))
-    turn -= np.repeat(turn[begin], np.diff(begin, append=len(row)))
-    return GridHeadings(row, np.asarray(wrap(turn)), sigma, wander, settings.spread_rad)
+    size = np.diff(begin, append=len(row))
+    turn, axis = np.asarray(wrap(turn - np.repeat(turn[begin], size))), np.repeat(grid[begin], size)
+    return GridHeadings(row, turn, axis, sigma, wander, settings.spread_rad)
+
+
+def turns_by_grid(walk: Walk, grid: GridHeadings) -> FloatArray:
+    """(p,) turns of all passes [rad], continuous along a piece, 0 in one without a grid."""
+    turn, piece = np.zeros(len(walk)), walk.chain[grid.row]
+    for k in np.unique(piece).tolist():
+        mine, known = np.flatnonzero(walk.chain == k), piece == k
+        turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
+    return turn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridCorridors:
+    """Straight corridors along the grid of a building, one for every time one is driven.
+
+    direction: (c,) [rad] in the map frame, known to spread_rad; corridor, row: (k,) passes by each,
+    ordered by both; aside: (k,) [m] to the left of the line, known to sigma_m.
+    """
+
+    direction: FloatArray
+    corridor: IntArray
+    row: IntArray
+    aside: FloatArray
+    sigma_m: float
+    spread_rad: float
+
+
+def grid_corridors(walk: Walk, grid: GridHeadings, apart_m: float) -> GridCorridors:
+    """What a rectilinear building says of where its corridors lead, and not of headings alone.
+
+    apart_m: parallel corridors are no nearer to each other.
+
+    A leg that began and ended along the grid led straight on, for to come out on another corridor
+    takes as much way as that is aside. One that ended across how it began led round one corner,
+    where a junction was missed: chord c and way a + b tell both its parts, a² + b² = c². So drift
+    of the heading on the way moves nobody aside.
+    """
+    turn, piece = turns_by_grid(walk, grid), walk.chain[grid.row]
+    first = np.minimum(np.searchsorted(piece, walk.chain[:-1]), len(piece) - 1)
+    axis, step = grid.axis[first], np.diff(walk.passes.centre, axis=0)
+    chord, leg = np.hypot(*step.T), np.where(piece[first] == walk.chain[:-1], walk.leg, np.nan)
+    half = np.sqrt(np.maximum(2 * chord**2 - leg**2, 0.0)) / 2
+    course = np.arctan2(*step.T[::-1]) + 0.5 * (turn[:-1] + turn[1:]) - axis
+    quarter = np.round(course / (np.pi / 2))
+
+    def turned(heading: FloatArray) -> FloatArray:
+        """Quarter turns from the course."""
+        away = heading - axis - quarter * (np.pi / 2)
+        return np.asarray(np.round(wrap(away) / (np.pi / 2)))
+
+    out = turned(walk.leaving[:-1] + turn[:-1])
+    back = turned(walk.arriving[1:] + turn[1:] + np.pi)
+    off = course - quarter * (np.pi / 2)
+    straight = (out == 0) & (back == 0) & (leg - chord < 0.5 * apart_m)
+    straight &= (np.abs(off) < ONE_WAY_RAD) & (chord > LIKELIHOOD.gate_m)
+    aside = (out + back) * (0.5 * leg - half)
+    # Parts about as long cannot be told apart; nor what led round a corner and back on the way.
+    corner = (out * back == 0) & (np.abs(out + back) == 1) & (leg < 4 * half)
+    corner &= np.abs(chord * np.sin(off) - aside) < 0.5 * apart_m
+    row = np.flatnonzero(straight | corner)
+    same = (np.diff(row) == 1) & (np.diff(quarter[row]) % 4 == 0)
+    on = same & straight[row[1:]] & straight[row[:-1]]
+    begin = np.flatnonzero(np.concatenate([[True], ~on])[: len(row)])
+    size = np.diff(begin, append=len(row)) + 1
+    corridor = np.repeat(np.arange(len(begin)), size)
+    along = np.arange(len(corridor)) - np.repeat(np.cumsum(size) - size, size)
+    passed = row[begin][corridor] + along
+    return GridCorridors(
+        (axis + quarter * (np.pi / 2))[row[begin]],
+        corridor,
+        passed,
+        np.where((along > 0) & corner[passed - 1], aside[passed - 1], 0.0),
+        float(np.hypot(walk.noise.centre_m, LIKELIHOOD.gate_m / LIKELIHOOD.gate_sigmas)),
+        grid.spread_rad,
+    )
 
 
 def with_spread(

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from ..odometry import Odometry
 from ..posegraph.graph import edge_errors, prior_errors, squared
+from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
 from .dead_reckoning import RANDOM, Walk, make_walk, relative_covariance
 from .estimate import Layout, lay_out
-from .manhattan import GridHeadings, with_spread
+from .manhattan import GridCorridors, GridHeadings, RectilinearSettings, with_spread
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -104,6 +105,25 @@ def fitted_noise(
     if grid is not None and grid.spread_rad > settings.most_spread_rad:
         return fitted_noise(before, odometry, place, layout, settings=settings)
     return Fitted(walk, layout, grid)
+
+
+def with_shown_spread(
+    corridors: GridCorridors, layout: Layout, settings: ComponentSettings = ComponentSettings()
+) -> GridCorridors:
+    """The corridors with their directions as far off the grid as the layout shows.
+
+    layout: one by these corridors. One step of the same estimate: the grid's prior counts.
+    """
+    graph, solution = layout.graph, layout.solution
+    lines = slice(len(graph.priors) - len(corridors.direction), None)
+    off = prior_errors(graph, solution.pose)[lines, 2]
+    # Some stand for all: of a long run, the rest would take long. Samples depend on the frame.
+    some = graph.priors.node[lines][:: -(-len(off) // settings.samples) or 1]
+    left = Marginals.of(graph, solution).joint(some, some)[0][:, 2, 2]
+    told = len(off) * (1 - np.mean(left) / corridors.spread_rad**2) if len(off) else 0.0
+    prior = settings.prior_freedom * RectilinearSettings().spread_rad ** 2
+    variance = (off @ off + prior) / (told + settings.prior_freedom)
+    return replace(corridors, spread_rad=float(np.sqrt(variance)))
 
 
 def _pull(ratio: FloatArray, freedom: float) -> tuple[FloatArray, FloatArray]:

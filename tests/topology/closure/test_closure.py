@@ -8,6 +8,8 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
+from topobatch.ingest.mapping import build_map
+from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
 from topobatch.topology.closure import resolution
 from topobatch.topology.closure.answers import Identification, explained
 from topobatch.topology.closure.branches import align, branches_of
@@ -26,16 +28,18 @@ from topobatch.topology.closure.gates import GateSettings
 from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
 from topobatch.topology.closure.incremental import (
     RoundSettings,
+    closure_without_grid,
     full_closure,
     weakest_cut,
 )
 from topobatch.topology.closure.joint_compatibility import RIVALS, STEP_OFF, agreeing
 from topobatch.topology.closure.lattice import pattern_of
-from topobatch.topology.closure.manhattan import RectilinearSettings, grid_headings
+from topobatch.topology.closure.manhattan import RectilinearSettings, grid_corridors, grid_headings
 from topobatch.topology.closure.missed_detections import correct_detections, phantoms
 from topobatch.topology.closure.nearest_neighbour import gated_closure
 from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
+from topobatch.topology.closure.variance_components import with_shown_spread
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.ragged import Ragged
@@ -388,9 +392,17 @@ def test_without_strangers_likeness_is_taken_as_it_is():
     np.testing.assert_array_equal(likeness_odds(alike, np.zeros(0)), alike)
 
 
-def aisles(count, length=40.0, spacing=3.0):
-    """Rows of one length, joined at both ends: every one looks like the next."""
-    xy = {(r, c): np.array([spacing * c, length * r]) for r in (0, 1) for c in range(count)}
+def aisles(count, length=40.0, spacing=3.0, aslant=0.0):
+    """Rows of one length, joined at both ends: every one looks like the next.
+
+    aslant: (count,) [rad] how far each is turned.
+    """
+    off = length * np.broadcast_to(aslant, count)
+    xy = {
+        (r, c): np.array([spacing * c + r * off[c], length * r])
+        for r in (0, 1)
+        for c in range(count)
+    }
     return xy, side_by_side(xy)
 
 
@@ -479,7 +491,7 @@ def test_doubts_are_kept_with_what_became_of_them(seed, steps):
     world = grid_world(7, 7)  # regular: much looks alike
     loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
     odometry, passes, _ = record(world, wander(world[1], steps, rng), rng, noise=loud)
-    closed = full_closure(make_walk(odometry, passes, loud))
+    closed = closure_without_grid(make_walk(odometry, passes, loud))
     doubts = [q for q in closed.asked if not q.accepted]
     assert doubts
     pairs = [tuple(sorted((closed.place[q.first], closed.place[q.second]))) for q in doubts]
@@ -812,6 +824,83 @@ def test_grid_headings_follow_the_drift():
     turned = np.array([own[v] for v in junctions])[passes.branches.owner]
     branches = Ragged(passes.branches.offsets, passes.branches.values + turned)
     assert grid_headings(replace(walk, passes=replace(passes, branches=branches))) is None
+
+
+def to_and_fro(count):
+    """A route up one aisle and down the next, then back along a cross way."""
+    route = [(k % 2, c) for c in range(count) for k in (c, c + 1)]
+    last = route[-1][0]
+    return route + [(last, c) for c in range(count - 2, -1, -1)]
+
+
+def test_corridors_of_a_grid_go_straight_or_round_one_corner():
+    route = [(0, 0), (0, 1), (0, 2), (1, 2), (1, 3), (0, 3), (0, 4), (0, 3)]
+    odometry, passes, _ = record(aisles(5, 30.0), route, unseen=(3,))
+    walk = make_walk(odometry, passes, NOISE)
+    grid = grid_headings(walk)
+    found = grid_corridors(walk, grid, 3.0)
+    # Back the same way is another corridor; nobody saw where the third one bent.
+    assert found.corridor.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert found.row.tolist() == [0, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6]
+    np.testing.assert_allclose(found.aside, [0, 0, 0, 0, -3, 0, 0, 0, 0, 0, 0], atol=1e-6)
+    ahead = np.array([0, 1, -1, 0, 2]) * np.pi / 2
+    np.testing.assert_allclose(wrap(found.direction - ahead), 0.0, atol=1e-6)
+    # Who might have come out on a corridor beside it says nothing.
+    assert len(grid_corridors(replace(walk, leg=walk.leg + 2.0), grid, 3.0).row) == 0
+
+
+def test_along_straight_corridors_nobody_drifts_aside():
+    rng = np.random.default_rng(31)
+    world = aisles(12)
+    odometry, passes, truth = record(world, to_and_fro(12), rng)
+    walk, place = make_walk(odometry, passes, NOISE), np.arange(len(passes))
+    grid = grid_headings(walk)
+    plain = lay_out(walk, place, grid=grid)
+    straight = lay_out(walk, place, grid=grid, corridors=grid_corridors(walk, grid, 3.0))
+    ends = np.array([0]), np.array([len(place) - 1])
+    before, after = (
+        np.linalg.eigvalsh(layout.relative_covariance(*ends)[0][:2, :2])[-1]
+        for layout in (plain, straight)
+    )
+    assert after < 0.5 * before
+    true = np.array([world[0][v] for v in truth])
+    off = apply(fit_rigid(true, straight.xy), straight.xy) - true
+    assert np.abs(off).max() < 3 * np.sqrt(after)
+
+
+@pytest.mark.parametrize(("aslant", "least", "most"), [(0.0, 0.0, 0.013), (0.05, 0.03, 0.08)])
+def test_corridors_are_held_as_straight_as_loops_show_them(aslant, least, most):
+    rng = np.random.default_rng(32)
+    world = aisles(14, aslant=aslant * rng.normal(size=14))
+    odometry, passes, truth = record(world, to_and_fro(14), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    grid = grid_headings(walk)
+    corridors = grid_corridors(walk, grid, 3.0)
+    # What nothing closed tells stays as it was.
+    alone = with_shown_spread(
+        corridors, lay_out(walk, np.arange(len(walk)), grid=grid, corridors=corridors)
+    )
+    for _ in range(3):
+        layout = lay_out(walk, partition(truth), grid=grid, corridors=corridors)
+        corridors = with_shown_spread(corridors, layout)
+    assert least < corridors.spread_rad < most
+    assert abs(alone.spread_rad - 0.02) < 0.015
+
+
+@pytest.mark.parametrize("faults", ["none", "mild", "harsh"])
+def test_equal_rows_close_without_a_wrong_identification(faults):
+    settings = ScenarioSettings(
+        world="rows", runs=1, junctions_per_run=60, drift="mid", faults=faults, seed=602
+    )
+    scenario = simulate_scenario(settings)
+    ((name, run),) = scenario.runs.items()
+    built = build_map(run)
+    true = true_vertex_of_passes(scenario.truth, name, built.observation_time_ns)
+    vertex = built.observation_vertex
+    real = (true >= 0) & (vertex >= 0)
+    homes = {(int(t), int(v)) for t, v in zip(true[real], vertex[real], strict=True)}
+    assert len({v for _, v in homes}) == len(homes)
+    assert len(homes) <= 1.1 * len(np.unique(true[real]))
 
 
 def test_every_piece_of_a_broken_odometry_follows_the_grid_in_its_own_frame():

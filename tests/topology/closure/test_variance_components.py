@@ -81,7 +81,8 @@ def test_a_grid_that_bends_is_none() -> None:
     bend = 0.3 * np.sin(np.pi * (place % 8) / 4)
     for bent, holds in ((bend, False), (0 * bend, True)):
         sigma = np.full(len(row), 0.03)
-        grid = GridHeadings(row, layout.pose[:, 2] + bent, sigma, wander=1.0, spread_rad=0.02)
+        turn, axis = layout.pose[:, 2] + bent, np.zeros(len(row))
+        grid = GridHeadings(row, turn, axis, sigma, wander=1.0, spread_rad=0.02)
         fitted = fitted_noise(walk, odometry, place, layout, grid=grid)
         assert (fitted.grid is not None) == holds
 
