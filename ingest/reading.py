@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..topology.errors import LogError
+from ..topology.errors import LogError, UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, kept_whole
@@ -35,7 +35,7 @@ from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
 from .sources import Clock, Source, choose_clock, clock_without_jumps
-from .survey import LogRead, Progress, surveyed, walk
+from .survey import Index, LogRead, Progress, surveyed, walk
 
 __all__ = [
     "LogInfo",
@@ -80,13 +80,18 @@ def read_log(
     if is_saved_map(recording.path):
         return _saved_map(recording, recording.path, on_bytes)
     recording, survey = surveyed(recording)
-    accept = acceptance(survey.counts if survey else None, settings, log)
-    if survey is not None:
-        check_mapping(recording, survey.counts, settings, log)
-    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     counts = survey.counts if survey else {}
     progress = Progress(recording.bytes, walks(counts, settings, log), on_bytes)
-    findings = walk(recording, intake, progress, survey)
+    try:
+        intake, findings = _walked(recording, settings, progress, survey)
+        believed = survey is None or not findings.misdescribed
+    except (LogError, UsageError):
+        believed = survey is None or survey.sure
+        if believed:
+            raise
+    if not believed:
+        # What the index says led to nothing, or to something else than the data say.
+        intake, findings = _walked(recording, settings, progress, None)
     warnings = _damage(recording, findings, settings)
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     try:
@@ -97,6 +102,19 @@ def read_log(
         raise LogError("; ".join([str(error), *warnings])) from error
     finally:
         progress.finish()
+
+
+def _walked(
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
+) -> tuple[Intake, Findings]:
+    """What a walk through a recording keeps and finds; index: what is said to be in it."""
+    log = str(recording.path)
+    counts = index.counts if index is not None else None
+    accept = acceptance(counts, settings, log)
+    if counts is not None:
+        check_mapping(recording, counts, settings, log)
+    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
+    return intake, walk(recording, intake, progress, index)
 
 
 def _with_detections(read: LogRead, junction: JunctionSource) -> Run:

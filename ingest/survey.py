@@ -18,13 +18,14 @@ OnBytes = Callable[[int], None]
 class Index:
     """What the indexes of all files say together.
 
-    log: the reader of the only file, which keeps its index; None for several files, or one that was
-    unpacked to be read.
+    sure: whether all of it is; log: the reader of the only file, which keeps its index; None for
+    several files, or one that was unpacked to be read.
     """
 
     counts: dict[Channel, int]
     start_ns: int
     end_ns: int
+    sure: bool = False
     log: Container | None = None
 
 
@@ -54,7 +55,8 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Inde
     start = min((survey.start_ns for survey in filled), default=0)
     end = max((survey.end_ns for survey in filled), default=0)
     by_start = replace(recording, files=tuple(recording.files[k] for k in order))
-    return by_start, Index(counts, start, end, only)
+    sure = all(survey.sure for survey in surveys)
+    return by_start, Index(counts, start, end, sure, only)
 
 
 def walk(

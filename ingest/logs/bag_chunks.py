@@ -94,6 +94,7 @@ class BagChunks(ChunkReader):
     def _small_chunks(self, position: int) -> Walking:
         batch = small_chunks(self._window.view(position, SLAB_BYTES))
         self.met += len(batch.data)
+        self._findings.repaired += batch.repaired
         if batch.data:
             data = np.frombuffer(b"".join(batch.data), np.uint8)
             if bag_records(data)[1] == len(data):

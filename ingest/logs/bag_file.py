@@ -86,7 +86,8 @@ class _Walk:
         self._index = index
         self.tally = tally
         self._heads = BagHeads(window.copy, window.size)
-        self._messages = MessageReader(self._heads, self.tally, findings)
+        told = index.told if index is not None else {}
+        self._messages = MessageReader(self._heads, self.tally, findings, told)
         self._chunks = BagChunks(window, self._messages, self._at)
         self._looked_at: tuple[int, Record | None] = (-1, None)
 

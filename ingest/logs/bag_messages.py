@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from .bag_wire import (
     CONNECTION,
     MESSAGE,
     U32,
+    Fields,
     HeadTemplate,
     connection_of,
     fields_of,
@@ -20,6 +21,7 @@ from .bag_wire import (
     time_ns,
 )
 from .columns import MANY, column, gather, without_repeats, words
+from .described import Described, contradicts
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
 from .tally import NUMBERS, Tally
 from .walk import LEAST_LISTED, bag_listed, bag_records, inside, seamless
@@ -28,15 +30,19 @@ from .walk import LEAST_LISTED, bag_listed, bag_records, inside, seamless
 class MessageReader:
     """Turns runs of records of one bag into blocks of messages.
 
-    packed: whether the bag has compressed chunks, of which damage may show records that were never
-    written.
+    told: the connection records of the index; packed: whether the bag has compressed chunks, of
+    which damage may show records that were never written.
     """
 
-    def __init__(self, heads: BagHeads, tally: Tally, findings: Findings) -> None:
+    def __init__(
+        self, heads: BagHeads, tally: Tally, findings: Findings, told: Mapping[int, bytes]
+    ) -> None:
+        self._told = told
         self.heads = heads
         self.tally = tally
         self.findings = findings
         self.packed = False
+        self._described = Described()
         self._template: HeadTemplate | None = None
 
     def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
@@ -190,12 +196,21 @@ class MessageReader:
                     out.append((number(fields, b"conn"), time, size_at))
                 elif op == CONNECTION:
                     end = size_at + 4 + U32(data.data, size_at)[0]
-                    self.tally.describe(*connection_of(fields, data[size_at + 4 : end].tobytes()))
+                    self._connection(fields, data[place:end].tobytes(), size_at + 4 - place)
                 else:
                     raise DamageError("unexpected record")
             except DamageError:
                 self.findings.unreadable_bytes += size
         return out
+
+    def _connection(self, fields: Fields, record: bytes, data_at: int) -> None:
+        """Take in what a connection is, once; raises DamageError."""
+        if record not in self._described:
+            self._described.charge(record)
+            number, channel = connection_of(fields, record[data_at:])
+            self._described.add(record)
+            overrule = contradicts(record, self._told.get(number))
+            self.tally.describe(number, channel, overrule)
 
     def unwanted(self, conn: int) -> bool:
         """Whether nobody asked for the messages of that connection."""

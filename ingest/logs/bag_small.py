@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from .bag_heads import COMPRESSIONS
 from .bag_wire import CHUNK, INDEX, INDEX_ENTRY, U32, IndexTemplate, fields_of
 from .chunk_reader import SMALL_BYTES
 from .inflate import inflate
@@ -15,10 +16,15 @@ LONGEST_HEADER = 256
 
 
 class Batch(NamedTuple):
-    """Small chunks one behind the other: bytes of the file that they take, records of each."""
+    """Small chunks one behind the other.
+
+    stop: bytes of the file that they take; data: the records of each; repaired: how many declare
+    another size than they have.
+    """
 
     stop: int
     data: Sequence[bytes]
+    repaired: int
 
 
 class _Likes:
@@ -27,7 +33,7 @@ class _Likes:
     def __init__(self) -> None:
         self._chunk: tuple[int, bytes, bytes] | None = None
         self._index: IndexTemplate | None = None
-        self.compression = b"none"
+        self._compression = b"none"
 
     def chunk_size(self, head: bytes) -> int | None:
         """The size that the header of a chunk declares, None if it is none. Length included."""
@@ -35,13 +41,24 @@ class _Likes:
             fields = _fields(head)
             if fields.get(b"op") != bytes([CHUNK]) or len(fields.get(b"size", b"")) != 4:
                 return None
+            if fields.get(b"compression") not in COMPRESSIONS:
+                return None
             at = head.index(b"size=") + 5
             self._chunk = (len(head), head[:at], head[at + 4 :])
-            self.compression = fields.get(b"compression", b"none")
+            self._compression = fields[b"compression"]
         length, before, after = self._chunk
         if len(head) != length or not head.startswith(before) or not head.endswith(after):
             return None
         return int(U32(head, len(before))[0])
+
+    @property
+    def plain(self) -> bool:
+        """Whether the chunks are not compressed."""
+        return self._compression == b"none"
+
+    def inflated(self, packed: memoryview, size: int) -> bytes:
+        """The records of a compressed chunk; raises DamageError."""
+        return inflate(self._compression.decode("latin-1"), packed, size)
 
     def is_index(self, head: bytes, data_size: int) -> bool:
         """Whether a header is that of an index record with so many bytes of data."""
@@ -72,8 +89,8 @@ def small_chunks(raw: Bytes) -> Batch:
     view, at, size = raw.data, 0, len(raw)
     data: list[bytes] = []
     likes = _Likes()
-    stop = 0
-    records: bytes | None = None
+    stop = repaired = 0
+    records, wrong = None, False
     while at + 8 <= size:
         header = U32(view, at)[0]
         body = at + 4 + header
@@ -86,6 +103,7 @@ def small_chunks(raw: Bytes) -> Batch:
             break
         if records is not None:
             data.append(records)
+            repaired += wrong
             records = None
         stop = at
         if end > size:
@@ -95,17 +113,12 @@ def small_chunks(raw: Bytes) -> Batch:
         else:
             if max(declared, end - at) > SMALL_BYTES:
                 break
+            packed = view[body + 4 : end]
+            # Of data that are not compressed the record tells the size as well.
+            wrong = likes.plain and declared != len(packed)
             try:
-                records = _records(likes.compression, view[body + 4 : end], declared)
+                records = bytes(packed) if likes.plain else likes.inflated(packed, declared)
             except DamageError:
                 break
         at = end
-    return Batch(stop, data)
-
-
-def _records(compression: bytes, packed: memoryview, size: int) -> bytes:
-    if compression != b"none":
-        return inflate(compression.decode("latin-1"), packed, size)
-    if size != len(packed):
-        raise DamageError("a chunk does not have its declared size")
-    return bytes(packed)
+    return Batch(stop, data, repaired)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from array import array
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .chunk_index import ChunkIndex
 from .columns import Shape, column
+from .described import Described
 from .messages import (
+    NAME_BYTES,
     SCHEMA_BYTES,
     Bytes,
     Channel,
@@ -28,16 +32,15 @@ MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Codes of the format (http://wiki.ros.org/Bags/Format/2.0)."""
 
-HEADER_BYTES = 1 << 16
-"""Longest record header that is believed: it holds one or two names, which take up to
-4 KiB each."""
+HEADER_BYTES = 2 * NAME_BYTES + 128
+"""Longest record header that is believed: it holds one or two names and a few numbers."""
 
 RECORD_BYTES = 16
 """No record is shorter: two lengths and the field that tells its kind."""
 
-INDEX_BYTES = 1 << 27
+INDEX_BYTES = 1 << 26
 """Largest index section that is read: a chunk with a dozen topics takes 200 bytes in it,
-so half a million of them."""
+so 300,000 of them."""
 
 U32 = struct.Struct("<I").unpack_from
 _U64 = struct.Struct("<Q").unpack_from
@@ -137,39 +140,40 @@ def listed_offsets(entries: Bytes) -> Ints:
     return np.asarray(np.ndarray((count, 3), "<u4", entries.data)[:, 2].astype(np.int64))
 
 
-class ChunkInfo(NamedTuple):
-    """Of one chunk: its place, its log times, and the messages per connection in it."""
-
-    begin: int
-    first_ns: int
-    last_ns: int
-    counts: list[list[int]]
-
-
 class BagIndex(NamedTuple):
     """The index at the end of a closed bag.
 
-    start: its place; chunk_starts: (c,) ascending; counts: messages per connection; infos: of
-    every chunk, ascending.
+    start: its place; told: the connection records; counts: messages per connection; chunk_starts,
+    first_ns, last_ns, listed: (c,) of every chunk, ascending: its place, its log times, and how
+    many connections are in it; pairs: (k, 2) these connections, chunk by chunk, and the messages of
+    each.
     """
 
     start: int
     channels: dict[int, Channel]
+    told: dict[int, bytes]
     chunk_starts: Ints
+    first_ns: Ints
+    last_ns: Ints
+    listed: Ints
+    pairs: NDArray[np.uint32]
     counts: dict[int, int]
-    span_ns: tuple[int, int]
-    infos: list[ChunkInfo]
 
     @property
     def chunks(self) -> ChunkIndex:
         """What is in which chunk; each reaches as far as the next one, with the index behind it."""
-        stop = np.array([*self.chunk_starts[1:], self.start], np.int64)
-        first = np.array([info.first_ns for info in self.infos], np.int64)
-        last = np.array([info.last_ns for info in self.infos], np.int64)
-        rows = [(k, *pair) for k, info in enumerate(self.infos) for pair in info.counts]
-        chunk, channel, count = np.array(rows, np.int64).reshape(-1, 3).T
+        begin = self.chunk_starts
+        stop = np.append(begin[1:], self.start)[: len(begin)]
+        channel, count = self.pairs.T.astype(np.int64)
         channel = np.minimum(channel, NUMBERS - 1)
-        return ChunkIndex(self.chunk_starts, stop[: len(first)], first, last, chunk, channel, count)
+        chunk = np.repeat(np.arange(len(begin)), self.listed)
+        return ChunkIndex(begin, stop, self.first_ns, self.last_ns, chunk, channel, count)
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time; 0 if there are no messages."""
+        first, last = self.first_ns[self.listed > 0], self.last_ns[self.listed > 0]
+        return (int(first.min()), int(last.max())) if len(first) else (0, 0)
 
     def survey(self) -> Survey:
         """Counts per channel."""
@@ -196,49 +200,67 @@ def read_index(window: Window) -> BagIndex | None:
 
 
 def _parse_index(window: Window, start: int, connections: int, chunks: int) -> BagIndex | None:
-    channels: dict[int, Channel] = {}
-    infos: list[ChunkInfo] = []
+    described, channels, told = Described(), dict[int, Channel](), dict[int, bytes]()
+    infos, listed = array("q"), bytearray()
     position = start
     if isinstance(window, RemoteWindow):
         window.copy(start, window.size - start)  # one request, not one per record
     while position < window.size:
         record = record_at(window, position)
-        data = window.view(record.data_at, record.data_size).tobytes()
+        data = window.view(record.data_at, record.data_size)
         if len(data) < record.data_size:
             return None
         if record.op == CONNECTION:
-            key, channel = connection_of(record.fields, data)
+            whole = window.view(position, record.end - position).tobytes()
+            described.charge(whole)
+            key, channel = connection_of(record.fields, whole[record.data_at - position :])
+            if told.setdefault(key, whole) != whole:
+                return None
             channels[key] = channel
         elif record.op == CHUNK_INFO:
-            infos.append(_chunk_info(record.fields, data))
+            infos.extend(_chunk_info(record))
+            listed += data.data
         else:
             return None
         position = record.end
-    infos.sort()
-    starts = [info.begin for info in infos]
-    if len(channels) != connections or len(infos) != chunks or max(starts, default=0) >= start:
+    begin, *times, count = np.frombuffer(infos, np.int64).reshape(-1, 4).T
+    if len(channels) != connections or len(begin) != chunks or begin.max(initial=0) >= start:
         return None
-    counts: dict[int, int] = {}
-    for info in infos:
-        for key, count in info.counts:
-            counts[key] = counts.get(key, 0) + count
-    if not counts.keys() <= channels.keys():
+    pairs, order = np.frombuffer(listed, "<u4").reshape(-1, 2), np.argsort(begin, kind="stable")
+    if (np.diff(order) < 0).any():
+        parts = np.split(pairs, np.cumsum(count[:-1]))
+        pairs = np.concatenate([parts[k] for k in order.tolist()])
+    counts = _totals(pairs, channels)
+    if counts is None:
         return None
-    filled = [info for info in infos if info.counts]
-    first = min((info.first_ns for info in filled), default=0)
-    last = max((info.last_ns for info in filled), default=0)
-    return BagIndex(start, channels, np.array(starts, np.int64), counts, (first, last), infos)
+    begin, first, last, count = (column[order] for column in (begin, *times, count))
+    return BagIndex(start, channels, told, begin, first, last, count, pairs, counts)
 
 
-def _chunk_info(fields: Fields, data: bytes) -> ChunkInfo:
-    if len(data) % 8:
+def _chunk_info(record: Record) -> tuple[int, int, int, int]:
+    """Place, first and last time of a chunk, and how many connections are in it."""
+    if record.data_size % 8:
         raise DamageError("a chunk info record is cut")
-    counts = np.frombuffer(data, "<u4").reshape(-1, 2).tolist()
-    begin = number(fields, b"chunk_pos", 8)
+    begin = number(record.fields, b"chunk_pos", 8)
     first, last = (
-        time_ns(fields.get(name, b"")) if data else 0 for name in (b"start_time", b"end_time")
+        time_ns(record.fields.get(name, b"")) if record.data_size else 0
+        for name in (b"start_time", b"end_time")
     )
-    return ChunkInfo(begin, first, last, counts)
+    if begin >= 1 << 63:
+        raise DamageError("a chunk is nowhere in a file")
+    return begin, first, last, record.data_size // 8
+
+
+def _totals(pairs: NDArray[np.uint32], channels: Iterable[int]) -> dict[int, int] | None:
+    """Messages per connection that has any, None if one is not described."""
+    known = np.array(sorted(channels), np.uint32)
+    at = np.searchsorted(known, pairs[:, 0])
+    if len(pairs) and (at.max() == len(known) or (known[at] != pairs[:, 0]).any()):
+        return None
+    totals = np.zeros(len(known), np.int64)
+    np.add.at(totals, at, pairs[:, 1])
+    met = np.bincount(at, minlength=len(known)).nonzero()[0]
+    return dict(zip(known[met].tolist(), totals[met].tolist(), strict=True))
 
 
 class HeadTemplate(NamedTuple):

@@ -171,13 +171,14 @@ class ChunkReader(ABC):
 
     def _taken(self, position: int, head: ChunkHead, end: int) -> Walking:
         """Queue a chunk, or take many small ones at once; returns where to go on."""
-        if head.compression == "" and head.size != head.data_size:
+        wrong = head.compression == "" and head.size != head.data_size
+        if wrong:
             # How large the data are is told by the record as well.
             head = head._replace(size=head.data_size)
-            self._findings.repaired += 1
         stop = yield from self._small_ones(position, head)
         if stop > position:
             return stop
+        self._findings.repaired += wrong
         self.met += 1
         at_once = self._queue(Chunk(position, head, self._needed(position), {}, []))
         end = self._listed_behind(end)

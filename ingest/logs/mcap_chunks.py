@@ -91,6 +91,7 @@ class McapChunks(ChunkReader):
     def _small_chunks(self, position: int) -> Walking:
         batch = small_chunks(self._window.view(position, SLAB_BYTES), self._patience > 0)
         self.met += len(batch.data) + len(batch.failed)
+        self._findings.repaired += batch.repaired
         data = joined(batch.data)
         if mcap_records(data, NOT_IN_CHUNKS)[1] == len(data):
             yield from self._messages.blocks(data)

@@ -164,6 +164,9 @@ class MessageReader:
         messages: list[int] = []
         if (op == MESSAGE).all():
             return messages
+        # What stands behind the data does not say what they are.
+        only_new = more or self.ended
+        heads = self.heads.within(data)
         places = where[(op == SCHEMA) | (op == CHANNEL)]
         if len(places) >= MANY:
             size = words(data, "<i8", places + 1) + RECORD_HEAD
@@ -173,7 +176,6 @@ class MessageReader:
             record = data[place : place + RECORD_HEAD + length].tobytes()
             if self._definitions.met(kind, record[RECORD_HEAD:]):
                 continue
-            heads = self.heads.within(data)
             head = None if heads.end(place) is not None else heads.repaired(place)
             if head is not None and head[0] == MESSAGE:
                 messages.append(place)
@@ -182,13 +184,14 @@ class MessageReader:
                 # One of the lengths in it was wrong.
                 self.findings.repaired += not more
                 record = head[: len(record)] + record[len(head) :]
+            overrule = not only_new and self._definitions.overrule(record[0], record[RECORD_HEAD:])
             try:
                 found = self._definitions.take(record[0], record[RECORD_HEAD:])
             except DamageError:
                 self.findings.unreadable_bytes += len(record)
                 continue
-            if found is not None and not (more and self.tally.known(found[0])):
-                self.tally.describe(*found)
+            if found is not None and not (only_new and self.tally.known(found[0])):
+                self.tally.describe(*found, overrule)
         return messages
 
     def too_large(self, head: Bytes) -> None:

@@ -21,9 +21,6 @@ _U64 = struct.Struct("<Q").unpack_from
 _INDEX = struct.Struct("<HI").unpack_from
 
 
-WRONG_SIZE = "a chunk does not have its declared size"
-
-
 class Failed(NamedTuple):
     """A chunk that cannot be used: why, and how many messages its index counts per channel."""
 
@@ -36,7 +33,8 @@ class Batch(NamedTuple):
 
     stop: bytes of the file that they take; data: the records of each; failed: those that could not
     be used, in order; open: whether the last one failed, so that further counts may follow;
-    unlisted: the records of those whose checksum is wrong, and whose messages no index counts.
+    unlisted: the records of those whose checksum is wrong, and whose messages no index counts;
+    repaired: how many declare another size than they have.
     """
 
     stop: int
@@ -44,6 +42,7 @@ class Batch(NamedTuple):
     failed: list[Failed]
     open: bool
     unlisted: Sequence[bytes]
+    repaired: int
 
 
 def small_chunks(raw: Bytes, patient: bool) -> Batch:
@@ -55,6 +54,7 @@ def small_chunks(raw: Bytes, patient: bool) -> Batch:
     data: list[bytes] = []
     failed: list[Failed] = []
     counts: dict[int, int] | None = None
+    repaired = 0
     broken: list[tuple[bytes, dict[int, int]]] = []
     while at + RECORD_HEAD + CHUNK_FIXED <= size:
         op, length = _HEAD(view, at)
@@ -66,6 +66,7 @@ def small_chunks(raw: Bytes, patient: bool) -> Batch:
             if found is None or (patient and found.reason):
                 break
             counts = {} if found.reason else None
+            repaired += found.repaired
             if counts is not None:
                 failed.append(Failed(found.reason, counts))
                 broken.append((found.records, counts))
@@ -81,14 +82,15 @@ def small_chunks(raw: Bytes, patient: bool) -> Batch:
             break
         at = end
     unlisted = [records for records, listed in broken if not listed]
-    return Batch(at, data, failed, counts is not None, unlisted)
+    return Batch(at, data, failed, counts is not None, unlisted, repaired)
 
 
 class _Found(NamedTuple):
-    """What a chunk holds, and why it cannot be used, if so."""
+    """What a chunk holds, and why it cannot be used, if so; or whether its size was set right."""
 
     records: bytes
     reason: str = ""
+    repaired: bool = False
 
 
 def _records(view: memoryview, at: int, end: int) -> _Found | None:
@@ -105,15 +107,14 @@ def _records(view: memoryview, at: int, end: int) -> _Found | None:
         if named:
             name = str(view[name_at : data_at - 8], "utf-8", "replace")
             records = inflate(name, packed, size)
-        elif size != len(packed):
-            return _Found(bytes(packed), WRONG_SIZE)
         else:
+            # How large the data are is told by the record as well.
             records = bytes(packed)
     except DamageError as damage:
         return _Found(b"", str(damage))
     if crc and not agrees(crc32(records), crc):
         return _Found(records, "checksum (CRC) is wrong")
-    return _Found(records)
+    return _Found(records, repaired=size != len(records))
 
 
 def joined(parts: Sequence[bytes]) -> Bytes:

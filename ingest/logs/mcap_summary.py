@@ -76,7 +76,7 @@ class McapSummary(NamedTuple):
         counts: dict[Channel, int] = {}
         for number, channel in self.channels.items():
             counts[channel] = counts.get(channel, 0) + self.counts.get(number, 0)
-        return Survey(counts, *self.span_ns)
+        return Survey(counts, *self.span_ns, self.checked)
 
 
 def read_summary(window: Window) -> McapSummary | None:
@@ -113,7 +113,7 @@ def _parse(data: Bytes, start: int, checked: bool) -> McapSummary:
         if kind == STATISTICS:
             counts, span = _statistics(Cursor(body))
             continue
-        found = definitions.take(kind, body.tobytes())
+        found = definitions.tell(kind, body.tobytes())
         # A writer may repeat channels here, but not their schemas.
         if found is not None and definitions.has_schema(_NUMBERS(body.data)[1]):
             channels[found[0]] = found[1]

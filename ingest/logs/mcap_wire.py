@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .described import Described, contradicts
 from .messages import SCHEMA_BYTES, Bytes, Channel, DamageError, normal_topic, normal_type, text
 from .spelling import nearest, spelled
 
@@ -65,14 +66,6 @@ class Cursor:
         return self.take(self.u32())
 
 
-DEFINITION_BYTES = 1 << 25
-"""What the different schemas and channels of one file may take together, 32 MiB: a thousand topics
-with the largest definitions in use take 20."""
-
-DEFINITION_COST = 200
-"""What a channel takes beside its names."""
-
-
 class Schema(NamedTuple):
     """A message definition embedded in the file."""
 
@@ -107,12 +100,30 @@ class Definitions:
 
     def __init__(self) -> None:
         self._schemas: dict[int, Schema] = {}
-        self._met: set[bytes] = set()
-        self._room = DEFINITION_BYTES
+        self._described = Described()
+        self._told: dict[tuple[int, int], bytes] = {}
+        self._overruled: set[int] = set()
+
+    def tell(self, op: int, body: bytes) -> tuple[int, Channel] | None:
+        """What `take` gives, of a summary; raises DamageError if it says two things of a number."""
+        number = _U16(body)[0] if len(body) >= 2 else 0
+        if self._told.setdefault((op, number), body) != body:
+            raise DamageError("the summary contradicts itself")
+        return self.take(op, body)
+
+    def overrule(self, op: int, body: bytes) -> bool:
+        """Whether a description in the data is another one than the summary gives."""
+        number = _U16(body)[0] if len(body) >= 2 else 0
+        if op == CHANNEL and len(body) >= 4 and _U16(body, 2)[0] in self._overruled:
+            return True
+        other = contradicts(body, self._told.get((op, number)))
+        if other and op == SCHEMA:
+            self._overruled.add(number)
+        return other
 
     def met(self, op: int, body: bytes) -> bool:
         """Whether the same record was taken in before."""
-        return bytes([op]) + body in self._met
+        return bytes([op]) + body in self._described
 
     def take(self, op: int, body: bytes) -> tuple[int, Channel] | None:
         """Number and content of a channel that is new, None for a schema or for what was met.
@@ -120,22 +131,19 @@ class Definitions:
         Raises DamageError, also for more definitions than any log has.
         """
         known = bytes([op]) + body
-        if known in self._met:
+        if known in self._described:
             return None
-        self._room -= len(body) + DEFINITION_COST
-        if self._room < 0:
-            raise DamageError("implausibly many channels")
+        self._described.charge(known)
         cursor = Cursor(np.frombuffer(body, np.uint8))
-        if op == SCHEMA:
-            number, schema = schema_of(cursor)
-            # A channel that names this number means another type from here on.
-            self._met.clear()
-            self._schemas[number] = schema
-            self._met.add(known)
-            return None
-        found = channel_of(cursor, self._schemas)
-        self._met.add(known)
-        return found
+        if op == CHANNEL:
+            found = channel_of(cursor, self._schemas)
+            self._described.add(known)
+            return found
+        number, schema = schema_of(cursor)
+        # A channel that names this number means another type from here on.
+        self._described.add(known, anew=True)
+        self._schemas[number] = schema
+        return None
 
     def has_schema(self, number: int) -> bool:
         """Whether a schema was met; 0 stands for none."""

@@ -106,11 +106,15 @@ Walking = Generator[Block, None, int]
 
 
 class Survey(NamedTuple):
-    """What a container's own index says: messages per channel, first and last log time."""
+    """What a container's own index says: messages per channel, first and last log time.
+
+    sure: whether a checksum vouches for it, or it is the data themselves.
+    """
 
     counts: dict[Channel, int]
     start_ns: int
     end_ns: int
+    sure: bool = False
 
 
 def one_line(error: object) -> str:
@@ -125,7 +129,7 @@ class Findings:
     counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
     damaged places; lost_at_least: there may be more; unknown: messages whose channel is described
     nowhere; repaired: record heads of which one bit was wrong; too_large: records left out as too
-    large.
+    large; misdescribed: channels that the index describes otherwise than the data.
     """
 
     counts: Counter[Channel] = field(default_factory=Counter)
@@ -139,6 +143,7 @@ class Findings:
     damaged_chunks: Counter[str] = field(default_factory=Counter)
     repaired: int = 0
     too_large: int = 0
+    misdescribed: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
     notes: list[str] = field(default_factory=list)
@@ -177,6 +182,11 @@ class Findings:
             out.append(f"{count} damaged chunk{'s' * (count > 1)} skipped: {reason}")
         if self.repaired:
             out.append(f"{self.repaired} damaged record heads set right")
+        if self.misdescribed:
+            out.append(
+                f"the index describes {self.misdescribed} channels otherwise than the data, which "
+                "are believed"
+            )
         if self.too_large:
             out.append(f"{self.too_large} records above {MESSAGE_BYTES >> 20} MiB left out")
         if self.unreadable_bytes:

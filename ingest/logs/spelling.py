@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import lru_cache
 from typing import TypeVar
 
 from .messages import Channel
@@ -40,11 +41,16 @@ def nearest(name: Name, known: Collection[Name]) -> Name:
 
 def spelled(channel: Channel) -> Channel:
     """A channel whose type and encodings are what they can only have been."""
-    type_name, encoding = channel.type_name, channel.encoding
-    if type_name in TYPES and encoding in ENCODINGS:
+    if channel.type_name in TYPES and channel.encoding in ENCODINGS:
         return channel
-    return channel._replace(
-        type_name=nearest(type_name, TYPES),
-        encoding=nearest(encoding, ENCODINGS),
-        schema_encoding=nearest(channel.schema_encoding, SCHEMA_ENCODINGS),
+    names = _spelled(channel.type_name, channel.encoding, channel.schema_encoding)
+    return channel._replace(type_name=names[0], encoding=names[1], schema_encoding=names[2])
+
+
+@lru_cache(256)
+def _spelled(type_name: str, encoding: str, schema_encoding: str) -> tuple[str, str, str]:
+    return (
+        nearest(type_name, TYPES),
+        nearest(encoding, ENCODINGS),
+        nearest(schema_encoding, SCHEMA_ENCODINGS),
     )

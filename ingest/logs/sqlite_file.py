@@ -14,8 +14,8 @@ from urllib.parse import quote
 import numpy as np
 
 from ...topology.errors import LogError
+from .described import DEFINITION_BYTES
 from .inflate import keep_freed_memory
-from .mcap_wire import DEFINITION_BYTES
 from .messages import (
     MESSAGE_BYTES,
     NAME_BYTES,

@@ -28,19 +28,26 @@ class Tally:
         self._lost: dict[int, int] = {}
         self._adopted: set[int] = set()
         self._usual: set[int] = set()
+        self._overruled: set[int] = set()
         self._undelivered = 0
         for number, channel in channels.items():
             self.describe(number, channel)
 
-    def describe(self, number: int, channel: Channel) -> None:
+    def describe(self, number: int, channel: Channel, overrule: bool = False) -> None:
         """Take in what a channel is; the last description counts.
 
-        A wanted one stays what it is: a number means one thing in a file, and an index that was
-        checked describes it first. What no number in use has is left out.
+        A wanted one stays what it is: a number means one thing in a file, and an index describes it
+        first. What no number in use has is left out. overrule: the data say something else than the
+        index, by more than a wrong bit; they are believed.
         """
         number, more = number % NUMBERS, number // NUMBERS
         if more.bit_count() > 1 or (more and self._sink[number] != UNKNOWN):
             return
+        if overrule and number not in self._overruled and not self._met[number]:
+            self._overruled.add(number)
+            if self._channels.get(number, channel) != channel:
+                self._findings.misdescribed += 1
+                self._sink[number] = UNKNOWN
         if self._sink[number] < 0 and self._channels.get(number) != channel:
             self._channels[number] = channel
             self._sink[number] = self._want(channel)

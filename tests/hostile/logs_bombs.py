@@ -322,6 +322,9 @@ def _bag_marks(rng: random.Random) -> bytes:
             struct.pack("<I", 40) + b"\x04\x00\x00\x00op=\x05",
             _bag_chunk(b"", b"none", 5),
             struct.pack("<I", 8) + b"\x04\x00\x00\x00op=\x02" + b"\xff\xff\x00\x00",
+            struct.pack("<I", 60_000) + b"\x04\x00\x00\x00op=\x02",
+            struct.pack("<I", 8000) + b"\x04\0\0\0op=\x07" + struct.pack("<I", 7989) + b"topic=",
+            _bag_chunk(rng.choice((b"", b"x")), rng.choice((b"lz4", b"bz2", b"none")), 5),
         )
     )
     return mark * (_share(rng, 8 * MIB) // len(mark))

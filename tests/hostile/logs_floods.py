@@ -107,7 +107,77 @@ def _same_numbers(rng: random.Random) -> bytes:
     return _in_chunks(rng, records)
 
 
+def _chunk_info(place: int, pairs: bytes) -> bytes:
+    fields = {b"op": b"\x06", b"ver": struct.pack("<I", 1), b"chunk_pos": struct.pack("<Q", place)}
+    fields |= {b"start_time": bytes(8), b"end_time": bytes(8)}
+    return _bag_record({**fields, b"count": struct.pack("<I", len(pairs) // 8)}, pairs)
+
+
+def _index_flood(rng: random.Random, folder: Path) -> Case:
+    """An index of hundreds of thousands of connections or chunks, or of millions of counts."""
+    count = _share(rng, 300_000)
+    kind = rng.choice((b"nav_msgs/Odometry", b"std_msgs/String"))
+    pairs = struct.pack("<II", 0, 0)
+    connections, infos = {
+        "connections": lambda: ([_connection(2 + k, b"/t%d" % k, kind) for k in range(count)], []),
+        "chunks": lambda: ([], [_chunk_info(5000 - k % 2, b"") for k in range(count)]),
+        "counts": lambda: ([], [_chunk_info(5000, pairs * 1000) for _ in range(count // 100)]),
+        "counts of one chunk": lambda: ([], [_chunk_info(5000, pairs * 10 * count)]),
+    }[what := rng.choice(("connections", "chunks", "counts", "counts of one chunk"))]()
+    path = _with_index(folder, lambda index: index + b"".join(connections + infos))
+    raw = bytearray(path.read_bytes())
+    for name, more in ((b"conn_count=", connections), (b"chunk_count=", infos)):
+        at = raw.index(name) + len(name)
+        struct.pack_into("<I", raw, at, struct.unpack_from("<I", raw, at)[0] + len(more))
+    path.write_bytes(raw)
+    return Case(path, SOUND, None, f"an index with more {what} ({count})")
+
+
+def _with_index(folder: Path, other: Callable[[bytes], bytes]) -> Path:
+    """A sound bag whose index section is another one."""
+    logs = writers()
+    path = Path(logs.bag(folder / "run.bag", logs.drive(ODOMETRY)))
+    raw = path.read_bytes()
+    start = struct.unpack_from("<Q", raw, raw.index(b"index_pos=") + 10)[0]
+    path.write_bytes(raw[:start] + other(raw[start:]))
+    return path
+
+
+FALSE = ((b"/junctions", b"geometry_msgs/PoseArray"), (b"/odom", b"nav_msgs/Odometry"))
+FALSE += ((b"/odom", b"std_msgs/String"), (b"/x", b"nav_msgs/Odometry"), (b"", b""))
+"""What an index may say of a connection that is none of this."""
+
+
+def _false_index(rng: random.Random, folder: Path) -> Case:
+    """An index that describes the connections otherwise than the data."""
+    false = [_connection(k, *rng.choice(FALSE)) for k in (0, 1)]
+    path = _with_index(folder, lambda index: b"".join(false) + index[index.index(b"op=\x06") - 8 :])
+    return Case(path, SOUND, 0, "an index that describes other connections")
+
+
 # MCAP
+
+
+def _false_summary(rng: random.Random, folder: Path) -> Case:
+    """A summary without a checksum that describes the channels otherwise than the data."""
+    logs = writers()
+    path = logs.mcap(folder / "run.mcap", logs.drive(ODOMETRY))
+    raw = path.read_bytes()
+    start, at = struct.unpack_from("<Q", raw, len(raw) - 28)[0], 0
+    false = b""
+    while start + at < len(raw) - 37:
+        op, length = struct.unpack_from("<BQ", raw, start + at)
+        body = raw[start + at + 9 : start + at + 9 + length]
+        topic, kind = rng.choice(FALSE)
+        if op == 3 and rng.random() < 0.7:
+            body = body[:2] + _text(kind.replace(b"/", b"/msg/")) + _text(b"ros2msg") + _text(b"")
+        elif op == 4 and rng.random() < 0.7:
+            body = body[:4] + _text(topic) + _text(b"cdr") + _text(b"")
+        false += _record(op, body)
+        at += 9 + length
+    footer = _record(2, struct.pack("<QQI", start, 0, 0)) + raw[-8:]
+    path.write_bytes(raw[:start] + false + footer)
+    return Case(path, SOUND, 0, "a summary that describes other channels")
 
 
 def _attachments(rng: random.Random) -> bytes:
@@ -302,6 +372,8 @@ CASES: dict[str, Generator] = {
     "bag-connections": _bag(_connections, "up to 10^6 connections"),
     "bag-large-connections": _bag(_large_connections, "connections of megabytes"),
     "bag-same-connections": _bag(_same_numbers, "connections described again"),
+    "bag-index-flood": _index_flood,
+    "bag-false-index": _false_index,
     "bag-packed-records": _bag(_packed_connections, "chunks of 32 MiB of one record"),
     "mcap-packed-records": _mcap(_packed_records, "chunks of 511 MiB of one record"),
     "mcap-attachments": _tails(_attachments, "up to 300,000 attachments"),
@@ -309,6 +381,7 @@ CASES: dict[str, Generator] = {
     "mcap-false-attachments": _tails(_false_attachments, "attachments of false lengths"),
     "mcap-huge-attachment": _huge_attachment,
     "mcap-summary-flood": _summary_flood,
+    "mcap-false-summary": _false_summary,
     "db3-without-rowid": _without_rowid,
     "db3-log-beside": _beside,
     **{f"names-{kind}": partial(_long_names, kind) for kind in ("mcap", "bag", "db3")},

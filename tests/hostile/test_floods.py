@@ -16,6 +16,7 @@ from judge import print_of
 from topobatch.cli import places_file
 from topobatch.cli.places_file import read_places
 from topobatch.ingest.logs.columns import without_repeats
+from topobatch.ingest.logs.described import Described
 from topobatch.ingest.logs.fields import JunctionFields
 from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
 from topobatch.ingest.logs.messages import NAME_BYTES, DamageError
@@ -91,6 +92,64 @@ def test_connections_described_without_end_are_read(tmp_path):
     )(random.Random(1), tmp_path)
     used, failed, _ = read_of(case.log)
     assert (used, failed) == (case.intact, 0)
+
+
+def test_one_number_described_without_end_takes_the_room_of_a_log_with_many_channels():
+    """However often it is described anew; what was met before costs nothing."""
+    met = Described()
+    records = [b"%d" % k + bytes(1 << 20) for k in range(40)]
+    for record in records[:31]:
+        met.charge(record)
+        met.add(record)
+    assert all(record in met for record in records[:31])
+    with pytest.raises(DamageError, match="implausibly many"):
+        met.charge(records[31])
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("name", ["bag-false-index", "mcap-false-summary"])
+def test_the_data_are_believed_where_an_index_describes_other_channels(tmp_path, name, seed):
+    case = logs_floods.CASES[name](random.Random(seed), tmp_path)
+    run = read_log(case.log)
+    used = run.source["odometry"]["messages"] + run.source["junctions"]["messages"]
+    assert used == case.intact
+    assert case.lost == 0
+    assert any("otherwise than the data" in text for text in run.warnings)
+
+
+def test_a_summary_that_describes_a_channel_in_two_ways_is_damaged(tmp_path):
+    logs = writers()
+    path = logs.mcap(tmp_path / "run.mcap", logs.drive(100))
+    raw = path.read_bytes()
+    start = int.from_bytes(raw[-28:-20], "little")
+    again = logs_floods._channel(1, b"/other")
+    footer = logs_floods._record(2, start.to_bytes(8, "little") + bytes(12)) + raw[-8:]
+    path.write_bytes(raw[:-37] + again + footer)
+    run = read_log(path)
+    assert run.source["odometry"]["messages"] == 100
+    assert any("the summary is damaged" in text for text in run.warnings)
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        logs_floods._bag(
+            lambda _: (
+                logs_floods._bag_chunk(logs_floods._bag_message(0, bytes(9)), b"none", 5) * 2000
+            ),
+            "",
+        ),
+        logs_floods._mcap(
+            lambda _: logs_floods._chunk(logs_floods._message(1, bytes(9)), size=5) * 2000, ""
+        ),
+    ],
+    ids=["bag", "mcap"],
+)
+def test_chunks_that_declare_another_size_are_used_as_they_are(tmp_path, written):
+    """However many and small they are."""
+    case = written(random.Random(1), tmp_path)
+    used, failed, findings = read_of(case.log)
+    assert (used, failed, findings.repaired) == (case.intact, 2000, 2000)
 
 
 def test_a_name_of_a_million_characters_is_none(tmp_path):
