@@ -15,10 +15,12 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from .cli.version import VERSION
+
 if TYPE_CHECKING:
     from .cli.library import Workspace, ingest, merge, read_map, to_networkx
 
-__version__ = "0.2.0"
+__version__ = VERSION
 __all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
 
 _ALSO_FOLDERS = ("ingest", "merge")

@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from .. import __version__
 from ..ingest.grid_log import GridLog
 from ..ingest.mapping import MappingSettings, build_map
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
@@ -30,6 +29,7 @@ from ..topology.topomap import TopoMap
 from ..viz import write_map_recording
 from .output import count
 from .scan_options import source_told
+from .version import VERSION
 from .workers import start_worker
 from .workspace import Workspace, checked_run_name
 
@@ -136,7 +136,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run counts as finished only when all of its files are there.
     doc = {"key": key, "log": _origin(job.log), "runs": runs, "read": _read_how(job.read)}
-    doc |= {"version": __version__, "bytes": job_size(job)}
+    doc |= {"version": VERSION, "bytes": job_size(job)}
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"
@@ -221,7 +221,7 @@ def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
 
 def _content_key(job: IngestJob) -> str:
     """Changes when the log's content, the settings or the program change."""
-    parts = [__version__, log_fingerprint(job.log), asdict(job.read), asdict(job.mapping)]
+    parts = [VERSION, log_fingerprint(job.log), asdict(job.read), asdict(job.mapping)]
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 

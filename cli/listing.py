@@ -12,10 +12,10 @@ from typing import Annotated
 
 import typer
 
-from .. import __version__
 from ..topology.errors import DataError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
 from .output import count, say, say_lines, table
+from .version import VERSION
 from .workspace import Workspace
 
 
@@ -129,7 +129,7 @@ def _log_changes(place: Workspace, run: str) -> list[str]:
     if record is None:
         return []
     out = []
-    if record.get("version", __version__) != __version__:
+    if record.get("version", VERSION) != VERSION:
         out.append("made by another version")
     log, size = record.get("log"), record.get("bytes")
     if isinstance(log, str) and isinstance(size, int) and not _still_there(log, size):

@@ -15,7 +15,6 @@ from typing import Annotated
 import typer
 from typer.exceptions import TyperException
 
-from .. import __version__
 from ..topology.errors import TopobatchError, UsageError
 from .changes import changes
 from .discard import discard
@@ -34,6 +33,7 @@ from .report import report
 from .schema import schema
 from .simulate import simulate
 from .transfer import transfer
+from .version import VERSION
 from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
@@ -77,7 +77,7 @@ for name, command in COMMANDS:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        say(f"topobatch {__version__}")
+        say(f"topobatch {VERSION}")
         raise typer.Exit
 
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .. import __version__
 from ..topology.errors import DocumentError, UsageError
 from .draw import quiet_fonts, read_result
 from .options import DEFAULT_WORKSPACE, WorkspaceOption
 from .output import complain, say
+from .version import VERSION
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -88,4 +88,4 @@ def _versions() -> list[tuple[str, str]]:
     from platform import python_version
 
     found = [(name, version(name)) for name in STANDS_ON]
-    return [("topobatch", __version__), ("Python", python_version()), *found]
+    return [("topobatch", VERSION), ("Python", python_version()), *found]

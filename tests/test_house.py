@@ -75,8 +75,9 @@ def test_imports_go_one_way(package: str) -> None:
     assert modules(package)
     for path in modules(package):
         for target in imported(path):
-            head = target[0] if target else ""
-            if head in PACKAGES and head != package:
+            head = target[0]
+            assert head in PACKAGES, f"{path} imports the package's face"
+            if head != package:
                 assert head in MAY_IMPORT[package], f"{path} imports {'.'.join(target)}"
             if package == "viz" and head == "merge":
                 assert ".".join(target[1:]) in VIZ_MAY_USE_OF_MERGE, (
@@ -253,6 +254,15 @@ def test_every_module_is_below_a_declared_package() -> None:
         for path in modules(package):
             dotted = ".".join(("topobatch", *path.relative_to(ROOT).parent.parts))
             assert dotted in declared, f"{path} would not be installed"
+
+
+def test_the_version_is_that_of_the_project() -> None:
+    import tomllib
+
+    import topobatch
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert topobatch.__version__ == project["version"]
 
 
 def locked_versions(name: str) -> dict[str, list[str]]:

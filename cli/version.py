@@ -1,0 +1,5 @@
+"""Which topobatch this is."""
+
+from __future__ import annotations
+
+VERSION = "0.2.0"
