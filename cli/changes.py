@@ -9,9 +9,9 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import listed
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption
 from .output import count, say, say_lines
-from .workspace import Workspace
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..merge.changes import Change, Witness
@@ -24,11 +24,8 @@ def changes(
     everything: Annotated[
         bool, typer.Option("--all", help="Also differences that chance may have made.")
     ] = False,
-    merge: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="The merge to ask, by its --output NAME."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    merge: MergeOption = MERGED,
+    as_json: JsonOption = False,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Tell what changed between the runs that were merged.
@@ -42,7 +39,7 @@ def changes(
     from ..merge.changes import changes as changes_of
     from ..merge.component_map import stale_runs
 
-    place = Workspace(workspace) if merge is None else Workspace(workspace, merge)
+    place = Workspace(workspace, merge)
     document = place.read_merged()
     entries = {c.id: c for c in document.graph.components}
     if component is not None and component not in entries:

@@ -10,9 +10,9 @@ import typer
 from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import listed
 from . import paper_options
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
+from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
 from .output import count, say, say_lines, warn
-from .workspace import Workspace
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,17 +37,14 @@ def explain(
             "paper: the tables and clusters of Huang & Beevers."
         ),
     ] = "robust",
-    merge: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="The merge to ask, by its --output NAME."),
-    ] = None,
+    merge: MergeOption = MERGED,
     degree: paper_options.DegreeOption = None,
     confidence: paper_options.ConfidenceOption = None,
     confidence_of: paper_options.ConfidenceOfOption = None,
     weights: paper_options.WeightsOption = None,
     iterative: paper_options.IterativeOption = None,
     met: paper_options.MetOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
     rows: Annotated[
         int | None,
         typer.Option(
@@ -71,8 +68,8 @@ def explain(
     """
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
-    place = Workspace(workspace) if merge is None else Workspace(workspace, merge)
-    if merge is not None and not place.merged_json.exists():
+    place = Workspace(workspace, merge)
+    if merge != MERGED and not place.merged_json.exists():
         raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
     first, second = place.chosen_runs([a, b], False)
     options = paper_options.PaperOptions(
@@ -110,11 +107,11 @@ def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -
     """The decision on a pair, with the settings and the runs of the merge that had both."""
     from dataclasses import replace
 
-    from ..merge.document import poses_from_document, read_merged, verdict_from_entry
+    from ..merge.document import poses_from_document, verdict_from_entry
     from ..merge.robust.explained import Batch, explain
     from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
 
-    document = read_merged(place.merged_json) if place.merged_json.exists() else None
+    document = _last_merge(place)
     why_not = _not_merged(document, pair)
     said, poses, settings, runs = {}, {}, DEFAULT_ROBUST, place.runs()
     if document is not None and not why_not:
@@ -139,6 +136,11 @@ def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -
     batch = Batch(ordered, said, settings, place.locks(), poses)
     decision = explain(batch, *pair)
     return replace(decision, notes=(*notes, *decision.notes))
+
+
+def _last_merge(place: Workspace) -> MergedDocument | None:
+    """The document of the merge that is meant, if there is one."""
+    return place.read_merged() if place.merged_json.exists() else None
 
 
 def _not_merged(document: MergedDocument | None, pair: tuple[str, str]) -> str:
@@ -190,9 +192,10 @@ def _by_paper(
     from ..viz import write_explain_recording
 
     map_a, map_b = (place.read_map(run) for run in pair)
-    merged_with = _merged_with(place)
+    document = _last_merge(place)
+    merged_with = _merged_with(place, document)
     found = explained(map_a, map_b, options.over(merged_with or DEFAULT_PAPER))
-    said = _said(place, *pair)
+    said = _said(document, *pair)
     if as_json:
         say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
     else:
@@ -204,30 +207,22 @@ def _by_paper(
     _record(recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json)
 
 
-def _merged_with(place: Workspace) -> PaperSettings | None:
+def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSettings | None:
     """The settings of the last merge by the paper's method; None if it was another one."""
-    from ..merge.document import read_merged
     from ..merge.paper.method import settings_from_document
 
-    if not place.merged_json.exists():
-        return None
-    graph = read_merged(place.merged_json).graph
-    if graph.method != "paper":
+    if document is None or document.graph.method != "paper":
         return None
     try:
-        return settings_from_document(graph.settings or {})
+        return settings_from_document(document.graph.settings or {})
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
 
 
-def _said(place: Workspace, a: str, b: str) -> MergeEntry | None:
-    """What merged.json says about a pair, if it says anything."""
-    from ..merge.document import read_merged
-
-    if not place.merged_json.exists():
-        return None
-    merges = read_merged(place.merged_json).merges
-    return next((entry for entry in merges if (entry.a, entry.b) == (a, b)), None)
+def _said(document: MergedDocument | None, a: str, b: str) -> MergeEntry | None:
+    """What a merge says about a pair, if it says anything."""
+    entries = () if document is None else document.merges
+    return next((entry for entry in entries if (entry.a, entry.b) == (a, b)), None)
 
 
 def _verdict_lines(said: MergeEntry | None, how: str) -> list[str]:

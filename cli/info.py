@@ -13,6 +13,7 @@ import typer
 
 from ..topology.errors import LogError
 from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
+from .options import JsonOption
 from .output import complain, count, say, say_lines, table
 from .scan_options import JunctionsFrom, ScanTopic
 
@@ -39,7 +40,7 @@ def info(
     junctions_from: JunctionsFrom = None,
     scan_topic: ScanTopic = None,
     allow_scan: AllowScan = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Show what logs hold and what ingest would use.
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from ..topology.errors import DataError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
 from .output import say, table
 from .workspace import Workspace
 
@@ -62,7 +62,7 @@ def history(
     most: Annotated[
         int, typer.Option("--last", "-n", metavar="N", min=1, help="How many, the last ones.")
     ] = 20,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Show what was done to the workspace.
 

@@ -8,12 +8,9 @@ import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Annotated
-
-import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
 from .output import count, say, say_lines, table
 from .version import VERSION
 from .workspace import Workspace
@@ -39,7 +36,7 @@ class Listed:
 
 def list_runs(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List the runs of the workspace.
 

@@ -26,6 +26,13 @@ QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show errors only: no progress, no summary.")
 ]
 
+MergeOption = Annotated[
+    str,
+    typer.Option("--merge", metavar="NAME", help="The merge to go by, by its --output NAME."),
+]
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
 VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Say what happens meanwhile.")]
 
 

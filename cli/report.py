@@ -9,7 +9,7 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from .draw import quiet_fonts, read_result
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
 from .output import complain, say
 from .version import VERSION
 from .workspace import MERGED, Workspace
@@ -26,9 +26,7 @@ def report(
         typer.Argument(metavar="OUT.html", help="The page; default: report.html in the workspace."),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    merge: Annotated[
-        str, typer.Option(metavar="NAME", help="The merge to tell of, by its --output NAME.")
-    ] = MERGED,
+    merge: MergeOption = MERGED,
 ) -> None:
     """Write a page about all runs and their merge, for a browser.
 

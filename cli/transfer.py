@@ -10,6 +10,7 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from .options import (
     DEFAULT_WORKSPACE,
+    MergeOption,
     QuietOption,
     WorkspaceOption,
     complete_map,
@@ -61,10 +62,7 @@ def transfer(
             help="A place of which 95 % of the errors may be larger is not carried.",
         ),
     ] = 0.5,
-    merge: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="The merge to go by, by its --output NAME."),
-    ] = None,
+    merge: MergeOption = MERGED,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="File to write; default: - (shown)."),
@@ -83,7 +81,7 @@ def transfer(
     from .places_file import places_text, read_places
 
     screen = Screen(quiet)
-    place = Workspace(workspace) if merge is None else Workspace(workspace, merge)
+    place = Workspace(workspace, merge)
     table = read_places(places)
     found, why = _carried(place, table, source, target)
     rows = [
