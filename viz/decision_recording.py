@@ -28,11 +28,18 @@ from ..merge.result import shown_bits
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import SHEET_MARGIN, bounds, pen_m
-from .fused_layers import write_cards, write_own_map
+from .drawing import pen_m
+from .map_sheet import (
+    sheet_view,
+    write_cards,
+    write_laid_over,
+    write_own_map,
+    write_rings,
+    write_words,
+)
 from .map_summary import bulleted, plain
 from .placements import placements
-from .recording import UP, PathParts, Recording, map_view, markdown, placed, write_recording
+from .recording import UP, PathParts, Recording, blueprint, markdown, placed, write_recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 FloatArray = NDArray[np.float64]
@@ -73,10 +80,7 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
     pen = pen_m([a, b])
     for picture, cell in zip(drawn, cells, strict=True):
         here = (PLACEMENTS, picture.name)
-        recording.static(here, placed(cell.T_sheet_map))
-        write_own_map(recording, (*here, "a", a.run), a, palette.of_rank(0), pen)
-        recording.static((*here, "b"), placed(picture.T_a_b))
-        write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
+        write_laid_over(recording, here, cell, (a, b), picture.T_a_b, pen=pen)
         if picture.placement is not None:
             xy = (a.xy, apply(picture.T_a_b, b.xy))
             _ties(recording, here, picture.placement, xy, pen=pen)
@@ -105,16 +109,12 @@ def _names(
     """The runs' names in their colours, at the foot of a cell."""
     width = cell.high[0] - cell.low[0]
     places = [(cell.low[0] + share * width, cell.low[1] + 0.8 * margin) for share in (0.3, 0.7)]
-    recording.static(
+    write_words(
+        recording,
         (PLACEMENTS, "names", name),
-        rr.Points2D(
-            places,
-            radii=0.0,
-            colors=[palette.of_rank(0), palette.of_rank(1)],
-            labels=[short(run) for run in runs],
-            show_labels=True,
-            draw_order=palette.Order.WORDS,
-        ),
+        places,
+        [short(run) for run in runs],
+        colours=[palette.of_rank(0), palette.of_rank(1)],
     )
 
 
@@ -135,10 +135,7 @@ def _ties(
     info = rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
     recording.static((*here, "ties"), lines, info)
     for name, at in (("a", one), ("b", two)):
-        rings = rr.Points2D(
-            at, radii=1.8 * pen, colors=palette.WHITE, draw_order=palette.Order.RING
-        )
-        recording.static((*here, "matched", name), rings)
+        write_rings(recording, (*here, "matched", name), at, 1.8 * pen, palette.Order.RING)
 
 
 def _links(
@@ -287,10 +284,9 @@ _LEGEND = "# How to read it\n\n" + bulleted(
 
 
 def _blueprint(cells: list[Cell], name: str) -> rrb.Blueprint:
-    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
-    return rrb.Blueprint(
+    return blueprint(
         rrb.Horizontal(
-            map_view(PLACEMENTS, "Placements", *bounds([corners], margin=SHEET_MARGIN)),
+            sheet_view(PLACEMENTS, "Placements", cells),
             rrb.Tabs(
                 rrb.TextDocumentView(origin="/decision", name="Decision"),
                 rrb.TextDocumentView(origin="/evidence", name="Every term"),
@@ -301,9 +297,5 @@ def _blueprint(cells: list[Cell], name: str) -> rrb.Blueprint:
             column_shares=[3, 2],
             name=name,
         ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="hidden"),
-        auto_layout=False,
-        auto_views=False,
     )

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import SHEET_MARGIN, bounds, pen_m
-from .fused_layers import write_cards, write_own_map
+from .drawing import pen_m
+from .map_sheet import sheet_view, write_cards, write_laid_over, write_rings
 from .map_summary import plain
-from .recording import HAIR, UP, Recording, map_view, markdown, placed, write_recording
+from .recording import HAIR, UP, Recording, blueprint, markdown, write_recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def write(path: Path, a: TopoMap, b: TopoMap, e: Explanation) -> None:
         recording.static(("summary",), markdown(_told(a, b, e)))
         views = [_table_view(a, b)]
         if len(e.hypotheses.size):
-            views = [_placements_view(cells), _space_view(e), *views]
+            views = [sheet_view(PLACEMENTS, "Placements", cells), _space_view(e), *views]
         return _blueprint(views)
 
     write_recording(path, f"{a.run} - {b.run}", fill)
@@ -196,19 +196,9 @@ def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) ->
     pen = pen_m([a, b])
     for k, cell in enumerate(cells):
         here = (PLACEMENTS, f"cluster {k + 1}")
-        recording.static(here, placed(cell.T_sheet_map))
-        write_own_map(recording, (*here, "a", a.run), a, palette.of_rank(0), pen)
-        recording.static((*here, "b"), placed(c.transform[k]))
-        write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
+        write_laid_over(recording, here, cell, (a, b), c.transform[k], pen=pen)
         matched = np.unique(h.vertex_a[c.of[h.of] == k])
-        if len(matched):
-            rings = rr.Points2D(
-                a.xy[matched],
-                radii=2.4 * pen,
-                colors=palette.WHITE,
-                draw_order=palette.Order.EVIDENCE,
-            )
-            recording.static((*here, "matched"), rings)
+        write_rings(recording, (*here, "matched"), a.xy[matched], 2.4 * pen)
     return cells
 
 
@@ -249,11 +239,6 @@ def _pose(pose: FloatArray) -> str:
     return f"({x:.1f}, {y:.1f}) m, {np.round(np.degrees(pose[2])) + 0.0:.0f}°"
 
 
-def _placements_view(cells: list[Cell]) -> rrb.View:
-    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
-    return map_view(PLACEMENTS, "Placements", *bounds([corners], margin=SHEET_MARGIN))
-
-
 def _space_view(e: Explanation) -> rrb.View:
     """Transform space, seen from above one side so that all of it is in the picture."""
     low, high, _ = _space(e)
@@ -284,16 +269,12 @@ def _table_view(a: TopoMap, b: TopoMap) -> rrb.View:
 
 
 def _blueprint(views: list[rrb.View]) -> rrb.Blueprint:
-    return rrb.Blueprint(
+    return blueprint(
         rrb.Horizontal(
             rrb.Tabs(*views, active_tab=0, name="Maps"),
             rrb.TextDocumentView(origin="/summary", name="Clusters and hypotheses"),
             column_shares=[2, 1],
             name="Match of two maps",
         ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="hidden"),
-        auto_layout=False,
-        auto_views=False,
     )

@@ -8,7 +8,6 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ..merge.decision_text import short
 from ..merge.result import FusedMap, MergeResult
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
@@ -16,10 +15,11 @@ from . import palette
 from .contradictions import write_contradictions
 from .drawing import branch_arrows, driven_branches, pen_m, ribbon
 from .growing import colour_columns, light_up_by_step
+from .map_sheet import MOST_LONG_TITLES, write_cards, write_own_map, write_words
 from .parts import Part, legend_step_m
 from .placements import Spot, contradiction_spots
-from .recording import HAIR, JOIN, UP, PathParts, Recording, placed
-from .sheet import ASPECT, Cell
+from .recording import JOIN, UP, PathParts, Recording, placed
+from .sheet import Cell
 from .steps import Step, first_steps
 from .story import shared_from
 
@@ -34,12 +34,6 @@ WIDEST_RIBBON = 4
 
 LEGEND_LINE = 0.2
 """Half the length of a legend's lines over its width."""
-
-MOST_LONG_TITLES = 12
-"""Up to this many components have a title with their number of junctions."""
-
-TITLE_LETTERS, SHORTEST_TITLE = 150, 5
-"""Letters across a view of usual width; titles with room for fewer than this are left out."""
 
 
 def write_fused_layers(
@@ -176,57 +170,7 @@ def _legend(
             draw_order=palette.Order.WORDS,
         ),
     )
-    recording.static(
-        (*path, "names"),
-        rr.Points2D(
-            places,
-            radii=0.0,
-            colors=list(entries.values()),
-            labels=list(entries),
-            show_labels=True,
-            draw_order=palette.Order.WORDS,
-        ),
-    )
-
-
-def write_cards(recording: Recording, root: str, cells: list[Cell], titles: list[str]) -> None:
-    """A thin frame round every cell and a title in it; `titles` may be empty."""
-    if len(cells) > 1:
-        corners = [
-            np.array([c.low, (c.high[0], c.low[1]), c.high, (c.low[0], c.high[1]), c.low])
-            for c in cells
-        ]
-        frames = rr.LineStrips2D(
-            corners, radii=HAIR, colors=palette.CARD, draw_order=palette.Order.CARD
-        )
-        recording.static((root, "frames"), frames)
-    shown = [(k, _fitting(title, cells[k], cells)) for k, title in enumerate(titles)]
-    shown = [(k, title) for k, title in shown if title]
-    if shown:
-        tops = [((cells[k].low[0] + cells[k].high[0]) / 2, cells[k].high[1]) for k, _ in shown]
-        recording.static(
-            (root, "titles"),
-            rr.Points2D(
-                tops,
-                radii=0.0,
-                colors=palette.TITLE,
-                labels=[title for _, title in shown],
-                show_labels=True,
-                draw_order=palette.Order.WORDS,
-            ),
-        )
-
-
-def _fitting(title: str, cell: Cell, cells: list[Cell]) -> str:
-    """A title as far as its cell has room for it, where the sheet fills a view of usual width; ""
-    where there is none."""
-    if len(cells) <= MOST_LONG_TITLES:
-        return title
-    width = max(c.high[0] for c in cells) - min(c.low[0] for c in cells)
-    height = max(c.high[1] for c in cells) - min(c.low[1] for c in cells)
-    share = (cell.high[0] - cell.low[0]) / max(width, ASPECT * height)
-    room = int(share * TITLE_LETTERS)
-    return short(title, room) if room >= SHORTEST_TITLE else ""
+    write_words(recording, (*path, "names"), places, list(entries), colours=list(entries.values()))
 
 
 def _ribbons(
@@ -372,38 +316,3 @@ def _unexplored(
         draw_order=palette.Order.STUB,
     )
     recording.static((FUSED, part.name, "branches never driven"), arrows)
-
-
-def write_own_map(
-    recording: Recording,
-    path: PathParts,
-    topomap: TopoMap,
-    colour: tuple[int, int, int],
-    pen: float,
-) -> None:
-    """A run's own map below `path`, in its own frame and one colour."""
-    if len(topomap.source):
-        lines = rr.LineStrips2D(
-            list(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=palette.Order.CORRIDOR
-        )
-        info = rr.AnyValues(
-            corridor=np.arange(len(topomap.source)),
-            between=[f"{u} - {v}" for u, v in zip(topomap.source, topomap.target, strict=True)],
-            length_m=topomap.length,
-            length_sigma_m=topomap.length_sigma,
-            traversals=topomap.traversals,
-        )
-        recording.static((*path, "corridors"), lines, info)
-    if len(topomap):
-        points = rr.Points2D(
-            topomap.xy,
-            radii=1.2 * pen,
-            colors=colour,
-            labels=list(map(str, range(len(topomap)))),
-            show_labels=False,
-            draw_order=palette.Order.JUNCTION,
-        )
-        info = rr.AnyValues(
-            vertex=np.arange(len(topomap)), kind=list(topomap.kind), branches=topomap.degree
-        )
-        recording.static((*path, "junctions"), points, info)

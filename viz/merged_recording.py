@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import rerun.blueprint as rrb
 
 from ..merge.result import MergeResult
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import SHEET_MARGIN, bounds
 from .fused_layers import (
     AGREEMENT,
     FUSED,
@@ -21,6 +19,7 @@ from .fused_layers import (
     write_fused_layers,
     write_legend,
 )
+from .map_sheet import sheet_view
 from .pair_layers import (
     MATRIX,
     MOST_DOTS,
@@ -32,8 +31,7 @@ from .pair_layers import (
     write_undecided,
 )
 from .parts import colours_of, lay_out
-from .recording import JOIN, Recording, map_view, markdown, write_recording
-from .sheet import Cell
+from .recording import JOIN, Recording, blueprint, markdown, write_recording
 from .steps import joining_steps
 from .story import STORY, write_story
 from .verdicts import Shown, merge_summary, pairs_told, runs_in_order
@@ -55,16 +53,16 @@ def write(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
         write_fused_layers(recording, result, by_name, parts, colours=colours, steps=steps)
         contradicted = write_fused_contradictions(recording, result, by_name, parts)
         views = [
-            _view(FUSED, "Map", sheet),
-            _view(AGREEMENT, "Agreement", sheet),
-            _view(RUNS, "Runs", sheet),
+            sheet_view(FUSED, "Map", sheet),
+            sheet_view(AGREEMENT, "Agreement", sheet),
+            sheet_view(RUNS, "Runs", sheet),
         ]
         if pairs:
             cells = write_undecided(recording, pairs, by_name)
-            views.append(_view(UNDECIDED, "Undecided", cells))
+            views.append(sheet_view(UNDECIDED, "Undecided", cells))
         names = write_legend(recording, parts, colours)
         if names:
-            views.append(_view(LEGEND, "Legend", names))
+            views.append(sheet_view(LEGEND, "Legend", names))
         if steps:
             write_story(recording, FUSED, steps, parts, by_name)
         write_matrix(recording, result, runs, colours)
@@ -95,12 +93,6 @@ def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]
     return {run: by_name[run] for run in sorted(needed)}
 
 
-def _view(root: str, name: str, cells: list[Cell]) -> rrb.Spatial2DView:
-    corners = [corner for cell in cells for corner in (cell.low, cell.high)]
-    low, high = bounds([np.array(corners).reshape(-1, 2)], margin=SHEET_MARGIN)
-    return map_view(root, name, low, high)
-
-
 def _matrix_view(result: MergeResult, runs: list[str]) -> rrb.Spatial2DView:
     low, high = matrix_bounds(result, runs)
     return rrb.Spatial2DView(
@@ -123,17 +115,13 @@ def _blueprint(
     side: list[rrb.View | rrb.Container] = [rrb.Tabs(*pages, active_tab=0, name="Details")]
     if matrix is not None:
         side.append(matrix)
-    return rrb.Blueprint(
+    return blueprint(
         rrb.Horizontal(
             rrb.Tabs(*views, active_tab=0, name="Maps"),
             rrb.Vertical(*side, row_shares=[1, 1][: len(side)], name="Verdicts"),
             column_shares=[5, 2],
             name="Merged map",
         ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
         # Following shows the last step, the whole map, until somebody moves the cursor.
         rrb.TimePanel(state="collapsed", timeline=JOIN, play_state="following", fps=1.0),
-        auto_layout=False,
-        auto_views=False,
     )

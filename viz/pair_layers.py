@@ -14,9 +14,9 @@ from ..topology.topomap import TopoMap
 from . import palette
 from .contradictions import write_contradictions
 from .drawing import pen_m
-from .fused_layers import write_cards, write_own_map
+from .map_sheet import write_cards, write_laid_over, write_rings, write_words
 from .placements import contradiction_spots
-from .recording import HAIR, UP, PathParts, Recording, placed
+from .recording import HAIR, UP, Recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .verdicts import (
     AMBIGUOUS,
@@ -203,15 +203,7 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
 def _labels(
     recording: Recording, name: str, places: NDArray[np.float64], labels: list[str]
 ) -> None:
-    text = rr.Points2D(
-        places,
-        radii=0.0,
-        colors=palette.TITLE,
-        labels=labels,
-        show_labels=True,
-        draw_order=palette.Order.TIE,
-    )
-    recording.static((MATRIX, name), text)
+    write_words(recording, (MATRIX, name), places, labels, order=palette.Order.TIE)
 
 
 def undecided(result: MergeResult) -> list[PairVerdict]:
@@ -248,19 +240,8 @@ def write_undecided(
     for (pair, name, alignment), cell in zip(laid, cells, strict=True):
         here = (UNDECIDED, "pairs", pair.a, pair.b, name)
         a, b = maps[pair.a], maps[pair.b]
-        recording.static(here, placed(cell.T_sheet_map))
-        write_own_map(recording, (*here, "a", pair.a), a, palette.of_rank(0), pen)
-        recording.static((*here, "b"), placed(alignment.transform))
-        write_own_map(recording, (*here, "b", pair.b), b, palette.of_rank(1), pen)
-        _matched(recording, (*here, "matched"), a.xy[alignment.matched[:, 0]], pen)
+        write_laid_over(recording, here, cell, (a, b), alignment.transform, pen=pen)
+        write_rings(recording, (*here, "matched"), a.xy[alignment.matched[:, 0]], 2.2 * pen)
         spots = contradiction_spots(alignment, a.xy, apply(alignment.transform, b.xy))
         write_contradictions(recording, (*here, "contradictions"), spots, pen)
     return cells
-
-
-def _matched(recording: Recording, path: PathParts, xy: NDArray[np.float64], pen: float) -> None:
-    if len(xy):
-        rings = rr.Points2D(
-            xy, radii=2.2 * pen, colors=palette.WHITE, draw_order=palette.Order.EVIDENCE
-        )
-        recording.static(path, rings)

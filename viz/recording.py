@@ -153,3 +153,15 @@ def map_view(
         visual_bounds=rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[-high[1], -low[1]]),
         overrides=overrides or {},
     )
+
+
+def blueprint(root: rrb.Container, time: rrb.TimePanel) -> rrb.Blueprint:
+    """An arrangement of views, with the viewer's own panels closed at first."""
+    return rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        time,
+        auto_layout=False,
+        auto_views=False,
+    )

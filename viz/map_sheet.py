@@ -1,0 +1,141 @@
+"""Maps on a sheet of cells: frames and titles, a run's own map, one map laid over another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from ..merge.decision_text import short
+from ..topology.topomap import TopoMap
+from . import palette
+from .drawing import SHEET_MARGIN, bounds
+from .recording import HAIR, PathParts, Recording, map_view, placed
+from .sheet import ASPECT, Cell
+
+MOST_LONG_TITLES = 12
+"""Up to this many cells have room for a title of any length."""
+
+TITLE_LETTERS, SHORTEST_TITLE = 150, 5
+"""Letters across a view of usual width; titles with room for fewer than this are left out."""
+
+
+def sheet_view(root: str, name: str, cells: Sequence[Cell]) -> rrb.Spatial2DView:
+    """A view of everything below `/root`, which lies in these cells."""
+    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
+    return map_view(root, name, *bounds([corners], margin=SHEET_MARGIN))
+
+
+def write_words(
+    recording: Recording,
+    path: PathParts,
+    places: Any,
+    words: list[str],
+    *,
+    colours: Any = palette.TITLE,
+    order: palette.Order = palette.Order.WORDS,
+) -> None:
+    """A word below each of the places (n, 2)."""
+    shown = rr.Points2D(
+        places, radii=0.0, colors=colours, labels=words, show_labels=True, draw_order=order
+    )
+    recording.static(path, shown)
+
+
+def write_rings(
+    recording: Recording,
+    path: PathParts,
+    xy: NDArray[np.float64],
+    radius_m: float,
+    order: palette.Order = palette.Order.EVIDENCE,
+) -> None:
+    """White dots round junctions at xy (n, 2)."""
+    if len(xy):
+        dots = rr.Points2D(xy, radii=radius_m, colors=palette.WHITE, draw_order=order)
+        recording.static(path, dots)
+
+
+def write_cards(recording: Recording, root: str, cells: list[Cell], titles: list[str]) -> None:
+    """A thin frame round every cell and a title in it; `titles` may be empty."""
+    if len(cells) > 1:
+        corners = [
+            np.array([c.low, (c.high[0], c.low[1]), c.high, (c.low[0], c.high[1]), c.low])
+            for c in cells
+        ]
+        frames = rr.LineStrips2D(
+            corners, radii=HAIR, colors=palette.CARD, draw_order=palette.Order.CARD
+        )
+        recording.static((root, "frames"), frames)
+    shown = [(k, _fitting(title, cells[k], cells)) for k, title in enumerate(titles)]
+    shown = [(k, title) for k, title in shown if title]
+    if shown:
+        tops = [((cells[k].low[0] + cells[k].high[0]) / 2, cells[k].high[1]) for k, _ in shown]
+        write_words(recording, (root, "titles"), tops, [title for _, title in shown])
+
+
+def _fitting(title: str, cell: Cell, cells: list[Cell]) -> str:
+    """A title as far as its cell has room for it, where the sheet fills a view of usual width; ""
+    where there is none."""
+    if len(cells) <= MOST_LONG_TITLES:
+        return title
+    width = max(c.high[0] for c in cells) - min(c.low[0] for c in cells)
+    height = max(c.high[1] for c in cells) - min(c.low[1] for c in cells)
+    share = (cell.high[0] - cell.low[0]) / max(width, ASPECT * height)
+    room = int(share * TITLE_LETTERS)
+    return short(title, room) if room >= SHORTEST_TITLE else ""
+
+
+def write_own_map(
+    recording: Recording,
+    path: PathParts,
+    topomap: TopoMap,
+    colour: tuple[int, int, int],
+    pen: float,
+) -> None:
+    """A run's own map below `path`, in its own frame and one colour."""
+    if len(topomap.source):
+        lines = rr.LineStrips2D(
+            list(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=palette.Order.CORRIDOR
+        )
+        info = rr.AnyValues(
+            corridor=np.arange(len(topomap.source)),
+            between=[f"{u} - {v}" for u, v in zip(topomap.source, topomap.target, strict=True)],
+            length_m=topomap.length,
+            length_sigma_m=topomap.length_sigma,
+            traversals=topomap.traversals,
+        )
+        recording.static((*path, "corridors"), lines, info)
+    if len(topomap):
+        points = rr.Points2D(
+            topomap.xy,
+            radii=1.2 * pen,
+            colors=colour,
+            labels=list(map(str, range(len(topomap)))),
+            show_labels=False,
+            draw_order=palette.Order.JUNCTION,
+        )
+        info = rr.AnyValues(
+            vertex=np.arange(len(topomap)), kind=list(topomap.kind), branches=topomap.degree
+        )
+        recording.static((*path, "junctions"), points, info)
+
+
+def write_laid_over(
+    recording: Recording,
+    here: PathParts,
+    cell: Cell,
+    maps: tuple[TopoMap, TopoMap],
+    T_a_b: NDArray[np.float64],
+    *,
+    pen: float,
+) -> None:
+    """Map b laid over map a in a cell, each in a colour of its own."""
+    a, b = maps
+    recording.static(here, placed(cell.T_sheet_map))
+    write_own_map(recording, (*here, "a", a.run), a, palette.of_rank(0), pen)
+    recording.static((*here, "b"), placed(T_a_b))
+    write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
