@@ -13,22 +13,25 @@ from .chance import Chance
 from .world import FloatArray, World
 
 
-def grown(world: World, start: int, size: int, cost: FloatArray, banned: set[int]) -> set[int]:
-    """A connected set of up to `size` vertices: from `start`, always the neighbour of least cost.
+def grown(
+    world: World, inside: set[int], size: int, cost: FloatArray, banned: set[int]
+) -> set[int]:
+    """A connected set made larger, up to `size`, always by its neighbour of least cost.
 
     cost: (n,); vertices in `banned` are not taken. O(corridors log corridors).
     """
-    inside: set[int] = set()
-    heap = [(0.0, start)]
-    while heap and len(inside) < size:
+    region = set(inside)
+    heap = [(float(cost[v]), v) for v in _beside(world, region) - banned]
+    heapq.heapify(heap)
+    while heap and len(region) < size:
         _, vertex = heapq.heappop(heap)
-        if vertex in inside:
+        if vertex in region:
             continue
-        inside.add(vertex)
+        region.add(vertex)
         for _, other, _ in world.ends(vertex):
-            if other not in inside and other not in banned:
+            if other not in region and other not in banned:
                 heapq.heappush(heap, (float(cost[other]), other))
-    return inside
+    return region
 
 
 def chain_of_regions(
@@ -66,7 +69,7 @@ def _way_from(world: World, vertex: int) -> FloatArray:
 
 def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray) -> list[set[int]]:
     """Regions one after another along a coordinate of the vertices; fewer where room runs out."""
-    regions = [grown(world, int(np.argmin(sweep)), size, sweep, set())]
+    regions = [grown(world, {int(np.argmin(sweep))}, size, sweep, set())]
     used = set(regions[0])
     common = round(overlap * size)
     while len(regions) < runs:
@@ -82,8 +85,8 @@ def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray
             allowed = last - set.union(set(), *regions[:-1])
             allowed = allowed if len(allowed) >= common else last
             outside = set(range(len(world))) - allowed - {start}
-            shared = grown(world, start, common + 1, -sweep, outside)
-            region = _onwards(world, shared, size, sweep, used - shared)
+            shared = grown(world, {start}, common + 1, -sweep, outside)
+            region = grown(world, shared, size, sweep, used - shared)
         if not region:
             break
         regions.append(region)
@@ -97,31 +100,13 @@ def _apart(world: World, size: int, sweep: FloatArray, banned: set[int]) -> set[
     tried: set[int] = set()
     for start in np.argsort(sweep, kind="stable").tolist():
         if start not in banned and start not in tried:
-            region = grown(world, start, size, sweep, banned)
+            region = grown(world, {start}, size, sweep, banned)
             tried |= region
             if len(region) > len(best):
                 best = region
             if len(best) == size:
                 break
     return best
-
-
-def _onwards(
-    world: World, inside: set[int], size: int, cost: FloatArray, banned: set[int]
-) -> set[int]:
-    """A connected set made larger, up to `size`, by neighbours of least cost outside `banned`."""
-    region = set(inside)
-    heap = [(float(cost[v]), v) for v in _beside(world, region) - banned]
-    heapq.heapify(heap)
-    while heap and len(region) < size:
-        _, vertex = heapq.heappop(heap)
-        if vertex in region:
-            continue
-        region.add(vertex)
-        for _, other, _ in world.ends(vertex):
-            if other not in region and other not in banned:
-                heapq.heappush(heap, (float(cost[other]), other))
-    return region
 
 
 def _beside(world: World, region: set[int]) -> set[int]:
@@ -138,7 +123,7 @@ def scattered_regions(world: World, runs: int, size: int, chance: Chance) -> lis
         centre = int(options[np.argmin(load[options])])
         away = np.hypot(*(world.xy - world.xy[centre]).T)
         wanted = round(size * chance.one_uniform(0.8, 1.2))
-        region = grown(world, centre, wanted, away, set())
+        region = grown(world, {centre}, wanted, away, set())
         load[sorted(region)] += 1
         regions.append(region)
     return regions
