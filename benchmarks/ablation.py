@@ -24,10 +24,12 @@ import numpy as np
 from closure import simulated
 from uncertainty import recorded
 
-from topobatch.ingest import mapping
+from topobatch.ingest.mapping import dead_reckoned
+from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
+from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import true_vertex_of_passes
 from topobatch.topology.closure import candidates, incremental, joint_compatibility
-from topobatch.topology.closure.dead_reckoning import Walk, make_walk
+from topobatch.topology.closure.dead_reckoning import Walk
 from topobatch.topology.closure.incremental import RoundSettings, full_closure
 from topobatch.topology.closure.missed_detections import DrivenBySettings, correct_detections
 from topobatch.topology.odometry import Odometry
@@ -93,13 +95,9 @@ class Case(NamedTuple):
 
 def case(kind, truth, run):
     """The walk that `build_map` closes."""
-    settings = mapping.MappingSettings()
-    calibration = mapping._calibration(run, settings)
-    odometry = mapping.apply_calibration(run.odometry, calibration)
-    passes = mapping.fuse_passes(odometry, run.detections, settings.passes)
-    noise = mapping.estimate_noise(odometry, run.detections, passes, settings.noise)
-    walk = make_walk(odometry, passes, noise, mapping._systematic(calibration, settings))
-    return Case(kind, walk, odometry, true_vertex_of_passes(truth, run.name, passes.time_ns))
+    odometry, walk, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    times = walk.passes.time_ns
+    return Case(kind, walk, odometry, true_vertex_of_passes(truth, run.name, times))
 
 
 def cases(worlds, seeds, first, junctions, real):

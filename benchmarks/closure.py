@@ -28,7 +28,7 @@ from functools import partial
 
 import numpy as np
 
-from topobatch.ingest import mapping
+from topobatch.ingest import mapping, pass_source
 from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
 from topobatch.ingest.odometry.jumps import without_jumps
 from topobatch.ingest.odometry.noise import estimate_noise
@@ -358,7 +358,7 @@ def spoil(factor):
         names = noise.__dataclass_fields__
         return replace(noise, **{name: getattr(noise, name) * factor for name in names})
 
-    mapping.estimate_noise = wrong
+    pass_source.estimate_noise = wrong
 
 
 def growth(first):

@@ -16,7 +16,7 @@ from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTo
 from .workspace import Workspace, checked_run_name
 
 if TYPE_CHECKING:
-    from ..ingest.mapping import MappingSettings
+    from ..ingest.mapping_settings import MappingSettings
     from ..ingest.reading import ReadSettings
     from ..ingest.remote.path import LogPath
     from .ingest_worker import IngestJob, IngestOutcome
@@ -127,7 +127,7 @@ def ingest(
     Of a log in a bucket (s3://bucket/prefix/), the index and the chunks that hold wanted topics are
     read, and nothing is copied here; needs topobatch[remote].
     """
-    from ..ingest.mapping import MappingSettings
+    from ..ingest.mapping_settings import MappingSettings
     from ..ingest.reading import ReadSettings
     from ..ingest.remote.path import log_path
     from ..ingest.scans.slicing import SliceSettings

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..ingest.grid_log import GridLog
-from ..ingest.mapping import MappingSettings, build_map
+from ..ingest.mapping import build_map
+from ..ingest.mapping_settings import MappingSettings
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..ingest.remote.path import LogPath, RemotePath
 from ..topology.document import map_to_document

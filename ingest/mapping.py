@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,55 +15,37 @@ from ..topology.closure.dead_reckoning import SystematicErrors, Walk, make_walk
 from ..topology.closure.estimate import lay_out
 from ..topology.closure.incremental import (
     Closed,
-    RoundSettings,
     closure_without_grid,
     full_closure,
 )
 from ..topology.closure.missed_detections import (
     CorrectedPlaces,
-    DrivenBySettings,
     correct_detections,
 )
 from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import fitted_noise
 from ..topology.errors import DataError
-from ..topology.mapbuilding import MapBuildingSettings, build_topomap
+from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run
 from ..topology.topomap import Closure, RunNoise, TopoMap
 from ..topology.vertex_errors import VertexErrors
+from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, jumps_told, split_told
-from .odometry.calibration import Calibration, CalibrationSettings, apply_calibration, calibrate
-from .odometry.noise import NoiseSettings, estimate_noise, refine_noise, refine_scale
-from .passes import PassSettings, fuse_passes, scanned_passes
+from .odometry.calibration import Calibration, apply_calibration
+from .odometry.noise import refine_noise, refine_scale
+from .pass_source import PassSource, pass_source
 
 IntArray = NDArray[np.int64]
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
 
 
-@dataclass(frozen=True, slots=True)
-class MappingSettings:
-    """How a run becomes a map; part of the document, so that a map tells how it was made."""
-
-    closure: Literal["none", "gated", "full"] = "full"
-    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
-    calibration_doubt: float = 1.5
-    """Factor on the calibration's own sigma, which trusts corridors to be straight."""
-    systematic: SystematicErrors = field(default_factory=SystematicErrors)
-    """Constant errors of an odometry that could not be calibrated."""
-    passes: PassSettings = field(default_factory=PassSettings)
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
-    rounds: RoundSettings = field(default_factory=RoundSettings)
-    driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
-    drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)
-
-
 def build_map(
     run: Run,
-    settings: MappingSettings = MappingSettings(),
+    settings: MappingSettings = DEFAULT_MAPPING,
     *,
     on_step: Callable[[str], None] | None = None,
 ) -> TopoMap:
@@ -78,24 +60,17 @@ def build_map(
 
 def build_map_with_errors(
     run: Run,
-    settings: MappingSettings = MappingSettings(),
+    settings: MappingSettings = DEFAULT_MAPPING,
     *,
     on_step: Callable[[str], None] | None = None,
 ) -> tuple[TopoMap, VertexErrors]:
     """`build_map`, and how far off its vertices may be, together: what its sigmas come from."""
     step = on_step or (lambda name: None)
-    step("calibration")
-    calibration = _calibration(run, settings)
-    odometry = apply_calibration(run.odometry, calibration)
-    step("passes")
-    passes = _passes(run, odometry, settings)
-    _require_passes(run, passes)
-    _require_motion(run, settings.passes.reach_m)
-    step("noise")
-    noise = _noise(run, odometry, passes, settings)
+    source = pass_source(run, settings)
+    odometry, walk, calibration = dead_reckoned(run, source, settings, step)
     step("loop closure")
-    walk = make_walk(odometry, passes, noise, _systematic(calibration, settings))
-    odometry, walk = _with_jumps_measured(run, odometry, walk, settings)
+    if len(odometry.jumps) and settings.closure == "full":
+        odometry, walk = _with_jumps_measured(odometry, walk, source, settings)
     closed = _closed(walk, settings)
     step("map")
     fit = fitted_noise(walk, odometry, closed.place, closed.layout, grid=closed.grid)
@@ -106,9 +81,10 @@ def build_map_with_errors(
         closed.place,
         layout,
         settings.driven_by,
-        resolution_m=_resolution_m(run, settings),
+        resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
-    measured = _with_scale(run, odometry, fit.walk, settings)
+    scale = refine_scale(odometry, run.detections, walk.passes, fit.walk.noise, settings.noise)
+    measured = replace(fit.walk, noise=replace(fit.walk.noise, scale=scale))
     errors = place_errors(measured, fit.layout, closed.place, corrected.kept, fit.grid)
 
     def refined(prior: RunNoise) -> RunNoise:
@@ -118,7 +94,7 @@ def build_map_with_errors(
             layout.pose[:, 2],
             prior,
             drive_bys=int(np.sum(~corrected.visits.seen)),
-            settings=_noise_settings(run, settings),
+            settings=source.expected(),
         )
 
     topomap = build_topomap(
@@ -137,18 +113,38 @@ def build_map_with_errors(
         settings=settings.drawing,
     )
     info = _info(run, settings, calibration, walk, odometry)
-    return replace(topomap, info=info, shows_bends=run.scanned is None), errors
+    return replace(topomap, info=info, shows_bends=source.shows_bends), errors
+
+
+def dead_reckoned(
+    run: Run,
+    source: PassSource,
+    settings: MappingSettings = DEFAULT_MAPPING,
+    step: Callable[[str], None] = lambda name: None,
+) -> tuple[Odometry, Walk, Calibration]:
+    """The calibrated odometry of a run, and its passes with all that is known of their noise."""
+    step("calibration")
+    calibration = source.calibration()
+    odometry = apply_calibration(run.odometry, calibration)
+    step("passes")
+    passes = source.passes(odometry)
+    if len(passes) == 0:
+        why = source.why_none if len(run.odometry) else "holds no odometry; nothing can be mapped"
+        raise DataError(f"run {run.name}: {why}")
+    _require_motion(run, settings.passes.reach_m)
+    step("noise")
+    noise = source.noise(odometry, passes)
+    walk = make_walk(odometry, passes, noise, _systematic(calibration, settings))
+    return odometry, walk, calibration
 
 
 def _with_jumps_measured(
-    run: Run, odometry: Odometry, walk: Walk, settings: MappingSettings
+    odometry: Odometry, walk: Walk, source: PassSource, settings: MappingSettings
 ) -> tuple[Odometry, Walk]:
-    """The odometry and its walk, once the places on both sides told how far it jumped."""
-    if len(odometry.jumps) == 0 or settings.closure != "full":
-        return odometry, walk
+    """Both, once the places seen before and after every jump told how far it went."""
 
     def walk_of(track: Odometry) -> Walk:
-        return make_walk(track, _passes(run, track, settings), walk.noise, walk.systematic)
+        return make_walk(track, source.passes(track), walk.noise, walk.systematic)
 
     odometry = bridged(odometry, walk_of, lambda w: closure_without_grid(w, settings.rounds))
     return odometry, walk_of(odometry)
@@ -162,47 +158,6 @@ def _closed(walk: Walk, settings: MappingSettings) -> Closed:
         return gated_closure(walk, settings.rounds)
     place = np.arange(len(walk), dtype=np.int64)
     return Closed(walk, place, lay_out(walk, place), asked=[], grid=None)
-
-
-def _with_scale(run: Run, odometry: Odometry, walk: Walk, settings: MappingSettings) -> Walk:
-    """The walk with the error of scale that no loop tells of."""
-    scale = refine_scale(odometry, run.detections, walk.passes, walk.noise, settings.noise)
-    return replace(walk, noise=replace(walk.noise, scale=scale))
-
-
-def _resolution_m(run: Run, settings: MappingSettings) -> float:
-    """Places nearer than this are one [m]; 0 where places are not to be identified so."""
-    if run.scanned is None or settings.closure != "full":
-        return 0.0
-    return run.scanned.passes.resolution_m
-
-
-def _calibration(run: Run, settings: MappingSettings) -> Calibration:
-    """Of odometry that scans corrected, nothing is left to calibrate but what usually is left."""
-    if run.scanned is None:
-        return calibrate(run.odometry, run.detections, settings.calibration, settings.passes)
-    usual = settings.systematic
-    return Calibration(sigma=(usual.turn_rad_per_m, usual.turn_rad_per_rad, 0.0))
-
-
-def _passes(run: Run, odometry: Odometry, settings: MappingSettings) -> Passes:
-    """The passes of a run in the frame of its odometry as corrected so far."""
-    if run.scanned is None:
-        return fuse_passes(odometry, run.detections, settings.passes)
-    return scanned_passes(odometry, run.scanned.passes, settings.passes)
-
-
-def _noise(run: Run, odometry: Odometry, passes: Passes, settings: MappingSettings) -> RunNoise:
-    if run.scanned is None:
-        return estimate_noise(odometry, run.detections, passes, settings.noise)
-    return run.scanned.noise
-
-
-def _noise_settings(run: Run, settings: MappingSettings) -> NoiseSettings:
-    """What is expected of the detector: scans have rates of their own."""
-    if run.scanned is None:
-        return settings.noise
-    return replace(settings.noise, prior=run.scanned.noise)
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
@@ -224,21 +179,6 @@ def _require_motion(run: Run, reach_m: float) -> None:
             f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m; "
             "nothing can be mapped"
         )
-
-
-def _require_passes(run: Run, passes: Passes) -> None:
-    if len(passes) > 0:
-        return
-    if len(run.odometry) == 0:
-        raise DataError(f"run {run.name}: holds no odometry; nothing can be mapped")
-    if run.scanned is not None:
-        raise DataError(f"run {run.name}: its scans show no junction; nothing can be mapped")
-    if len(run.detections) == 0:
-        raise DataError(f"run {run.name}: holds no junction detection; nothing can be mapped")
-    raise DataError(
-        f"run {run.name}: none of its {len(run.detections)} junction detections lies within the "
-        "time of its odometry; check the clocks of the two topics"
-    )
 
 
 def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:

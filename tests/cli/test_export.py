@@ -16,7 +16,7 @@ def filled(logs, tmp_path_factory):
     """A workspace of two runs that share too little to be merged by so short drives, or enough."""
     from topobatch.cli.ingest_worker import IngestJob, ingest_one
     from topobatch.cli.workspace import Workspace
-    from topobatch.ingest.mapping import MappingSettings
+    from topobatch.ingest.mapping_settings import MappingSettings
     from topobatch.ingest.reading import ReadSettings
     from topobatch.merge.document import write_merged
     from topobatch.merge.merging import merge_maps

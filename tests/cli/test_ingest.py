@@ -16,7 +16,7 @@ from mcap.writer import Writer
 
 from topobatch.cli.ingest_worker import IngestJob, outcomes_of
 from topobatch.cli.workspace import Workspace
-from topobatch.ingest.mapping import MappingSettings
+from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings
 from topobatch.topology.document import read_map
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.mapping import MappingSettings, _without_phantoms, build_map
+from topobatch.ingest.mapping import _without_phantoms, build_map
+from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.simulation import (
     MIXED,
     ScenarioSettings,

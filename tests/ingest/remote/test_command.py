@@ -18,7 +18,7 @@ from topobatch.cli.ingest_worker import IngestJob, ingest_one
 from topobatch.cli.output import Screen
 from topobatch.cli.remote import announce
 from topobatch.cli.workspace import Workspace
-from topobatch.ingest.mapping import MappingSettings
+from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings, find_logs
 
 SAMPLES = Path(__file__).parents[3] / "sample_logs"

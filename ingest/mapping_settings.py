@@ -1,0 +1,34 @@
+"""How a run becomes a map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ..topology.closure.dead_reckoning import SystematicErrors
+from ..topology.closure.incremental import RoundSettings
+from ..topology.closure.missed_detections import DrivenBySettings
+from ..topology.mapbuilding import MapBuildingSettings
+from .odometry.calibration import CalibrationSettings
+from .odometry.noise import NoiseSettings
+from .passes import PassSettings
+
+
+@dataclass(frozen=True, slots=True)
+class MappingSettings:
+    """How a run becomes a map; part of the document, so that a map tells how it was made."""
+
+    closure: Literal["none", "gated", "full"] = "full"
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
+    calibration_doubt: float = 1.5
+    """Factor on the calibration's own sigma, which trusts corridors to be straight."""
+    systematic: SystematicErrors = field(default_factory=SystematicErrors)
+    """Constant errors of an odometry that could not be calibrated."""
+    passes: PassSettings = field(default_factory=PassSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    rounds: RoundSettings = field(default_factory=RoundSettings)
+    driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
+    drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)
+
+
+DEFAULT_MAPPING = MappingSettings()
