@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.wording import listed
+from ..topology.wording import counted, listed
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption
-from .output import count, say, say_lines
+from .output import say, say_lines
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -69,10 +69,10 @@ def changes(
         for line in _lines(change):
             say(line)
     unsure = sum(not c.sure for c in found)
-    told = f", and {count(unsure, 'difference')} that chance may have made" if unsure else ""
+    told = f", and {counted(unsure, 'difference')} that chance may have made" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""
     say(
-        f"{count(len(found) - unsure, 'change')}{told}{hint}"
+        f"{counted(len(found) - unsure, 'change')}{told}{hint}"
         if several
         else "no two runs were merged: nothing to compare"
     )
@@ -107,4 +107,4 @@ def _told(witness: Witness) -> str:
 
     first, last = date(witness.first_ns), date(witness.last_ns)
     when = first if first == last else f"{first} to {last}"
-    return f"{witness.run}, {count(witness.passes, 'pass', 'passes')}, {when}"
+    return f"{witness.run}, {counted(witness.passes, 'pass', 'passes')}, {when}"

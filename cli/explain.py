@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DocumentError, UsageError
-from ..topology.wording import listed
+from ..topology.wording import counted, listed
 from . import paper_options
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
-from .output import count, say, say_lines, warn
+from .output import say, say_lines, warn
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -
     gone = _read_others(place, runs, maps)
     notes = []
     if why_not:
-        notes.append(f"{why_not}; this is what a merge of {count(len(maps), 'map')} would say")
+        notes.append(f"{why_not}; this is what a merge of {counted(len(maps), 'map')} would say")
     if gone:
         noun = "map" if len(gone) == 1 else "maps"
         notes.append(
@@ -240,7 +240,7 @@ def _verdict_lines(said: MergeEntry | None, how: str) -> list[str]:
         at = said.runner_up.transform
         lines.append(
             f"  next best: {shown_bits(said.runner_up.evidence_bits)} bits, "
-            f"{count(len(said.runner_up.matched), 'junction')}, at ({at.x:.2f}, {at.y:.2f}) m, "
+            f"{counted(len(said.runner_up.matched), 'junction')}, at ({at.x:.2f}, {at.y:.2f}) m, "
             f"turned by {degrees(at.theta):.1f}°"
         )
     if said.advice:

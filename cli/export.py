@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.wording import listed
+from ..topology.wording import counted, listed
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_map
-from .output import Screen, count, say_text
+from .output import Screen, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _sources(place: Workspace, what: str, component: int | None, screen: Screen)
     several = len(ids) > 1
     if several and component is None:
         screen.warn(
-            f"{count(len(ids), 'component')} that share no frame: a file each; "
+            f"{counted(len(ids), 'component')} that share no frame: a file each; "
             "choose one by --component"
         )
     stem = merged.merge

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..topology.errors import LogError
+from ..topology.wording import counted
 from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
 from .options import JsonOption
-from .output import complain, count, say, say_lines, table
+from .output import complain, say, say_lines, table
 from .scan_options import JunctionsFrom, ScanTopic
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ def described(found: LogInfo) -> list[str]:
     ]
     lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
     if not rows:
-        lines = [head, f"  {count(0, 'topic')}"]
+        lines = [head, f"  {counted(0, 'topic')}"]
     return lines
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import LogError, UsageError
-from ..topology.wording import listed
+from ..topology.wording import counted, listed
 from .journal import note
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
-from .output import Screen, count
+from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
 from .workspace import Workspace, checked_run_name
 
@@ -152,7 +152,7 @@ def ingest(
         outcomes = _run_all(planned, jobs, screen)
         new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
         if new:
-            note(place, "ingest", f"{count(len(new), 'log')}: {listed(new)}", screen.warn)
+            note(place, "ingest", f"{counted(len(new), 'log')}: {listed(new)}", screen.warn)
     _summarise(outcomes, place, screen)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
@@ -256,6 +256,8 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
-        screen.line(f"{count(good, 'map')} in {place.maps}{same}; next: topobatch merge --all")
+        screen.line(f"{counted(good, 'map')} in {place.maps}{same}; next: topobatch merge --all")
     if failed and len(outcomes) > 1:
-        screen.complain(f"{len(failed)} of {count(len(outcomes), 'log')} failed: {listed(failed)}")
+        screen.complain(
+            f"{len(failed)} of {counted(len(outcomes), 'log')} failed: {listed(failed)}"
+        )

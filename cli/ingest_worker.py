@@ -27,8 +27,8 @@ from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
+from ..topology.wording import counted
 from ..viz import write_map_recording
-from .output import count
 from .scan_options import source_told
 from .version import VERSION
 from .workers import start_worker
@@ -172,7 +172,7 @@ def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
         if isinstance(part, dict) and {"messages", "type", "topic"} <= set(part)
     ]
     closed = sum(closure.accepted for closure in topomap.closures)
-    closures = f"{closed} of {count(len(topomap.closures), 'closure')} accepted"
+    closures = f"{closed} of {counted(len(topomap.closures), 'closure')} accepted"
     return (f"from {job.log}, {job_size(job):,} bytes", *read, closures)
 
 
@@ -210,14 +210,14 @@ def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[st
 def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
     visits = sum(len(m.observation_vertex) for m in maps)
     found = ", and ".join(
-        f"{count(len(m), 'junction')}, {count(len(m.source), 'corridor')}"
+        f"{counted(len(m), 'junction')}, {counted(len(m.source), 'corridor')}"
         + (f" ({m.run})" if len(maps) > 1 else "")
         for m in maps
     )
     if odometry is None:
         return found
     way = f"{odometry.step_m.sum():,.0f} m"
-    return f"{way}, {count(visits, 'junction pass', 'junction passes')} → {found}"
+    return f"{way}, {counted(visits, 'junction pass', 'junction passes')} → {found}"
 
 
 def _content_key(job: IngestJob) -> str:

@@ -10,8 +10,9 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 
 from ..topology.errors import DataError, UsageError
+from ..topology.wording import counted
 from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
-from .output import count, say, say_lines, table
+from .output import say, say_lines, table
 from .version import VERSION
 from .workspace import Workspace
 
@@ -57,13 +58,13 @@ def list_runs(
         say(line)
     gone = sorted(set(home) - {row.run for row in rows})
     if gone:
-        say(f"in the last merge, but not here any more: {count(len(gone), 'run')}")
+        say(f"in the last merge, but not here any more: {counted(len(gone), 'run')}")
     stale = sum(bool(row.stale) for row in rows)
-    say(f"{count(len(rows), 'run')}{f', {stale} stale' if stale else ''}")
+    say(f"{counted(len(rows), 'run')}{f', {stale} stale' if stale else ''}")
 
 
 def _row(row: Listed) -> tuple[str, ...]:
-    home = "-" if row.component is None else f"{row.component} ({count(row.runs or 1, 'run')})"
+    home = "-" if row.component is None else f"{row.component} ({counted(row.runs or 1, 'run')})"
     numbers = ("?" if n is None else f"{n:,.0f}" for n in (row.junctions, row.corridors))
     length = "?" if row.length_m is None else f"{row.length_m:,.0f}"
     recorded = (row.recorded or "?")[:16].replace("T", " ")
@@ -108,7 +109,7 @@ def _listed(
         junctions=len(m),
         corridors=len(m.source),
         length_m=round(float(m.length.sum()), 1),
-        health=count(told, "warning") if told else "ok",
+        health=counted(told, "warning") if told else "ok",
         component=component,
         runs=runs,
         recorded=_utc(last) if last > 0 else None,

@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..topology.errors import DataError, DocumentError
-from .output import Screen, count
+from ..topology.wording import counted
+from .output import Screen
 from .workspace import Workspace
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def read_maps(
             screen.complain(f"{error}; left out (ingest its log again with --force)")
             broken.append(name)
     if not maps:
-        raise DataError(f"{place.maps}: none of the {count(len(names), 'map')} can be read")
+        raise DataError(f"{place.maps}: none of the {counted(len(names), 'map')} can be read")
     return maps, broken
 
 

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DocumentError, UsageError
-from ..topology.wording import listed
+from ..topology.wording import counted, listed
 from . import paper_options
 from .journal import note
 from .matching import matching, read_maps
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, complete_run
-from .output import Screen, count, folded
+from .output import Screen, folded
 from .workers import start_worker
 from .workspace import MERGED, Workspace
 
@@ -136,7 +136,7 @@ def merge(
         maps, broken = read_maps(place, chosen, screen)
         result = _merged(place, maps, settings, workers, everything, screen)
         _write(place, result, maps)
-        told = f"{place.merge}: {count(len(maps), 'run')}, {_counts(result)}"
+        told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
         note(place, "merge", told, screen.warn)
     _summarise(result, place, screen)
     if broken:
@@ -173,7 +173,7 @@ def merge_again(
     everything = runs == place.runs()
     result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen)
     _write(place, result, maps)
-    screen.line(f"merged again: {count(len(maps), 'run')}, {_counts(result)}")
+    screen.line(f"merged again: {counted(len(maps), 'run')}, {_counts(result)}")
 
 
 def _settings_of(graph: MergedGraph) -> MergeSettings:
@@ -202,7 +202,7 @@ def _keep_larger(place: Workspace, chosen: list[str]) -> None:
     lost = sorted(before - set(chosen))
     if lost:
         raise UsageError(
-            f"{path}: is the merge of {count(len(before), 'run')}, and this one leaves out "
+            f"{path}: is the merge of {counted(len(before), 'run')}, and this one leaves out "
             f"{listed(lost)}; {advice}"
         )
 
@@ -343,10 +343,10 @@ def _counts(result: MergeResult) -> str:
     runs = sum(len(component.poses) for component in result.components)
     others, kept_out = result.count(Standing.JOINED), result.count(Standing.KEPT_OUT)
     return (
-        f"{count(pairs_of(runs), 'pair')}: {result.count(Standing.MERGED)} merged, "
+        f"{counted(pairs_of(runs), 'pair')}: {result.count(Standing.MERGED)} merged, "
         f"{f'{others} joined through others, ' if others else ''}"
         f"{result.count(Standing.AMBIGUOUS)} ambiguous, "
         f"{result.count(Standing.UNRELATED)} unrelated"
         f"{f', {kept_out} kept out' if kept_out else ''}; "
-        f"{count(len(result.components), 'component')}"
+        f"{counted(len(result.components), 'component')}"
     )

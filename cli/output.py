@@ -94,11 +94,6 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = " 
     ]
 
 
-def count(number: int, singular: str, plural: str | None = None) -> str:
-    """ "1 junction", "2 junctions"."""
-    return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
-
-
 class Screen:
     """Lines and, on a terminal, one progress bar below them."""
 

@@ -8,8 +8,9 @@ from ..ingest.read_cost import read_cost
 from ..ingest.remote.path import RemotePath
 from ..ingest.remote.threads import side_by_side
 from ..topology.errors import TopobatchError
+from ..topology.wording import counted
 from .ingest_worker import IngestJob, is_unchanged, job_size
-from .output import Screen, count
+from .output import Screen
 
 KEPT_BYTES = 1 << 28
 """Most that is kept of the indexes looked at; those of further logs are asked for again."""
@@ -33,7 +34,7 @@ def announce(jobs: Sequence[IngestJob], screen: Screen) -> None:
             if kept > KEPT_BYTES:
                 job.log.forget()
     screen.line(
-        f"to read: {fetched / 1e6:,.1f} of {whole / 1e6:,.1f} MB in {count(logs, 'remote log')}"
+        f"to read: {fetched / 1e6:,.1f} of {whole / 1e6:,.1f} MB in {counted(logs, 'remote log')}"
     )
 
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..topology.errors import UsageError
+from ..topology.wording import counted
 from .matching import matching, read_maps
-from .output import Screen, count
+from .output import Screen
 from .workspace import Workspace
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def match_share(
     with matching(place, pairs, store, workers, screen) as means:
         done = match_shard(maps, settings.robust, share, means)
     screen.line(
-        f"share {share[0]} of {share[1]}: {count(done, 'pair')} in {place.pairs}; "
+        f"share {share[0]} of {share[1]}: {counted(done, 'pair')} in {place.pairs}; "
         "when all shares are done: topobatch merge --all"
     )
     if broken:

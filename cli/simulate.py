@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 import typer
 
 from ..topology.errors import UsageError
+from ..topology.wording import counted
 from .options import QuietOption
-from .output import Screen, count
+from .output import Screen
 
 
 def simulate(
@@ -121,4 +122,6 @@ def simulate(
             advance(written)
 
         logs = write_scenario(scenario, out, formats or ["mcap"], on_log)
-    screen.line(f"{count(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}")
+    screen.line(
+        f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}"
+    )

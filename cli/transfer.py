@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.wording import counted
 from .options import (
     DEFAULT_WORKSPACE,
     MergeOption,
@@ -16,7 +17,7 @@ from .options import (
     complete_map,
     complete_run,
 )
-from .output import Screen, count, say_text
+from .output import Screen, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -201,6 +202,6 @@ def _maps(
     if changed:
         raise DataError(
             f"{place.map_json(changed[0])}: {stale[changed[0]]}, as it was merged; merge again "
-            f"({count(len(changed), 'map')})"
+            f"({counted(len(changed), 'map')})"
         )
     return maps

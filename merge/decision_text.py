@@ -12,6 +12,7 @@ from textwrap import wrap
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
 from .decision import (
     AGAINST,
@@ -24,7 +25,7 @@ from .decision import (
     rounded_terms,
 )
 from .result import PairVerdict, Verdict, shown_bits
-from .wording import counted, decimals
+from .wording import decimals
 
 WIDTH, HEIGHT = 79, 22
 """Letters and lines of the smallest usual terminal, two lines left for the file and the prompt."""

@@ -1,13 +1,8 @@
-"""Counts and evidence in words."""
+"""Evidence in words."""
 
 from __future__ import annotations
 
 from .result import shown_bits
-
-
-def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """ "1 junction", "2 junctions"."""
-    return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def decimals(bits: float, need_bits: float) -> int:

@@ -12,6 +12,7 @@ from ..merge.decision_text import because, headline, missing, short
 from ..merge.result import Alignment, FusedMap, MergeResult, PairVerdict, shown_bits
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
+from ..topology.wording import counted
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
 from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_branches, ribbon
 from .palette import Order
@@ -46,15 +47,11 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     keys += _junctions_of(canvas, topomap, turn)
     way_m = float(topomap.length.sum())
     told = (
-        f"{_counted(len(topomap), 'junction')}, {_counted(len(topomap.source), 'corridor')}, "
-        f"{way_m:.0f} m; {_counted(len(topomap.observation_vertex), 'pass', 'passes')}"
+        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
+        f"{way_m:.0f} m; {counted(len(topomap.observation_vertex), 'pass', 'passes')}"
     )
     canvas.finish([topomap.run, told], [keys])
     return canvas
-
-
-def _counted(number: int, noun: str, plural: str = "") -> str:
-    return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
@@ -69,7 +66,7 @@ def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
         told = (
             f"corridor {m.source[i]} to {m.target[i]}: "
             f"{m.length[i]:.2f} ± {m.length_sigma[i]:.2f} m, "
-            f"driven {_counted(times, 'time')}"
+            f"driven {counted(times, 'time')}"
         )
         canvas.lines([apply(T, path)], colour, LINE_PT * _widening(times), told=told)
     most = int(m.traversals.max()) if len(m.traversals) else 0
@@ -105,7 +102,7 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
             canvas.dots(xy[rows], colour, size)
         for i in rows.tolist() if len(m) <= MOST_TOLD else ():
             sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
-            times = _counted(int(passes[i]), "pass", "passes")
+            times = counted(int(passes[i]), "pass", "passes")
             sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
             told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}{sure}"
             canvas.dots(xy[i : i + 1], colour, size, told=told)
@@ -145,11 +142,11 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
     told = (
-        f"{_counted(len(result.fused), 'junction')}, "
-        f"{float(result.fused.length.sum()):.0f} m of corridors; {_counted(pairs, 'pair')} of "
+        f"{counted(len(result.fused), 'junction')}, "
+        f"{float(result.fused.length.sum()):.0f} m of corridors; {counted(pairs, 'pair')} of "
         f"{len(result.verdicts)} merged"
     )
-    title = f"{_counted(runs, 'run')} in {_counted(len(result.components), 'component')}"
+    title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
     return canvas
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
+from ..topology.wording import counted
 from . import palette
 from .drawing import pen_m
 from .map_sheet import sheet_view, write_cards, write_laid_over, write_rings
@@ -68,8 +69,7 @@ def _colour(rank: int) -> tuple[int, int, int]:
 
 
 def _title(e: Explanation, k: int) -> str:
-    count = int(e.clusters.vertices[k])
-    return f"{k + 1}: {count} {'vertex' if count == 1 else 'vertices'}"
+    return f"{k + 1}: {counted(int(e.clusters.vertices[k]), 'vertex', 'vertices')}"
 
 
 def pair_classes(shape: tuple[int, int], e: Explanation) -> NDArray[np.uint8]:

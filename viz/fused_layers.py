@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..merge.result import FusedMap, MergeResult
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
+from ..topology.wording import counted
 from . import palette
 from .contradictions import write_contradictions
 from .drawing import branch_arrows, driven_branches, pen_m, ribbon
@@ -141,9 +142,7 @@ def _count_colours(part: Part) -> dict[str, tuple[int, int, int]]:
     """What the colours of the agreement stand for."""
     most = len(palette.COUNTS)
     counts = range(1, min(len(part.component.poses), most) + 1)
-    names = [
-        f"{n} or more runs" if n == most else f"{n} runs" if n > 1 else "1 run" for n in counts
-    ]
+    names = [f"{n} or more runs" if n == most else counted(n, "run") for n in counts]
     return dict(zip(names, map(tuple, palette.COUNTS.tolist()), strict=False))
 
 

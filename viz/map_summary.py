@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from ..topology.topomap import TopoMap
+from ..topology.wording import counted
 from .drawing import driven_branches
 from .history import Question
 
@@ -51,7 +52,8 @@ def plain(text: object) -> str:
 
 def several(count: int, one: str, many: str = "") -> str:
     """A number and its noun, the number in bold: "**1** run", "**2** runs"."""
-    return f"**{count}** {one if count == 1 else many or one + 's'}"
+    number, _, noun = counted(count, one, many).partition(" ")
+    return f"**{number}** {noun}"
 
 
 def clock(time_ns: int) -> str:
@@ -79,9 +81,7 @@ def bulleted(lines: Iterable[str], most: int = MOST_LINES) -> str:
 
 def _counts(topomap: TopoMap) -> str:
     kinds = Counter(topomap.kind)
-    named = ", ".join(
-        f"{n} {kind.replace('_', ' ')}{'s' * (n != 1)}" for kind, n in sorted(kinds.items())
-    )
+    named = ", ".join(counted(n, kind.replace("_", " ")) for kind, n in sorted(kinds.items()))
     unseen = int((~driven_branches(topomap)).sum())
     doubt = int(np.count_nonzero(topomap.confidence < 1))
     rows = [

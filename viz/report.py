@@ -12,7 +12,7 @@ import numpy as np
 
 from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
-from ..topology.wording import listed
+from ..topology.wording import counted, listed
 from .canvas import Canvas, legible
 from .draw import draw_map, draw_merged, draw_placements
 from .map_summary import clock, minutes
@@ -93,13 +93,9 @@ def text(value: object) -> str:
     return escape(legible(" ".join(str(value).split())), quote=True)
 
 
-def _several(count: int, one: str) -> str:
-    return f"{count:,} {one}{'s' * (count != 1)}"
-
-
 def _title(report: Report, runs: Sequence[str]) -> str:
     merged = "" if report.result is not None else ", not merged yet"
-    return f"topobatch: {_several(len(runs), 'run')}{merged}"
+    return f"topobatch: {counted(len(runs), 'run')}{merged}"
 
 
 def _head(report: Report, runs: Sequence[str]) -> str:
@@ -169,7 +165,7 @@ def _pictures(report: Report) -> str:
         some = len(drawn) < len(open_pairs)
         shown = f"; the {len(drawn)} with the most are shown" if some else ""
         parts.append(
-            f"<h2>Undecided: both placements</h2><p>{_several(len(open_pairs), 'pair')} of runs "
+            f"<h2>Undecided: both placements</h2><p>{counted(len(open_pairs), 'pair')} of runs "
             f"may share places, and the evidence does not decide it{shown}.</p>"
         )
     for k, pair in enumerate(drawn):
@@ -292,7 +288,7 @@ def _pairs(report: Report) -> str:
     for standing in (*TOLD_FIRST, *rest):
         if not by[standing]:
             continue
-        many = f"{_several(len(by[standing]), 'pair')} {standing}"
+        many = f"{counted(len(by[standing]), 'pair')} {standing}"
         head = f"<summary>{_swatch(standing)}{many}</summary>"
         if standing in TOLD_FIRST and len(by[standing]) <= MOST_WRITTEN:
             lines = "".join(

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ...topology.digits import rounded
 from ...topology.matching.correspondence import candidate_nodes, node_rotations
 from ...topology.topomap import TopoMap
+from ...topology.wording import counted
 from ..document import pose_to_document
-from ..wording import counted
 from .clustering import Clusters
 from .hypotheses import Hypotheses
 from .method import DEFAULT_PAPER, PaperSettings, PreparedMap, match, prepare_map

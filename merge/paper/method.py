@@ -24,9 +24,10 @@ from ...topology.matching.correspondence import DEFAULT_GROWTH, GrowthSettings
 from ...topology.matching.structure import Structure, prepare
 from ...topology.se2 import apply, between
 from ...topology.topomap import TopoMap
+from ...topology.wording import counted
 from ..locks import Lock
 from ..result import Alignment, PairVerdict, Verdict, shown_bits
-from ..wording import counted, told_bits
+from ..wording import told_bits
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
 from .locking import aligned_at, honour

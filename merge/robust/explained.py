@@ -14,12 +14,13 @@ import numpy as np
 
 from ...topology.se2 import between
 from ...topology.topomap import TopoMap
+from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
 from ..discards import REASON
 from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
-from ..wording import counted, told_bits
+from ..wording import told_bits
 from .alignment import Candidate, best_seed, same_placement
 from .conflicts import one_by_one
 from .decide import Assessment, assess, bars

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from ...topology.topomap import TopoMap
+from ...topology.wording import counted
 from ..result import shown_bits
-from ..wording import counted, told_bits
+from ..wording import told_bits
 from .alignment import Candidate
 from .conflicts import Contradiction, one_by_one
 from .prepare import Prepared

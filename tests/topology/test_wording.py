@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from topobatch.topology.wording import listed
+from topobatch.topology.wording import counted, listed
 
 
 def test_names_beyond_the_first_are_counted() -> None:
@@ -10,3 +10,8 @@ def test_names_beyond_the_first_are_counted() -> None:
     assert listed(["a", "b"], 2) == "a, b"
     assert listed(["a", "b", "c", "d"], 2) == "a, b and 2 more"
     assert listed([str(k) for k in range(13)]).endswith("10, 11 and 1 more")
+
+
+def test_one_thing_and_several() -> None:
+    assert [counted(n, "pass", "passes") for n in (0, 1, 2)] == ["0 passes", "1 pass", "2 passes"]
+    assert counted(1234, "pair") == "1,234 pairs"
