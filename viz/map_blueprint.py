@@ -12,7 +12,7 @@ from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, Timeline
 
 from ..topology.topomap import TopoMap
 from .drawing import bounds
-from .recording import CLOCKS, PathParts, entity, map_view
+from .recording import CLOCKS, PathParts, blueprint, entity, map_view
 from .robot_track import RobotTrack
 from .scan_layers import overrides_of_scans
 
@@ -77,15 +77,9 @@ def log_blueprint(topomap: TopoMap, views: Sequence[rrb.View]) -> rrb.Blueprint:
 
 
 def _blueprint(root: rrb.Container) -> rrb.Blueprint:
-    return rrb.Blueprint(
-        root,
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        # Following shows the end, where the whole map is known, until somebody moves the cursor.
-        rrb.TimePanel(state="collapsed", timeline=CLOCKS[0], play_state="following"),
-        auto_layout=False,
-        auto_views=False,
-    )
+    # Following shows the end, where the whole map is known, until somebody moves the cursor.
+    end = rrb.TimePanel(state="collapsed", timeline=CLOCKS[0], play_state="following")
+    return blueprint(root, end)
 
 
 def _maps(

@@ -21,6 +21,7 @@ from .drawing import MOST_NUMBERED, branch_arrows, driven_branches, pen_m
 from .growing import light_up
 from .history import History, Question, history, questions
 from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
+from .map_sheet import corridors_told
 from .map_summary import Shown, map_summary
 from .odometry_health import Lane, lanes
 from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
@@ -114,13 +115,7 @@ def _corridors(
             radii=pen_m([topomap]) / 2,
             draw_order=palette.Order.CORRIDOR,
         ),
-        rr.AnyValues(
-            corridor=np.arange(len(topomap.source)),
-            between=[f"{u} - {v}" for u, v in zip(topomap.source, topomap.target, strict=True)],
-            length_m=topomap.length,
-            length_sigma_m=topomap.length_sigma,
-            traversals=topomap.traversals,
-        ),
+        corridors_told(topomap),
     )
     light_up(recording, path, rr.LineStrips2D, known.corridor_ns, colours, begin_ns=begin_ns)
 
@@ -171,10 +166,9 @@ def _junctions(
             ],
             passes=passes,
             confidence=topomap.confidence,
+            position_sigma_m=topomap.position_sigma,
         ),
     )
-    if topomap.position_sigma is not None:
-        recording.static(path, rr.AnyValues(position_sigma_m=topomap.position_sigma))
     colours = palette.by_degree(topomap.degree)
     light_up(recording, path, rr.Points2D, known.vertex_ns, colours, begin_ns=begin_ns)
 

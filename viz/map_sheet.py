@@ -89,6 +89,17 @@ def _fitting(title: str, cell: Cell, cells: list[Cell]) -> str:
     return short(title, room) if room >= SHORTEST_TITLE else ""
 
 
+def corridors_told(topomap: TopoMap) -> rr.AnyValues:
+    """What is known of each corridor of a map."""
+    return rr.AnyValues(
+        corridor=np.arange(len(topomap.source)),
+        between=[f"{u} - {v}" for u, v in zip(topomap.source, topomap.target, strict=True)],
+        length_m=topomap.length,
+        length_sigma_m=topomap.length_sigma,
+        traversals=topomap.traversals,
+    )
+
+
 def write_own_map(
     recording: Recording,
     path: PathParts,
@@ -101,14 +112,7 @@ def write_own_map(
         lines = rr.LineStrips2D(
             list(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=palette.Order.CORRIDOR
         )
-        info = rr.AnyValues(
-            corridor=np.arange(len(topomap.source)),
-            between=[f"{u} - {v}" for u, v in zip(topomap.source, topomap.target, strict=True)],
-            length_m=topomap.length,
-            length_sigma_m=topomap.length_sigma,
-            traversals=topomap.traversals,
-        )
-        recording.static((*path, "corridors"), lines, info)
+        recording.static((*path, "corridors"), lines, corridors_told(topomap))
     if len(topomap):
         points = rr.Points2D(
             topomap.xy,
