@@ -134,6 +134,20 @@ def maze():
     return make_world("maze", 110, 3)
 
 
+@pytest.fixture
+def side_by_side(maze, see):
+    """Two maps that share a few junctions only, too few to tell: maps a and b, and the numbers of a
+    junction of both."""
+    across = maze.xy[:, 0]
+    a = see(maze, np.flatnonzero(across < np.quantile(across, 0.5)).tolist(), 1, "a", missed=0.0)
+    shared = sorted(a.info["truth"], key=lambda v: -across[v])[:3]
+    beyond = np.flatnonzero(across > np.quantile(across, 0.5)).tolist()
+    b = see(maze, sorted({*shared, *beyond}), 2, "b", missed=0.0)
+    vertex = next(v for v in shared if v in b.info["truth"])
+    at = (a.info["truth"].index(vertex), b.info["truth"].index(vertex))
+    return a, b, at
+
+
 @pytest.fixture(scope="session")
 def other_maze():
     return make_world("maze", 110, 4)

@@ -164,14 +164,8 @@ def test_never_holds_through_other_runs(maze, see):
     assert refused.advice == "if a and c share places after all, clear their lock"
 
 
-def test_same_joins_what_the_evidence_would_not(maze, see, right_matches):
-    across = maze.xy[:, 0]
-    a = see(maze, np.flatnonzero(across < np.quantile(across, 0.5)).tolist(), 1, "a", missed=0.0)
-    shared = sorted(a.info["truth"], key=lambda v: -across[v])[:3]
-    beyond = np.flatnonzero(across > np.quantile(across, 0.5)).tolist()
-    b = see(maze, sorted({*shared, *beyond}), 2, "b", missed=0.0)
-    vertex = next(v for v in shared if v in b.info["truth"])
-    at = (a.info["truth"].index(vertex), b.info["truth"].index(vertex))
+def test_same_joins_what_the_evidence_would_not(side_by_side):
+    a, b, at = side_by_side
     v = only([a, b], locks=[Lock("a", "b", "same", at)])
     assert v.accepted
     assert v.verdict is Verdict.MERGED

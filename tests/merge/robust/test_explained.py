@@ -87,14 +87,8 @@ def replace_map(batch, changed):
     return Batch(maps, batch.said, batch.settings, batch.locks)
 
 
-def test_what_a_person_locked_is_explained(maze, see):
-    across = maze.xy[:, 0]
-    a = see(maze, np.flatnonzero(across < np.quantile(across, 0.5)).tolist(), 1, "a", missed=0.0)
-    shared = sorted(a.info["truth"], key=lambda v: -across[v])[:3]
-    beyond = np.flatnonzero(across > np.quantile(across, 0.5)).tolist()
-    b = see(maze, sorted({*shared, *beyond}), 2, "b", missed=0.0)
-    vertex = next(v for v in shared if v in b.info["truth"])
-    at = (a.info["truth"].index(vertex), b.info["truth"].index(vertex))
+def test_what_a_person_locked_is_explained(side_by_side):
+    a, b, at = side_by_side
     decision = explained(documented([a, b], locks=[Lock("a", "b", "same", at)]), "a", "b")
     assert "locked as the same" in headline(decision)
     assert list(at) in decision.placements[0].alignment.matched.tolist()
