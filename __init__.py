@@ -15,12 +15,9 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from .cli.version import VERSION
-
 if TYPE_CHECKING:
     from .cli.library import Workspace, ingest, merge, read_map, to_networkx
 
-__version__ = VERSION
 __all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
 
 _ALSO_FOLDERS = ("ingest", "merge")
@@ -31,6 +28,10 @@ def __getattr__(name: str) -> Any:
         from importlib import import_module
 
         return import_module(f"{__name__}.{name}")  # callable: see _Package
+    if name == "__version__":
+        from .cli.version import VERSION
+
+        return VERSION
     if name in __all__:
         from .cli import library
 

@@ -41,18 +41,18 @@ class Prepared:
     count: (n,) branches; looks: (n,) passes that saw the junction; surprise: (n,) bits that the
     branches of this junction tell, by how common such a pattern is in this map; turn_rarity:
     (n, d) -ln density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
-    headings as unit numbers, 0 behind the last; branch_variance: (n,) [rad²] of one heading;
-    fault_rate: (n,) chance of a branch too many or too few. traits: (n, 5) count,
-    branch_variance, fault_rate, surprise and ln confidence side by side. confidence: (n,) chance
-    that a look at the junction shows just these branches.
+    headings as unit numbers, 0 behind the last; fault_rate: (n,) chance of a branch too many or too
+    few. traits: (n, 5) count, variance of one heading [rad²], fault_rate, surprise and ln
+    confidence side by side. confidence: (n,) chance that a look at the junction shows just these
+    branches.
     neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances, infinite
     where there are no more;
     near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
     near_weight: (n, q) what their matches weigh in predicting this one.
-    tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction [rad]; leave, arrive:
-    (k,) row-local branches used at tail and head, NO_BRANCH where unknown; by_branch: (n, d) row
-    of a corridor that leaves by this branch, -1 where none is known; sag: (k,) [m] signed
-    offset of the mid of the path from the chord; twin: (k,) row of the reverse; variance: (k,)
+    tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction [rad]; leave: (k,)
+    row-local branch used at the tail, NO_BRANCH where unknown; by_branch: (n, d) row of a corridor
+    that leaves by this branch, -1 where none is known; sag: (k,) [m] signed offset of the mid of
+    the path from the chord; twin: (k,) row of the reverse; variance: (k,)
     [m²] of the length; traversals: (k,); rarity: (k,) -log2 density [1/m] of corridors this long.
     pair_key, pair_row: directed corridors sorted by tail * n + head.
     probe_*: for every directed corridor its sort keys (pattern, length), sorted.
@@ -76,7 +76,6 @@ class Prepared:
     surprise: FloatArray
     turn_rarity: FloatArray
     branch_unit: ComplexArray
-    branch_variance: FloatArray
     fault_rate: FloatArray
     traits: FloatArray
     confidence: FloatArray
@@ -89,7 +88,6 @@ class Prepared:
     length: FloatArray
     angle: FloatArray
     leave: IntArray
-    arrive: IntArray
     by_branch: IntArray
     sag: FloatArray
     twin: IntArray
@@ -138,7 +136,6 @@ def prepare(topomap: TopoMap) -> Prepared:
     tail = np.concatenate([m.source[rows], m.target[rows]])
     head = np.concatenate([m.target[rows], m.source[rows]])
     leave = np.concatenate([m.source_branch[rows], m.target_branch[rows]])
-    arrive = np.concatenate([m.target_branch[rows], m.source_branch[rows]])
     twin = np.roll(np.arange(2 * len(rows)), len(rows))
     chord = z[head] - z[tail]
     length, angle = np.abs(chord), np.angle(chord)
@@ -171,7 +168,6 @@ def prepare(topomap: TopoMap) -> Prepared:
         surprise=surprise,
         turn_rarity=turn_rarity,
         branch_unit=unit,
-        branch_variance=branch_variance,
         fault_rate=fault_rate,
         traits=np.column_stack(
             [count, branch_variance, fault_rate, surprise, np.log(m.confidence)]
@@ -186,7 +182,6 @@ def prepare(topomap: TopoMap) -> Prepared:
         length=length,
         angle=angle,
         leave=leave,
-        arrive=arrive,
         by_branch=_by_branch(heading.shape, tail, leave),
         sag=sag,
         twin=twin,

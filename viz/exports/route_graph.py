@@ -28,7 +28,7 @@ class RouteGraph:
     xy: (p, 2) [m], the map's n vertices first, then points on the way; vertex: (p,) their vertex,
     or VIA. source, target: (s,) points of each piece, along the direction of its edge; edge: (s,)
     of the map; length, length_sigma: (s,) [m]; seconds, seconds_sigma: (s,) that driving it takes,
-    NaN where that is not known. max_error_m: no path of the map lies farther from its pieces.
+    NaN where that is not known.
     """
 
     xy: FloatArray
@@ -40,7 +40,6 @@ class RouteGraph:
     length_sigma: FloatArray
     seconds: FloatArray
     seconds_sigma: FloatArray
-    max_error_m: float
 
 
 def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGraph:
@@ -80,7 +79,6 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
         length_sigma=np.sqrt(share) * topomap.length_sigma[of],
         seconds=share * driving_seconds(topomap)[of],
         seconds_sigma=np.sqrt(share) * seconds_sigma(topomap)[of],
-        max_error_m=max_error_m,
     )
 
 
