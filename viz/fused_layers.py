@@ -19,7 +19,7 @@ from .growing import colour_columns, light_up_by_step
 from .map_sheet import MOST_LONG_TITLES, write_cards, write_own_map, write_words
 from .parts import Part, legend_step_m
 from .placements import Spot, contradiction_spots
-from .recording import JOIN, UP, PathParts, Recording, placed
+from .recording import JOIN, UP, PathParts, Recording, placed, strips
 from .sheet import Cell
 from .steps import Step, first_steps
 from .story import shared_from
@@ -194,7 +194,7 @@ def _ribbons(
         edges = np.array([edge for edge, _, _ in drawn])
         path = (FUSED, part.name, "corridors", run)
         lines = rr.LineStrips2D.from_fields(
-            strips=[line for _, line, _ in drawn],
+            strips=strips([line for _, line, _ in drawn]),
             radii=[radius for _, _, radius in drawn],
             draw_order=palette.Order.CORRIDOR,
         )
@@ -212,7 +212,7 @@ def _agreement(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
     edges = part.edges
     runs = np.array([len({run for run, _ in fused.edge_members[i]}) for i in edges.tolist()])
     lines = rr.LineStrips2D(
-        [fused.paths[i] for i in edges.tolist()],
+        strips([fused.paths[i] for i in edges.tolist()]),
         radii=pen * (0.4 + 0.2 * np.minimum(runs, 4)),
         colors=palette.by_count(runs),
         draw_order=palette.Order.CORRIDOR,

@@ -14,7 +14,7 @@ from ..merge.decision_text import short
 from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import SHEET_MARGIN, bounds
-from .recording import HAIR, PathParts, Recording, map_view, placed
+from .recording import HAIR, PathParts, Recording, map_view, placed, strips
 from .sheet import ASPECT, Cell
 
 MOST_LONG_TITLES = 12
@@ -110,7 +110,7 @@ def write_own_map(
     """A run's own map below `path`, in its own frame and one colour."""
     if len(topomap.source):
         lines = rr.LineStrips2D(
-            list(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=palette.Order.CORRIDOR
+            strips(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=palette.Order.CORRIDOR
         )
         recording.static((*path, "corridors"), lines, corridors_told(topomap))
     if len(topomap):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 import rerun_bindings
@@ -133,6 +134,14 @@ def placed(T_parent_child: NDArray[np.float64]) -> rr.Transform3D:
     x, y, theta = T_parent_child
     turn = rr.RotationAxisAngle([0, 0, 1], radians=float(theta))
     return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
+
+
+def strips(lines: Sequence[NDArray[np.float64]]) -> Any:
+    """Polylines of (k, 2) points for rerun, as Arrow has them: it takes others one by one."""
+    points = rr.components.Position2DBatch(np.concatenate([np.zeros((0, 2)), *lines]))
+    stops = pa.array(np.cumsum([0, *map(len, lines)]), pa.int32())
+    kind = rr.components.LineStrip2DBatch([]).as_arrow_array().type
+    return pa.ListArray.from_arrays(stops, points.as_arrow_array(), type=kind)
 
 
 def markdown(text: str) -> rr.TextDocument:
