@@ -46,6 +46,7 @@ class ResultCache:
     say: Callable[[str], None] = lambda _: None
     held: Callable[[], AbstractContextManager[object]] = nullcontext
     _new: list[Pack] = field(default_factory=list)
+    _unwritten: int = 0
     _failed: bool = False
     _packs: dict[Path, Pack | None] = field(default_factory=dict)
     _rows: dict[Kind, dict[Key, list[Record]]] = field(default_factory=dict)
@@ -70,7 +71,8 @@ class ResultCache:
         self._new.append(pack)
         for kind in self._rows:
             self._enter(pack, kind)
-        if sum(map(len, self._new)) >= WRITTEN_TOGETHER:
+        self._unwritten += len(pack)
+        if self._unwritten >= WRITTEN_TOGETHER:
             self.flush()
 
     def flush(self) -> None:
@@ -78,6 +80,7 @@ class ResultCache:
         held as long as this is."""
         if self._new and not self._failed and self._write(joined(self.era, self._new)) is not None:
             self._new.clear()
+            self._unwritten = 0
 
     def settle(self) -> None:
         """Drop what nobody asked for, or what is of another era, once that is much."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +25,18 @@ from ..topology.map_schema import (
     Undirected,
     validated,
 )
-from .result import AcceptedBy, Alignment, FusedMap, MergeResult, PairVerdict, Verdict
+from .result import (
+    AcceptedBy,
+    Alignment,
+    FusedMap,
+    MergeResult,
+    PairVerdict,
+    Verdict,
+    nothing_kept,
+)
+
+EXTRA = ("against_chance_bits", "same_place_bits")
+"""What the robust method adds to its entries."""
 
 MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
 
@@ -284,7 +295,8 @@ def _sigmas(placed: tuple[float, float]) -> dict[str, float]:
     return {"sigma_m": significant(placed[0]), "sigma_rad": significant(placed[1])}
 
 
-def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
+def entry_of(pair: PairVerdict) -> dict[str, Any]:
+    """A verdict as the document has it; see `MergeEntry`."""
     entry: dict[str, Any] = {
         "a": pair.a,
         "b": pair.b,
@@ -324,7 +336,7 @@ def _merge_entry(pair: PairVerdict) -> dict[str, Any]:
 
 def merged_to_document(result: MergeResult) -> dict[str, Any]:
     """The node-link dict of a merge, ready for `json`."""
-    parts = _parts(result)
+    parts = _parts(replace(result, kept_entry=nothing_kept))
     return {key: list(part) if isinstance(part, Iterator) else part for key, part in parts.items()}
 
 
@@ -346,7 +358,7 @@ def _parts(result: MergeResult) -> dict[str, Any]:
         "graph": graph,
         "nodes": _nodes(result.fused),
         "edges": _edges(result.fused),
-        "merges": map(_merge_entry, result.verdicts),
+        "merges": (result.kept_entry(pair) or entry_of(pair) for pair in result.verdicts),
     }
 
 
@@ -405,6 +417,7 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
     if entry.transform is not None:
         best = _alignment_from(entry, entry.transform, entry.matched or [])
     second = entry.runner_up
+    extra = {name: getattr(entry, name) for name in EXTRA if getattr(entry, name) is not None}
     return PairVerdict(
         a=entry.a,
         b=entry.b,
@@ -425,6 +438,7 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
         placed=_sigmas_from(entry.placed),
         together=_sides(entry.together),
         transform_sigma=_sigmas_from(entry.transform_sigma),
+        extra=extra,
     )
 
 

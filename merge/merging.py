@@ -91,7 +91,9 @@ def merge_maps(
     unlisted = _unlisted(len(ordered), verdicts, listed, components)
     told = _placed(listed, components)
     info = _info(settings, components, told)
-    return MergeResult(components, fused, told, info=info, unlisted=unlisted)
+    return MergeResult(
+        components, fused, told, info=info, unlisted=unlisted, kept_entry=means.kept_entry
+    )
 
 
 def _taken_back(verdict: PairVerdict) -> PairVerdict:
@@ -177,12 +179,13 @@ def _info(
     settings: MergeSettings, components: Sequence[Component], verdicts: Sequence[PairVerdict]
 ) -> dict[str, Any]:
     """The method, its settings, and the layers (§4.1) around the first run of every component."""
+    accepted = [v for v in verdicts if v.accepted]
     firsts = [min(c.poses) for c in components if len(c.poses) > 1]
     own = settings.robust if settings.method == "robust" else settings.paper
     return {
         "settings": asdict(own),
         "method": settings.method,
-        "layers": {own: layers_to_document(own, verdicts) for own in firsts},
+        "layers": {own: layers_to_document(own, accepted) for own in firsts},
     }
 
 

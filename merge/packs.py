@@ -64,6 +64,12 @@ class Kind(IntEnum):
     """Several maps fused into one."""
     CHANCES = 4
     """What the index gives pairs of many maps."""
+    PROBES = 6
+    """What the index asks of a map; its key is twice the map's digest."""
+    COPIES = 7
+    """How copies of places differ, by some maps; its key is twice the digest of theirs."""
+    VERDICT = 5
+    """What two maps say by themselves; its key is of both maps and of what they must reach."""
 
     @property
     def told(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
@@ -266,13 +266,19 @@ class Unlisted:
     screened: int = 0
 
 
+def nothing_kept(_: PairVerdict) -> str | None:
+    """Where no entries of the document are known already."""
+    return None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeResult:
     """Everything `merged.json` holds.
 
     verdicts: one per pair of runs, sorted by (a, b), but for those that a large merge counts in
     `unlisted`. info: what else the document's `graph` says (method, settings, warnings, layers).
-    JSON values only.
+    JSON values only. kept_entry: what the document says of a verdict, as JSON, where that is known
+    already.
     """
 
     components: tuple[Component, ...]
@@ -280,6 +286,7 @@ class MergeResult:
     verdicts: tuple[PairVerdict, ...]
     info: Mapping[str, Any] = field(default_factory=dict)
     unlisted: Unlisted | None = None
+    kept_entry: Callable[[PairVerdict], str | None] = nothing_kept
 
     def count(self, standing: Standing) -> int:
         """How many pairs, listed or not, stand so."""

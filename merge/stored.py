@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,8 @@ from numpy.typing import NDArray
 from ..topology.map_schema import FARTHEST_M
 from ..topology.passes import NO_BRANCH
 from ..topology.ragged import Ragged
-from .document import MergedDocument, MergeEntry, verdict_from_entry
-from .result import Component, FusedMap, MergeResult, PairVerdict
-
-EXTRA = ("against_chance_bits", "same_place_bits")
-"""What the robust method adds to its entries."""
+from .document import MergedDocument, verdict_from_entry
+from .result import Component, FusedMap, MergeResult
 
 
 def result_from_document(document: MergedDocument) -> MergeResult:
@@ -36,12 +32,7 @@ def result_from_document(document: MergedDocument) -> MergeResult:
         raise ValueError(f"there is no component {strange[0]}")
     named = graph.model_dump(exclude_unset=True)
     info: dict[str, Any] = {key: value for key, value in named.items() if key != "components"}
-    return MergeResult(components, fused, tuple(map(_verdict, document.merges)), info)
-
-
-def _verdict(entry: MergeEntry) -> PairVerdict:
-    extra = {name: getattr(entry, name) for name in EXTRA if getattr(entry, name) is not None}
-    return replace(verdict_from_entry(entry), extra=extra)
+    return MergeResult(components, fused, tuple(map(verdict_from_entry, document.merges)), info)
 
 
 def _fused(document: MergedDocument) -> FusedMap:

@@ -9,7 +9,7 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,6 +28,17 @@ ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=
 
 WRITTEN_TOGETHER = 1000
 """Entries of a long list."""
+
+
+class Json(str):
+    """JSON text that stands for its value."""
+
+    __slots__ = ()
+
+
+def encoded(value: Any) -> Json:
+    """A value as it stands in documents."""
+    return Json(ENCODER.encode(value))
 
 
 def read_json(path: Path) -> Any:
@@ -72,7 +83,8 @@ def kind_of(path: Path) -> str:
 def write_json(path: Path, doc: Any) -> None:
     """Write a document atomically: after a crash the old file or the new one is there, whole.
 
-    Lists in it that are iterators are made, and written, some entries at a time.
+    Lists in it that are iterators are made, and written, some entries at a time; of their entries
+    some may be `Json` already.
     """
 
     def fill(temporary: Path) -> None:
@@ -97,7 +109,9 @@ def _json(doc: Any) -> Iterator[str]:
 def _listed(entries: Iterator[Any]) -> Iterator[str]:
     before = "["
     while some := list(islice(entries, WRITTEN_TOGETHER)):
-        yield f"{before}{ENCODER.encode(some)[1:-1]}"
+        groups = groupby(some, key=lambda entry: isinstance(entry, Json))
+        parts = (",".join(own) if known else ENCODER.encode([*own])[1:-1] for known, own in groups)
+        yield f"{before}{','.join(parts)}"
         before = ","
     yield "]" if before == "," else "[]"
 

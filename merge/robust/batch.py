@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -12,7 +12,8 @@ import numpy as np
 from ...topology.topomap import TopoMap
 from ..result import PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
-from .components import ELSEWHERE, Components, Refusal, agrees, lying_over
+from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
+from .kept_verdicts import KeptVerdicts
 from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise, Told, in_tiles
 from .prepare import FloatArray, IntArray
@@ -25,9 +26,10 @@ from .verdict import Bar, Opinion, PairCount, needed_bits, opinions
 class Batch:
     """What was found between the maps of a batch, and what the two maps of each pair say alone.
 
-    asked: pairs that a person spoke of. opinions: of these, and of pairs that by themselves are
-    merged, or would be but for a mirror image; alone: of all the others, which are most of a large
-    batch, the verdict is `worded` at once, and nothing else is held.
+    asked: pairs that a person spoke of. opinions: of these, and of pairs that would be merged but
+    for a mirror image; joins: the verdicts on pairs that are merged by themselves; alone: on all
+    the others, which are most of a large batch. These are `worded` at once, and nothing else is
+    held.
     """
 
     matcher: Pairwise
@@ -36,6 +38,7 @@ class Batch:
     asked: Collection[Pair] = ()
     found: dict[Pair, Told] = field(default_factory=dict)
     opinions: dict[Pair, Opinion] = field(default_factory=dict)
+    joins: dict[Pair, PairVerdict] = field(default_factory=dict)
     alone: dict[Pair, PairVerdict] = field(default_factory=dict)
     _count: dict[int, PairCount] = field(default_factory=dict)
 
@@ -50,6 +53,14 @@ class Batch:
         return self.bar_of(some, self._count[pairs])
 
     @cached_property
+    def _kept(self) -> KeptVerdicts | None:
+        """What earlier merges said of pairs."""
+        own, means = self.matcher, self.matcher.means
+        if means.store is None:
+            return None
+        return KeptVerdicts(means.store, own.maps, own.digests, self.level, means.verdict_keys)
+
+    @cached_property
     def _against_chance(self) -> FloatArray:
         """What the pairs that were matched first say against chance."""
         return np.array([found.against_chance for found in self.found.values()])
@@ -61,24 +72,75 @@ class Batch:
         found |= {pair: Told() for pair in gone}
         self.found.update(found)
         likely = {}
-        pairs = list(found)
+        ours = [pair for pair in found if pair not in self.asked and pair not in gone]
+        known = self._kept.find(ours) if self._kept else {}
+        self._hold(known)
+        pairs = [pair for pair in found if pair not in known]
+        fresh: dict[Pair, PairVerdict]
         for start in range(0, len(pairs), MATCH.at_once):
+            fresh = {}
             for pair, (view, _) in self.views(pairs[start : start + MATCH.at_once]).items():
                 if pair in gone:
                     likely[pair] = replace(view, discarded=True)
                 elif view.verdict is Verdict.MERGED or pair in self.asked:
                     likely[pair] = view
                 else:
-                    self.alone[pair] = self.worded(pair, view)
-        self.opinions.update(doubt_mirrored(likely, self._image_bits))
+                    fresh[pair] = self.worded(pair, view)
+            self._keep(fresh)
+        fresh = {}
+        for pair, view in doubt_mirrored(likely, self._image_bits).items():
+            if view.verdict is Verdict.MERGED and pair not in self.asked:
+                fresh[pair] = self.worded(pair, view)
+            else:
+                self.opinions[pair] = view
+        self._keep(fresh)
+
+    def _hold(self, verdicts: Mapping[Pair, PairVerdict]) -> None:
+        for pair, verdict in verdicts.items():
+            (self.joins if verdict.accepted else self.alone)[pair] = verdict
+
+    def _keep(self, fresh: Mapping[Pair, PairVerdict]) -> None:
+        self._hold(fresh)
+        if self._kept:
+            self._kept.keep(fresh)
+
+    def seconded(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
+        """Of pairs of one component: which of their candidates agrees with where other runs have
+        put the two, the first that does; without those that have none."""
+        full = [pair for pair in pairs if self.found[pair].full and components.together(*pair)]
+        out: dict[Pair, int] = {}
+        for start in range(0, len(full), MATCH.at_once):
+            some = full[start : start + MATCH.at_once]
+            for pair, candidates in self._candidates(some).items():
+                T_i_j, b = components.relative(*pair), self.matcher.places[pair[1]]
+                for n, c in enumerate(candidates):
+                    if c.bits > MATCH.lead_bits and agrees(as_alignment(c), T_i_j, b):
+                        out[pair] = n
+                        break
+        return out
+
+    def known_seconded(self, which: Mapping[Pair, int]) -> dict[Pair, PairVerdict]:
+        """The verdicts on pairs that others second by a candidate, as far as they are kept."""
+        return self._kept.find(which, which) if self._kept else {}
+
+    def keep_seconded(
+        self, verdicts: Mapping[Pair, PairVerdict], which: Mapping[Pair, int]
+    ) -> None:
+        """Keep such verdicts, which nobody else has a part in."""
+        if self._kept:
+            self._kept.keep(verdicts, which)
+
+    def _candidates(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
+        """Of those that have any, beyond chance."""
+        full = [pair for pair in pairs if self.found[pair].full]
+        rows = np.array(full, np.int64).reshape(-1, 2)
+        return dict(zip(full, self.matcher.candidates(rows), strict=True))
 
     def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Opinion, tuple[Candidate, ...]]]:
         """What the two maps of each of some pairs say alone, but for mirror images, and the
         candidates that they say it by."""
         prepared, found = self.matcher.prepared, self.found
-        full = [pair for pair in pairs if found[pair].full]
-        rows = np.array(full, np.int64).reshape(-1, 2)
-        candidates = dict(zip(full, self.matcher.candidates(rows), strict=True))
+        candidates = self._candidates(pairs)
         cases = [
             (prepared[i], prepared[j], candidates.get((i, j), ()), self.level((i, j)))
             for i, j in pairs
@@ -93,7 +155,8 @@ class Batch:
         """Pairs with a placement that chance does not offer."""
         chance = MATCH.lead_bits
         known = ((pair, view.best, view.bits) for pair, view in self.opinions.items())
-        worded = ((pair, told.best, told.evidence_bits) for pair, told in self.alone.items())
+        held = chain(self.joins.items(), self.alone.items())
+        worded = ((pair, told.best, told.evidence_bits) for pair, told in held)
         both = chain(known, worded)
         return [pair for pair, best, bits in both if best is not None and bits > chance]
 
@@ -103,18 +166,18 @@ class Batch:
     def look_again(self, components: Components, joined: Iterable[Pair]) -> dict[Pair, Refusal]:
         """Match the pairs that the index gave no chance and that now lie over each other, or were
         joined by their components; those that by themselves want to lie elsewhere are refused."""
-        prepared = self.matcher.prepared
-        if len(self.found) == pairs_of(len(prepared)):
+        places = self.matcher.places
+        if len(self.found) == pairs_of(len(places)):
             return {}
-        over = {*lying_over(components, [m.z for m in prepared]), *joined}
+        over = {*lying_over(components, places), *joined}
         fresh = sorted(p for p in over if p not in self.found)
         self.look_at(np.array(fresh, np.int64).reshape(-1, 2))
         out = {}
         for i, j in fresh:
-            view = self.opinions.get((i, j))
-            if view is None or view.verdict is not Verdict.MERGED or view.best is None:
+            told = self.joins.get((i, j))
+            if told is None or told.best is None:
                 continue
-            if not agrees(view.best, components.relative(i, j), prepared[j]):
+            if not agrees(told.best, components.relative(i, j), places[j]):
                 out[i, j] = ELSEWHERE
         return out
 
@@ -122,7 +185,7 @@ class Batch:
 def wanted_pairs(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
     """(k, 2) pairs to be matched: all of a small batch; of a large one those that have a chance,
     and those that a person spoke of."""
-    likely = pairs_to_match(matcher.prepared, matcher.settings, matcher.digests, matcher.means.kept)
+    likely = pairs_to_match(matcher.probes, matcher.settings, matcher.digests, matcher.means.kept)
     asked = np.array(sorted(locked), np.int64).reshape(-1, 2)
     return np.unique(np.concatenate([likely, asked]), axis=0)
 

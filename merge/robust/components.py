@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...topology.se2 import compose, inverse, wrap
+from ..result import Alignment
 from .alignment import Candidate
-from .prepare import ComplexArray, Prepared
+from .prepare import ComplexArray
 from .settings import MATCH
 
 Pair = tuple[int, int]
@@ -74,24 +75,30 @@ ELSEWHERE = Refusal(
 )
 
 
-def agrees(candidate: Candidate, T_a_b: NDArray[np.float64], b: Prepared) -> bool:
-    """Does an alignment place b as T_a_b does, within what drift makes of chained transforms?"""
-    middle = complex(b.z[candidate.b].mean())
-    x, y, theta = T_a_b.tolist()
-    gap = abs(candidate.move(middle) - (x + 1j * y + np.exp(1j * theta) * middle))
-    reach = abs(middle - complex(b.z.mean()))
-    turn = abs(float(wrap(candidate.transform[2] - theta)))
+def as_alignment(c: Candidate) -> Alignment:
+    """A candidate as two runs are joined by it."""
+    return Alignment(c.transform, c.bits, np.column_stack([c.a, c.b]), c.rmse_m)
+
+
+def agrees(found: Alignment, T_a_b: NDArray[np.float64], b: ComplexArray) -> bool:
+    """Does an alignment place b as T_a_b does, within what drift makes of chained transforms?
+    b: its junctions (x + iy)."""
+    middle = b[found.matched[:, 1]].mean()
+    here, there = (_laid(T, middle) for T in (found.transform, T_a_b))
+    gap, reach = abs(complex(here - there)), abs(complex(middle - b.mean()))
+    turn = abs(float(wrap(found.transform[2] - T_a_b[2])))
     return gap < MATCH.place_m + MATCH.drift_per_m * reach and turn < MATCH.turn_rad
 
 
 def join_all(
     components: Components,
     strongest_first: Sequence[Pair],
-    best: Mapping[Pair, Candidate],
-    prepared: Sequence[Prepared],
+    best: Mapping[Pair, Alignment],
+    places: Sequence[ComplexArray],
     runs: Sequence[str],
 ) -> dict[Pair, Refusal]:
     """Join pairs in order of strength. Returns the pairs that were refused, with the reason.
+    places: of every run its junctions (x + iy).
 
     A pair that closes a cycle must place its runs as the stronger pairs around the cycle do: where
     they contradict each other, the weakest link, which comes last, gives way.
@@ -100,7 +107,7 @@ def join_all(
     for i, j in strongest_first:
         alignment = best[i, j]
         if components.together(i, j):
-            if not agrees(alignment, components.relative(i, j), prepared[j]):
+            if not agrees(alignment, components.relative(i, j), places[j]):
                 refused[i, j] = ELSEWHERE
             continue
         kept_apart = components.forbidden(i, j)
@@ -134,6 +141,6 @@ def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[P
     return sorted(out)
 
 
-def _laid(pose: NDArray[np.float64], z: ComplexArray) -> ComplexArray:
+def _laid(pose: NDArray[np.float64], z: ComplexArray | np.complex128) -> ComplexArray:
     x, y, theta = pose.tolist()
     return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))

@@ -16,10 +16,10 @@ from ..result import AcceptedBy, Alignment, PairVerdict, Verdict, pairs_of
 from .advice import advice
 from .alignment import Candidate, match, same_placement, self_matches
 from .batch import Batch, wanted_pairs
-from .components import Components, Refusal, agrees, join_all
+from .components import Components, Refusal, as_alignment, join_all
 from .forced import forced_alignment
 from .mirror import doubt_mirrored, mirrored
-from .pairing import Means, Pair, Pairwise
+from .pairing import Means, Pair, Pairwise, Samples
 from .prepare import Prepared, prepare
 from .rematching import Rematcher, Reunion
 from .repetition import CopyModel, copy_model
@@ -67,7 +67,7 @@ def decide(
     runs = [m.run for m in maps]
     matcher = Pairwise(maps, settings, means)
     prepared = matcher.prepared
-    locked = _locked_pairs(runs, prepared, locks)
+    locked = _locked_pairs(maps, locks)
     row = {run: k for k, run in enumerate(runs)}
     gone = [(row[a], row[b]) for a, b in sorted(discarded) if a in row and b in row]
 
@@ -75,7 +75,7 @@ def decide(
         i, j = pair
         return _by_evidence(prepared[i], prepared[j], _Case(view), _says(view))
 
-    bar_of = bars(prepared, settings, matcher.with_themselves())
+    bar_of = bars(prepared, settings, matcher.with_themselves(), matcher.copies)
     batch = Batch(matcher, bar_of, alone, frozenset(locked))
     wanted = wanted_pairs(matcher, [*locked, *gone])
     matcher.means.say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
@@ -83,9 +83,9 @@ def decide(
     forced = _forced(prepared, locked, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
-    best, order = _strongest_first(batch.opinions, forced, locked)
-    refused = join_all(components, order, best, prepared, runs)
-    kept = {pair: c for pair, c in best.items() if pair not in refused}
+    best, order = _strongest_first(batch, forced)
+    refused = join_all(components, order, best, matcher.places, runs)
+    kept = {pair: found for pair, found in best.items() if pair not in refused}
     rematcher = Rematcher(
         maps,
         prepared,
@@ -121,27 +121,36 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
     """The verdicts on all pairs that were matched, sorted."""
     prepared = batch.matcher.prepared
     pairs = sorted(batch.found)
-    more = [pair for pair in pairs if said.of(pair) or components.together(*pair)]
-    again = batch.views(more)
+    held = {pair: v for pair, v in (batch.joins | batch.alone).items() if not said.of(pair)}
+    asked = [pair for pair in pairs if pair not in batch.joins or pair not in held]
+    second = batch.seconded(asked, components)
+    kept = batch.known_seconded({pair: n for pair, n in second.items() if pair in held})
+    held = {pair: v for pair, v in held.items() if pair not in second} | kept
+    again = batch.views([pair for pair in pairs if pair not in held])
+    fresh = {}
     for pair in pairs:
+        if pair in held:
+            yield held[pair]
+            continue
         i, j = pair
-        view, candidates = again.get(pair, (None, ()))
+        view, candidates = again[pair]
         known = batch.opinions.get(pair)
         if known is not None:
-            view = known if view is None else _as_known(view, known)
-        if view is None:
-            yield batch.alone[pair]
-            continue
+            view = _as_known(view, known)
         case = _Case(
             view=view,
             forced=said.forced.get(pair),
             lock=said.locked.get(pair),
             refused=said.refused.get(pair),
             reunion=said.reunions.get(pair),
-            seconded=_seconded(pair, candidates, components, prepared),
+            seconded=candidates[second[pair]] if pair in second else None,
             together=components.together(i, j),
         )
-        yield _verdict(prepared[i], prepared[j], case)
+        told = _verdict(prepared[i], prepared[j], case)
+        if pair in batch.alone and pair in second and not said.of(pair):
+            fresh[pair] = told
+        yield told
+    batch.keep_seconded(fresh, second)
 
 
 def _as_known(view: Opinion, known: Opinion) -> Opinion:
@@ -200,21 +209,19 @@ class _Case:
     together: bool = False
 
 
-def _locked_pairs(
-    runs: Sequence[str], prepared: Sequence[Prepared], locks: Sequence[Lock]
-) -> dict[Pair, Lock]:
-    """The locks that concern these runs, by indices."""
-    index = {run: i for i, run in enumerate(runs)}
+def _locked_pairs(maps: Sequence[TopoMap], locks: Sequence[Lock]) -> dict[Pair, Lock]:
+    """The locks that concern these maps, by indices."""
+    index = {m.run: i for i, m in enumerate(maps)}
     out: dict[Pair, Lock] = {}
     for (a, b), lock in lock_table(locks).items():
         if a not in index or b not in index:
             continue
         pair = (index[a], index[b])
         for run, vertex in zip(pair, lock.at or (), strict=False):
-            if vertex >= len(prepared[run]):
+            if vertex >= len(maps[run]):
                 raise UsageError(
-                    f"the lock of {a!r} and {b!r} names junction {vertex} of {runs[run]!r}, which "
-                    f"has {len(prepared[run])}: lock by the numbers in its map document"
+                    f"the lock of {a!r} and {b!r} names junction {vertex} of {maps[run].run!r}, "
+                    f"which has {len(maps[run])}: lock by the numbers in its map document"
                 )
         out[pair] = lock
     return out
@@ -224,11 +231,18 @@ def bars(
     prepared: Sequence[Prepared],
     settings: RobustSettings,
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
+    copies_of: Callable[[Samples], CopyModel] | None = None,
 ) -> Callable[[Sequence[int], PairCount], Bar]:
     """What some maps, a pair or those of two components, must reach in a batch of so many pairs.
-    with_themselves: matches of each map with other parts of itself, if they are known."""
+    with_themselves: matches of each map with other parts of itself, if they are known; copies_of:
+    stands for `copy_model`."""
     own = with_themselves or list(self_matches(prepared, settings))
-    copies, copied = _repetition(prepared, own, settings)
+    samples = [(k, c) for k, found in enumerate(own) for c in found if c.bits > MATCH.lead_bits]
+    if copies_of is None:
+        copies = copy_model([(prepared[k], c) for k, c in samples], settings)
+    else:
+        copies = copies_of(samples)
+    copied = _copied(own, settings)
 
     def level(some: Sequence[int], count: PairCount) -> Bar:
         return bar(count, copies, settings, copied=max(copied[k] for k in some))
@@ -236,22 +250,16 @@ def bars(
     return level
 
 
-def _repetition(
-    prepared: Sequence[Prepared],
-    found: Sequence[tuple[Candidate, ...]],
-    settings: RobustSettings,
-) -> tuple[CopyModel, list[float]]:
-    """How copies differ in these buildings, and the junctions of every map's largest copy of a part
-    of itself, no fewer than most maps of the batch have."""
-    samples = [
-        (m, c)
-        for m, own in zip(prepared, found, strict=True)
-        for c in own
-        if c.bits > MATCH.lead_bits
+def _copied(
+    with_themselves: Sequence[tuple[Candidate, ...]], settings: RobustSettings
+) -> list[float]:
+    """The junctions of every map's largest copy of a part of itself, no fewer than most maps of the
+    batch have."""
+    copied = [
+        max((len(c) for c in own if c.bits > MATCH.lead_bits), default=0) for own in with_themselves
     ]
-    copied = [max((len(c) for c in own if c.bits > MATCH.lead_bits), default=0) for own in found]
     batch = float(np.quantile(copied, settings.copied_share)) if copied else 0.0
-    return copy_model(samples, settings), [max(junctions, batch) for junctions in copied]
+    return [max(junctions, batch) for junctions in copied]
 
 
 def _forced(
@@ -271,35 +279,18 @@ def _forced(
 
 
 def _strongest_first(
-    opinions: dict[Pair, Opinion], forced: dict[Pair, Candidate], locked: dict[Pair, Lock]
-) -> tuple[dict[Pair, Candidate], list[Pair]]:
+    batch: Batch, forced: Mapping[Pair, Candidate]
+) -> tuple[dict[Pair, Alignment], list[Pair]]:
     """The alignments to join by, and their order: a person's locks first, then by evidence.
 
     A locked pair is joined as the lock says or, where nothing honours it, not at all.
     """
-    best = {
-        pair: o.best
-        for pair, o in opinions.items()
-        if o.verdict is Verdict.MERGED and o.best is not None and pair not in locked
-    }
-    best |= forced
-    order = sorted(best, key=lambda p: (p not in forced, -opinions[p].bits, p))
+    best = {pair: v.best for pair, v in batch.joins.items() if v.best is not None}
+    bits = {pair: batch.joins[pair].evidence_bits for pair in best}
+    best |= {pair: as_alignment(c) for pair, c in forced.items()}
+    bits |= {pair: batch.opinions[pair].bits for pair in forced}
+    order = sorted(best, key=lambda p: (p not in forced, -bits[p], p))
     return best, order
-
-
-def _seconded(
-    pair: Pair,
-    candidates: tuple[Candidate, ...],
-    components: Components,
-    prepared: Sequence[Prepared],
-) -> Candidate | None:
-    """The candidate of a pair that agrees with where other runs have put its two runs."""
-    i, j = pair
-    if not components.together(i, j):
-        return None
-    T_i_j = components.relative(i, j)
-    fitting = (c for c in candidates if c.bits > MATCH.lead_bits and agrees(c, T_i_j, prepared[j]))
-    return next(fitting, None)
 
 
 def _verdict(a: Prepared, b: Prepared, case: _Case) -> PairVerdict:

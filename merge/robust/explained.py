@@ -12,6 +12,7 @@ from math import ceil
 
 import numpy as np
 
+from ...topology.digits import BITS
 from ...topology.se2 import between
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
@@ -29,7 +30,7 @@ from .growth import given_up
 from .prepare import FloatArray, Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
-from .verdict import Answers, PairCount, counted_bits, needed_bits
+from .verdict import Answers, PairCount, counted_bits, in_steps, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -59,7 +60,8 @@ class Batch:
         joined a pair; what earlier versions did not tell is taken to be beyond chance."""
         pairs = pairs_of(len(self.poses)) or len(self.said) or pairs_of(len(self.maps))
         if joined is not None and joined.accepted_by == "components" and joined.threshold_bits:
-            pairs = round(2.0**joined.threshold_bits * self.settings.false_merge_rate)
+            least = joined.threshold_bits - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
+            pairs = round(2.0**least * self.settings.false_merge_rate)
         told = [v.extra.get("against_chance_bits", 0.0) for v in self.said.values()]
         if not any(told):
             return PairCount(pairs, pairs)
@@ -318,7 +320,7 @@ def _requirement(batch: Batch, told: PairVerdict, answers: Answers | None) -> Re
     asked = answers is not None and answers.same_place is not None
     return Requirement(
         threshold_bits=needed_bits(pairs, settings),
-        pairs=pairs,
+        pairs=in_steps(pairs),
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
         lead_bits=MATCH.lead_bits,

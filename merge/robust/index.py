@@ -16,9 +16,57 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from ...topology.se2 import wrap
+from ..packs import arrays_from_bytes, arrays_to_bytes
 from .links import KEY_STEP, windows
-from .prepare import LENGTH_SCALE, FloatArray, IntArray, Prepared, length_bits
+from .prepare import LENGTH_SCALE, Extent, FloatArray, IntArray, Prepared, length_bits
 from .settings import MATCH
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Probes:
+    """What the index asks of a map of k directed corridors: fields as in `Prepared`, which serves
+    as well."""
+
+    extent: Extent
+    tail: IntArray
+    head: IntArray
+    pattern: IntArray
+    probe_row: IntArray
+    probe_key: FloatArray
+    length: FloatArray
+    variance: FloatArray
+    sag: FloatArray
+    angle: FloatArray
+    rarity: FloatArray
+    end_surprise: FloatArray
+
+    @classmethod
+    def of(cls, a: Prepared) -> Probes:
+        """Those of a map that is prepared."""
+        return cls(a.extent, *(getattr(a, name) for name in PROBES))
+
+    def to_bytes(self) -> bytes:
+        """As they are kept."""
+        return arrays_to_bytes([getattr(self, name) for name in PROBES])
+
+    @classmethod
+    def from_bytes(cls, data: bytes, extent: Extent) -> Probes | None:
+        """Those of a map so large; None where they cannot be."""
+        arrays = arrays_from_bytes(data, "iiiifffffff")
+        if arrays is None:
+            return None
+        n, k = extent
+        out = cls(extent, *arrays)
+        per_corridor = (getattr(out, name) for name in PROBES if not name.startswith("probe"))
+        if any(len(x) != k for x in per_corridor) or len(out.probe_row) != len(out.probe_key):
+            return None
+        within = ((out.tail, n), (out.head, n), (out.probe_row, k))
+        if not all(((x >= 0) & (x < high)).all() for x, high in within):
+            return None
+        return out if (out.variance >= 0).all() else None
+
+
+PROBES = tuple(name for name in Probes.__dataclass_fields__ if name != "extent")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +94,9 @@ class Corridors:
     worst: FloatArray
 
     @classmethod
-    def of(cls, maps: Sequence[Prepared]) -> Corridors:
+    def of(cls, maps: Sequence[Probes]) -> Corridors:
         """Index some maps. O(k log k)."""
-        first = np.cumsum([0, *(len(m) for m in maps)])
+        first = np.cumsum([0, *(m.extent.junctions for m in maps)])
         rows = [m.probe_row for m in maps]
 
         def gathered(name: str) -> FloatArray:
@@ -84,7 +132,7 @@ class Corridors:
         at = np.searchsorted(self.length_step, 2 * length, side="right") - 1
         return np.asarray(self.worst[np.maximum(at, 0)])
 
-    def chances(self, a: Prepared, least: float, after: int = -1) -> FloatArray:
+    def chances(self, a: Probes, least: float, after: int = -1) -> FloatArray:
         """(maps,) bits of the links with a map that hang together best, less those of having so
         many to choose from; -inf where all links together have less than the least that counts,
         and of maps that do not come after the given number."""
@@ -110,7 +158,7 @@ class Corridors:
         np.maximum.at(best, owner, total[label])
         return np.asarray(best - choice)
 
-    def _links(self, a: Prepared, after: int) -> tuple[IntArray, IntArray]:
+    def _links(self, a: Probes, after: int) -> tuple[IntArray, IntArray]:
         """Corridors of a map, in one direction, and rows here that could be the same one."""
         half = len(a.tail) // 2
         length = a.length[:half]
@@ -125,7 +173,7 @@ class Corridors:
         return row[ok], other[ok]
 
     def _hanging_together(
-        self, a: Prepared, row: IntArray, other: IntArray, theta: FloatArray
+        self, a: Probes, row: IntArray, other: IntArray, theta: FloatArray
     ) -> IntArray:
         """(k,) component of every link: links meet where they share both vertices and the rotation
         (as in `links.seeds`)."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..packs import Kept, Key, Kind, arrays_from_bytes, arrays_to_bytes
 from ..result import Alignment, FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
 from .alignment import Candidate, match
 from .mirror import mirrored
-from .prepare import Prepared, prepare
+from .prepare import Extent, Prepared, prepare
 from .records import from_bytes, in_short, to_bytes
 from .settings import RobustSettings
 
@@ -30,7 +30,7 @@ class MergedMap:
         runs: Runs,
         own: Sequence[TopoMap],
         inside: Sequence[PairVerdict],
-        prepared: Prepared | None,
+        prepared: Callable[[], Prepared] | None,
         kept: Kept | None,
     ) -> None:
         self.runs = runs
@@ -71,9 +71,14 @@ class MergedMap:
         return own[0] if len(own) == 1 else _as_map(self._fused, own)
 
     @cached_property
+    def extent(self) -> Extent:
+        """How large it is."""
+        return Extent.of(self.as_map)
+
+    @cached_property
     def prepared(self) -> Prepared:
         """The same, ready to be matched."""
-        return self._prepared or prepare(self.as_map)
+        return self._prepared() if self._prepared else prepare(self.as_map)
 
 
 class MergedMaps:
@@ -104,7 +109,9 @@ class MergedMaps:
                 )
                 for (i, j), a in known
             ]
-            alone = self._prepared[runs[0]] if self._prepared and len(runs) == 1 else None
+            alone = None
+            if self._prepared and len(runs) == 1:
+                alone = partial(self._prepared.__getitem__, runs[0])
             own = [maps[i] for i in runs]
             self._made[key] = MergedMap(runs, own, inside, alone, self._kept)
         return self._made[key]
@@ -116,7 +123,7 @@ class MergedMaps:
         data = self._find(Kind.PAIR, one, two)
         if data == b"":
             return ()
-        found = None if data is None else from_bytes(data, one.prepared, two.prepared)
+        found = None if data is None else from_bytes(data, one.extent, two.extent)
         if found is None:
             found = in_short(match(one.prepared, two.prepared, settings), settings).candidates
             self._keep(Kind.PAIR, one, two, to_bytes(found))

@@ -12,25 +12,32 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, overload
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from ...topology.errors import DataError
+from ...topology.files import Json
 from ...topology.topomap import TopoMap
-from ..packs import DIGEST, Digests, Kept, Kind, Pack, PackWriter, Store, digest_of
+from ..packs import DIGEST, Digests, Kept, Key, Kind, Pack, PackWriter, Store, digest_of
+from ..result import PairVerdict
 from ..workers import Workers
 from .alignment import Candidate, match_all, self_matches
+from .index import Probes
+from .kept_verdicts import entry_text
 from .mirror import mirrored
-from .prepare import Prepared, prepare
+from .prepare import Extent, Prepared, prepare
 from .records import Found, from_bytes, in_short, to_bytes
+from .repetition import CopyModel, copy_model
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import Faint
 
 Pair = tuple[int, int]
 IntArray = NDArray[np.int64]
+Samples = Sequence[tuple[int, Candidate]]
+"""Maps of a batch that look like other parts of themselves, by their numbers."""
 Ready = Callable[[bytes, bool], Prepared]
 """The prepared map of a digest, or its mirror image."""
 
@@ -77,7 +84,8 @@ TASKS = TaskSettings()
 class Means:
     """How the pairs of a batch are matched, which changes no result. workers: who does it, this
     process if None; maps: where they find the maps, None to send them along; store: what is known
-    already; on_pair(done, total): told of progress; tell: told what happens, a line at a time."""
+    already; on_pair(done, total): told of progress; tell: told what happens, a line at a time;
+    verdict_keys: where the store keeps verdicts of the batch."""
 
     workers: Workers | None = None
     maps: Maps | None = None
@@ -85,11 +93,21 @@ class Means:
     on_pair: Callable[[int, int], None] | None = None
     tell: Callable[[str], None] | None = None
     digest: Digests = field(default_factory=Digests)
+    verdict_keys: dict[PairVerdict, Key] = field(default_factory=dict)
 
     @property
     def kept(self) -> Kept | None:
         """What is known already, one by one."""
         return None if self.store is None else Kept(self.store, self.digest)
+
+    def kept_entry(self, verdict: PairVerdict) -> Json | None:
+        """The entry of a verdict in the merged document, where it is kept: read anew, for all of
+        them together are as large as the document."""
+        key = self.verdict_keys.get(verdict)
+        if key is None or self.store is None:
+            return None
+        data = self.store.find(Kind.VERDICT, key)
+        return None if data is None else entry_text(data)
 
     def say(self, text: str) -> None:
         """Tell what happens, if anybody listens."""
@@ -130,6 +148,32 @@ def _program() -> str:
     return out.hexdigest()
 
 
+class Lazily(Sequence[T]):
+    """Something of each of some maps, made when it is asked for: of many that are known already
+    most never are."""
+
+    def __init__(self, count: int, made: Callable[[int], T]) -> None:
+        self._count = count
+        self._make = made
+        self._made: dict[int, T] = {}
+
+    @overload
+    def __getitem__(self, k: int) -> T: ...
+    @overload
+    def __getitem__(self, k: slice) -> Sequence[T]: ...
+    def __getitem__(self, k: int | slice) -> T | Sequence[T]:
+        if isinstance(k, slice):
+            return [self[row] for row in range(*k.indices(self._count))]
+        if k not in self._made:
+            if not 0 <= k < self._count:
+                raise IndexError(k)
+            self._made[k] = self._make(k)
+        return self._made[k]
+
+    def __len__(self) -> int:
+        return self._count
+
+
 class Pairwise:
     """The maps of a batch, sorted by run, ready to be matched with each other."""
 
@@ -139,7 +183,10 @@ class Pairwise:
         self.maps = maps
         self.settings = settings
         self.means = means or Means()
-        self.prepared = [prepare(m) for m in maps]
+        self.prepared = Lazily(len(maps), lambda k: prepare(maps[k]))
+        self.probes = Lazily(len(maps), self._probes)
+        self.extents = [Extent.of(m) for m in maps]
+        self.places = [m.xy[:, 0] + 1j * m.xy[:, 1] for m in maps]
         self.digests = [self.means.digest(m) for m in maps]
         self._row = {digest: k for k, digest in enumerate(self.digests)}
         number = {digest: k for k, digest in enumerate(self._row)}
@@ -149,6 +196,16 @@ class Pairwise:
         self._sorted: dict[tuple[int, Kind], tuple[Pack, IntArray, IntArray]] = {}
         if self.means.store is not None and self.means.store.era != era_of(settings):
             raise ValueError("what the store keeps is of other settings")
+
+    def _probes(self, k: int) -> Probes:
+        key, kept = (self.digests[k], self.digests[k]), self.means.kept
+        data = None if kept is None else kept.find(Kind.PROBES, key)
+        found = None if data is None else Probes.from_bytes(data, self.extents[k])
+        if found is None:
+            found = Probes.of(self.prepared[k])
+            if kept is not None:
+                kept.add(Kind.PROBES, key, found.to_bytes())
+        return found
 
     def pairs(self, wanted: IntArray) -> list[Told]:
         """What matching each of (k, 2) pairs comes to, in short."""
@@ -162,6 +219,18 @@ class Pairwise:
         """Matches of every map with other parts of itself."""
         rows = np.arange(len(self.maps)).repeat(2).reshape(-1, 2)
         return self._all(Kind.ITSELF, rows, self._candidates, said=True)
+
+    def copies(self, samples: Samples) -> CopyModel:
+        """How copies differ by what some maps show of themselves."""
+        maps = b"".join(self.digests[k] for k in sorted({k for k, _ in samples}))
+        digest = hashlib.blake2b(maps, digest_size=DIGEST).digest()
+        data = self.means.kept and self.means.kept.find(Kind.COPIES, (digest, digest))
+        found = CopyModel.from_bytes(data) if data else None
+        if found is None:
+            found = copy_model([(self.prepared[k], c) for k, c in samples], self.settings)
+            if self.means.kept:
+                self.means.kept.add(Kind.COPIES, (digest, digest), found.to_bytes())
+        return found
 
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
         """The evidence of the best alignment with the mirror image of each pair's second map."""
@@ -230,8 +299,7 @@ class Pairwise:
         payload = pack.payload(row)
         if payload is None:
             return None
-        a, b = (self.prepared[k] for k in pair.tolist())
-        return from_bytes(payload, a, b)
+        return from_bytes(payload, *(self.extents[k] for k in pair.tolist()))
 
     def _matched(
         self, kind: Kind, wanted: IntArray, missing: IntArray
@@ -261,7 +329,7 @@ class Pairwise:
             yield k, pack
 
     def _ready(self, digest: bytes, image: bool) -> Prepared:
-        k = self._row[digest]
+        k = self._row[digest]  # of several maps that are the same but for their names any will do
         if not image:
             return self.prepared[k]
         if k not in self._images:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,20 @@ SECTOR_RAD = np.pi / 2
 
 LENGTH_SCALE = 2.0**10
 """Separates the pattern from the length in a sort key; above any corridor's length [m]."""
+
+
+class Extent(NamedTuple):
+    """How many junctions a map has, and directed corridors (both directions of each)."""
+
+    junctions: int
+    corridors: int
+
+    @classmethod
+    def of(cls, topomap: TopoMap) -> Extent:
+        """That of a map when it is prepared."""
+        return cls(
+            len(topomap), 2 * len(_corridors(topomap, topomap.xy[:, 0] + 1j * topomap.xy[:, 1]))
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +135,17 @@ class Prepared:
     def __len__(self) -> int:
         return len(self.z)
 
+    @property
+    def extent(self) -> Extent:
+        """How large it is."""
+        return Extent(len(self), len(self.tail))
+
+
+def _corridors(m: TopoMap, z: ComplexArray) -> IntArray:
+    """Rows of the corridors that matching looks at: no loops, and none without a length."""
+    long = np.abs(z[m.source] - z[m.target]) > LEAST_M
+    return np.flatnonzero((m.source != m.target) & long)
+
 
 def prepare(topomap: TopoMap) -> Prepared:
     """Make a map ready for matching; pure and picklable. O(n log n).
@@ -131,8 +157,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     z = m.xy[:, 0] + 1j * m.xy[:, 1]
     heading, count = padded_branches(m), m.branches.counts
     looks = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(np.int64)
-    long = np.abs(z[m.source] - z[m.target]) > LEAST_M
-    rows = np.flatnonzero((m.source != m.target) & long)
+    rows = _corridors(m, z)
     tail = np.concatenate([m.source[rows], m.target[rows]])
     head = np.concatenate([m.target[rows], m.source[rows]])
     leave = np.concatenate([m.source_branch[rows], m.target_branch[rows]])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..packs import LARGEST
 from .alignment import Candidate
 from .conflicts import Conflicts
-from .prepare import Prepared
+from .prepare import Extent
 from .settings import MATCH, RobustSettings
 from .support import Support
 from .verdict import Faint, beyond_chance_bits, faint_of
@@ -80,7 +80,7 @@ def _candidate_bytes(c: Candidate) -> bytes:
     return head.tobytes() + floats.tobytes() + np.concatenate(whole).astype("<i4").tobytes()
 
 
-def from_bytes(data: bytes, a: Prepared, b: Prepared) -> tuple[Candidate, ...] | None:
+def from_bytes(data: bytes, a: Extent, b: Extent) -> tuple[Candidate, ...] | None:
     """The candidates of two maps; None where they cannot be theirs."""
     out, at = [], 0
     while at < len(data):
@@ -92,7 +92,7 @@ def from_bytes(data: bytes, a: Prepared, b: Prepared) -> tuple[Candidate, ...] |
     return tuple(out)
 
 
-def _candidate(data: bytes, at: int, a: Prepared, b: Prepared) -> tuple[Candidate, int] | None:
+def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, int] | None:
     """The candidate that begins at a byte, and where it ends."""
     if len(data) - at < 4 * SIZES:
         return None
@@ -107,7 +107,7 @@ def _candidate(data: bytes, at: int, a: Prepared, b: Prepared) -> tuple[Candidat
     i = np.frombuffer(data, "<i4", wholes, at + 8 * reals).astype(np.int64)
     if not (np.abs(f) <= LARGEST).all():
         return None
-    n_a, n_b, rows_a, rows_b = len(a), len(b), len(a.tail), len(b.tail)
+    (n_a, rows_a), (n_b, rows_b) = a, b
     sizes = (k, k, c, c, 2 * m, m, eb, eb, ea, ea, el, el)
     limits = (n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, rows_a, rows_b)
     if wholes and not ((i >= 0) & (i < np.repeat(limits, sizes))).all():

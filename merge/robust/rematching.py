@@ -72,9 +72,9 @@ class Rematcher:
     def __post_init__(self) -> None:
         self._merged = MergedMaps(self.maps, self.prepared, self.kept)
 
-    def run(self, joined: Mapping[Pair, Candidate]) -> dict[Pair, Reunion]:
+    def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, Reunion]:
         """The pairs that components say belong together; `joined` are those that already do."""
-        accepted = {pair: _plain(c) for pair, c in joined.items()}
+        accepted = dict(joined)
         reunions: dict[Pair, Reunion] = {}
         open_ = self._open()
         asked = self._asked(open_, accepted)
@@ -191,10 +191,6 @@ def _links(one: MergedMap, two: MergedMap, view: Opinion) -> dict[Pair, Alignmen
         transform, rmse = laid_over(pa, pb)
         out[i, j] = Alignment(transform, view.bits, matched, rmse)
     return out
-
-
-def _plain(c: Candidate) -> Alignment:
-    return Alignment(c.transform, c.bits, np.column_stack([c.a, c.b]), c.rmse_m)
 
 
 def _reason(

@@ -14,9 +14,9 @@ import numpy as np
 
 from ..packs import DIGEST, Kept, Kind, arrays_from_bytes, arrays_to_bytes
 from ..result import pairs_of
-from .index import Corridors
+from .index import Corridors, Probes
 from .pairing import TASKS
-from .prepare import FloatArray, IntArray, Prepared
+from .prepare import FloatArray, IntArray
 from .settings import RobustSettings
 from .verdict import needed_bits
 
@@ -60,7 +60,7 @@ class Chances:
 
 
 def pairs_to_match(
-    maps: Sequence[Prepared],
+    maps: Sequence[Probes],
     settings: RobustSettings,
     digests: Sequence[bytes] = (),
     kept: Kept | None = None,
@@ -78,7 +78,7 @@ def pairs_to_match(
     return _known_chances(maps, least, digests, kept).likely(least)
 
 
-def chances(maps: Sequence[Prepared], least: float, known: IntArray | None = None) -> Chances:
+def chances(maps: Sequence[Probes], least: float, known: IntArray | None = None) -> Chances:
     """What the index gives all pairs but those of two maps that are known. O(links of the pairs).
 
     known: numbers of maps, ascending. Which of two maps is looked up makes no difference but for
@@ -95,7 +95,7 @@ def chances(maps: Sequence[Prepared], least: float, known: IntArray | None = Non
 
 
 def _looked_up(
-    maps: Sequence[Prepared], first: IntArray, second: IntArray, least: float
+    maps: Sequence[Probes], first: IntArray, second: IntArray, least: float
 ) -> Iterator[tuple[IntArray, FloatArray]]:
     """Pairs i < j of the first and of the second maps, with what the index gives them."""
     for start in range(0, len(second), TASKS.at_hand):
@@ -117,7 +117,7 @@ def _sorted(pairs: IntArray, bits: FloatArray, least: float) -> Chances:
 
 
 def _known_chances(
-    maps: Sequence[Prepared], least: float, digests: Sequence[bytes], kept: Kept
+    maps: Sequence[Probes], least: float, digests: Sequence[bytes], kept: Kept
 ) -> Chances:
     """What is known of the maps, and of the others what the index says."""
     whole = hashlib.blake2b(b"".join(digests), digest_size=DIGEST).digest()

@@ -162,8 +162,24 @@ def bar(
 
 
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
-    """The evidence with which chance merges any of so many pairs at the false-merge rate."""
-    return float(np.log2(max(pairs, 1) / settings.false_merge_rate))
+    """The evidence with which chance merges any of so many pairs at the false-merge rate.
+
+    Pairs are counted in steps, so that one more run seldom changes what all the others must reach,
+    and what was said of these still holds.
+    """
+    return float(np.log2(max(in_steps(pairs), 1) / settings.false_merge_rate))
+
+
+STEP_DIGITS = 4
+"""Binary digits of a number of pairs: up to 15 it is exact, beyond it is rounded up by an eighth at
+most, .17 bits and .07 in the mean. At 200 runs every tenth run is a step, at 1,420 every fortieth.
+"""
+
+
+def in_steps(pairs: int) -> int:
+    """A number of pairs, rounded up."""
+    step = 1 << max(pairs.bit_length() - STEP_DIGITS, 0)
+    return -(-pairs // step) * step
 
 
 def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings) -> float:

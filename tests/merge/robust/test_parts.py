@@ -9,7 +9,7 @@ from topobatch.merge.result import Verdict
 from topobatch.merge.robust.alignment import match, match_all, same_placement, self_matches
 from topobatch.merge.robust.atlas import Atlas, Lanes
 from topobatch.merge.robust.branches import branch_bits
-from topobatch.merge.robust.components import Components, join_all
+from topobatch.merge.robust.components import Components, as_alignment, join_all
 from topobatch.merge.robust.conflicts import conflicts
 from topobatch.merge.robust.growth import grow
 from topobatch.merge.robust.links import (
@@ -34,6 +34,8 @@ from topobatch.merge.robust.verdict import (
     _missing,
     bar,
     counted_bits,
+    in_steps,
+    needed_bits,
     opinion,
     uniformity,
 )
@@ -477,10 +479,10 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
 
 def test_cycles_that_contradict_give_way_at_their_weakest_link(halves):
     a, b = (prepare(m) for m in halves)
-    found = match(a, b, SETTINGS)[0]
+    found = as_alignment(match(a, b, SETTINGS)[0])
     straight = {(0, 1): found, (1, 2): found, (0, 2): found}
     groups = Components(3, [])
-    refused = join_all(groups, [(0, 1), (1, 2), (0, 2)], straight, [a, b, b], ["x", "y", "z"])
+    refused = join_all(groups, [(0, 1), (1, 2), (0, 2)], straight, [a.z, b.z, b.z], ["x", "y", "z"])
     assert set(refused) == {(0, 2)}
     assert "place the two differently" in refused[0, 2].reason
     assert groups.together(0, 2)
@@ -503,3 +505,15 @@ def test_settings_are_checked():
         RobustSettings(false_merge_rate=0.0)
     with pytest.raises(ValueError, match="min_matches"):
         RobustSettings(min_matches=1)
+
+
+def test_pairs_are_counted_in_steps_and_never_too_few():
+    assert [in_steps(n) for n in range(16)] == list(range(16))
+    counts = [*range(1, 3000), 19_900, 1_007_490, 49_995_000]
+    for n in counts:
+        assert n <= in_steps(n) <= 9 * n / 8
+        assert in_steps(in_steps(n)) == in_steps(n)
+    # One more run of 1,420 is no step for most.
+    steps = {in_steps(n * (n - 1) // 2) for n in range(1400, 1440)}
+    assert len(steps) == 2
+    assert needed_bits(16, SETTINGS) < needed_bits(17, SETTINGS) == needed_bits(18, SETTINGS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.robust import RobustSettings, match, prepare
-from topobatch.merge.robust.components import Components
+from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.rematching import Rematcher
 from topobatch.merge.robust.repetition import default_copies
 from topobatch.merge.robust.verdict import Bar, counted_bits
@@ -49,7 +49,7 @@ def rematched(three, found, need_bits, never=(), asked=None):
     first = found[0, 1][0]
     parts.join(0, 1, first.transform)
     rematcher = Rematcher(three, ready, parts, PAIRS, level_of, SETTINGS)
-    return parts, rematcher.run({(0, 1): first})
+    return parts, rematcher.run({(0, 1): as_alignment(first)})
 
 
 def test_two_merged_runs_say_of_a_third_what_neither_says_alone(three, found):

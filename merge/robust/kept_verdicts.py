@@ -1,0 +1,215 @@
+"""What two maps say by themselves, in words, kept from merge to merge.
+
+A verdict hangs on the two maps and on what their batch asks of them (`Bar`), which is the same for
+most pairs when one more run has come. It is kept as its entry in the merged document, with its
+numbers in full: read again it is the same to the last bit, and the entry need not be made again.
+What is read is checked against the two maps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, NotRequired
+
+import numpy as np
+from pydantic import TypeAdapter
+from typing_extensions import TypedDict
+
+from ...topology.files import Json, encoded
+from ...topology.map_schema import Finite, Index
+from ...topology.topomap import TopoMap
+from ..document import EXTRA, entry_of
+from ..packs import DIGEST, LARGEST, Key, Kind, PackWriter, Store
+from ..result import Alignment, PairVerdict, Verdict
+from .prepare import FloatArray
+from .verdict import Bar
+
+Pair = tuple[int, int]
+
+NONE: Mapping[Pair, int] = MappingProxyType({})
+
+NUMBERS = 13
+"""In full before the entry: evidence, threshold and margin [bits] of a verdict; x, y, theta,
+evidence and error of its alignment and of the next best one. 0 for what there is not."""
+
+
+def to_bytes(verdict: PairVerdict) -> bytes:
+    """A verdict of two maps alone."""
+    both = [_numbers(verdict.best), _numbers(verdict.runner_up)]
+    own = [verdict.evidence_bits, verdict.threshold_bits or 0.0, verdict.margin_bits or 0.0]
+    numbers = np.concatenate([own, *both]).astype("<f8")
+    return numbers.tobytes() + encoded(entry_of(verdict)).encode()
+
+
+def _numbers(alignment: Alignment | None) -> FloatArray:
+    if alignment is None:
+        return np.zeros(5)
+    return np.array([*alignment.transform, alignment.evidence_bits, alignment.rmse_m])
+
+
+def entry_text(data: bytes) -> Json:
+    """The entry of a verdict that was read."""
+    return Json(data[8 * NUMBERS :].decode())
+
+
+class _Sides(TypedDict):
+    a: list[Index]
+    b: list[Index]
+
+
+class _Aligned(TypedDict):
+    """What an entry says of an alignment, but for the numbers that stand before it in full."""
+
+    matched: list[tuple[Index, Index]]
+    corridors: Index
+    contradictions: list[str]
+    contradicting: NotRequired[list[_Sides]]
+
+
+class _Unrelated(TypedDict):
+    """The entry of a pair that has nothing to say; see `MergeEntry`, which takes thrice as long."""
+
+    a: str
+    b: str
+    verdict: Literal["unrelated"]
+    accepted: Literal[False]
+    reason: str
+
+
+class _Placed(_Aligned):
+    """The entry of a pair that is one place or may be."""
+
+    a: str
+    b: str
+    verdict: Literal["ambiguous", "merged"]
+    accepted: bool
+    reason: str
+    accepted_by: NotRequired[Literal["pair", "runs"]]
+    advice: NotRequired[str]
+    runner_up: NotRequired[_Aligned]
+    margin_bits: NotRequired[Finite]
+    against_chance_bits: NotRequired[Finite]
+    same_place_bits: NotRequired[Finite]
+
+
+_ENTRY: TypeAdapter[_Unrelated | _Placed] = TypeAdapter(_Unrelated | _Placed)
+
+
+def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
+    """The verdict on two maps; None where it cannot be theirs."""
+    try:
+        numbers = np.frombuffer(data, "<f8", NUMBERS)
+        entry = _ENTRY.validate_json(data[8 * NUMBERS :])
+    except ValueError:  # too short, or of pydantic
+        return None
+    if (entry["a"], entry["b"]) != (a.run, b.run) or not (np.abs(numbers) <= LARGEST).all():
+        return None
+    bits, need, margin = numbers[:3].tolist()
+    own = (a.run, b.run, Verdict(entry["verdict"]), entry["accepted"], bits, entry["reason"])
+    if entry["verdict"] == "unrelated":
+        return PairVerdict(*own, threshold_bits=need)
+    second, by = entry.get("runner_up"), entry.get("accepted_by")
+    merged = entry["verdict"] == "merged"
+    if entry["accepted"] != merged or (by is not None) != merged:
+        return None
+    if not all(_within(part, a, b) for part in (entry, second) if part is not None):
+        return None
+    return PairVerdict(
+        *own,
+        threshold_bits=need,
+        accepted_by=by,
+        best=_aligned(entry, numbers[3:8]),
+        runner_up=None if second is None else _aligned(second, numbers[8:]),
+        margin_bits=margin if "margin_bits" in entry else None,
+        advice=entry.get("advice"),
+        extra=_extra(entry),
+    )
+
+
+def _within(part: _Aligned, a: TopoMap, b: TopoMap) -> bool:
+    """Whether an alignment speaks only of vertices that two maps have."""
+    of_a, of_b = ([pair[side] for pair in part["matched"]] for side in (0, 1))
+    for sides in part.get("contradicting", ()):
+        of_a += sides["a"]
+        of_b += sides["b"]
+    return max(of_a, default=-1) < len(a) and max(of_b, default=-1) < len(b)
+
+
+def _aligned(part: _Aligned, numbers: FloatArray) -> Alignment:
+    bits, rmse_m = numbers[3:].tolist()
+    return Alignment(
+        transform=numbers[:3],
+        evidence_bits=bits,
+        matched=np.array(part["matched"], np.int64),
+        rmse_m=rmse_m,
+        corridors=part["corridors"],
+        contradictions=tuple(part["contradictions"]),
+        contradicting=tuple(
+            (tuple(sides["a"]), tuple(sides["b"])) for sides in part.get("contradicting", ())
+        ),
+    )
+
+
+def _extra(entry: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(entry[name]) for name in EXTRA if name in entry}
+
+
+@dataclass(slots=True, eq=False)
+class KeptVerdicts:
+    """Verdicts that earlier merges left. maps: of a batch, with their digests; level: what two of
+    them must reach; keys: where what was found or left is kept."""
+
+    store: Store
+    maps: Sequence[TopoMap]
+    digests: Sequence[bytes]
+    level: Callable[[Pair], Bar]
+    keys: dict[PairVerdict, Key]
+    _bars: dict[tuple[float, bool], bytes] = field(default_factory=dict)
+
+    def find(
+        self, pairs: Iterable[Pair], which: Mapping[Pair, int] = NONE
+    ) -> dict[Pair, PairVerdict]:
+        """What is known of some pairs. which: the candidates by which others second them."""
+        out = {}
+        for pair in pairs:
+            own, level = self._of(pair, which.get(pair)), self.level(pair)
+            for copies in (False, True):
+                key = own, self._bar(level, copies=copies)
+                data = self.store.find(Kind.VERDICT, key)
+                found = None if data is None else from_bytes(data, *(self.maps[k] for k in pair))
+                if found is not None:
+                    out[pair] = found
+                    self.keys[found] = key
+                    break
+        return out
+
+    def keep(self, verdicts: Mapping[Pair, PairVerdict], which: Mapping[Pair, int] = NONE) -> None:
+        """Leave verdicts to later merges."""
+        out = PackWriter(self.store.era)
+        for pair, verdict in verdicts.items():
+            asked = self._bar(self.level(pair), copies="same_place_bits" in verdict.extra)
+            self.keys[verdict] = self._of(pair, which.get(pair)), asked
+            out.add(self.keys[verdict], Kind.VERDICT, payload=to_bytes(verdict))
+        if len(out):
+            self.store.keep(out.pack())
+
+    def _of(self, pair: Pair, second: int | None) -> bytes:
+        """Changes with the maps, with their names, which stand in the words, and with the
+        candidate."""
+        names = "\n".join([*(self.maps[k].run for k in pair), str(second)]).encode()
+        return _digest(b"".join(self.digests[k] for k in pair) + names)
+
+    def _bar(self, level: Bar, *, copies: bool) -> bytes:
+        """Changes with what is asked; copies: of verdicts to which it matters how copies differ."""
+        key = level.copied, copies
+        if key not in self._bars:
+            more = (level.need_copy_bits, astuple(level.copies)) if copies else ()
+            self._bars[key] = _digest(repr((level.need_bits, level.copied, more)).encode())
+        return self._bars[key]
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=DIGEST).digest()
