@@ -119,7 +119,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         from ..ingest.grid_map import map_of_grid
 
         topomap = map_of_grid(found)
-        beside: dict[str, Any] = {}
+        beside: dict[str, Any] = {"grid": found.grid}
     else:
         topomap = build_map(found, job.mapping)
         beside = {name: getattr(found, name) for name in ("odometry", "detections", "scanned")}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from .logs.saved_map import Grid
+from ..topology.run import Grid
 from .scans.grid import GridSettings, without_islands
 
 BoolArray = NDArray[np.bool_]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from .logs.saved_map import Grid
+from ..topology.run import Grid
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 from ..topology.errors import DataError
 from ..topology.polyline import simplify, way_of
 from ..topology.ragged import Ragged
+from ..topology.run import Grid
 from ..topology.se2 import apply, compose, wrap
 from ..topology.topomap import RunNoise, TopoMap
 from .coarse_grid import affordable
 from .grid_log import GridLog
-from .logs.saved_map import Grid
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from ..topology.map_schema import FARTHEST_M
 from ..topology.passes import NO_BRANCH
 from ..topology.ragged import Ragged
 from .document import MergedDocument, verdict_from_entry
-from .result import Component, FusedMap, MergeResult
+from .result import Component, FusedMap, MergeResult, Unlisted
 
 
 def result_from_document(document: MergedDocument) -> MergeResult:
@@ -31,8 +31,11 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     if strange:
         raise ValueError(f"there is no component {strange[0]}")
     named = graph.model_dump(exclude_unset=True)
-    info: dict[str, Any] = {key: value for key, value in named.items() if key != "components"}
-    return MergeResult(components, fused, tuple(map(verdict_from_entry, document.merges)), info)
+    own = ("components", "unlisted")
+    info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
+    verdicts = tuple(map(verdict_from_entry, document.merges))
+    counted = None if graph.unlisted is None else Unlisted(**graph.unlisted.model_dump())
+    return MergeResult(components, fused, verdicts, info, counted)
 
 
 def _fused(document: MergedDocument) -> FusedMap:

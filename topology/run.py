@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,21 @@ class Scanned:
     passes: ScanPasses
     noise: RunNoise
     picture: ScanPicture | None = None
+
+
+class Grid(NamedTuple):
+    """An occupancy grid, in place of a run.
+
+    free, unknown: (h, w) cells known to be free, and of which nothing is known, row 0 at the
+    least y; resolution_m: of a cell; origin: x, y [m], yaw [rad] of the corner of cell (0, 0) in
+    the map's frame; frame: its name.
+    """
+
+    free: NDArray[np.bool_]
+    unknown: NDArray[np.bool_]
+    resolution_m: float
+    origin: tuple[float, float, float]
+    frame: str = "map"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

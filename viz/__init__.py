@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..merge.paper.explain import Explanation
     from ..merge.result import MergeResult
     from ..topology.odometry import Odometry
-    from ..topology.run import Detections, Scanned
+    from ..topology.run import Detections, Grid, Scanned
     from ..topology.topomap import TopoMap
 
 
@@ -26,16 +26,18 @@ def write_map_recording(
     odometry: Odometry | None = None,
     detections: Detections | None = None,
     scanned: Scanned | None = None,
+    grid: Grid | None = None,
 ) -> None:
     """Write the recording of one run's map, `maps/<run>.rrd`, atomically.
 
     odometry, detections, scanned: the run's own, as recorded; with them the recording shows what
     closing the loops changed, where the robot is on the map at any time, and what its detector or
-    its laser saw there. Raises OSError if the file cannot be written.
+    its laser saw there. grid: that the map was made from, in place of a run. Raises OSError if the
+    file cannot be written.
     """
     from .map_recording import Beside, write
 
-    write(path, topomap, Beside(odometry, detections, scanned))
+    write(path, topomap, Beside(odometry, detections, scanned, grid))
 
 
 def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:

@@ -76,7 +76,7 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
     margin = sheet_margin_m(points)
     cells = arrange(points, [upright_rad(a.paths)] * len(drawn), margin)
     recording.static((PLACEMENTS,), UP)
-    write_cards(recording, PLACEMENTS, cells, [p.title for p in drawn])
+    write_cards(recording, PLACEMENTS, cells, [(p.title,) for p in drawn])
     pen = pen_m([a, b])
     for picture, cell in zip(drawn, cells, strict=True):
         here = (PLACEMENTS, picture.name)
@@ -95,7 +95,7 @@ def _side_by_side(recording: Recording, a: TopoMap, b: TopoMap) -> list[Cell]:
     points = [m.xy for m in maps]
     cells = arrange(points, [upright_rad(m.paths) for m in maps], sheet_margin_m(points))
     recording.static((PLACEMENTS,), UP)
-    write_cards(recording, PLACEMENTS, cells, [short(m.run) for m in maps])
+    write_cards(recording, PLACEMENTS, cells, [(short(m.run),) for m in maps])
     for k, (m, cell) in enumerate(zip(maps, cells, strict=True)):
         here = (PLACEMENTS, "maps", m.run)
         recording.static(here, placed(cell.T_sheet_map))

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from ..merge.decision import AGAINST, LINKS, Decision, Placement
 from ..merge.decision_text import because, headline, missing, short
-from ..merge.result import Alignment, FusedMap, MergeResult, PairVerdict, shown_bits
+from ..merge.result import (
+    Alignment,
+    FusedMap,
+    MergeResult,
+    PairVerdict,
+    Standing,
+    shown_bits,
+)
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
@@ -144,7 +151,7 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
     told = (
         f"{counted(len(result.fused), 'junction')}, "
         f"{float(result.fused.length.sum()):.0f} m of corridors; {counted(pairs, 'pair')} of "
-        f"{len(result.verdicts)} merged"
+        f"{sum(map(result.count, Standing))} merged"
     )
     title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))

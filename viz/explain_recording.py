@@ -191,7 +191,7 @@ def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) ->
     points = [np.concatenate([a.xy, apply(c.transform[k], b.xy)]) for k in range(shown)]
     cells = arrange(points, [upright_rad(a.paths)] * shown, sheet_margin_m(points))
     recording.static((PLACEMENTS,), UP)
-    titles = [_title(e, k) for k in range(shown)]
+    titles = [(_title(e, k),) for k in range(shown)]
     write_cards(recording, PLACEMENTS, cells, titles)
     pen = pen_m([a, b])
     for k, cell in enumerate(cells):

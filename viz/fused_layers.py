@@ -16,7 +16,7 @@ from . import palette
 from .contradictions import write_contradictions
 from .drawing import branch_arrows, driven_branches, pen_m, ribbon
 from .growing import colour_columns, light_up_by_step
-from .map_sheet import MOST_LONG_TITLES, write_cards, write_own_map, write_words
+from .map_sheet import write_cards, write_own_map, write_words
 from .parts import Part, legend_step_m
 from .placements import Spot, contradiction_spots
 from .recording import JOIN, UP, PathParts, Recording, placed, strips
@@ -126,7 +126,7 @@ def _cards(
     colours: Mapping[str, tuple[int, int, int]],
 ) -> None:
     """The frame, title and legend of every component."""
-    titles = [part.short_title if len(parts) > MOST_LONG_TITLES else part.title for part in parts]
+    titles = [part.titles for part in parts]
     cells = [part.cell for part in parts]
     write_cards(recording, root, cells, titles if len(parts) > 1 else [])
     for part in parts:

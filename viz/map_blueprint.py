@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import rerun as rr
@@ -54,7 +55,8 @@ def map_blueprint(
             rrb.Vertical(*side, row_shares=[5, 2, 2][: len(side)], name="Run"),
             column_shares=[3, 1],
             name="Map of one run",
-        )
+        ),
+        in_time=track is not None or len(topomap.observation_time_ns) > 0,
     )
 
 
@@ -72,13 +74,16 @@ def log_blueprint(topomap: TopoMap, views: Sequence[rrb.View]) -> rrb.Blueprint:
             rrb.Vertical(*side, row_shares=[3, 2][: len(side)], name="Run"),
             column_shares=[3, 2],
             name="Map and raw log of one run",
-        )
+        ),
+        in_time=True,
     )
 
 
-def _blueprint(root: rrb.Container) -> rrb.Blueprint:
+def _blueprint(root: rrb.Container, *, in_time: bool) -> rrb.Blueprint:
+    """in_time: something happens, so that there is a time line to drag."""
+    state: Literal["collapsed", "hidden"] = "collapsed" if in_time else "hidden"
     # Following shows the end, where the whole map is known, until somebody moves the cursor.
-    end = rrb.TimePanel(state="collapsed", timeline=CLOCKS[0], play_state="following")
+    end = rrb.TimePanel(state=state, timeline=CLOCKS[0], play_state="following")
     return blueprint(root, end)
 
 

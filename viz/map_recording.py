@@ -13,11 +13,12 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from ..topology.odometry import Odometry
-from ..topology.run import Detections, Scanned
+from ..topology.run import Detections, Grid, Scanned
 from ..topology.topomap import TopoMap
 from . import palette
 from .detections import write_detections
 from .drawing import MOST_NUMBERED, branch_arrows, driven_branches, pen_m
+from .grid_layer import write_grid
 from .growing import light_up
 from .history import History, Question, history, questions
 from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
@@ -54,6 +55,7 @@ class Beside:
     odometry: Odometry | None = None
     detections: Detections | None = None
     scanned: Scanned | None = None
+    grid: Grid | None = None
 
 
 def write(path: Path, topomap: TopoMap, beside: Beside) -> None:
@@ -69,6 +71,8 @@ def write(path: Path, topomap: TopoMap, beside: Beside) -> None:
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
+        if beside.grid is not None:
+            write_grid(recording, MAP, beside.grid)
         begin = int(odometry.time_ns[0]) if odometry is not None and len(odometry) else None
         _corridors(recording, topomap, known, begin)
         _branches(recording, topomap, known, begin)
@@ -92,6 +96,7 @@ def write(path: Path, topomap: TopoMap, beside: Beside) -> None:
             refused=any(not q.closure.accepted for q in asked),
             health=bool(health),
             scans=seen is not None,
+            grid=beside.grid is not None,
         )
         recording.static(("summary",), markdown(map_summary(topomap, asked, shown)))
         return map_blueprint(topomap, track, health=bool(health), scans=seen is not None)

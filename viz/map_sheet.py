@@ -17,9 +17,6 @@ from .drawing import SHEET_MARGIN, bounds
 from .recording import HAIR, PathParts, Recording, map_view, placed, strips
 from .sheet import ASPECT, Cell
 
-MOST_LONG_TITLES = 12
-"""Up to this many cells have room for a title of any length."""
-
 TITLE_LETTERS, SHORTEST_TITLE = 150, 5
 """Letters across a view of usual width; titles with room for fewer than this are left out."""
 
@@ -59,8 +56,11 @@ def write_rings(
         recording.static(path, dots)
 
 
-def write_cards(recording: Recording, root: str, cells: list[Cell], titles: list[str]) -> None:
-    """A thin frame round every cell and a title in it; `titles` may be empty."""
+def write_cards(
+    recording: Recording, root: str, cells: list[Cell], titles: Sequence[Sequence[str]]
+) -> None:
+    """A thin frame round every cell and a title in it: of several, from the longest to the
+    shortest, the first that its cell has room for. `titles` may be empty."""
     if len(cells) > 1:
         corners = [
             np.array([c.low, (c.high[0], c.low[1]), c.high, (c.low[0], c.high[1]), c.low])
@@ -70,23 +70,24 @@ def write_cards(recording: Recording, root: str, cells: list[Cell], titles: list
             corners, radii=HAIR, colors=palette.CARD, draw_order=palette.Order.CARD
         )
         recording.static((root, "frames"), frames)
-    shown = [(k, _fitting(title, cells[k], cells)) for k, title in enumerate(titles)]
+    shown = [(k, _fitting(forms, cells[k], cells)) for k, forms in enumerate(titles)]
     shown = [(k, title) for k, title in shown if title]
     if shown:
         tops = [((cells[k].low[0] + cells[k].high[0]) / 2, cells[k].high[1]) for k, _ in shown]
         write_words(recording, (root, "titles"), tops, [title for _, title in shown])
 
 
-def _fitting(title: str, cell: Cell, cells: list[Cell]) -> str:
-    """A title as far as its cell has room for it, where the sheet fills a view of usual width; ""
-    where there is none."""
-    if len(cells) <= MOST_LONG_TITLES:
-        return title
+def _fitting(titles: Sequence[str], cell: Cell, cells: list[Cell]) -> str:
+    """The first title that its cell has room for, where the sheet fills a view of usual width, or
+    the last one, cut; "" where there is no room for that."""
     width = max(c.high[0] for c in cells) - min(c.low[0] for c in cells)
     height = max(c.high[1] for c in cells) - min(c.low[1] for c in cells)
     share = (cell.high[0] - cell.low[0]) / max(width, ASPECT * height)
     room = int(share * TITLE_LETTERS)
-    return short(title, room) if room >= SHORTEST_TITLE else ""
+    fitting = next((title for title in titles if len(title) <= room), None)
+    if fitting is not None:
+        return fitting
+    return short(titles[-1], room) if room >= SHORTEST_TITLE else ""
 
 
 def corridors_told(topomap: TopoMap) -> rr.AnyValues:

@@ -28,6 +28,7 @@ class Shown:
     refused: bool = False
     health: bool = False
     scans: bool = False
+    grid: bool = False
 
 
 def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: Shown) -> str:
@@ -130,15 +131,22 @@ def _legend(topomap: TopoMap, shown: Shown) -> str:
             "of the detector do not agree), and the window about the last one; select a junction, "
             "and the window that shows it best is outlined."
         )
+    if shown.grid:
+        lines.append(
+            "Under the map: the grid that it was made from, walls **slate**, free space a little "
+            "brighter than what is not known."
+        )
     if shown.accepted:
         lines.append("**Green** rings: closures; one for each time that it was recognised.")
     if shown.refused:
         lines.append("**Red** lines (hidden at first): two junctions that were not taken for one.")
+    closures = shown.accepted or shown.refused
+    things = "a junction, a corridor or a closure" if closures else "a junction or a corridor"
     reading = [
         "Drag the time line below: the map grows as it was driven."
         if len(topomap.observation_time_ns)
         else "",
-        "Point at a junction, a corridor or a closure for what is known about it, or select it "
+        f"Point at {things} for what is known about it, or select it "
         "and open the panels at the top right; the left one shows and hides layers.",
     ]
     if shown.odometry:

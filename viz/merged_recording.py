@@ -23,6 +23,7 @@ from .map_sheet import sheet_view
 from .pair_layers import (
     MATRIX,
     MOST_DOTS,
+    MOST_NAMES,
     MOST_NUMBERS,
     UNDECIDED,
     matrix_bounds,
@@ -73,6 +74,7 @@ def write(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
             legend=bool(names),
             numbers=len(runs) <= MOST_NUMBERS,
             dots=len(runs) <= MOST_DOTS,
+            marks=len(runs) > MOST_NAMES,
         )
         recording.static(("summary",), markdown(merge_summary(result, shown)))
         recording.static(("pairs",), markdown(pairs_told(result)))

@@ -45,8 +45,8 @@ MOST_NUMBERS = 8
 NAMES_ABOVE = 34
 """Names stand above the columns if all columns as wide as the longest take fewer letters."""
 
-MOST_BLOCKS, LEAST_BLOCK = 8, 0.05
-"""Components named beside a matrix of many runs: the largest, of this share of the runs each."""
+LEAST_BLOCK = 0.05
+"""Components named beside a matrix of many runs have this share of the runs: a name's height."""
 
 MOST_DOTS = 300
 """Above this many runs the matrix is drawn without dots."""
@@ -105,7 +105,7 @@ def _blocks(result: MergeResult, runs: list[str]) -> list[tuple[str, int, int]]:
     and, as one, the runs that are alone."""
     row = {run: i for i, run in enumerate(runs)}
     several = [c for c in result.components if len(c.poses) > 1]
-    largest = sorted(several, key=lambda c: (-len(c.poses), c.id))[:MOST_BLOCKS]
+    largest = sorted(several, key=lambda c: (-len(c.poses), c.id))
     out = [
         (f"component {c.id}", min(row[run] for run in c.poses), len(c.poses))
         for c in largest
@@ -234,7 +234,10 @@ def write_undecided(
     together = [pairs.index(pair) for pair, _, _ in laid]
     cells = arrange(points, turns, sheet_margin_m(points), groups=together)
     recording.static((UNDECIDED,), UP)
-    titles = [f"{p.a} - {p.b}, {name}: {shown_bits(a.evidence_bits)} bits" for p, name, a in laid]
+    named = [(f"{p.a} - {p.b}", name, shown_bits(a.evidence_bits)) for p, name, a in laid]
+    titles = [
+        (f"{pair}, {name}: {bits} bits", f"{pair}: {bits}", pair) for pair, name, bits in named
+    ]
     write_cards(recording, UNDECIDED, cells, titles)
     pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
     for (pair, name, alignment), cell in zip(laid, cells, strict=True):

@@ -16,6 +16,7 @@ class Order(IntEnum):
     """What lies over what, from below."""
 
     CARD = auto()
+    GRID = auto()
     WALL = auto()
     SKELETON = auto()
     WINDOW = auto()

@@ -55,6 +55,13 @@ class Part:
         return self.short_title + more
 
     @property
+    def titles(self) -> tuple[str, ...]:
+        """What stands above it, from the longest to the shortest."""
+        runs = len(self.component.poses)
+        shortest = (f"{self.component.id}: {runs} runs",) if runs > 1 else ()
+        return (self.title, self.short_title, *shortest)
+
+    @property
     def short_title(self) -> str:
         """The run's name, or the component's and how many runs there are."""
         runs = list(self.component.poses)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -110,11 +109,11 @@ def _head(report: Report, runs: Sequence[str]) -> str:
             (shared, "seen by several runs", "seen by several runs"),
             (way_m, "m of corridors", "m of corridors"),
         ]
-        count = Counter(pair.standing for pair in result.verdicts)
         for standing in Standing:
-            if count[standing] or standing in (Standing.MERGED, Standing.AMBIGUOUS):
+            count = result.count(standing)
+            if count or standing in (Standing.MERGED, Standing.AMBIGUOUS):
                 words = (f"pair {standing}", f"pairs {standing}")
-                facts.append((count[standing], *words))
+                facts.append((count, *words))
     boxes = "".join(
         f"<li><b>{number:,}</b>{text(one if number == 1 else many)}</li>"
         for number, one, many in facts
@@ -223,6 +222,11 @@ def _matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
             kind = STANDINGS.index(str(pair.standing))
             numbers.append(_label(j + 0.5, i + 0.6, bits, "middle", size=0.26, look=f"s{kind}"))
     drawn = [f'<rect width="{n}" height="{n}" fill="var(--v{STANDINGS.index("unrelated")})"/>']
+    if result.unlisted is not None:  # what is not listed is joined, or unrelated
+        blocks = "".join(f"M{k} {k}h{s}v{s}h-{s}z" for k, s in _blocks(result, row))
+        drawn.append(
+            f'<path d="{blocks}" fill="var(--v{STANDINGS.index("joined through others")})"/>'
+        )
     drawn += [
         f'<path d="{"".join(paths)}" fill="var(--v{STANDINGS.index(str(standing))})"/>'
         for standing, paths in cells.items()
@@ -242,7 +246,7 @@ def _matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
     legend = "".join(
         f'<span><i class="swatch" style="background:var(--v{k})"></i>{text(name)}</span>'
         for k, name in enumerate(STANDINGS)
-        if any(pair.standing == name for pair in result.verdicts)
+        if result.count(Standing(name))
     )
     framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
     numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
@@ -302,6 +306,12 @@ def _pairs(report: Report) -> str:
                 "<noscript>This list takes JavaScript; merged.json holds it as well.</noscript>"
                 "</details>"
             )
+    unlisted = sum(map(report.result.count, Standing)) - len(report.result.verdicts)
+    if unlisted:
+        parts.append(
+            f"<p>{counted(unlisted, 'pair')} more, joined through others or unrelated, that a "
+            "large merge only counts; <code>topobatch explain A B</code> matches one anew.</p>"
+        )
     return "\n".join(parts)
 
 
@@ -314,6 +324,8 @@ def _data(result: MergeResult | None, runs: Sequence[str]) -> str:
     row = {run: i for i, run in enumerate(runs)}
     reasons: dict[str, int] = {}
     pairs = []
+    components = () if result is None else result.components
+    home = {run: c.id for c in components for run in c.poses}
     for p in strongest(result.verdicts) if result is not None else ():
         i, j = sorted((row[p.a], row[p.b]))
         k = reasons.setdefault(legible(p.reason), len(reasons))
@@ -324,6 +336,8 @@ def _data(result: MergeResult | None, runs: Sequence[str]) -> str:
         "standings": STANDINGS,
         "reasons": list(reasons),
         "pairs": pairs,
+        "homes": [home.get(run) for run in runs],
+        "counted": result is not None and result.unlisted is not None,
     }
     raw = json.dumps(doc, separators=(",", ":"), ensure_ascii=True)
     return raw.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")

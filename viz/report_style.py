@@ -89,8 +89,10 @@ if(svg){
     if(!c){told.textContent=hint;spot.setAttribute("visibility","hidden");return}
     const [i,j]=c,p=at.get(Math.min(i,j)*data.runs.length+Math.max(i,j));
     spot.setAttribute("visibility","visible");spot.setAttribute("x",j);spot.setAttribute("y",i);
-    told.textContent=i===j?data.runs[i]:p?spell(p):
-      `${data.runs[i]} + ${data.runs[j]}: not merged together`;
+    const a=data.homes[i],b=data.homes[j],counted=data.counted&&a!==null&&b!==null;
+    told.textContent=i===j?data.runs[i]:p?spell(p):`${data.runs[i]} + ${data.runs[j]}: `+
+      (counted?`${a===b?"joined through others":"unrelated"}; a large merge does not list it`:
+      "not merged together");
   };
   svg.addEventListener("mousemove",e=>{if(!pinned)show(cell(e))});
   svg.addEventListener("mouseleave",()=>{if(!pinned)show(null)});

@@ -70,6 +70,7 @@ class Shown:
     legend: bool = False
     numbers: bool = False
     dots: bool = False
+    marks: bool = False
 
 
 def merge_summary(result: MergeResult, shown: Shown) -> str:
@@ -141,7 +142,7 @@ def _matrix_legend(result: MergeResult, shown: Shown) -> str:
     """What the matrix shows, and nothing that it does not."""
     if not result.verdicts:
         return ""
-    classes = {verdict_class(pair) for pair in result.verdicts}
+    classes = {kind for standing, kind in _CLASSES.items() if result.count(standing)}
     named = ", ".join(name for kind, name in _CLASS_NAMES.items() if kind in classes)
     lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
     if shown.numbers:
@@ -149,6 +150,10 @@ def _matrix_legend(result: MergeResult, shown: Shown) -> str:
     if shown.dots:
         where = "below the diagonal" if shown.numbers else "in a square"
         lines.append(f"A dot {where}: the larger, the more evidence; point at it for the reason.")
+    if shown.marks:
+        lines.append(
+            "Runs of one component stand together; the marks at the left tell their names."
+        )
     need = next((p.threshold_bits for p in result.verdicts if p.threshold_bits is not None), None)
     if need is not None:
         lines.append(f"Merging needs {need:.1f} bits.")

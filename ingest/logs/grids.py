@@ -7,12 +7,13 @@ import struct
 import numpy as np
 
 from ...topology.errors import LogError
+from ...topology.run import Grid
 from ...topology.se2 import yaw_from_quaternion
 from .foxglove import as_text, get, integer, load_json, real, vector
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import Channel, DamageError, Findings
 from .recording import Recording, opened
-from .saved_map import Grid, checked_grid
+from .saved_map import checked_grid
 from .schema import UnreadableError, as_expected, object_decoder
 from .wire import WireParser
 

@@ -9,12 +9,13 @@ import re
 import struct
 import warnings
 from pathlib import Path
-from typing import NamedTuple, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.errors import LogError
+from ...topology.run import Grid
 from ..remote.path import LogPath, RemotePath
 from .messages import printable
 
@@ -26,19 +27,6 @@ IMAGE_FORMATS = ("PPM", "PNG", "BMP")
 
 _LINE = re.compile(r"^(?P<key>[A-Za-z_]+)\s*:\s*(?P<value>.*?)\s*(#.*)?$")
 _NAMED = re.compile(r"\.ya?ml$", re.IGNORECASE)
-
-
-class Grid(NamedTuple):
-    """free, unknown: (h, w) cells known to be free, and of which nothing is known, row 0 at the
-    least y; resolution_m: of a cell; origin: x, y [m], yaw [rad] of the corner of cell (0, 0) in
-    the map's frame; frame: its name.
-    """
-
-    free: NDArray[np.bool_]
-    unknown: NDArray[np.bool_]
-    resolution_m: float
-    origin: tuple[float, float, float]
-    frame: str = "map"
 
 
 MOST_CELLS = 1 << 24

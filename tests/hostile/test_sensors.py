@@ -14,11 +14,11 @@ from topobatch.ingest.grid_map import map_of_grid
 from topobatch.ingest.logs.clouds import MOST_POINTS, wire_cloud
 from topobatch.ingest.logs.messages import DamageError
 from topobatch.ingest.logs.recording import recording_at
-from topobatch.ingest.logs.saved_map import Grid
 from topobatch.ingest.reading import read_log
 from topobatch.ingest.scans.slicing import mount_of_camera
 from topobatch.ingest.scans.stream import Mounting, ScanStream
 from topobatch.topology.errors import DataError, LogError
+from topobatch.topology.run import Grid
 
 STREAMED = sorted(
     name

@@ -12,13 +12,13 @@ from scipy.spatial import cKDTree
 
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
-from topobatch.ingest.logs.saved_map import Grid
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation import World, make_world
 from topobatch.simulation.walls import free_space
 from topobatch.simulation.world import polyline_at
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
+from topobatch.topology.run import Grid
 from topobatch.topology.se2 import apply, fit_rigid
 from topobatch.topology.topomap import TopoMap
 

@@ -9,6 +9,7 @@ import pytest
 
 from topobatch.merge.document import MergedDocument, merged_to_document
 from topobatch.merge.merging import merge_maps
+from topobatch.merge.result import Standing
 from topobatch.merge.stored import result_from_document
 
 
@@ -32,6 +33,15 @@ def _document(mazes):
 def test_it_is_written_again_as_it_was(document) -> None:
     assert len(document["graph"]["components"]) < 3
     assert merged_to_document(reread(document)) == document
+
+
+def test_pairs_that_are_only_counted_stay_counted(document) -> None:
+    counted = {"joined": 1, "unrelated": 2, "screened": 3}
+    large = {**document, "graph": {**document["graph"], "unlisted": counted}}
+    result = reread(large)
+    listed = sum(map(reread(document).count, Standing))
+    assert sum(map(result.count, Standing)) == listed + 6
+    assert merged_to_document(result) == large
 
 
 def test_fewer_runs_and_none_can_be_read(document) -> None:

@@ -102,6 +102,7 @@ def test_its_tables_name_nothing_else(workspace, section: str, file: str, of_sca
     # What these small recordings lack, each for a reason that the tables give.
     assert absent <= {
         "/map/closures/refused",
+        "/map/grid",
         *(("/map/detection", "/map/detections") if of_scans else ()),
         "/map/component_N/contradictions",
         "/undecided/pairs/A/B/best/…",

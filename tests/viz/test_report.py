@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from topobatch.merge.result import Standing
+from topobatch.merge.result import Standing, Unlisted
 from topobatch.viz.report import STANDINGS, Report, report_page
 from topobatch.viz.report_style import VERDICT_COLOURS
 
@@ -133,6 +133,22 @@ def test_the_page_of_a_large_fleet_stays_small(merge_of) -> None:
     html = page_of(result, maps)
     assert len(json.loads(Page(html).data)["pairs"]) == 19_900
     assert len(html) < 4_000_000
+
+
+def test_pairs_that_a_large_merge_only_counts_are_counted(merge_of) -> None:
+    result, maps = merge_of([["a", "b", "c"], ["d"]], [("a", "d")])
+    kept = tuple(p for p in result.verdicts if (p.a, p.b) in {("a", "b"), ("b", "c"), ("a", "d")})
+    counted = replace(result, verdicts=kept, unlisted=Unlisted(joined=1, screened=2))
+    html = page_of(counted, maps)
+    assert "<b>1</b>pair joined through others" in html
+    assert "<b>2</b>pairs unrelated" in html
+    assert "3 pairs more" in html
+    joined = STANDINGS.index("joined through others")
+    assert f'<path d="M0 0h3v3h-3z" fill="var(--v{joined})"/>' in html
+    data = json.loads(Page(html).data)
+    assert data["counted"] is True
+    assert len(set(data["homes"][:3])) == 1 != len(set(data["homes"]))
+    assert "pairs more" not in page_of(result, maps)
 
 
 def test_colours_stand_for_standings() -> None:

@@ -1,0 +1,57 @@
+"""The grid that a map was made from, under the map."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from topobatch.topology.run import Grid
+from topobatch.viz import grid_layer, palette, write_map_recording
+
+from .readback import Readback
+
+
+def picture(recording: Readback) -> np.ndarray:
+    (blob,) = recording.value("/map/grid", "EncodedImage:blob")
+    return np.asarray(Image.open(BytesIO(bytes(blob))))
+
+
+@pytest.fixture
+def grid() -> Grid:
+    free = np.zeros((4, 6), bool)
+    free[1:3, 1:5] = True
+    unknown = np.zeros_like(free)
+    unknown[3] = True
+    return Grid(free, unknown, 0.5, (3.0, -2.0, 0.25))
+
+
+def test_the_grid_lies_where_its_origin_says(make_map, grid, tmp_path: Path) -> None:
+    write_map_recording(tmp_path / "a.rrd", make_map("floor"), grid=grid)
+    drawn = Readback(tmp_path / "a.rrd")
+    shown = picture(drawn)
+    # Row 0 at the least y: the view mirrors the picture with the map.
+    assert shown.shape == (4, 6, 3)
+    assert (shown[1:3, 1:5] == palette.UNLIT).all()
+    assert (shown[3] == palette.BACKGROUND).all()
+    assert (shown[0] == palette.WALL).all()
+    assert drawn.value("/map/grid", "Transform3D:translation") == [[3.0, -2.0, 0.0]]
+    assert drawn.value("/map/grid", "Transform3D:scale") == [[0.5] * 3]
+    assert "grid that it was made from" in str(drawn.value("/summary", "TextDocument:text"))
+    write_map_recording(tmp_path / "b.rrd", make_map("run"))
+    without = Readback(tmp_path / "b.rrd")
+    assert "/map/grid" not in without.entities
+    assert "grid" not in str(without.value("/summary", "TextDocument:text"))
+
+
+def test_large_grids_keep_their_walls(make_map, grid, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(grid_layer, "MOST_PIXELS", 3)
+    write_map_recording(tmp_path / "a.rrd", make_map("floor"), grid=grid)
+    drawn = Readback(tmp_path / "a.rrd")
+    shown = picture(drawn)
+    assert shown.shape == (2, 3, 3)
+    assert (shown[0] == palette.WALL).all()
+    assert drawn.value("/map/grid", "Transform3D:scale") == [[1.0] * 3]
