@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.wording import counted, listed
+from ..topology.errors import DocumentError, UsageError
+from ..topology.wording import counted
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption
 from .output import say, say_lines
 from .workspace import MERGED, Workspace
@@ -37,7 +37,6 @@ def changes(
     """
     from ..merge.changes import change_to_document
     from ..merge.changes import changes as changes_of
-    from ..merge.component_map import stale_runs
 
     place = Workspace(workspace, merge)
     document = place.read_merged()
@@ -50,13 +49,7 @@ def changes(
         if len(entry.runs) < 2 or component not in (None, number):
             continue
         several += 1
-        maps = {run: place.read_map(run) for run in entry.runs}
-        stale = stale_runs(document, number, maps)
-        if stale:
-            raise DataError(
-                f"{place.maps}: not all maps are those that were merged "
-                f"({listed([f'{run} {why}' for run, why in stale.items()], 3)}); merge again"
-            )
+        maps = place.maps_as_merged(document, number, sorted(entry.runs))
         try:
             found += changes_of(document, number, maps)
         except ValueError as error:

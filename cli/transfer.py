@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.wording import counted
+from ..topology.errors import DocumentError, UsageError
 from .options import (
     DEFAULT_WORKSPACE,
     MergeOption,
@@ -23,7 +22,6 @@ from .workspace import MERGED, Workspace
 if TYPE_CHECKING:
     from ..merge.document import MergedDocument
     from ..merge.transfer import MatchedJunctions, Transferred
-    from ..topology.topomap import TopoMap
     from .places_file import Place, Places
 
 MOST_LINES = 20
@@ -172,7 +170,7 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
     if len({home[run] for run in named}) > 1:
         return None, f"{source} and {target} are not merged: {_verdict(document, source, target)}"
-    maps = _maps(place, document, home[source], named)
+    maps = place.maps_as_merged(document, home[source], named)
     if len(named) == 2:
         return junctions_of_runs(document, maps, source, target), ""
     from ..merge.component_map import component_map
@@ -188,20 +186,3 @@ def _verdict(document: MergedDocument, a: str, b: str) -> str:
     pair = tuple(sorted((a, b)))
     entry = next((e for e in document.merges if (e.a, e.b) == pair), None)
     return "nothing is said of them" if entry is None else f"{entry.verdict}, {entry.reason}"
-
-
-def _maps(
-    place: Workspace, document: MergedDocument, component: int, runs: list[str]
-) -> dict[str, TopoMap]:
-    """The maps of runs, as they were merged; DataError where one has changed."""
-    from ..merge.component_map import stale_runs
-
-    maps = {run: place.read_map(run) for run in runs}
-    stale = stale_runs(document, component, maps)
-    changed = [run for run in runs if run in stale]
-    if changed:
-        raise DataError(
-            f"{place.map_json(changed[0])}: {stale[changed[0]]}, as it was merged; merge again "
-            f"({counted(len(changed), 'map')})"
-        )
-    return maps

@@ -216,6 +216,22 @@ class Workspace:
             raise DataError(f"{self.merged_json}: {told}")
         return read_merged(self.merged_json)
 
+    def maps_as_merged(
+        self, document: MergedDocument, component: int, runs: Sequence[str]
+    ) -> dict[str, TopoMap]:
+        """The maps of runs of a component; DataError where one is not that which was merged."""
+        from ..merge.component_map import stale_runs
+
+        maps = {run: self.read_map(run) for run in runs}
+        stale = stale_runs(document, component, maps)
+        told = [f"{run} {stale[run]}" for run in runs if run in stale]
+        if told:
+            raise DataError(
+                f"{self.maps}: not all maps are those that were merged ({listed(told, 3)}); merge "
+                "again"
+            )
+        return maps
+
     def locks(self) -> tuple[Lock, ...]:
         """What a person decided about pairs of runs; DocumentError if it cannot be read."""
         from ..merge.locks import locks_from_document
