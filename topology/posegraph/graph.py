@@ -6,7 +6,7 @@ Error of an edge from pose i to pose j with measurement T_i_j, in g2o's metric:
 
 Every other measurement is built from the same three parts:
 
-* a *point landmark* is a pose whose heading is held, seen by edges without heading information;
+* a *point landmark* is a pose that all edges see without heading information;
 * a *heading known from outside* (a rectilinear building) is a prior with heading information only;
 * a *systematic error of the odometry* (heading bias per metre, scale, …) is a shared variable:
   one number that enters the measurements of many edges linearly (`SharedErrors`).
@@ -96,14 +96,13 @@ class SharedErrors:
     """Systematic errors of the odometry: `k` numbers b that many measurements share.
 
     The measurement of edge e is `measurement[e] + sensitivity[e] @ b` (x, y, theta, frame of the
-    edge's source). sensitivity: (m, 3, k), zero for edges that are no odometry; mean, sigma: (k,)
-    prior of b, mean 0 where left out. Units are the caller's: for a heading bias β [rad/m] over a
-    leg of Δs the heading row is Δs; `straight_sensitivity` fills in the position rows.
+    edge's source). sensitivity: (m, 3, k), zero for edges that are no odometry; sigma: (k,) of b,
+    which is 0 as far as is known. Units are the caller's: for a heading bias β [rad/m] over a
+    leg of Δs the heading row is Δs.
     """
 
     sensitivity: FloatArray
     sigma: FloatArray
-    mean: FloatArray = field(default_factory=lambda: _nothing(0))
 
     def __post_init__(self) -> None:
         k = len(self.sigma)
@@ -111,8 +110,6 @@ class SharedErrors:
         given = frozen_array(self.sensitivity, np.float64, (m, 3, k), "sensitivity")
         object.__setattr__(self, "sensitivity", given)
         object.__setattr__(self, "sigma", frozen_array(self.sigma, np.float64, (k,), "sigma"))
-        mean = self.mean if len(self.mean) else np.zeros(k)
-        object.__setattr__(self, "mean", frozen_array(mean, np.float64, (k,), "mean"))
         if np.any(self.sigma <= 0):
             raise ValueError("the sigma of a shared error must be positive")
 
@@ -125,17 +122,6 @@ class SharedErrors:
         return cls(_nothing(edges, 3, 0), _nothing(0))
 
 
-def straight_sensitivity(T_i_j: FloatArray, heading_gain: FloatArray) -> FloatArray:
-    """(m, 3) derivative of a leg's T_i_j [(m, 3)] by a heading error that grows along the leg.
-
-    heading_gain: (m,) what the error adds to the heading of the whole leg (Δs for a bias per
-    metre, Δθ for one per radian). Half of it turns the chord, as if the leg were driven evenly;
-    exact sums over the odometry rows are better where they are at hand (`ingest.calibration`).
-    """
-    x, y = T_i_j[:, 0], T_i_j[:, 1]
-    return np.stack([-0.5 * y * heading_gain, 0.5 * x * heading_gain, heading_gain], axis=-1)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
     """`n` poses and `m` relative measurements, the input of `posegraph.solve`.
@@ -143,8 +129,7 @@ class PoseGraph:
     pose: (n, 3) first guess; source, target: (m,) vertices of every edge; measurement: (m, 3)
     T_source_target; information: (m, 3, 3), symmetric, positive semidefinite, zero in what the edge
     does not tell; kernel: (m,) width of a Cauchy kernel in sigmas, inf for a plain square;
-    held: (n, 3) components of poses that stay at their first guess; priors and shared errors: see
-    there. The frame is free (gauge) where priors and held poses leave it so.
+    priors and shared errors: see there. The frame is free (gauge) where priors leave it so.
     Raises ValueError on shapes that do not fit, NaN, indices out of range, an edge from a pose to
     itself.
     """
@@ -155,13 +140,11 @@ class PoseGraph:
     measurement: FloatArray
     information: FloatArray
     kernel: FloatArray = field(default_factory=lambda: _nothing(0))
-    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 3), bool))
     priors: Priors = field(default_factory=Priors.empty)
     shared: SharedErrors = field(default_factory=SharedErrors.none)
 
     def __post_init__(self) -> None:
         n, m = len(self.pose), len(self.source)
-        held = self.held if len(self.held) else np.zeros((n, 3), bool)
         shared = self.shared if len(self.shared) else SharedErrors.none(m)
         checked = {
             "pose": frozen_array(self.pose, np.float64, (n, 3), "pose"),
@@ -170,7 +153,6 @@ class PoseGraph:
             "measurement": frozen_array(self.measurement, np.float64, (m, 3), "measurement"),
             "information": frozen_array(self.information, np.float64, (m, 3, 3), "information"),
             "kernel": _kernel(self.kernel, m, "kernel of the edges"),
-            "held": frozen_array(held, np.bool_, (n, 3), "held"),
             "shared": shared,
         }
         for name, value in checked.items():

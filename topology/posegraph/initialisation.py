@@ -30,8 +30,8 @@ class Skeleton:
     """What of a pose graph does not change while it is solved.
 
     order: (n,) poses in an order of elimination that keeps the factors sparse (minimum degree);
-    fixed: (n, 3) components of poses that do not move: those held, and one pose per connected piece
-    where its frame would be free; rigid: whether that surely leaves no freedom anywhere.
+    fixed: (n, 3) components of poses that do not move: of one pose per connected piece where its
+    frame would be free; rigid: whether that surely leaves no freedom anywhere.
     """
 
     order: NDArray[np.int64]
@@ -99,7 +99,7 @@ def _solved(
 
 
 def _gauge(graph: PoseGraph, piece: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(n, 3) held components, and those of single poses that make up for a frame that is free.
+    """(n, 3) components of single poses that make up for a frame that is free.
 
     piece: (n,) numbers of the pieces that positions tie together. One may be shifted unless a
     position in it is known, and turned about the only one that is. A heading that nothing measures
@@ -107,14 +107,13 @@ def _gauge(graph: PoseGraph, piece: NDArray[np.int64]) -> NDArray[np.bool_]:
     depends on where the poses are: the factors find out (`NormalEquations.factorise`).
     """
     n, prior, weight = len(graph), graph.priors, graph.information
-    known = graph.held.copy()
-    # A prior on a pose counts like a held component: either leaves no freedom there.
+    known = np.zeros((n, 3), bool)
     np.logical_or.at(known, prior.node, np.einsum("kii->ki", prior.information) > 0)
     shifts, turns = weight[:, 0, 0] + weight[:, 1, 1] > 0, weight[:, 2, 2] > 0
     measured = np.zeros(n, bool)
     measured[graph.source[shifts | turns]] = measured[graph.target[turns]] = True
     body = _groups(graph, shifts | turns) if np.any(turns & ~shifts) else piece
-    fixed = graph.held.copy()
+    fixed = np.zeros((n, 3), bool)
     fixed[:, 2] |= ~(measured | known[:, 2])
     for axis in range(2):
         fixed[_first_without(piece, known[:, axis]), axis] = True
@@ -163,7 +162,7 @@ def _chordal_headings(graph: PoseGraph, frame: Skeleton, measured: FloatArray) -
     known = summed(prior.node, prior.information[:, 2, 2], n)
     pull = np.exp(1j * prior.value[:, 2]) * prior.information[:, 2, 2]
     target = summed(prior.node, pull.real, n) + 1j * summed(prior.node, pull.imag, n)
-    # Held headings, and one pose of every group that nothing else fixes, pull to their first guess.
+    # One pose of every group that nothing else fixes pulls to its first guess.
     scale = float(np.mean(weight)) if len(weight) else 1.0
     pinned = frame.fixed[:, 2].copy()
     pinned[_first_without(group, pinned | (known > 0))] = True
@@ -187,7 +186,7 @@ def _positions(
     known = 0.5 * (prior.information[:, 0, 0] + prior.information[:, 1, 1])
     at = known * (prior.value[:, 0] + 1j * prior.value[:, 1])
     pull += summed(prior.node, at.real, n) + 1j * summed(prior.node, at.imag, n)
-    # Held positions, and one pose of every group that nothing else fixes, stay at the first guess.
+    # One pose of every group that nothing else fixes stays at its first guess.
     pinned = frame.fixed[:, 0] | frame.fixed[:, 1]
     anchor = summed(prior.node, known, n)
     pinned[_first_without(_groups(graph, weight > 0), pinned | (anchor > 0))] = True

@@ -252,7 +252,7 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
             border[:, column] = -_scatter(pattern, ends[:2], (_through(G_b, x, y), G_b))
         weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
         corner = np.einsum("eik,eil->kl", J_b, weighted) + np.diag(belief)
-        slope = -np.einsum("eik,ei->k", weighted, error) - belief * (shared - graph.shared.mean)
+        slope = -np.einsum("eik,ei->k", weighted, error) - belief * shared
     definite = pattern.rigid and bool(np.all(at.edge_weight > _FREE))
     return NormalEquations(pattern, data, gradient, border, slope, corner, belief, definite)
 
