@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from ...topology.se2 import between, compose, wrap
-from .association import Gate, PairTerms, Swept, pair_terms
+from ...topology.se2 import between, compose, turned_axes, wrap
+from .association import Gate, Swept, pair_terms
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,20 +32,20 @@ class AlignmentSettings:
     """Independent looks that a point of one pair is worth: neighbours err together …"""
     joint_worth: float = 0.02
     """… and so do the several pairs that it is in."""
-    offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 20, 28, 36, 46, 56)
-    """How many keyframes back a scan is held against: up to 14 m of way."""
-    pair_gates: tuple[Gate, ...] = (
-        *(Gate(0.5, 0.2, 3),) * 5,
-        *(Gate(0.3, 0.1),) * 4,
-        *(Gate(0.2, 0.05),) * 3,
+    offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 24, 36, 52)
+    """How many keyframes back a scan is held against: up to 13 m of way."""
+    pair_rounds: tuple[tuple[int, Gate], ...] = (
+        (5, Gate(0.5, 0.2, 3)),
+        (4, Gate(0.3, 0.1)),
+        (3, Gate(0.2, 0.05)),
     )
-    joint_gates: tuple[tuple[int, Gate], ...] = (
-        *((3, Gate(0.3, 0.08)),) * 2,
-        *((4, Gate(0.3, 0.08)),) * 2,
-        *((7, Gate(0.2, 0.05)),) * 3,
-        *((10, Gate(0.2, 0.05)),) * 3,
-    )
-    """Rounds: how many of the offsets, and what counts."""
+    """Rounds at most, and what counts in them."""
+    joint_gate: Gate = Gate(0.2, 0.05, 1)
+    joint_rounds: int = 8
+    settled_m: float = 0.005
+    """Points that a round moves by less have the same counterparts in the next …"""
+    settled_at_m: float = 5.0
+    """… at this distance, as far as points in rooms and corridors are."""
     lost_fit: float = 0.6
     """A step whose points fit less than this is searched for."""
     search_rad: float = 0.52
@@ -53,6 +53,11 @@ class AlignmentSettings:
     """Headings tried: 30 degrees either way, so near that matching reaches the best from one."""
     better_fit: float = 0.1
     """What a search must gain to be believed."""
+
+    def moved(self, change: FloatArray) -> BoolArray:
+        """(p,) whether a change (p, 3) of motions moves points by more than `settled_m`."""
+        shift = np.hypot(change[:, 0], change[:, 1])
+        return np.asarray(shift + self.settled_at_m * np.abs(change[:, 2]) > self.settled_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,17 +126,24 @@ def _matched(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gauss-Newton on each pair: motion, fit, loose_m. odometry: motion, start, information."""
     expected, motion, information = odometry
+    motion = motion.copy()
     scale = settings.pair_worth / settings.sigma_m**2
-    origin = np.zeros_like(motion)
-    for gate in settings.pair_gates:
-        moments = scale * pair_terms(scans, *pairs, (motion, origin), gate).moments
-        off = motion - expected
-        off[:, 2] = wrap(off[:, 2])
-        gradient = moments[:, :3, 4] + np.einsum("pkl,pl->pk", information, off)
-        step = np.linalg.solve(moments[:, :3, :3] + information, gradient[..., None])[..., 0]
-        motion = motion - np.clip(step, -0.5, 0.5)
-        motion[:, 2] = wrap(motion[:, 2])
-    last = pair_terms(scans, *pairs, (motion, origin), settings.pair_gates[-1])
+    first, second = pairs
+    for rounds, gate in settings.pair_rounds:
+        moving = np.arange(len(motion))
+        for _ in range(rounds):
+            some = first[moving], second[moving]
+            moments = scale * pair_terms(scans, *some, motion[moving], gate).moments
+            off = motion[moving] - expected[moving]
+            off[:, 2] = wrap(off[:, 2])
+            odometry_gradient = np.einsum("pkl,pl->pk", information[moving], off)
+            gradient = moments[:, :3, 3] + odometry_gradient
+            total = moments[:, :3, :3] + information[moving]
+            step = np.clip(np.linalg.solve(total, gradient[..., None])[..., 0], -0.5, 0.5)
+            motion[moving] -= step
+            motion[:, 2] = wrap(motion[:, 2])
+            moving = moving[settings.moved(step)]
+    last = pair_terms(scans, *pairs, motion, settings.pair_rounds[-1][-1])
     weakest = np.linalg.eigvalsh(scale * last.moments[:, :2, :2])[:, 0]
     return motion, last.fit, 1 / np.sqrt(np.maximum(weakest, 1e-4))
 
@@ -161,23 +173,86 @@ def align(
     from each pose to the next. Gauss-Newton with a
     Cauchy weight on odometry; O(n · offsets · beams) a round.
     """
-    rows = [np.flatnonzero((j >= 0) & (np.arange(len(j)) >= fixed)) for j in earlier]
-    band, squares, weight = _Band.empty(len(pose), 1), 0.0, 0.0
-    for count, gate in settings.joint_gates:
-        pairs = [(i, earlier[k][i]) for k, i in enumerate(rows[:count]) if len(i)]
-        band = _Band.empty(len(pose), max((int((i - j).max()) for i, j in pairs), default=1))
-        band.add_steps(pose, steps)
-        squares, weight = 0.0, 0.0
-        for i, j in pairs:
-            terms = pair_terms(scans, i, j, (pose[i], pose[j]), gate)
-            band.add_pairs(i, j, terms, settings.joint_worth / settings.sigma_m**2)
-            squares += float(terms.moments[:, 4, 4].sum())
-            weight += float(terms.weight.sum())
+    looks = _Looks.of(earlier, fixed)
+    for _ in range(settings.joint_rounds):
+        if not looks.renewed(scans, pose, settings):
+            break
+        band = _equations(pose, steps, looks, settings)
         band.hold(fixed)
         pose = pose + band.solve()
         pose[:, 2] = wrap(pose[:, 2])
-    residual_m = float(np.sqrt(squares / weight)) if weight > 0 else settings.sigma_m
+    band = _equations(pose, steps, looks, settings)
+    band.hold(fixed)
+    weight = float(looks.weight.sum())
+    squares = float(looks.quadratic(pose)[2].sum())
+    residual_m = float(np.sqrt(max(squares, 0.0) / weight)) if weight > 0 else settings.sigma_m
     return Aligned(pose, band.lower(), residual_m)
+
+
+@dataclass(slots=True, eq=False)
+class _Looks:
+    """Pairs of scans, those of the first offset first, and what they were when last looked at:
+    motion (p, 3), moments (p, 4, 4), weight (p,); known: (p,) whether they were."""
+
+    first: IntArray
+    second: IntArray
+    offset: IntArray
+    motion: FloatArray
+    moments: FloatArray
+    weight: FloatArray
+    known: BoolArray
+
+    @classmethod
+    def of(cls, earlier: Sequence[IntArray], fixed: int) -> _Looks:
+        rows = [np.flatnonzero((j >= 0) & (np.arange(len(j)) >= fixed)) for j in earlier]
+        first = np.concatenate(rows)
+        second = np.concatenate([j[i] for i, j in zip(rows, earlier, strict=True)])
+        p = len(first)
+        offset = np.repeat(np.arange(len(rows)), [len(i) for i in rows])
+        nothing = np.zeros((p, 3)), np.zeros((p, 4, 4)), np.zeros(p), np.zeros(p, bool)
+        return cls(first, second, offset, *nothing)
+
+    def renewed(self, scans: Swept, pose: FloatArray, settings: AlignmentSettings) -> bool:
+        """Look again at those that moved so far that other points may count; whether any did."""
+        motion = between(pose[self.second], pose[self.first])
+        k = np.flatnonzero(~self.known | settings.moved(self._change(motion)))
+        terms = pair_terms(scans, self.first[k], self.second[k], motion[k], settings.joint_gate)
+        self.motion[k], self.moments[k], self.weight[k] = motion[k], terms.moments, terms.weight
+        self.known[k] = True
+        return len(k) > 0
+
+    def _change(self, motion: FloatArray) -> FloatArray:
+        change = motion - self.motion
+        change[:, 2] = wrap(change[:, 2])
+        return change
+
+    def quadratic(self, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Σ w a aᵀ (p, 3, 3), Σ w a r (p, 3) and Σ w r² (p,) at these poses, by the residuals'
+        derivatives where they were last looked at."""
+        change = self._change(between(pose[self.second], pose[self.first]))
+        inner, outer = self.moments[:, :3, :3], self.moments[:, :3, 3]
+        by_change = np.einsum("pkl,pl->pk", inner, change)
+        squares = self.moments[:, 3, 3] + np.sum((2 * outer + by_change) * change, axis=1)
+        return inner, outer + by_change, squares
+
+
+def _equations(
+    pose: FloatArray, steps: Steps, looks: _Looks, settings: AlignmentSettings
+) -> _Band:
+    first, second = looks.first, looks.second
+    band = _Band.empty(len(pose), int((first - second).max(initial=1)))
+    off = between(pose[:-1], pose[1:]) - steps.motion
+    off[:, 2] = wrap(off[:, 2])
+    distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)
+    information = steps.information / (1 + distance / 9)[:, None, None]
+    after = np.arange(1, len(pose))
+    band.add(pose, after, after - 1, (information, np.einsum("pkl,pl->pk", information, off)))
+    scale = settings.joint_worth / settings.sigma_m**2
+    information, gradient, _ = looks.quadratic(pose)
+    ends = np.searchsorted(looks.offset, np.arange(looks.offset.max(initial=0) + 2))
+    for k in map(slice, ends[:-1], ends[1:]):
+        band.add(pose, first[k], second[k], (scale * information[k], scale * gradient[k]))
+    return band
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,36 +266,27 @@ class _Band:
     def empty(cls, n: int, widest: int) -> _Band:
         return cls(np.zeros((n, widest + 1, 3, 3)), np.zeros((n, 3)))
 
-    def add_pairs(self, first: IntArray, second: IntArray, terms: PairTerms, scale: float) -> None:
-        """Terms of distinct rows `first` against distinct rows `second` before them."""
-        moments = scale * terms.moments
-        by_first, by_second = _SELECT_FIRST, _SELECT_SECOND
-        self.blocks[first, 0] += by_first.T @ moments @ by_first
-        self.blocks[second, 0] += by_second.T @ moments @ by_second
-        self.blocks[first, first - second] += by_first.T @ moments @ by_second
-        self.gradient[first] += moments[:, :, 4] @ by_first
-        self.gradient[second] += moments[:, :, 4] @ by_second
-
-    def add_steps(self, pose: FloatArray, steps: Steps) -> None:
-        motion = between(pose[:-1], pose[1:])
-        off = motion - steps.motion
-        off[:, 2] = wrap(off[:, 2])
-        distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)
-        information = steps.information / (1 + distance / 9)[:, None, None]
-        c, s = np.cos(pose[:-1, 2]), np.sin(pose[:-1, 2])
-        by_next = np.zeros((len(motion), 3, 3))
-        by_next[:, 0, 0] = by_next[:, 1, 1] = c
-        by_next[:, 0, 1], by_next[:, 1, 0] = s, -s
-        by_next[:, 2, 2] = 1.0
-        by_before = -by_next
-        by_before[:, 0, 2], by_before[:, 1, 2] = motion[:, 1], -motion[:, 0]
-        to_next = by_next.transpose(0, 2, 1) @ information
-        to_before = by_before.transpose(0, 2, 1) @ information
-        self.blocks[1:, 0] += to_next @ by_next
-        self.blocks[:-1, 0] += to_before @ by_before
-        self.blocks[1:, 1] += to_next @ by_before
-        self.gradient[1:] += (to_next @ off[..., None])[..., 0]
-        self.gradient[:-1] += (to_before @ off[..., None])[..., 0]
+    def add(
+        self,
+        pose: FloatArray,
+        first: IntArray,
+        second: IntArray,
+        terms: tuple[FloatArray, FloatArray],
+    ) -> None:
+        """Information (p, 3, 3) and gradient (p, 3) of the motion to distinct rows `first` from
+        distinct rows `second` before them."""
+        information, gradient = terms
+        motion = between(pose[second], pose[first])
+        by_first = turned_axes(-pose[second, 2])
+        by_second = -by_first
+        by_second[:, 0, 2], by_second[:, 1, 2] = motion[:, 1], -motion[:, 0]
+        to_first = by_first.transpose(0, 2, 1) @ information
+        to_second = by_second.transpose(0, 2, 1) @ information
+        self.blocks[first, 0] += to_first @ by_first
+        self.blocks[second, 0] += to_second @ by_second
+        self.blocks[first, first - second] += to_first @ by_second
+        self.gradient[first] += np.einsum("pkl,pk->pl", by_first, gradient)
+        self.gradient[second] += np.einsum("pkl,pk->pl", by_second, gradient)
 
     def hold(self, fixed: int) -> None:
         """Keep the first poses where they are, and those that nothing ties down."""
@@ -241,12 +307,6 @@ class _Band:
     def solve(self) -> FloatArray:
         step = solveh_banded(self.lower(), -self.gradient.ravel(), lower=True)
         return np.asarray(step).reshape(-1, 3)
-
-
-_SELECT_FIRST = np.zeros((5, 3))
-_SELECT_FIRST[[0, 1, 2], [0, 1, 2]] = 1.0
-_SELECT_SECOND = np.zeros((5, 3))
-_SELECT_SECOND[[0, 1, 3], [0, 1, 2]] = -1.0, -1.0, 1.0
 
 
 def chained(start: FloatArray, motion: Sequence[FloatArray] | FloatArray) -> FloatArray:

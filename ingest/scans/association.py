@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...topology.se2 import between, wrap
+from ...topology.se2 import wrap
 from .surfaces import BoolArray, Float32Array, FloatArray, IntArray, Surfaces
 
 
@@ -55,62 +55,61 @@ FIT_M = 0.08
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairTerms:
-    """Per pair: `moments` (p, 5, 5) Σ w a aᵀ, a the derivative of a residual by the shift of the
-    first scan (2), its turn, the turn of the second scan, and the residual itself; the axes of the
-    shift are those of the second's parent frame. fit: (p,) share of the points that lie on a
-    surface; weight: (p,) Σ w."""
+    """Per pair: `moments` (p, 4, 4) Σ w a aᵀ, a the derivative of a residual by the motion from the
+    second scan to the first (shift along the second's axes, turn), and the residual itself. fit:
+    (p,) share of the points that lie on a surface; weight: (p,) Σ w."""
 
     moments: FloatArray
     fit: FloatArray
     weight: FloatArray
 
 
+MOST_PAIRS = 256
+"""So many pairs at once: of some hundred beams, what they need stays in a processor's cache."""
+
+
 def pair_terms(
-    scans: Swept,
-    first: IntArray,
-    second: IntArray,
-    poses: tuple[FloatArray, FloatArray],
-    gate: Gate,
-    *,
-    stride: int = 1,
+    scans: Swept, first: IntArray, second: IntArray, motion: FloatArray, gate: Gate
 ) -> PairTerms:
     """Hold points of scans `first` (p,) against surfaces of scans `second` (p,).
 
-    poses: (p, 3) each, of the lasers of both in one parent frame; stride: every how manyth beam of
-    the first is used. O(p m).
+    motion: (p, 3) to the first laser from the second. O(p m).
     """
-    T_first, T_second = poses
-    T = between(T_second, T_first).astype(np.float32)
+    out = PairTerms(np.zeros((len(first), 4, 4)), np.zeros(len(first)), np.zeros(len(first)))
+    for begin in range(0, len(first), MOST_PAIRS):
+        k = slice(begin, begin + MOST_PAIRS)
+        part = _terms(scans, first[k], second[k], motion[k].astype(np.float32), gate)
+        out.moments[k], out.fit[k], out.weight[k] = part
+    return out
+
+
+def _terms(
+    scans: Swept, first: IntArray, second: IntArray, T: Float32Array, gate: Gate
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     turn = np.cos(T[:, 2:3]), np.sin(T[:, 2:3])
-    valid = scans.surfaces.valid[first, ::stride]
-    own = scans.xy[first, ::stride]
-    px, py = _turned(own[..., 0], own[..., 1], *turn)
-    px, py = px + T[:, 0:1], py + T[:, 1:2]
+    valid = scans.surfaces.valid[first]
+    own = scans.xy[first]
+    rx, ry = _turned(own[..., 0], own[..., 1], *turn)
+    px, py = rx + T[:, 0:1], ry + T[:, 1:2]
     at, gap, inside = _nearest_beam(scans, second, (px, py), valid, gate.beams)
-    point = scans.surfaces.point.reshape(-1, 2).take(at, axis=0)
-    normal = scans.surfaces.normal.reshape(-1, 2).take(at, axis=0)
-    nx, ny = normal[..., 0], normal[..., 1]
-    residual = nx * (px - point[..., 0]) + ny * (py - point[..., 1])
-    facing = scans.surfaces.normal[first, ::stride]
-    mx, my = _turned(facing[..., 0], facing[..., 1], *turn)
+    on = scans.surfaces
+    nx, ny = on.nx.take(at), on.ny.take(at)
+    residual = nx * (px - on.x.take(at)) + ny * (py - on.y.take(at))
+    mx, my = _turned(on.nx[first], on.ny[first], *turn)
     step = scans.increment[second].astype(np.float32)[:, None]
     reach = NEAR_M**2 + (3 * step) ** 2 * (px * px + py * py)
     near = inside & (gap < reach) & (nx * mx + ny * my > ALIKE)
     off = np.abs(residual)
     good = near & (off < gate.residual_m)
-    weight = np.where(good, 1 / (1 + (residual / np.float32(gate.sigma_m)) ** 2) ** 2, 0)
-    c2, s2 = np.cos(T_second[:, 2:3]).astype(np.float32), np.sin(T_second[:, 2:3])
-    wx, wy = _turned(nx, ny, c2, s2.astype(np.float32))
-    # d residual / d turn of first: n · J (p - t); of second: - n · J p; J (x, y) = (-y, x).
-    by_first = ny * (px - T[:, 0:1]) - nx * (py - T[:, 1:2])
-    by_second = nx * py - ny * px
-    rows = np.stack([wx, wy, by_first, by_second, residual], axis=1)
+    weight = 1 / (1 + (residual / np.float32(gate.sigma_m)) ** 2) ** 2
+    # d residual / d turn = n · J R p, J (x, y) = (-y, x).
+    rows = np.stack([nx, ny, ny * rx - nx * ry, residual], axis=1)
     rows = np.where(good[:, None], rows, np.float32(0))
-    moments = np.matmul(rows * weight[:, None].astype(np.float32), rows.transpose(0, 2, 1))
+    weight = np.where(good, weight, np.float32(0))
+    moments = np.matmul(rows * weight[:, None], rows.transpose(0, 2, 1))
     fitting = np.count_nonzero(near & (off < FIT_M), axis=1)
     usable = np.maximum(np.count_nonzero(inside, axis=1), 1)
-    total = weight.sum(axis=1, dtype=np.float64)
-    return PairTerms(moments.astype(np.float64), fitting / usable, total)
+    return moments, fitting / usable, weight.sum(axis=1)
 
 
 def _turned(
@@ -129,19 +128,17 @@ def _nearest_beam(
     """Flat index of the beam of `second` whose surface is nearest to each point, squared distance
     [m²], and whether the point lies in the field of view."""
     m, (px, py) = scans.xy.shape[1], at_xy
-    start = scans.start[second].astype(np.float32)[:, None]
+    start = wrap(scans.start[second]).astype(np.float32)[:, None]
     increment = scans.increment[second].astype(np.float32)[:, None]
-    # The middle of the raster is where bearings do not wrap.
-    middle = start + increment * np.float32(0.5 * (m - 1))
-    bearing = wrap(np.arctan2(py, px) - middle) + increment * np.float32(0.5 * (m - 1))
-    beam = np.rint(np.where(valid, bearing / increment, -1)).astype(np.int32)
+    beam = (np.arctan2(py, px) - start) / increment
+    # Rasters begin anywhere in a turn: what lies before the first beam may lie behind the last.
+    beam = np.where(beam < -0.5, beam + np.float32(2 * np.pi) / increment, beam)
+    beam = np.rint(np.where(valid, beam, -1)).astype(np.int32)
     inside = valid & (beam >= 0) & (beam < m)
     base = (second * m).astype(np.int32)[:, None]
-    target = scans.surfaces.point.reshape(-1, 2)
-    tx = np.where(scans.surfaces.valid.reshape(-1), target[:, 0], np.float32(1e4))
-    ty = np.ascontiguousarray(target[:, 1])
+    tx, ty = scans.surfaces.x.ravel(), scans.surfaces.y.ravel()
     best = np.full(px.shape, np.inf, np.float32)
-    at = np.zeros(px.shape, np.int64)
+    at = np.zeros(px.shape, np.int32)
     for k in range(-width, width + 1):
         index = np.clip(beam + np.int32(k), 0, m - 1) + base
         gap, aside = px - tx.take(index), py - ty.take(index)

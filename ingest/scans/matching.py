@@ -15,7 +15,7 @@ from .alignment import Aligned, AlignmentSettings, Steps, align, match_steps
 from .association import Swept
 from .keyframes import Keyframes, KeyframeSettings, Posed, in_order, join, keyframes
 from .scan import ScanBatch
-from .step_errors import SpanErrors, StepErrors, span_errors
+from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
 from .surfaces import SurfaceSettings, surfaces
 
 FloatArray = NDArray[np.float64]
@@ -134,7 +134,8 @@ def _solve(
     fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
     pairs = fresh, before[fresh]
     found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), settings.alignment)
-    errors = errors.learned(held, pairs, found.motion, found.fit > least_fit)
+    sure = found.fit > least_fit
+    errors = errors.learned(held, pairs, (found.motion, sure, sure & (found.loose_m < LOOSE_M)))
     fit[fresh], searched[fresh] = found.fit, found.searched
     consecutive = np.arange(1, n), np.arange(n - 1)
     raw = Steps(*errors.steps(held, *consecutive))

@@ -2,88 +2,143 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from ...topology.se2 import between, wrap
+from ...topology.se2 import between, compose, inverse, wrap
 from .keyframes import Keyframes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-PRIOR = (0.035, 0.03, 0.1)
+HEADING_PRIOR = (0.035, 0.03, 0.1)
 """1 sigma of heading errors in general: per metre [rad/m], per radian, and by a lag [s]."""
+SHIFT_PRIOR = (0.03, 0.03, 0.1, 0.1)
+"""1 sigma of the scale of ways, of their direction [rad], and of where the odometry's centre of
+turns lies [m]."""
+EXPECTED_STEPS = 20.0
+"""Steps whose errors are as expected that stand for what is known of odometry in general."""
+LOOSE_M = 0.03
+"""1 sigma beyond which scans are not believed to tell how far the robot went."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Learned:
+    """Least squares so far of n steps: `normal` (k, k), `right` (k,), under a prior of k sigmas;
+    of `count` residuals, the sum of squares in units of what is expected of an odometry."""
+
+    normal: FloatArray
+    right: FloatArray
+    squares: float = EXPECTED_STEPS
+    count: float = EXPECTED_STEPS
+
+    @classmethod
+    def of(cls, prior: tuple[float, ...]) -> _Learned:
+        return cls(np.diag(np.array(prior) ** -2.0), np.zeros(len(prior)))
+
+    @property
+    def terms(self) -> FloatArray:
+        return np.asarray(np.linalg.solve(self.normal, self.right))
+
+    def more(self, A: FloatArray, b: FloatArray, expected: FloatArray) -> _Learned:
+        """With rows A (p, k) x = b (p,), of which residuals `expected` (p,) are usual."""
+        x = self.terms
+        normal, right = self.normal, self.right
+        for _ in range(8):
+            off = b - A @ x
+            sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-3)
+            w = 1 / (1 + (off / sigma) ** 2) / sigma**2
+            normal = self.normal + (A * w[:, None]).T @ A
+            right = self.right + (A * w[:, None]).T @ b
+            x = np.linalg.solve(normal, right)
+        off = np.minimum(((b - A @ x) / expected) ** 2, 9.0)
+        return _Learned(normal, right, self.squares + float(off.sum()), self.count + len(b))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepErrors:
     """A model of the odometry's steps, learned from what matching makes of them.
 
-    Heading: θ_true = θ + β s + κ θ + δ ω (bias per metre, scale of turns, lag), from `normal`
-    (3, 3) and `right` (3,): least squares of the steps so far under `PRIOR`.
+    heading: θ_true = θ + β s + κ θ + δ ω (bias per metre, scale of turns, lag); shift: of the
+    scale of ways, their direction, and x, y of the centre of the odometry's turns in the robot's
+    frame.
     """
 
-    normal: FloatArray | None = None
-    right: FloatArray | None = None
+    heading: _Learned = field(default_factory=lambda: _Learned.of(HEADING_PRIOR))
+    shift: _Learned = field(default_factory=lambda: _Learned.of(SHIFT_PRIOR))
 
     @property
     def terms(self) -> FloatArray:
         """(3,) β [rad/m], κ, δ [s]."""
-        if self.normal is None or self.right is None:
-            return np.zeros(3)
-        return np.asarray(np.linalg.solve(self.normal, self.right))
+        return self.heading.terms
 
     def steps(
         self, frames: Keyframes, first: IntArray, second: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Motion (p, 3) to keyframes `first` from `second`, heading corrected; information."""
-        motion = between(frames.odometry[second], frames.odometry[first])
-        way, turn, _ = inputs = _inputs(frames, first, second)
-        motion[:, 2] = wrap(motion[:, 2] + self.terms @ inputs)
-        learned = self.normal is not None
-        along = 0.01 + 0.05 * way
-        heading = 0.005 + (0.02 if learned else 0.06) * way + 0.05 * np.abs(turn)
+        """Motion (p, 3) to keyframes `first` from `second`, corrected; information."""
+        own = _own(frames, first, second)
+        inputs = _inputs(frames, first, second)
+        turn = wrap(own[:, 2] + inputs @ self.heading.terms)
+        shift = np.einsum("pkl,l->pk", _shifts(own, turn), self.shift.terms)
+        motion = np.column_stack([own[:, :2] + shift, turn])
+        motion = compose(compose(inverse(frames.mount[second]), motion), frames.mount[first])
+        along, heading = _expected(own)
         information = np.zeros((len(motion), 3, 3))
         information[:, 0, 0] = information[:, 1, 1] = along**-2
-        information[:, 2, 2] = heading**-2
+        information[:, 2, 2] = self.heading.count / self.heading.squares / heading**2
         return motion, information
 
     def learned(
         self,
         frames: Keyframes,
         pairs: tuple[IntArray, IntArray],
-        motion: FloatArray,
-        sure: NDArray[np.bool_],
+        matched: tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]],
     ) -> StepErrors:
-        """With the motion (p, 3) of more pairs as matched, where that is sure."""
-        first, second = pairs
-        raw = between(frames.odometry[second], frames.odometry[first])
-        error = wrap(motion[:, 2] - raw[:, 2])
-        if not sure.any():
-            return self
-        A, b = np.stack(_inputs(frames, first, second), axis=1)[sure], error[sure]
-        normal = np.diag(np.array(PRIOR) ** -2.0) if self.normal is None else self.normal
-        right = np.zeros(3) if self.right is None else self.right
-        x = self.terms
-        for _ in range(8):
-            off = b - A @ x
-            sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-3)
-            w = 1 / (1 + (off / sigma) ** 2) / sigma**2
-            more, side = (A * w[:, None]).T @ A, (A * w[:, None]).T @ b
-            x = np.linalg.solve(normal + more, right + side)
-        return replace(self, normal=normal + more, right=right + side)
+        """With the motion (p, 3) of more pairs as matched, where turn and where way are sure."""
+        (first, second), (motion, turn_sure, way_sure) = pairs, matched
+        own = _own(frames, first, second)
+        real = compose(compose(frames.mount[second], motion), inverse(frames.mount[first]))
+        along, heading = _expected(own)
+        out = self
+        if turn_sure.any():
+            error = wrap(real[:, 2] - own[:, 2])
+            A = _inputs(frames, first, second)
+            out = replace(out, heading=self.heading.more(A[turn_sure], error[turn_sure], heading[turn_sure]))
+        if way_sure.any():
+            A = _shifts(own, real[:, 2])[way_sure].reshape(-1, 4)
+            error = (real - own)[way_sure, :2].ravel()
+            out = replace(out, shift=self.shift.more(A, error, np.repeat(along[way_sure], 2)))
+        return out
 
 
-def _inputs(
-    frames: Keyframes, first: IntArray, second: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Way, turn and change of the rate of turn over each step."""
+def _own(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
+    """(p, 3) motion of the robot by its odometry."""
+    pose = [compose(frames.odometry[k], inverse(frames.mount[k])) for k in (second, first)]
+    return between(*pose)
+
+
+def _expected(own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """1 sigma of the odometry's errors over such motions, in general: way [m], heading."""
+    way = np.hypot(own[:, 0], own[:, 1])
+    return 0.01 + 0.05 * way, 0.005 + 0.02 * way + 0.05 * np.abs(own[:, 2])
+
+
+def _inputs(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
+    """(p, 3) way, turn and change of the rate of turn over each step."""
     way = np.hypot(*(frames.odometry[first, :2] - frames.odometry[second, :2]).T)
     turn = np.asarray(wrap(frames.odometry[first, 2] - frames.odometry[second, 2]))
-    return way, turn, frames.rate[first] - frames.rate[second]
+    return np.column_stack([way, turn, frames.rate[first] - frames.rate[second]])
+
+
+def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:
+    """(p, 2, 4) what a motion's x and y change by a scale, by another direction, and by a centre
+    at x and at y."""
+    (x, y), c, s = own[:, :2].T, np.cos(turn) - 1, np.sin(turn)
+    out = np.stack([x, -y, c, -s, y, x, s, c], axis=1)
+    return np.asarray(out.reshape(-1, 2, 4))
 
 
 USUAL_RESIDUAL_M = 0.0105

@@ -33,16 +33,17 @@ class SurfaceSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """Of scans (n, m): point on the fitted line, normal towards the laser, and whether there is
-    one."""
+    """Of scans (n, m): x, y of a point on the fitted line, nx, ny of its normal towards the laser;
+    where there is none, `valid` is False and the point is out of reach."""
 
-    point: Float32Array
-    normal: Float32Array
+    x: Float32Array
+    y: Float32Array
+    nx: Float32Array
+    ny: Float32Array
     valid: BoolArray
 
-    def take(self, rows: slice) -> Surfaces:
-        """Those of some scans."""
-        return Surfaces(self.point[rows], self.normal[rows], self.valid[rows])
+
+OUT_OF_REACH_M = 1e4
 
 
 def surfaces(
@@ -83,9 +84,13 @@ def surfaces(
     )
     off = nx * (x - mx) + ny * (y - my)
     towards = np.where(nx * x + ny * y > 0, -1.0, 1.0)
-    on_line = np.stack([x - nx * off, y - ny * off], axis=-1)
-    normal = np.stack([nx * towards, ny * towards], axis=-1)
-    return Surfaces(on_line.astype(np.float32), normal.astype(np.float32), valid)
+    return Surfaces(
+        np.where(valid, x - nx * off, OUT_OF_REACH_M).astype(np.float32),
+        (y - ny * off).astype(np.float32),
+        (nx * towards).astype(np.float32),
+        (ny * towards).astype(np.float32),
+        valid,
+    )
 
 
 def _windows(
