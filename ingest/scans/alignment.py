@@ -30,8 +30,10 @@ class AlignmentSettings:
     """1 sigma of a point's distance from the surface that it is on."""
     pair_worth: float = 0.1
     """Independent looks that a point of one pair is worth: neighbours err together …"""
-    joint_worth: float = 0.02
-    """… and so do the several pairs that it is in."""
+    joint_worth: float = 0.0034
+    """… and so do the several pairs that it is in; of what points of a window are off by."""
+    least_residual_m: float = 0.006
+    """What is nearer is by chance: walls are not flatter."""
     offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 24, 36, 52)
     """How many keyframes back a scan is held against: up to 13 m of way."""
     pair_rounds: tuple[tuple[int, Gate], ...] = (
@@ -247,8 +249,9 @@ def _equations(
     information = steps.information / (1 + distance / 9)[:, None, None]
     after = np.arange(1, len(pose))
     band.add(pose, after, after - 1, (information, np.einsum("pkl,pl->pk", information, off)))
-    scale = settings.joint_worth / settings.sigma_m**2
-    information, gradient, _ = looks.quadratic(pose)
+    information, gradient, squares = looks.quadratic(pose)
+    residual_m = float(np.sqrt(max(squares.sum(), 0.0) / max(looks.weight.sum(), 1e-9)))
+    scale = settings.joint_worth / max(residual_m, settings.least_residual_m) ** 2
     ends = np.searchsorted(looks.offset, np.arange(looks.offset.max(initial=0) + 2))
     for k in map(slice, ends[:-1], ends[1:]):
         band.add(pose, first[k], second[k], (scale * information[k], scale * gradient[k]))

@@ -88,7 +88,7 @@ class StepErrors:
         along, heading = _expected(own)
         information = np.zeros((len(motion), 3, 3))
         information[:, 0, 0] = information[:, 1, 1] = along**-2
-        information[:, 2, 2] = self.heading.count / self.heading.squares / heading**2
+        information[:, 2, 2] = heading**-2
         return motion, information
 
     def learned(
