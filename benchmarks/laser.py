@@ -266,9 +266,8 @@ def judged_truth(log: Log, apart_m: float = 5.0) -> str:
     good = (found.fit > 0.5) & (found.loose_m < 0.03)
     if not good.any():
         return "no two scans that tell"
-    still = np.zeros_like(found.motion)
     off = [np.degrees(np.abs(wrap(found.motion - c)[good, 2])) for c in claims]
-    fit = [pair_terms(scans, *pairs, (c, still), Gate(0.3, 0.05)).fit[good] for c in claims]
+    fit = [pair_terms(scans, *pairs, c, Gate(0.3, 0.05)).fit[good] for c in claims]
     told = "; ".join(
         f"{name} off by median {np.median(o):.2f} p90 {np.percentile(o, 90):.2f} deg"
         for name, o in zip(("truth", "ours"), off, strict=True)

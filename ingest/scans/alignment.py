@@ -36,15 +36,11 @@ class AlignmentSettings:
     """What is nearer is by chance: walls are not flatter."""
     offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 24, 36, 52)
     """How many keyframes back a scan is held against: up to 13 m of way."""
-    pair_rounds: tuple[tuple[int, Gate], ...] = (
-        (5, Gate(0.5, 0.2, 3)),
-        (4, Gate(0.3, 0.1)),
-        (3, Gate(0.2, 0.05)),
-    )
+    pair_rounds: tuple[tuple[int, Gate], ...] = ((5, Gate(0.5, 0.2, 3)), (4, Gate(0.2, 0.05, 1)))
     """Rounds at most, and what counts in them."""
     joint_gate: Gate = Gate(0.2, 0.05, 1)
     joint_rounds: int = 8
-    settled_m: float = 0.005
+    settled_m: float = 0.01
     """Points that a round moves by less have the same counterparts in the next …"""
     settled_at_m: float = 5.0
     """… at this distance, as far as points in rooms and corridors are."""
