@@ -8,7 +8,7 @@ normal matrix is banded: nothing ties scans that are farther apart than the wide
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class AlignmentSettings:
     """How many keyframes back a scan is held against: up to 13 m of way."""
     pair_rounds: tuple[tuple[int, Gate], ...] = ((5, Gate(0.5, 0.2, 3)), (4, Gate(0.2, 0.05, 1)))
     """Rounds at most, and what counts in them."""
-    joint_gate: Gate = Gate(0.2, 0.05, 1)
+    joint_gate: Gate = field(default_factory=lambda: Gate(0.2, 0.05, 1))
     joint_rounds: int = 8
     settled_m: float = 0.01
     """Points that a round moves by less have the same counterparts in the next …"""
@@ -148,12 +148,12 @@ def _matched(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Poses (n, 3), their banded information (lower form, `3 n` columns), and the root mean square
-    of what all points are off by [m]."""
+    """Poses (n, 3), their banded information (lower form, `3 n` columns), and by how much (n, 3)
+    they differ between every other offset alone and the rest alone."""
 
     pose: FloatArray
     information: FloatArray
-    residual_m: float
+    halves: FloatArray
 
 
 def align(
@@ -181,10 +181,12 @@ def align(
         pose[:, 2] = wrap(pose[:, 2])
     band = _equations(pose, steps, looks, settings)
     band.hold(fixed)
-    weight = float(looks.weight.sum())
-    squares = float(looks.quadratic(pose)[2].sum())
-    residual_m = float(np.sqrt(max(squares, 0.0) / weight)) if weight > 0 else settings.sigma_m
-    return Aligned(pose, band.lower(), residual_m)
+    half, change = Steps(steps.motion, 0.5 * steps.information), []
+    for k in range(2):
+        alone = _equations(pose, half, looks.take(looks.offset % 2 == k), settings)
+        alone.hold(fixed)
+        change.append(alone.solve())
+    return Aligned(pose, band.lower(), change[1] - change[0])
 
 
 @dataclass(slots=True, eq=False)
@@ -210,6 +212,10 @@ class _Looks:
         nothing = np.zeros((p, 3)), np.zeros((p, 4, 4)), np.zeros(p), np.zeros(p, bool)
         return cls(first, second, offset, *nothing)
 
+    def take(self, rows: BoolArray) -> _Looks:
+        """Some of them."""
+        return _Looks(*(getattr(self, f.name)[rows] for f in fields(self)))
+
     def renewed(self, scans: Swept, pose: FloatArray, settings: AlignmentSettings) -> bool:
         """Look again at those that moved so far that other points may count; whether any did."""
         motion = between(pose[self.second], pose[self.first])
@@ -234,9 +240,7 @@ class _Looks:
         return inner, outer + by_change, squares
 
 
-def _equations(
-    pose: FloatArray, steps: Steps, looks: _Looks, settings: AlignmentSettings
-) -> _Band:
+def _equations(pose: FloatArray, steps: Steps, looks: _Looks, settings: AlignmentSettings) -> _Band:
     first, second = looks.first, looks.second
     band = _Band.empty(len(pose), int((first - second).max(initial=1)))
     off = between(pose[:-1], pose[1:]) - steps.motion

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...topology.se2 import wrap
 from .surfaces import BoolArray, Float32Array, FloatArray, IntArray, Surfaces
@@ -124,7 +125,7 @@ def _nearest_beam(
     at_xy: tuple[Float32Array, Float32Array],
     valid: BoolArray,
     width: int,
-) -> tuple[IntArray, Float32Array, BoolArray]:
+) -> tuple[NDArray[np.int32], Float32Array, BoolArray]:
     """Flat index of the beam of `second` whose surface is nearest to each point, squared distance
     [m²], and whether the point lies in the field of view."""
     m, (px, py) = scans.xy.shape[1], at_xy
@@ -137,8 +138,8 @@ def _nearest_beam(
     inside = valid & (beam >= 0) & (beam < m)
     base = (second * m).astype(np.int32)[:, None]
     tx, ty = scans.surfaces.x.ravel(), scans.surfaces.y.ravel()
-    best = np.full(px.shape, np.inf, np.float32)
-    at = np.zeros(px.shape, np.int32)
+    best: Float32Array = np.full(px.shape, np.inf, np.float32)
+    at: NDArray[np.int32] = np.zeros(px.shape, np.int32)
     for k in range(-width, width + 1):
         index = np.clip(beam + np.int32(k), 0, m - 1) + base
         gap, aside = px - tx.take(index), py - ty.take(index)

@@ -190,7 +190,6 @@ def _guess(
 
 def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors) -> Matched:
     assert solved.aligned is not None
-    information, residual_m = solved.aligned.information, solved.aligned.residual_m
-    spans = span_errors(solved.pose, information, rows, residual_m)
+    spans = span_errors(solved.aligned, rows)
     own = solved.pose[rows], solved.fit[rows], solved.searched[rows]
     return Matched(held.take(rows), *own, spans, errors)

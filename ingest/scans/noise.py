@@ -21,8 +21,15 @@ IntArray = NDArray[np.int64]
 PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07, miss_rate=0.06, phantom_rate=0.03)
 """Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by
 2 to 4 degrees, and is not found again in 6 of 100 (`benchmarks/laser.py`)."""
-LEAST_HEADING = 0.002
-"""No heading is kept better than this [rad per root metre]: walls are not straighter."""
+LEAST_HEADING = 0.0008
+"""No heading is kept better than this [rad per root metre], between walls as straight as simulated
+ones."""
+HALVES = 5.0
+"""How much farther off headings are than halves of the pairs of scans differ, which are of the same
+scans and err together: 2.2 to 6 in two real and five simulated buildings
+(`benchmarks/laser.py`)."""
+USUAL_SPANS, USUAL = 4.0, 0.04
+"""Without spans that tell, halves differ by this part of the variance by the points."""
 
 
 ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
@@ -32,8 +39,9 @@ ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
 def matched_noise(
     spans: Sequence[SpanErrors], passes: ScanPasses, *, alone: bool = False
 ) -> RunNoise:
-    """Random walks that give the variances of the spans, by non-negative least squares; branch
-    faults by the share of variants that disagree with their pass.
+    """Random walks that give the variances of the spans, by non-negative least squares, those of
+    headings as large as halves of the pairs say; branch faults by the share of variants that
+    disagree with their pass.
 
     alone: there was no odometry beside the scans.
     """
@@ -46,6 +54,9 @@ def matched_noise(
         return replace(PRIOR, branch_fault_rate=fault)
     weight = 1 / np.maximum(variance[:, 2], 1e-8)
     walk, _ = nnls(np.column_stack([way, turned]) * weight[:, None], variance[:, 2] * weight)
+    halves = np.concatenate([s.halves for s in spans])
+    told = float(halves.sum() / max(variance[:, 2].sum(), 1e-12))
+    walk *= HALVES**2 * (USUAL_SPANS * USUAL + len(way) * told) / (USUAL_SPANS + len(way))
     along = float(np.sqrt(np.median(variance[:, 0] / np.maximum(way, 0.1))))
     heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
     return replace(

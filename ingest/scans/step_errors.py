@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from ...topology.se2 import between, compose, inverse, wrap
+from .alignment import Aligned
 from .keyframes import Keyframes
 
 FloatArray = NDArray[np.float64]
@@ -19,21 +20,16 @@ HEADING_PRIOR = (0.035, 0.03, 0.1)
 SHIFT_PRIOR = (0.03, 0.03, 0.1, 0.1)
 """1 sigma of the scale of ways, of their direction [rad], and of where the odometry's centre of
 turns lies [m]."""
-EXPECTED_STEPS = 20.0
-"""Steps whose errors are as expected that stand for what is known of odometry in general."""
 LOOSE_M = 0.03
 """1 sigma beyond which scans are not believed to tell how far the robot went."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Learned:
-    """Least squares so far of n steps: `normal` (k, k), `right` (k,), under a prior of k sigmas;
-    of `count` residuals, the sum of squares in units of what is expected of an odometry."""
+    """Robust least squares so far: `normal` (k, k), `right` (k,), under a prior of k sigmas."""
 
     normal: FloatArray
     right: FloatArray
-    squares: float = EXPECTED_STEPS
-    count: float = EXPECTED_STEPS
 
     @classmethod
     def of(cls, prior: tuple[float, ...]) -> _Learned:
@@ -43,19 +39,15 @@ class _Learned:
     def terms(self) -> FloatArray:
         return np.asarray(np.linalg.solve(self.normal, self.right))
 
-    def more(self, A: FloatArray, b: FloatArray, expected: FloatArray) -> _Learned:
-        """With rows A (p, k) x = b (p,), of which residuals `expected` (p,) are usual."""
-        x = self.terms
-        normal, right = self.normal, self.right
+    def more(self, A: FloatArray, b: FloatArray) -> _Learned:
+        """With rows A (p, k) x = b (p,)."""
+        out = self
         for _ in range(8):
-            off = b - A @ x
+            off = b - A @ out.terms
             sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-3)
-            w = 1 / (1 + (off / sigma) ** 2) / sigma**2
-            normal = self.normal + (A * w[:, None]).T @ A
-            right = self.right + (A * w[:, None]).T @ b
-            x = np.linalg.solve(normal, right)
-        off = np.minimum(((b - A @ x) / expected) ** 2, 9.0)
-        return _Learned(normal, right, self.squares + float(off.sum()), self.count + len(b))
+            weighted = (A / (1 + (off / sigma) ** 2)[:, None] / sigma**2).T
+            out = _Learned(self.normal + weighted @ A, self.right + weighted @ b)
+        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +77,9 @@ class StepErrors:
         shift = np.einsum("pkl,l->pk", _shifts(own, turn), self.shift.terms)
         motion = np.column_stack([own[:, :2] + shift, turn])
         motion = compose(compose(inverse(frames.mount[second]), motion), frames.mount[first])
-        along, heading = _expected(own)
+        # What learning leaves: errors of ways and headings hang together over many steps.
+        way = np.hypot(own[:, 0], own[:, 1])
+        along, heading = 0.01 + 0.05 * way, 0.005 + 0.02 * way + 0.05 * np.abs(own[:, 2])
         information = np.zeros((len(motion), 3, 3))
         information[:, 0, 0] = information[:, 1, 1] = along**-2
         information[:, 2, 2] = heading**-2
@@ -101,16 +95,14 @@ class StepErrors:
         (first, second), (motion, turn_sure, way_sure) = pairs, matched
         own = _own(frames, first, second)
         real = compose(compose(frames.mount[second], motion), inverse(frames.mount[first]))
-        along, heading = _expected(own)
         out = self
         if turn_sure.any():
-            error = wrap(real[:, 2] - own[:, 2])
-            A = _inputs(frames, first, second)
-            out = replace(out, heading=self.heading.more(A[turn_sure], error[turn_sure], heading[turn_sure]))
+            A, error = _inputs(frames, first, second), wrap(real[:, 2] - own[:, 2])
+            out = replace(out, heading=self.heading.more(A[turn_sure], error[turn_sure]))
         if way_sure.any():
-            A = _shifts(own, real[:, 2])[way_sure].reshape(-1, 4)
+            A = _shifts(own, real[:, 2])[way_sure].reshape(-1, len(SHIFT_PRIOR))
             error = (real - own)[way_sure, :2].ravel()
-            out = replace(out, shift=self.shift.more(A, error, np.repeat(along[way_sure], 2)))
+            out = replace(out, shift=self.shift.more(A, error))
         return out
 
 
@@ -118,12 +110,6 @@ def _own(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
     """(p, 3) motion of the robot by its odometry."""
     pose = [compose(frames.odometry[k], inverse(frames.mount[k])) for k in (second, first)]
     return between(*pose)
-
-
-def _expected(own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """1 sigma of the odometry's errors over such motions, in general: way [m], heading."""
-    way = np.hypot(own[:, 0], own[:, 1])
-    return 0.01 + 0.05 * way, 0.005 + 0.02 * way + 0.05 * np.abs(own[:, 2])
 
 
 def _inputs(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
@@ -141,42 +127,40 @@ def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:
     return np.asarray(out.reshape(-1, 2, 4))
 
 
-USUAL_RESIDUAL_M = 0.0105
-"""At which the information of `alignment` is right as it stands (`benchmarks/laser.py`)."""
-LEAST_RESIDUAL_M = 0.006
-"""What is nearer is by chance: walls are not flatter."""
+SURER_ALONG = 0.4
+"""Of the variance by which `alignment` weighs scans against odometry, the part by which ways are
+off (`benchmarks/laser.py`): it takes the looks of a scan for more alike than they are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpanErrors:
     """Stretches of corrected odometry and how well they are known by the scans' own account.
 
-    way: (q,) [m]; turned: (q,) [rad] summed up; variance: (q, 3) along, across [m²], heading.
+    way: (q,) [m]; turned: (q,) [rad] summed up; variance: (q, 3) along, across [m²], heading, by
+    the points that were matched; halves: (q,) variance of the heading [rad²] by how much two halves
+    of the pairs of scans differ.
     """
 
     way: FloatArray
     turned: FloatArray
     variance: FloatArray
+    halves: FloatArray
 
 
-def span_errors(
-    pose: FloatArray, information: FloatArray, rows: slice, residual_m: float
-) -> SpanErrors:
-    """Marginals of the motion over spans of keyframes, from the banded information of a window.
-
-    residual_m: root mean square of what points are off their surfaces by, which scales them.
-    """
+def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
+    """Marginals of the motion over spans of keyframes, from the banded information of a window."""
+    pose = aligned.pose
     n, begin = len(pose), rows.start
     length = 16
     first = np.arange(begin, max(rows.stop - length, begin), length)
     if len(first) == 0:
-        return SpanErrors(np.zeros(0), np.zeros(0), np.zeros((0, 3)))
+        return SpanErrors(np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
     last = first + length
     ends = np.union1d(first, last)
     unit = np.zeros((3 * n, 3 * len(ends)))
     index = (3 * ends[:, None] + np.arange(3)).ravel()
     unit[index, np.arange(len(index))] = 1.0
-    joint = solveh_banded(information, unit, lower=True)[index]
+    joint = solveh_banded(aligned.information, unit, lower=True)[index]
     a, b = np.searchsorted(ends, first), np.searchsorted(ends, last)
     motion = between(pose[first], pose[last])
     variance = np.zeros((len(first), 3))
@@ -190,5 +174,7 @@ def span_errors(
         variance[k] = np.diag(J @ joint[np.ix_(pick, pick)] @ J.T)
     step = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
-    variance *= (max(residual_m, LEAST_RESIDUAL_M) / USUAL_RESIDUAL_M) ** 2
-    return SpanErrors(step[last] - step[first], turn[last] - turn[first], variance)
+    variance[:, :2] *= SURER_ALONG
+    # Of two estimates of equal worth, the mean's variance is a quarter of their difference's.
+    halves = 0.25 * (aligned.halves[last, 2] - aligned.halves[first, 2]) ** 2
+    return SpanErrors(step[last] - step[first], turn[last] - turn[first], variance, halves)
