@@ -72,7 +72,7 @@ class StepErrors:
     ) -> tuple[FloatArray, FloatArray]:
         """Motion (p, 3) to keyframes `first` from `second`, corrected; information."""
         own = _own(frames, first, second)
-        inputs = _inputs(frames, first, second)
+        inputs = _inputs(frames, first, second, own)
         turn = wrap(own[:, 2] + inputs @ self.heading.terms)
         shift = np.einsum("pkl,l->pk", _shifts(own, turn), self.shift.terms)
         motion = np.column_stack([own[:, :2] + shift, turn])
@@ -97,7 +97,7 @@ class StepErrors:
         real = compose(compose(frames.mount[second], motion), inverse(frames.mount[first]))
         out = self
         if turn_sure.any():
-            A, error = _inputs(frames, first, second), wrap(real[:, 2] - own[:, 2])
+            A, error = _inputs(frames, first, second, own), wrap(real[:, 2] - own[:, 2])
             out = replace(out, heading=self.heading.more(A[turn_sure], error[turn_sure]))
         if way_sure.any():
             A = _shifts(own, real[:, 2])[way_sure].reshape(-1, len(SHIFT_PRIOR))
@@ -112,11 +112,10 @@ def _own(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
     return between(*pose)
 
 
-def _inputs(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
+def _inputs(frames: Keyframes, first: IntArray, second: IntArray, own: FloatArray) -> FloatArray:
     """(p, 3) way, turn and change of the rate of turn over each step."""
-    way = np.hypot(*(frames.odometry[first, :2] - frames.odometry[second, :2]).T)
-    turn = np.asarray(wrap(frames.odometry[first, 2] - frames.odometry[second, 2]))
-    return np.column_stack([way, turn, frames.rate[first] - frames.rate[second]])
+    way = np.hypot(own[:, 0], own[:, 1])
+    return np.column_stack([way, own[:, 2], frames.rate[first] - frames.rate[second]])
 
 
 def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:
