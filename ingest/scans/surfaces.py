@@ -44,6 +44,7 @@ class Surfaces:
 
 
 OUT_OF_REACH_M = 1e4
+"""No laser reaches so far: what is there is nobody's nearest."""
 
 
 def surfaces(
