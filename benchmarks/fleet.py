@@ -4,7 +4,8 @@ Maps of some 50 junctions are made without logs (`observed.py`): ten runs in eac
 which are mazes, offices, organic ways and city blocks in turn. For every number of maps, CPU
 seconds of one process: preparing the maps, the index, matching the pairs that have a chance, all of
 a merge up to its document and the memory until then, what of that is none of these (rest); the same
-merge with one more run and a cache that knows the others; a plain loop over all pairs, and all of
+merge with one more run and a cache that knows the others, once of the site in the middle and once
+of an office, which may tell anew how copies differ; a plain loop over all pairs, and all of
 them by the matcher of many pairs at a time, both measured on a sample.
 What was joined is judged by the truth: false are runs of different sites in one component; found
 are the pairs of runs that share five junctions or more. Exponents are those between neighbouring
@@ -101,12 +102,19 @@ def judged(result, truth):
     return false, len(over & joined), len(over)
 
 
+def office_in_the_middle(count, per_site=10):
+    """The number of a run of an office."""
+    sites = np.arange(KINDS.index("office"), max(count // per_site, 2), len(KINDS))
+    return int(sites[len(sites) // 2]) * per_site + 1
+
+
 def one_size(count, first):
     """A row of the table."""
-    fleet = fleet_of(count + 1, first=first)
+    fleet = fleet_of(count + 2, first=first)
     maps = [topomap for topomap, _ in fleet]
     truth = {topomap.run: known for topomap, known in fleet}
     late = maps.pop(len(maps) // 2)  # the run that comes last shares places with others
+    office = maps.pop(office_in_the_middle(count))
     row = {"maps": count, "junctions": round(float(np.mean([len(m) for m in maps])))}
     clock = Clock()
     ready = [prepare(m) for m in maps]
@@ -140,14 +148,15 @@ def one_size(count, first):
         row["rest"] = row["merge"] - row["prepare"] - row["index"] - row["match"]
         row["MB"] = path.stat().st_size / 1e6
         row["cache MB"] = sum(p.stat().st_size for p in cache.iterdir()) / 1e6
-        clock.lap()
-        store = ResultCache(cache, era_of(DEFAULT_ROBUST))
-        more = merge_maps([*maps, late], means=Means(store=store))
-        store.flush()
-        write_merged(path, more)
-        row["one more"] = clock.lap()
+        for name, new in (("one more", late), ("office", office)):
+            clock.lap()
+            store = ResultCache(cache, era_of(DEFAULT_ROBUST))
+            more = merge_maps([*maps, new], means=Means(store=store))
+            store.flush()
+            write_merged(path, more)
+            row[name] = clock.lap()
     row["false"], row["found"], row["overlap"] = judged(
-        result, {run: known for run, known in truth.items() if run != late.run}
+        result, {run: known for run, known in truth.items() if run not in (late.run, office.run)}
     )
     return row
 
@@ -207,7 +216,7 @@ def beyond(count, first):
     print(f"{count} maps: {len(found)} pairs beyond chance, {lost} of which the index gives none")
 
 
-SECONDS = ("prepare", "index", "match", "rest", "merge", "one more", "loop", "all")
+SECONDS = ("prepare", "index", "match", "rest", "merge", "one more", "office", "loop", "all")
 
 
 def table(sizes, first):
@@ -228,7 +237,8 @@ def table(sizes, first):
         print(
             f"{row['maps']}: the loop takes {row['loop'] / some:.1f} times as long as index and "
             f"matches, all pairs at once {row['all'] / some:.1f} times; "
-            f"one more run {row['one more'] / row['merge']:.3f} of a merge, "
+            f"one more run {row['one more'] / row['merge']:.3f} of a merge, of an office "
+            f"{row['office'] / row['merge']:.3f}, "
             f"{row['one more'] / (row['loop'] + row['merge'] - some):.3f} of one by the loop"
         )
 

@@ -115,42 +115,39 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
     merged = entry["verdict"] == "merged"
     if entry["accepted"] != merged or (by is not None) != merged:
         return None
-    if not all(_within(part, a, b) for part in (entry, second) if part is not None):
+    best = _aligned(entry, numbers[3:8], (len(a), len(b)))
+    runner_up = None if second is None else _aligned(second, numbers[8:], (len(a), len(b)))
+    if best is None or (runner_up is None) != (second is None):
         return None
     return PairVerdict(
         *own,
         threshold_bits=need,
         accepted_by=by,
-        best=_aligned(entry, numbers[3:8]),
-        runner_up=None if second is None else _aligned(second, numbers[8:]),
+        best=best,
+        runner_up=runner_up,
         margin_bits=margin if "margin_bits" in entry else None,
         advice=entry.get("advice"),
         extra=_extra(entry),
     )
 
 
-def _within(part: _Aligned, a: TopoMap, b: TopoMap) -> bool:
-    """Whether an alignment speaks only of vertices that two maps have."""
-    of_a, of_b = ([pair[side] for pair in part["matched"]] for side in (0, 1))
-    for sides in part.get("contradicting", ()):
-        of_a += sides["a"]
-        of_b += sides["b"]
-    return max(of_a, default=-1) < len(a) and max(of_b, default=-1) < len(b)
-
-
-def _aligned(part: _Aligned, numbers: FloatArray) -> Alignment:
-    bits, rmse_m = numbers[3:].tolist()
-    return Alignment(
-        transform=numbers[:3],
-        evidence_bits=bits,
-        matched=np.array(part["matched"], np.int64),
-        rmse_m=rmse_m,
-        corridors=part["corridors"],
-        contradictions=tuple(part["contradictions"]),
-        contradicting=tuple(
-            (tuple(sides["a"]), tuple(sides["b"])) for sides in part.get("contradicting", ())
-        ),
+def _aligned(part: _Aligned, numbers: FloatArray, sizes: tuple[int, int]) -> Alignment | None:
+    """An alignment; None where it speaks of vertices that maps of such sizes do not have."""
+    matched = np.array(part["matched"], np.int64).reshape(-1, 2)
+    contradicting = tuple(
+        (tuple(sides["a"]), tuple(sides["b"])) for sides in part.get("contradicting", ())
     )
+    if not (matched < sizes).all() or any(
+        max(own, default=-1) >= size
+        for sides in contradicting
+        for own, size in zip(sides, sizes, strict=True)
+    ):
+        return None
+    bits, rmse_m = numbers[3:].tolist()
+    told = tuple(part["contradictions"])
+    if contradicting and len(contradicting) != len(told):
+        return None
+    return Alignment(numbers[:3], bits, matched, rmse_m, part["corridors"], told, contradicting)
 
 
 def _extra(entry: Mapping[str, Any]) -> dict[str, float]:
@@ -206,9 +203,14 @@ class KeptVerdicts:
         """Changes with what is asked; copies: of verdicts to which it matters how copies differ."""
         key = level.copied, copies
         if key not in self._bars:
-            more = (level.need_copy_bits, astuple(level.copies)) if copies else ()
-            self._bars[key] = _digest(repr((level.need_bits, level.copied, more)).encode())
+            self._bars[key] = bar_digest(level, copies=copies)
         return self._bars[key]
+
+
+def bar_digest(level: Bar, *, copies: bool) -> bytes:
+    """Of all that is asked; copies: also of how copies differ, where that matters."""
+    more = (level.need_copy_bits, astuple(level.copies)) if copies else ()
+    return _digest(repr((level.need_bits, level.copied, more)).encode())
 
 
 def _digest(data: bytes) -> bytes:

@@ -95,6 +95,7 @@ class MergedMaps:
         self._prepared = prepared
         self._kept = kept
         self._made: dict[tuple[Runs, tuple[tuple[Pair, bytes], ...]], MergedMap] = {}
+        self._matched: dict[tuple[MergedMap, MergedMap], tuple[Candidate, ...]] = {}
         self._images: dict[tuple[MergedMap, MergedMap], float] = {}
 
     def of(self, runs: Runs, accepted: Mapping[Pair, Alignment]) -> MergedMap:
@@ -120,6 +121,13 @@ class MergedMaps:
         self, one: MergedMap, two: MergedMap, settings: RobustSettings
     ) -> tuple[Candidate, ...]:
         """The candidates of two of them; none where none is beyond chance."""
+        if (one, two) not in self._matched:
+            self._matched[one, two] = self._candidates(one, two, settings)
+        return self._matched[one, two]
+
+    def _candidates(
+        self, one: MergedMap, two: MergedMap, settings: RobustSettings
+    ) -> tuple[Candidate, ...]:
         data = self._find(Kind.PAIR, one, two)
         if data == b"":
             return ()

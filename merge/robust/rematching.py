@@ -8,6 +8,7 @@ Statistics 6, 1979; with pairs that others imply left out, Shaffer: JASA 81, 198
 
 from __future__ import annotations
 
+import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,10 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...topology.topomap import TopoMap
-from ..packs import Kept
+from ..packs import DIGEST, Kept, Key, Kind
 from ..result import Alignment, Verdict, pairs_of
-from .alignment import Candidate, laid_over, match
+from .alignment import laid_over, match
 from .components import Components
+from .kept_verdicts import bar_digest
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
@@ -45,7 +47,10 @@ class Reunion:
 Sides = tuple[Runs, Runs]
 """Two components, each by its runs, in order."""
 
-Asked = tuple[MergedMap, MergedMap, tuple[Candidate, ...]]
+Asked = tuple[MergedMap, MergedMap]
+
+NOT_JOINED = b"not joined"
+"""What is kept of two components that say too little together."""
 
 Said = tuple[MergedMap, MergedMap, Opinion]
 
@@ -109,27 +114,38 @@ class Rematcher:
     def _asked(
         self, open_: Iterable[Sides], accepted: Mapping[Pair, Alignment]
     ) -> dict[Sides, Asked]:
-        """The candidates of pairs of components, not both single runs, that have any."""
-        out = {}
-        for x, y in sorted(open_):
-            if len(x) + len(y) == 2 or self._apart(x, y):
-                continue
-            one, two = (self._merged.of(runs, accepted) for runs in (x, y))
-            candidates = self._merged.matched(one, two, self.settings)
-            if candidates:
-                out[x, y] = (one, two, candidates)
-        return out
+        """The merged maps of pairs of components, not both single runs, that may be joined."""
+        return {
+            (x, y): (self._merged.of(x, accepted), self._merged.of(y, accepted))
+            for x, y in sorted(open_)
+            if len(x) + len(y) > 2 and not self._apart(x, y)
+        }
 
     def _said(self, asked: Mapping[Sides, Asked]) -> list[Said]:
         """Which of them are joined by what they say together."""
         members = self.components.members.values()
         left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
-        cases = [
-            (one.prepared, two.prepared, candidates, self.level((*one.runs, *two.runs), left))
-            for one, two, candidates in asked.values()
-        ]
-        told = zip(asked.values(), opinions(cases), strict=True)
-        return [(one, two, view) for (one, two, _), view in told if self._joins(one, two, view)]
+        pairs, cases = [], []
+        for one, two in asked.values():
+            level = self.level((*one.runs, *two.runs), left)
+            if self._known_not_to_join(one, two, level):
+                continue
+            candidates = self._merged.matched(one, two, self.settings)
+            if candidates:
+                pairs.append((one, two, level))
+                cases.append((one.prepared, two.prepared, candidates, level))
+        out = []
+        for (one, two, level), view in zip(pairs, opinions(cases), strict=True):
+            if self._joins(one, two, view):
+                out.append((one, two, view))
+            elif self.kept is not None:
+                self.kept.add(Kind.VERDICT, _key(one, two, level), NOT_JOINED)
+        return out
+
+    def _known_not_to_join(self, one: MergedMap, two: MergedMap, level: Bar) -> bool:
+        """Whether an earlier merge, or round, found so: most components never are."""
+        found = self.kept and self.kept.find(Kind.VERDICT, _key(one, two, level))
+        return found == NOT_JOINED
 
     def _apart(self, x: Runs, y: Runs) -> bool:
         """Whether a person said that two components are not to be joined, or took that back: it
@@ -143,6 +159,12 @@ class Rematcher:
             return False
         image = self._merged.image_bits(one, two, self.settings)
         return not fits_as_well(image, view.best)
+
+
+def _key(one: MergedMap, two: MergedMap, level: Bar) -> Key:
+    """Of what the merged maps of two components say, where so much is asked of them."""
+    digest = hashlib.blake2b(one.digest + two.digest, digest_size=DIGEST).digest()
+    return digest, bar_digest(level, copies=True)
 
 
 def _strength(said: Said) -> tuple[float, Runs, Runs]:
