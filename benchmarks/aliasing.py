@@ -12,21 +12,28 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from importlib import import_module
 from itertools import combinations
 
 import numpy as np
 from observed import Seeing, scattered_maps
 
 from topobatch.merge.fusion.fuse import components_of
-from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, match, prepare, repetition, verdict
+from topobatch.merge.robust import (
+    DEFAULT_ROBUST,
+    assessment,
+    conflicts,
+    decide,
+    match,
+    prepare,
+    repetition,
+    verdict,
+)
 from topobatch.merge.robust.alignment import best_of
 from topobatch.merge.robust.links import Seed
 from topobatch.merge.robust.settings import MATCH
 from topobatch.simulation import make_world
 from topobatch.topology.se2 import fit_rigid
 
-DECIDE = import_module("topobatch.merge.robust.decide")
 KINDS = {"tiles": 90, "office": 120, "rows": 70, "maze": 110, "organic": 90, "city": 90}
 """Junctions of a world of each kind."""
 RUNS, SIZE, FEWEST = 5, 36, 5
@@ -48,7 +55,7 @@ def batch(kind, worlds, first):
 def score(maps):
     """Counts over the pairs of one batch: right and possible (3,) by share, wrong, pairs."""
     by_run = {m.run: m for m in maps}
-    told = DECIDE.decide(maps)
+    told = decide(maps)
     accepted = [v for v in told if v.accepted]
     together = {run: k for k, part in enumerate(components_of(by_run, accepted)) for run in part}
     right, possible, wrong = np.zeros(3, int), np.zeros(3, int), 0
@@ -128,7 +135,7 @@ def leave_out(rule):
     elif rule == "small copies":
         verdict.Bar.may_be_copy = lambda self, best: 0.0
     elif rule == "learned copies":
-        DECIDE.copy_model = lambda samples, settings: repetition.default_copies(settings)
+        assessment.copy_model = lambda samples, settings: repetition.default_copies(settings)
     elif rule == "uniform":
         verdict.uniformity = lambda a, b: 0.0
 

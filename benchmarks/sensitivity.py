@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import fields
-from importlib import import_module
 from itertools import combinations
 
 import numpy as np
@@ -22,7 +21,6 @@ from topobatch.merge.robust import DEFAULT_ROBUST, conflicts, links, repetition
 from topobatch.merge.robust.repetition import COPIES
 from topobatch.merge.robust.settings import MATCH
 
-DECIDE = import_module("topobatch.merge.robust.decide")
 FACTOR = 1.5
 WORLDS = {"tiles": 8, "office": 6, "rows": 2, "maze": 5, "organic": 2, "city": 2}
 

@@ -23,8 +23,8 @@ from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
 from ..wording import told_bits
 from .alignment import Candidate, best_seed, same_placement
+from .assessment import Assessment, assess, bars
 from .conflicts import one_by_one
-from .decide import Assessment, assess, bars
 from .forced import forced_alignment
 from .growth import given_up
 from .prepare import FloatArray, Prepared, prepare

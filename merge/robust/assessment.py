@@ -1,0 +1,92 @@
+"""What two maps of a batch say by themselves, and what they must reach."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...topology.topomap import TopoMap
+from ..result import Alignment, PairVerdict
+from .alignment import Candidate, match, self_matches
+from .entries import Case, alignment_of
+from .mirror import doubt_mirrored, mirrored
+from .pairing import Pair, Samples
+from .prepare import Prepared, prepare
+from .repetition import CopyModel, copy_model
+from .settings import MATCH, RobustSettings
+from .verdict import Bar, Opinion, PairCount, bar, opinion
+
+
+def bars(
+    prepared: Sequence[Prepared],
+    settings: RobustSettings,
+    with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
+    copies_of: Callable[[Samples], CopyModel] | None = None,
+) -> Callable[[Sequence[int], PairCount], Bar]:
+    """What some maps, a pair or those of two components, must reach in a batch of so many pairs.
+    with_themselves: matches of each map with other parts of itself, if they are known; copies_of:
+    stands for `copy_model`."""
+    own = with_themselves or list(self_matches(prepared, settings))
+    samples = [(k, c) for k, found in enumerate(own) for c in found if c.bits > MATCH.lead_bits]
+    if copies_of is None:
+        copies = copy_model([(prepared[k], c) for k, c in samples], settings)
+    else:
+        copies = copies_of(samples)
+    copied = _copied(own, settings)
+
+    def level(some: Sequence[int], count: PairCount) -> Bar:
+        return bar(count, copies, settings, copied=max(copied[k] for k in some))
+
+    return level
+
+
+def _copied(
+    with_themselves: Sequence[tuple[Candidate, ...]], settings: RobustSettings
+) -> list[float]:
+    """The junctions of every map's largest copy of a part of itself, no fewer than most maps of the
+    batch have."""
+    copied = [
+        max((len(c) for c in own if c.bits > MATCH.lead_bits), default=0) for own in with_themselves
+    ]
+    batch = float(np.quantile(copied, settings.copied_share)) if copied else 0.0
+    return [max(junctions, batch) for junctions in copied]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """What two maps of a batch say by themselves, and what they must reach."""
+
+    a: Prepared
+    b: Prepared
+    candidates: tuple[Candidate, ...]
+    level: Bar
+    view: Opinion
+
+    def alone(self) -> PairVerdict:
+        """The verdict on the pair, were there no locks and no other runs to say more."""
+        return Case(self.a, self.b, self.view).verdict()
+
+    def alignment(self, chosen: Candidate, bits: float) -> Alignment:
+        """A candidate as an alignment of so much evidence."""
+        return alignment_of(chosen, self.a, self.b, bits)
+
+
+def assess(
+    maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, count: PairCount
+) -> Assessment:
+    """Steps 1 to 3 of `decide` for one pair of a batch of so many pairs; `maps` are those of the
+    batch, sorted by run, `pair` two of their indices, i < j."""
+    prepared = [prepare(m) for m in maps]
+    i, j = pair
+    level = bars(prepared, settings)(pair, count)
+    found = match(prepared[i], prepared[j], settings)
+    view = opinion(prepared[i], prepared[j], found, level)
+
+    def image_bits(pairs: list[Pair]) -> dict[Pair, float]:
+        best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}
+        return {p: c[0].bits if c else -np.inf for p, c in best.items()}
+
+    view = doubt_mirrored({pair: view}, image_bits)[pair]
+    return Assessment(prepared[i], prepared[j], found, level, view)

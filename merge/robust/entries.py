@@ -1,0 +1,176 @@
+"""What the result says of one pair of maps, once all that was said about it is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...topology.digits import BITS, rounded
+from ..discards import REASON
+from ..locks import Lock
+from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
+from .advice import advice
+from .alignment import Candidate, same_placement
+from .components import Refusal
+from .prepare import Prepared
+from .rematching import Reunion
+from .verdict import Opinion, counted_bits
+from .wording import contradictions, nothing, summary
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """All that was said about two maps: by themselves, by a person, by the other runs."""
+
+    a: Prepared
+    b: Prepared
+    view: Opinion
+    forced: Candidate | None = None
+    lock: Lock | None = None
+    refused: Refusal | None = None
+    reunion: Reunion | None = None
+    seconded: Candidate | None = None
+    together: bool = False
+
+    def verdict(self) -> PairVerdict:
+        """The entry of the pair. A person's word comes first, then the safety of the component,
+        then the pair's own evidence, then what the other runs say."""
+        lock, says = self.lock, self._says()
+        if lock is not None and lock.decision == "never":
+            reason = f"locked apart by a person; the maps alone say: {says}"
+            return self._not_joined(Verdict.UNRELATED, reason)
+        if lock is not None and self.forced is None and self.reunion is None:
+            return self._dishonoured(lock)
+        if self.refused is not None:
+            reason = f"{says}; but {self.refused.reason}"
+            if lock is not None:
+                reason = (
+                    f"locked as the same, but {self.refused.reason}; the maps alone say: {says}"
+                )
+            return self._not_joined(Verdict.AMBIGUOUS, reason)
+        return self._by_evidence()
+
+    def _says(self) -> str:
+        """What the two maps say by themselves, as a clause."""
+        view = self.view
+        if view.discarded:
+            return REASON
+        if view.best is None:
+            return nothing(view.faint, view.need_bits)
+        return summary(view.best, view.bits, view.need_bits, view.margin)
+
+    def _dishonoured(self, lock: Lock) -> PairVerdict:
+        """Locked as the same, where no alignment can be found for that."""
+        reason = "locked as the same, but no alignment of the two honours the lock"
+        if self.together:
+            reason = f"{reason}; other runs place them in one component"
+        elif lock.at is None:
+            reason = f"{reason}: name a junction of each run in it"
+        verdict = self.view.verdict
+        if verdict is Verdict.MERGED:  # by an alignment that the lock rules out
+            verdict = Verdict.AMBIGUOUS
+        return self._not_joined(verdict, f"{reason}; the maps alone say: {self._says()}")
+
+    def _by_evidence(self) -> PairVerdict:
+        """Where nobody forbids anything."""
+        view = self.view
+        if self.forced is not None:
+            told = "locked as the same by a person; {}"
+            return self._accepted(self.forced, by="lock", reason=told)
+        if view.verdict is Verdict.MERGED and view.best is not None:
+            return self._accepted(view.best, by="pair")
+        if self.reunion is not None:
+            said = self.reunion
+            found = (said.alignment, None, said.margin)
+            return self._joined(said.reason, found, by="components")
+        if self.seconded is not None:
+            told = "{}; other runs place the two in the same way"
+            return self._accepted(self.seconded, by="runs", reason=told)
+        says = self._says()
+        return self._not_joined(view.verdict, f"{says}; {view.why}" if view.why else says)
+
+    def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
+        """Joined by an alignment of its own, which need not be its best. The alignment's summary
+        stands in the reason's braces."""
+        view = self.view
+        known = (bits for c, bits in view.ranked if c is chosen)
+        bits = next(known, counted_bits(chosen))
+        others = (r for r in view.ranked if not same_placement(r[0], chosen, self.b))
+        second = next((alignment_of(c, self.a, self.b, bits) for c, bits in others), None)
+        margin = None if second is None else bits - second.evidence_bits
+        told = reason.format(summary(chosen, bits, view.need_bits, margin))
+        best = alignment_of(chosen, self.a, self.b, bits)
+        return self._joined(told, (best, second, margin), by=by)
+
+    def _joined(
+        self,
+        reason: str,
+        found: tuple[Alignment, Alignment | None, float | None],
+        *,
+        by: AcceptedBy,
+    ) -> PairVerdict:
+        """found: the alignment that joins the two, the next best one, the lead."""
+        best, runner_up, margin = found
+        reunion = self.reunion if by == "components" else None
+        return PairVerdict(
+            a=self.a.run,
+            b=self.b.run,
+            verdict=Verdict.MERGED,
+            accepted=True,
+            evidence_bits=best.evidence_bits,
+            threshold_bits=self.view.need_bits if reunion is None else reunion.need_bits,
+            reason=reason,
+            best=best,
+            runner_up=runner_up,
+            margin_bits=margin,
+            accepted_by=by,
+            together=None if reunion is None else reunion.sides,
+            locked=None if self.lock is None else self.lock.decision,
+            extra=self._extra(),
+        )
+
+    def _not_joined(self, verdict: Verdict, reason: str) -> PairVerdict:
+        view = self.view
+        shown = [alignment_of(c, self.a, self.b, bits) for c, bits in view.ranked[:2]]
+        settling = None if self.refused is None else self.refused.advice
+        if verdict is Verdict.AMBIGUOUS and settling is None:
+            settling = advice(self.a, self.b, view)
+        return PairVerdict(
+            a=self.a.run,
+            b=self.b.run,
+            verdict=verdict,
+            accepted=False,
+            evidence_bits=view.bits,
+            threshold_bits=view.need_bits,
+            reason=reason,
+            best=shown[0] if shown else None,
+            runner_up=shown[1] if len(shown) > 1 else None,
+            margin_bits=view.margin,
+            advice=settling,
+            locked=None if self.lock is None else self.lock.decision,
+            extra=self._extra(),
+        )
+
+    def _extra(self) -> dict[str, float]:
+        out = {}
+        if self.view.against_chance > 0:
+            out["against_chance_bits"] = self.view.against_chance
+        if self.view.same_bits is not None:
+            out["same_place_bits"] = rounded(self.view.same_bits, BITS)
+        return out
+
+
+def alignment_of(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:
+    """A candidate as an alignment of so much evidence."""
+    order = np.argsort(c.a, kind="stable")
+    against = contradictions(c, a, b)
+    return Alignment(
+        transform=c.transform,
+        evidence_bits=bits,
+        matched=np.column_stack([c.a, c.b])[order],
+        rmse_m=c.rmse_m,
+        corridors=len(c.corridors),
+        contradictions=tuple(told for told, _, _ in against),
+        contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
+    )
