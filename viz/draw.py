@@ -150,8 +150,8 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
     runs = sum(len(c.poses) for c in result.components)
     told = (
         f"{counted(len(result.fused), 'junction')}, "
-        f"{float(result.fused.length.sum()):.0f} m of corridors; {counted(pairs, 'pair')} of "
-        f"{sum(map(result.count, Standing))} merged"
+        f"{float(result.fused.length.sum()):,.0f} m of corridors; {counted(pairs, 'pair')} of "
+        f"{sum(map(result.count, Standing)):,} merged"
     )
     title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
@@ -159,9 +159,10 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
 
 
 def _title(canvas: Canvas, part: Part) -> str:
-    """The long title where there is room for it."""
+    """The longest title that there is room for."""
     room = (part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
-    return part.title if width_of(part.title, TEXT_PT) < room else part.short_title
+    fitting = (title for title in part.titles if width_of(title, TEXT_PT) < room)
+    return next(fitting, part.titles[-1])
 
 
 def _merged_keys(

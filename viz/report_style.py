@@ -35,6 +35,7 @@ ul.facts b{display:block;font-size:1.25rem;line-height:1.3}
 figure{margin:1rem 0;overflow-x:auto}
 figure.large{width:min(100vw - 3rem,110rem);position:relative;left:50%;transform:translateX(-50%)}
 figure svg{max-width:100%;height:auto;display:block}
+@media(max-width:42rem){figure svg{max-width:none;width:40rem}}
 details{border:1px solid var(--c3);border-radius:.5rem;margin:.4rem 0;padding:.3rem .8rem}
 summary{cursor:pointer}
 details>div,details>ol,details>figure{margin:.5rem 0}
