@@ -48,6 +48,8 @@ def read_places(path: Path) -> Places:
     try:
         with path.open("rb") as file:
             raw = file.read(MOST_BYTES + 1)  # devices have a size of 0, and no end
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file or folder") from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
     if len(raw) > MOST_BYTES:

@@ -31,9 +31,7 @@ MOST_LINES = 20
 def transfer(
     places: Annotated[
         Path,
-        typer.Argument(
-            metavar="PLACES.csv", exists=True, dir_okay=False, help="Table name,x,y[,theta]."
-        ),
+        typer.Argument(metavar="PLACES.csv", help="Table name,x,y[,theta]."),
     ],
     source: Annotated[
         str,

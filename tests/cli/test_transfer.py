@@ -139,3 +139,9 @@ def test_calls_that_cannot_be(topobatch, place, table) -> None:
     assert "merge again" in changed
     place.merged_json.unlink()
     assert "merge --all" in topobatch("transfer", path, "--from", "one", "--to", "two", *w).error(1)
+
+
+def test_a_table_that_is_not_there(topobatch, place, tmp_path) -> None:
+    for path, told in ((tmp_path / "gone.csv", "no such file"), (tmp_path, "cannot be read")):
+        call = ("transfer", path, "--from", "one", "--to", "two", "-w", place.root)
+        assert told in topobatch(*call).error(1)
