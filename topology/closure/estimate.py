@@ -21,7 +21,7 @@ from ..posegraph.solve import (
 from ..se2 import wrap
 from .dead_reckoning import Walk, relative_covariance, systematic_modes
 from .gates import GATE
-from .manhattan import GridCorridors, GridHeadings, turns_by_grid
+from .manhattan import GridCorridors, GridHeadings
 from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
@@ -164,7 +164,10 @@ def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
     centre = walk.passes.centre
     if grid is None:
         return np.column_stack([centre, np.zeros(len(centre))])
-    turn = turns_by_grid(walk, grid)
+    turn, piece = np.zeros(len(centre)), walk.chain[grid.row]
+    for k in np.unique(piece).tolist():
+        mine, known = np.flatnonzero(walk.chain == k), piece == k
+        turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
     half = 0.5 * (turn[1:] + turn[:-1])
     step = np.diff(centre, axis=0)
     c, s = np.cos(half), np.sin(half)

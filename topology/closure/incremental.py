@@ -183,7 +183,7 @@ def _straight(
 ) -> GridCorridors:
     """Corridors along the grid; those that were known, as the layout by them shows them."""
     if corridors is None:
-        return grid_corridors(scene.walk, grid, scene.common.core_m)
+        return grid_corridors(scene.walk, grid, layout.pose[:, 2], scene.common.core_m)
     return with_shown_spread(corridors, layout)
 
 

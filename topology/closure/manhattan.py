@@ -99,15 +99,6 @@ def grid_headings(
     return GridHeadings(row, turn, axis, sigma, wander, settings.spread_rad)
 
 
-def turns_by_grid(walk: Walk, grid: GridHeadings) -> FloatArray:
-    """(p,) turns of all passes [rad], continuous along a piece, 0 in one without a grid."""
-    turn, piece = np.zeros(len(walk)), walk.chain[grid.row]
-    for k in np.unique(piece).tolist():
-        mine, known = np.flatnonzero(walk.chain == k), piece == k
-        turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
-    return turn
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class GridCorridors:
     """Straight corridors along the grid of a building, one for every time one is driven.
@@ -124,17 +115,20 @@ class GridCorridors:
     spread_rad: float
 
 
-def grid_corridors(walk: Walk, grid: GridHeadings, apart_m: float) -> GridCorridors:
+def grid_corridors(
+    walk: Walk, grid: GridHeadings, turn: FloatArray, apart_m: float
+) -> GridCorridors:
     """What a rectilinear building says of where its corridors lead, and not of headings alone.
 
-    apart_m: parallel corridors are no nearer to each other.
+    turn: (p,) [rad] of each pass to the map's frame; apart_m: parallel corridors are no nearer to
+    each other.
 
     A leg that began and ended along the grid led straight on, for to come out on another corridor
     takes as much way as that is aside. One that ended across how it began led round one corner,
     where a junction was missed: chord c and way a + b tell both its parts, a² + b² = c². So drift
     of the heading on the way moves nobody aside.
     """
-    turn, piece = turns_by_grid(walk, grid), walk.chain[grid.row]
+    piece = walk.chain[grid.row]
     first = np.minimum(np.searchsorted(piece, walk.chain[:-1]), len(piece) - 1)
     axis, step = grid.axis[first], np.diff(walk.passes.centre, axis=0)
     chord, leg = np.hypot(*step.T), np.where(piece[first] == walk.chain[:-1], walk.leg, np.nan)

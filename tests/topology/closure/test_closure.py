@@ -838,7 +838,8 @@ def test_corridors_of_a_grid_go_straight_or_round_one_corner():
     odometry, passes, _ = record(aisles(5, 30.0), route, unseen=(3,))
     walk = make_walk(odometry, passes, NOISE)
     grid = grid_headings(walk)
-    found = grid_corridors(walk, grid, 3.0)
+    turn = np.zeros(len(walk))
+    found = grid_corridors(walk, grid, turn, 3.0)
     # Back the same way is another corridor; nobody saw where the third one bent.
     assert found.corridor.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
     assert found.row.tolist() == [0, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6]
@@ -846,7 +847,7 @@ def test_corridors_of_a_grid_go_straight_or_round_one_corner():
     ahead = np.array([0, 1, -1, 0, 2]) * np.pi / 2
     np.testing.assert_allclose(wrap(found.direction - ahead), 0.0, atol=1e-6)
     # Who might have come out on a corridor beside it says nothing.
-    assert len(grid_corridors(replace(walk, leg=walk.leg + 2.0), grid, 3.0).row) == 0
+    assert len(grid_corridors(replace(walk, leg=walk.leg + 2.0), grid, turn, 3.0).row) == 0
 
 
 def test_along_straight_corridors_nobody_drifts_aside():
@@ -856,7 +857,8 @@ def test_along_straight_corridors_nobody_drifts_aside():
     walk, place = make_walk(odometry, passes, NOISE), np.arange(len(passes))
     grid = grid_headings(walk)
     plain = lay_out(walk, place, grid=grid)
-    straight = lay_out(walk, place, grid=grid, corridors=grid_corridors(walk, grid, 3.0))
+    corridors = grid_corridors(walk, grid, plain.pose[:, 2], 3.0)
+    straight = lay_out(walk, place, grid=grid, corridors=corridors)
     ends = np.array([0]), np.array([len(place) - 1])
     before, after = (
         np.linalg.eigvalsh(layout.relative_covariance(*ends)[0][:2, :2])[-1]
@@ -875,7 +877,8 @@ def test_corridors_are_held_as_straight_as_loops_show_them(aslant, least, most):
     odometry, passes, truth = record(world, to_and_fro(14), rng)
     walk = make_walk(odometry, passes, NOISE)
     grid = grid_headings(walk)
-    corridors = grid_corridors(walk, grid, 3.0)
+    turn = lay_out(walk, partition(truth), grid=grid).pose[:, 2]
+    corridors = grid_corridors(walk, grid, turn, 3.0)
     # What nothing closed tells stays as it was.
     alone = with_shown_spread(
         corridors, lay_out(walk, np.arange(len(walk)), grid=grid, corridors=corridors)
