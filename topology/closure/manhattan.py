@@ -147,9 +147,10 @@ def grid_corridors(
     straight = (out == 0) & (back == 0) & (leg - chord < 0.5 * apart_m)
     straight &= (np.abs(off) < ONE_WAY_RAD) & (chord > LIKELIHOOD.gate_m)
     aside = (out + back) * (0.5 * leg - half)
-    # Parts about as long cannot be told apart; nor what led round a corner and back on the way.
+    # Parts about as long cannot be told apart. What the odometry saw come out on another corridor
+    # went some way to and fro.
     corner = (out * back == 0) & (np.abs(out + back) == 1) & (leg < 4 * half)
-    corner &= np.abs(chord * np.sin(off) - aside) < 0.5 * apart_m
+    corner &= np.abs(chord * np.sin(off) - aside) < apart_m
     row = np.flatnonzero(straight | corner)
     same = (np.diff(row) == 1) & (np.diff(quarter[row]) % 4 == 0)
     on = same & straight[row[1:]] & straight[row[:-1]]

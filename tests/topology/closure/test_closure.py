@@ -847,7 +847,7 @@ def test_corridors_of_a_grid_go_straight_or_round_one_corner():
     ahead = np.array([0, 1, -1, 0, 2]) * np.pi / 2
     np.testing.assert_allclose(wrap(found.direction - ahead), 0.0, atol=1e-6)
     # Who might have come out on a corridor beside it says nothing.
-    assert len(grid_corridors(replace(walk, leg=walk.leg + 2.0), grid, turn, 3.0).row) == 0
+    assert len(grid_corridors(replace(walk, leg=walk.leg + 3.0), grid, turn, 3.0).row) == 0
 
 
 def test_along_straight_corridors_nobody_drifts_aside():
