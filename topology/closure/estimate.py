@@ -216,7 +216,7 @@ def _priors(
         count = len(corridors.direction)
         row = np.concatenate([row, line + np.arange(count)])
         turn = np.concatenate([turn, corridors.direction])
-        sigma = np.concatenate([sigma, np.full(count, corridors.spread_rad)])
+        sigma = np.concatenate([sigma, corridors.spread_rad])
         kernel = np.concatenate([kernel, np.full(count, np.inf)])
     return Priors.headings(row, turn, sigma, kernel)
 

@@ -103,16 +103,18 @@ def grid_headings(
 class GridCorridors:
     """Straight corridors along the grid of a building, one for every time one is driven.
 
-    direction: (c,) [rad] in the map frame, known to spread_rad; corridor, row: (k,) passes by each,
-    ordered by both; aside: (k,) [m] to the left of the line, known to sigma_m.
+    direction: (c,) [rad] in the map frame, known to spread_rad (c,); side: (c,) which of the two
+    directions of the grid, 0 or 1; corridor, row: (k,) passes by each, ordered by both; aside: (k,)
+    [m] to the left of the line, known to sigma_m.
     """
 
     direction: FloatArray
+    spread_rad: FloatArray
+    side: IntArray
     corridor: IntArray
     row: IntArray
     aside: FloatArray
     sigma_m: float
-    spread_rad: float
 
 
 def grid_corridors(
@@ -160,12 +162,13 @@ def grid_corridors(
     along = np.arange(len(corridor)) - np.repeat(np.cumsum(size) - size, size)
     passed = row[begin][corridor] + along
     return GridCorridors(
-        (axis + quarter * (np.pi / 2))[row[begin]],
-        corridor,
-        passed,
-        np.where((along > 0) & corner[passed - 1], aside[passed - 1], 0.0),
-        float(np.hypot(walk.noise.centre_m, LIKELIHOOD.gate_m / LIKELIHOOD.gate_sigmas)),
-        grid.spread_rad,
+        direction=(axis + quarter * (np.pi / 2))[row[begin]],
+        spread_rad=np.full(len(begin), grid.spread_rad),
+        side=quarter[row[begin]].astype(np.int64) % 2,
+        corridor=corridor,
+        row=passed,
+        aside=np.where((along > 0) & corner[passed - 1], aside[passed - 1], 0.0),
+        sigma_m=float(np.hypot(walk.noise.centre_m, LIKELIHOOD.gate_m / LIKELIHOOD.gate_sigmas)),
     )
 
 

@@ -110,20 +110,23 @@ def fitted_noise(
 def with_shown_spread(
     corridors: GridCorridors, layout: Layout, settings: ComponentSettings = ComponentSettings()
 ) -> GridCorridors:
-    """The corridors with their directions as far off the grid as the layout shows.
+    """The corridors with their directions as far off the grid as the layout shows, rows by
+    themselves and what crosses them by itself.
 
     layout: one by these corridors. One step of the same estimate: the grid's prior counts.
     """
     graph, solution = layout.graph, layout.solution
-    lines = slice(len(graph.priors) - len(corridors.direction), None)
+    lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
     off = prior_errors(graph, solution.pose)[lines, 2]
     # Some stand for all: of a long run, the rest would take long. Samples depend on the frame.
-    some = graph.priors.node[lines][:: -(-len(off) // settings.samples) or 1]
-    left = Marginals.of(graph, solution).joint(some, some)[0][:, 2, 2]
-    told = len(off) * (1 - np.mean(left) / corridors.spread_rad**2) if len(off) else 0.0
+    some = slice(None, None, -(-len(off) // settings.samples) or 1)
+    node = graph.priors.node[lines][some]
+    left = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
+    stood = np.bincount(side, minlength=2) / np.maximum(np.bincount(side[some], minlength=2), 1)
+    told = stood * np.bincount(side[some], 1 - left / corridors.spread_rad[some] ** 2, 2)
     prior = settings.prior_freedom * RectilinearSettings().spread_rad ** 2
-    variance = (off @ off + prior) / (told + settings.prior_freedom)
-    return replace(corridors, spread_rad=float(np.sqrt(variance)))
+    variance = (np.bincount(side, off**2, 2) + prior) / (told + settings.prior_freedom)
+    return replace(corridors, spread_rad=np.sqrt(variance)[side])
 
 
 def _pull(ratio: FloatArray, freedom: float) -> tuple[FloatArray, FloatArray]:
