@@ -33,8 +33,9 @@ from .verdicts import (
 MATRIX, UNDECIDED = "verdicts", "undecided"
 """Roots of the pictures of the pairs."""
 
-MOST_PLACEMENTS = 24
-"""Undecided pairs that are drawn, those of the strongest evidence."""
+MOST_PLACEMENTS = 12
+"""Undecided pairs that are drawn, those of the strongest evidence: above two placements of so many
+there is room for their names."""
 
 MOST_NAMES = 16
 """Above this many runs the matrix is drawn without their names."""

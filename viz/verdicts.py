@@ -79,14 +79,14 @@ def merge_summary(result: MergeResult, shown: Shown) -> str:
     fused = result.fused
     shared = sum(len(members) > 1 for members in fused.members)
     runs = sum(len(c.poses) for c in result.components)
-    kept_out = f", **{count[NOT_ACCEPTED]}** kept out" if count[NOT_ACCEPTED] else ""
-    joined = f"**{count[JOINED]}** joined through others, " if count[JOINED] else ""
+    kept_out = f", **{count[NOT_ACCEPTED]:,}** kept out" if count[NOT_ACCEPTED] else ""
+    joined = f"**{count[JOINED]:,}** joined through others, " if count[JOINED] else ""
     rows = [
         f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
-        f"{several(len(fused), 'junction')}, {shared} of them seen by several runs",
-        f"{several(len(fused.source), 'corridor')}, {float(fused.length.sum()):.0f} m in all",
-        f"pairs of runs: **{count[MERGED]}** merged, {joined}**{count[AMBIGUOUS]}** ambiguous, "
-        f"**{count[UNRELATED]}** unrelated{kept_out}",
+        f"{several(len(fused), 'junction')}, {shared:,} of them seen by several runs",
+        f"{several(len(fused.source), 'corridor')}, {float(fused.length.sum()):,.0f} m in all",
+        f"pairs of runs: **{count[MERGED]:,}** merged, {joined}**{count[AMBIGUOUS]:,}** ambiguous, "
+        f"**{count[UNRELATED]:,}** unrelated{kept_out}",
     ]
     if "method" in result.info:
         rows.append(f"method: {plain(result.info['method'])}")
@@ -127,8 +127,9 @@ def _legend(result: MergeResult, shown: Shown) -> list[str]:
         views.append("**Runs**: each run's own map, laid into its component.")
     if shown.undecided:
         views.append(
-            "**Undecided**: pairs that the evidence does not decide, with both placements; "
-            "matched junctions in white, contradictions in red."
+            "**Undecided**: pairs that the evidence does not decide, those with most of it first, "
+            "with both placements: the first run **blue**, the second **orange**; matched "
+            "junctions in white, contradictions in red."
         )
     matrix = _matrix_legend(result, shown)
     pointing = (
