@@ -12,10 +12,10 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, NotRequired
+from typing import Annotated, Any, Literal, NotRequired
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
 from ...topology.files import Json, encoded
@@ -95,7 +95,9 @@ class _Placed(_Aligned):
     same_place_bits: NotRequired[Finite]
 
 
-_ENTRY: TypeAdapter[_Unrelated | _Placed] = TypeAdapter(_Unrelated | _Placed)
+_ENTRY: TypeAdapter[_Unrelated | _Placed] = TypeAdapter(
+    Annotated[_Unrelated | _Placed, Field(discriminator="verdict")]
+)
 
 
 def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
