@@ -174,7 +174,9 @@ def test_readers_cope_with_pairs_that_are_only_counted(topobatch, workspace, lar
     assert "did not have both" not in told.out + told.err
     told = topobatch("explain", a, b, "--json", "-w", workspace)
     assert json.loads(told.out)["merged"] is True
-    assert json.loads(told.out)["threshold_bits"] == pytest.approx(17.22, abs=0.01)
+    assert json.loads(told.out)["threshold_bits"] == pytest.approx(
+        17.29, abs=0.01
+    )  # 153 count as 160
 
 
 def test_shares_of_a_large_merge(topobatch, workspace, large):
