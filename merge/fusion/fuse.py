@@ -190,7 +190,7 @@ def fuse_component(
     return FusedComponent(
         {run: poses[run] for run in sorted(poses)},
         fused,
-        None if sure is None else _spread(pool, joint, sure),
+        None if sure is None else _spread(pool, label, joint, sure),
     )
 
 
@@ -201,11 +201,11 @@ def _sigmas(pool: Pool, label: IntArray, joint: Joint) -> FloatArray | None:
     return place_sigmas(pool, label, joint.graph, joint.solution)
 
 
-def _spread(pool: Pool, joint: Joint, key: IntArray) -> Spread | None:
+def _spread(pool: Pool, label: IntArray, joint: Joint, key: IntArray) -> Spread | None:
     """How surely a component's runs are placed; None where it is one run."""
     if joint.graph is None or joint.solution is None:
         return None
-    return spread(pool, joint.graph, joint.solution, key)
+    return spread(pool, label, joint.graph, joint.solution, key)
 
 
 def _settle(

@@ -44,7 +44,7 @@ class JointSettings:
     """Sigmas that maps do not state, and how much a false match may pull."""
 
     min_position_m: float = 0.01
-    """No two visits agree better than this on where a junction's centre is, 1 sigma."""
+    """No two maps agree better than this on where a junction's centre is, 1 sigma."""
     min_heading_rad: float = 0.01
     """Nor on the direction of its branches."""
     branch_gate_rad: float = 0.6
@@ -276,13 +276,13 @@ def _identity_factors(
     source, target = first[first != order], order[first != order]
     heading, visits = branch_headings(pool), pass_counts(pool)
     noise = [m.measured for m in pool.maps]
-    centre = np.array([x.centre_m for x in noise])[pool.run] / np.sqrt(visits)
+    centre = centre_sigma(pool, settings)
     spread = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
     turn, count = measured_turn(
         heading[source], heading[target], wrap(guess[target, 2] - guess[source, 2]),
         settings.branch_gate_rad,
     )  # fmt: skip
-    position = np.maximum(np.hypot(centre[source], centre[target]), settings.min_position_m)
+    position = np.hypot(centre[source], centre[target])
     both = np.hypot(spread[source], spread[target]) / np.sqrt(np.maximum(count, 1))
     sigma = np.maximum(both, settings.min_heading_rad)
     information = np.zeros((len(source), 3, 3))
@@ -364,6 +364,13 @@ def branch_headings(pool: Pool) -> FloatArray:
     return np.concatenate(
         [np.pad(r, ((0, 0), (0, width - r.shape[1])), constant_values=np.nan) for r in rows]
     )
+
+
+def centre_sigma(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> FloatArray:
+    """(n,) 1 sigma [m] per axis of the centre of each row as its map saw it."""
+    one = np.array([m.measured.centre_m for m in pool.maps])[pool.run]
+    least = settings.min_position_m / np.sqrt(2)
+    return np.asarray(np.maximum(one / np.sqrt(pass_counts(pool)), least))
 
 
 def pass_counts(pool: Pool) -> IntArray:

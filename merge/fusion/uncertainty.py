@@ -7,15 +7,17 @@ carried over to the rigid fit of each run's map.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ...topology.posegraph.samples import SampledMarginals, white
-from ...topology.posegraph.solve import Marginals, PoseGraph, Solution
+from ...topology.posegraph.solve import Marginals, PoseGraph, SharedErrors, Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
-from .joint_graph import pass_counts
+from .joint_graph import centre_sigma
 from .vertex_partition import Pool
 
 FloatArray = NDArray[np.float64]
@@ -35,39 +37,91 @@ MOST_ROWS = 10_000
 """Samples of so many vertices take some 200 MB."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """The joint graph as it says where places are: those of several rows are nodes of their own.
+
+    A row of the pool is a junction's centre as one map saw it, off by `seen` (n,) [m] per axis, and
+    a tie between two rows is off by what both are. Where the truth lies against either, their
+    errors go together: a map tied where its junctions were seen awry is awry there, and as a whole
+    by less. So each row of such a place measures the place, and nothing else does.
+
+    node: (n,) of each row, that of its place; seen: 0 where that is a place of several rows.
+    """
+
+    graph: PoseGraph
+    solution: Solution
+    node: IntArray
+    seen: FloatArray
+
+    @classmethod
+    def of(cls, pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution) -> Landmarks:
+        """Of a pool, solved as a joint graph with the places `label` (n,) of its rows."""
+        solution, n = solution.with_full_weights(), len(pool)
+        across = pool.run[graph.source] != pool.run[graph.target]
+        ties, own = np.flatnonzero(across), np.flatnonzero(~across)
+        rows = np.flatnonzero(np.bincount(label)[label] > 1)
+        first, place = np.unique(label[rows], return_index=True, return_inverse=True)[1:]
+        node = np.arange(n)
+        node[rows] = n + place
+        sigma = centre_sigma(pool)
+        # Either end of a tie has half of the variance of the turn that it measured.
+        weight, turn = np.ones(n), np.zeros(n)
+        weight[graph.target[ties]] = solution.edge_weight[ties]
+        np.maximum.at(turn, graph.source[ties], 2 * graph.information[ties, 2, 2])
+        turn[graph.target[ties]] = 2 * graph.information[ties, 2, 2]
+        seen = np.zeros((len(rows), 3, 3))
+        seen[:, 0, 0] = seen[:, 1, 1] = sigma[rows] ** -2.0
+        seen[:, 2, 2] = turn[rows]
+        shared = graph.shared
+        nothing = np.zeros((len(rows), 3, len(shared)))
+        pose = np.concatenate([solution.pose, solution.pose[rows[first]]])
+        told = PoseGraph(
+            pose=pose,
+            source=np.concatenate([graph.source[own], rows]),
+            target=np.concatenate([graph.target[own], node[rows]]),
+            measurement=np.concatenate([graph.measurement[own], np.zeros((len(rows), 3))]),
+            information=np.concatenate([graph.information[own], seen]),
+            priors=graph.priors,
+            shared=SharedErrors(np.concatenate([shared.sensitivity[own], nothing]), shared.sigma),
+        )
+        edge_weight = np.concatenate([solution.edge_weight[own], weight[rows]])
+        at = replace(solution, pose=pose, edge_weight=edge_weight)
+        return cls(told, at, node, np.where(node < n, sigma, 0.0))
+
+
 def place_sigmas(
     pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution
 ) -> FloatArray | None:
     """(places,) 1 sigma [m] of each coordinate, with the component laid rigidly over the truth.
 
-    label: (n,) the place of each row of the pool. A place is where its rows lie in the mean,
-    weighted by passes; each row is off by the joint solution, and by how its centre was seen.
-    None for components of more than MOST_ROWS rows.
+    label: (n,) the place of each row of the pool. None for components of more than MOST_ROWS rows.
     """
-    count, rows = int(label.max()) + 1, len(pool)
-    if rows > MOST_ROWS:
+    if len(pool) > MOST_ROWS:
         return None
-    passes = pass_counts(pool).astype(np.float64)
-    share = passes / np.bincount(label, passes)[label]
-    gather = csr_array((share, (label, np.arange(rows))), shape=(count, rows))
-    sampled = SampledMarginals.of(graph, solution.with_full_weights(), SAMPLES).error[:, :2]
-    centre = np.array([m.measured.centre_m for m in pool.maps])[pool.run] / np.sqrt(passes)
-    (noise,) = white(20053, [sampled.shape])
-    off = np.asarray(gather @ (sampled + centre[:, None, None] * noise).reshape(rows, -1))
-    error = np.zeros((count, 3, SAMPLES))
-    error[:, :2] = off.reshape(count, 2, SAMPLES)
-    xy = np.asarray(gather @ solution.pose[:, :2])
-    return VertexErrors(error).as_a_whole(xy, np.zeros(count, np.int64)).position_sigma()
+    marks = Landmarks.of(pool, label, graph, solution)
+    first = np.unique(label, return_index=True)[1]
+    node = marks.node[first]
+    error = SampledMarginals.of(marks.graph, marks.solution, SAMPLES).error[node]
+    (noise,) = white(20053, [(len(first), 2, SAMPLES)])
+    error[:, :2] += marks.seen[first, None, None] * noise
+    error[:, 2] = 0.0
+    whole = np.zeros(len(first), np.int64)
+    return VertexErrors(error).as_a_whole(marks.solution.pose[node, :2], whole).position_sigma()
 
 
-def spread(pool: Pool, graph: PoseGraph, solution: Solution, key: IntArray) -> Spread:
-    """Errors of rigid fits to the solution of a joint pose graph over a pool; key: as in `Spread`.
+def spread(
+    pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution, key: IntArray
+) -> Spread:
+    """Errors of rigid fits of the truth to the maps of a pool, by its joint pose graph.
 
-    A rigid fit is linear in small shifts of its points, so its covariance is G H⁻¹ Gᵀ with H the
-    normal matrix and three rows of G for each run. Cost: three pairs of triangular solves per run;
-    what is held is the blocks that are asked for, and some columns at a time.
+    label: (n,) the place of each row; key: as in `Spread`. A rigid fit is linear in small shifts of
+    its points, so its covariance is G H⁻¹ Gᵀ with H the normal matrix and three rows of G for each
+    run, and what the places that one map alone saw are off by. Cost: three pairs of triangular
+    solves per run; what is held is the blocks that are asked for, and some columns at a time.
     """
-    marginals = Marginals.of(graph, solution.with_full_weights())
+    marks = Landmarks.of(pool, label, graph, solution)
+    marginals = Marginals.of(marks.graph, marks.solution)
     pattern = marginals.factor.pattern
     count = len(pool.maps)
     size = np.maximum(np.bincount(pool.run, minlength=count), 1)
@@ -86,7 +140,9 @@ def spread(pool: Pool, graph: PoseGraph, solution: Solution, key: IntArray) -> S
             [np.where(lone, zero, -lever[:, 1]), np.where(lone, zero, lever[:, 0]), lone * share],
         ]
     ).transpose(2, 0, 1)
-    column = np.broadcast_to(pattern.variable[:, None, :], weight.shape)
+    variable = pattern.variable[: len(pool)].copy()
+    variable[:, :2] = pattern.variable[marks.node, :2]
+    column = np.broadcast_to(variable[:, None, :], weight.shape)
     row = np.broadcast_to((3 * pool.run)[:, None, None] + np.arange(3)[:, None], weight.shape)
     used = (column >= 0) & (weight != 0)
     fit = csr_array((weight[used], (row[used], column[used])), shape=(3 * count, pattern.size))
@@ -101,6 +157,8 @@ def spread(pool: Pool, graph: PoseGraph, solution: Solution, key: IntArray) -> S
         for blocks, row, column in ((above, first, second), (below, second, first)):
             rows = np.flatnonzero((column >= start) & (column < start + CHUNK))
             blocks[rows] = block[row[rows], column[rows] - start]
+    seen = weight[:, :, :2] * marks.seen[:, None, None]
+    np.add.at(own, pool.run, seen @ seen.transpose(0, 2, 1))
     names = tuple(m.run for m in pool.maps)
     return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below))
 
