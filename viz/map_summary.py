@@ -191,7 +191,10 @@ def _source(topomap: TopoMap) -> str:
     for name, value in sorted(source.items()):
         told = value
         if isinstance(value, Mapping):
-            told = ", ".join(f"{v} {k}" if k == "messages" else str(v) for k, v in value.items())
+            told = ", ".join(
+                v if isinstance(v, str) else f"{v} messages" if k == "messages" else f"{k} {v}"
+                for k, v in value.items()
+            )
         lines.append(f"{plain(name)}: {plain(told)}")
     return "## Made from\n\n" + bulleted(lines) if lines else ""
 

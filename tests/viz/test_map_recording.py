@@ -3,6 +3,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -229,3 +230,12 @@ def test_nothing_is_left_when_writing_fails(
 def test_importing_the_package_does_not_import_rerun() -> None:
     code = "import sys, topobatch.viz; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_numbers_of_the_source_stand_with_their_names(tmp_path: Path, make_map: Make) -> None:
+    topomap = make_map("scanned")
+    source = {"junctions": {"from": "scan", "topic": "/scan", "messages": 720, "matched": 694}}
+    told = replace(topomap, info=dict(topomap.info) | {"source": source})
+    write_map_recording(tmp_path / "map.rrd", told)
+    (page,) = Readback(tmp_path / "map.rrd").value("/summary", "TextDocument:text")
+    assert "junctions: scan, /scan, 720 messages, matched 694" in page
