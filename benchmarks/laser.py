@@ -9,8 +9,9 @@ Folders hold `logs/*.mcap` with odometry and a laser, `truth.json` with correcte
               is off by degrees); `framed`: the same between rigid fits of 4 m of way around both
               ends, which a single wrong heading of the truth does not swing around; `bent`: what is
               left at the ends of a stretch after the best rigid fit of all of it
-  truth       heading of scans 5 m of way apart: how far the truth, and the corrected odometry, is
-              off what matching the two with each other alone says; whose pose they fit better in
+  agreed      of real logs: the same errors against what the scans of the whole log agree on
+              (`revisits.py`), of the corrected odometry, of the truth, and of what the scans agree
+              on with hardly any odometry beside them; how many points of places passed again fit
   claimed     shares of heading errors after 20 m within the 68.3 and 95.4 % that the run's noise
               claims, with the truth's own scatter (as it is over 0.5 m, no normal one) in it
   junctions   of simulated worlds: passes within 0.7 m, or within a corridor's width, of a crossing;
@@ -35,24 +36,21 @@ import json
 import resource
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from revisits import revisits
 from scipy.special import ndtr
 
 from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map
-from topobatch.ingest.scans.alignment import Steps, match_steps
-from topobatch.ingest.scans.association import Gate, Swept, pair_terms
 from topobatch.ingest.scans.detection import detect
-from topobatch.ingest.scans.keyframes import join
 from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
 from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.ingest.scans.stream import Mounting, ScanStream
-from topobatch.ingest.scans.surfaces import surfaces
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, Run, Scanned
@@ -246,33 +244,29 @@ def _framed(
     return distance[np.isfinite(distance)]
 
 
-def judged_truth(log: Log, apart_m: float = 5.0) -> str:
-    """Scans matched with each other alone, where they tell all three numbers, beside the truth."""
-    settings = MatchingSettings()
-    parts = list(matched(posed(log.odometry, log.scans, settings), settings))
-    frames = join([part.keyframes for part in parts])
-    pose = np.concatenate([part.pose for part in parts])
-    scans = Swept(frames.xy, frames.start, frames.increment, surfaces(frames.xy, frames.increment))
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
-    inside = (frames.time_ns >= log.truth.time_ns[0]) & (frames.time_ns <= log.truth.time_ns[-1])
-    last = np.searchsorted(way, way + apart_m)
-    first = np.flatnonzero(inside & (last < len(way)))
-    last = last[first]
-    pairs = last[inside[last]], first[inside[last]]
-    real = compose(log.truth.at(frames.time_ns), frames.mount)
-    claims = [between(P[pairs[1]], P[pairs[0]]) for P in (real, pose)]
-    loose = np.tile(np.diag([0.04, 0.04, 1.0]), (len(pairs[0]), 1, 1))
-    found = match_steps(scans, pairs, Steps(claims[1], loose), settings.alignment)
-    good = (found.fit > 0.5) & (found.loose_m < 0.03)
-    if not good.any():
-        return "no two scans that tell"
-    off = [np.degrees(np.abs(wrap(found.motion - c)[good, 2])) for c in claims]
-    fit = [pair_terms(scans, *pairs, c, Gate(0.3, 0.05)).fit[good] for c in claims]
-    told = "; ".join(
-        f"{name} off by median {np.median(o):.2f} p90 {np.percentile(o, 90):.2f} deg"
-        for name, o in zip(("truth", "ours"), off, strict=True)
+def agreed(log: Log) -> Log:
+    """The log, its truth replaced by what its scans agree on; what that is worth is printed."""
+    seen = revisits(log.odometry, log.scans, log.truth)
+    out = replace(log, truth=seen.path)
+    t = seen.path.time_ns
+    for way_m in (5.0, 20.0):
+        for name, path in (("truth", log.truth), ("itself", seen.loose)):
+            print(
+                f"  agreed {way_m:2.0f} m {name} {Stretches.of(out, t, path.at(t), way_m).told()}"
+            )
+    print(
+        f"  agreed   {seen.fit:.2f} of the points of {seen.pairs} pairs of visits of a place fit, "
+        f"{seen.fit_truth:.2f} by the truth"
     )
-    return f"{told}; ours fits better in {np.mean(fit[1] > fit[0]):.2f} of {good.sum()}"
+    return out
+
+
+def matching_rate(log: Log) -> float:
+    """Scans per second of scan matching alone, which is what KISS-ICP does."""
+    settings, began = MatchingSettings(), time.process_time()
+    for _ in matched(posed(log.odometry, log.scans, settings), settings):
+        pass
+    return sum(map(len, log.scans)) / (time.process_time() - began)
 
 
 def claimed(log: Log, result: ScanResult, time_ns: IntArray, ours: FloatArray) -> str:
@@ -396,7 +390,8 @@ def closure(log: Log, result: ScanResult, topomap: TopoMap) -> str:
     )
 
 
-def judge(log: Log, *, alone: bool, pictures: Path | None) -> None:
+def judge(log: Log, *, alone: bool, pictures: Path | None) -> Log:
+    """Print all about a log; the log, with the best truth there is."""
     began = time.process_time()
     result = detect(None if alone else log.odometry, log.scans)
     detected = time.process_time()
@@ -427,10 +422,19 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> None:
         f"peak {peak:.0f} MB with all scans held",
         flush=True,
     )
-    if log.crossings is None and not alone:
-        print(f"  truth    {judged_truth(log)}")
+    if not alone:
+        print(f"  speed    {matching_rate(log):.0f} scans/s by matching alone")
     if pictures is not None:
         draw(pictures / f"{log.name}.png", result, topomap)
+    if log.crossings is not None or alone:
+        return log
+    log = agreed(log)
+    t = log.truth.time_ns
+    for way_m in (5.0, 20.0):
+        told = Stretches.of(log, t, corrected_at(result, log, t), way_m).told()
+        print(f"  agreed {way_m:2.0f} m corrected {told}", flush=True)
+    print(f"  agreed   {claimed(log, result, t, corrected_at(result, log, t))}")
+    return log
 
 
 def draw(path: Path, result: ScanResult, topomap: TopoMap) -> None:
@@ -537,9 +541,9 @@ def main() -> None:
     options = parser.parse_args()
     for folder in options.folders:
         for log in logs(folder):
-            judge(log, alone=options.alone, pictures=options.pictures)
+            best = judge(log, alone=options.alone, pictures=options.pictures)
             if options.kiss:
-                kiss(log)
+                kiss(best)
 
 
 if __name__ == "__main__":
