@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.scans import alignment
-from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, match_steps
-from topobatch.ingest.scans.association import Swept
+from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, align, match_steps
+from topobatch.ingest.scans.association import Gate, Swept, pair_terms
 from topobatch.ingest.scans.surfaces import surfaces
+from topobatch.topology.se2 import between, compose
 
 from .building import WHOLE_TURN, Building
 
@@ -33,3 +34,43 @@ def test_what_is_searched_for_in_parts_is_found_the_same(monkeypatch: pytest.Mon
     assert again.motion.tobytes() == found.motion.tobytes()
     assert (again.searched == found.searched).all()
     assert np.abs(found.motion[found.searched, 2] - np.diff(turned)[found.searched]).max() < 0.05
+
+
+def room_seen_from(pose: np.ndarray) -> Swept:
+    room = Building.of((0.0, 0.0, 7.0, 4.0), (3.0, 3.9, 4.5, 9.0))
+    along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
+    xy = (room.ranges(pose, WHOLE_TURN)[..., None] * along).astype(np.float32)
+    step = np.full(len(pose), WHOLE_TURN[1] - WHOLE_TURN[0])
+    return Swept(xy, np.full(len(pose), WHOLE_TURN[0]), step, surfaces(xy, step))
+
+
+def test_the_same_raster_begun_a_turn_later_matches_the_same() -> None:
+    scans = room_seen_from(np.array([(2.0, 1.5, 0.0), (2.2, 1.6, 0.1)]))
+    later = Swept(scans.xy, scans.start + 2 * np.pi, scans.increment, scans.surfaces)
+    one, two = np.array([1]), np.array([0])
+    motion, gate = np.array([[0.2, 0.1, 0.1]]), Gate(0.2, 0.05)
+    told, again = (pair_terms(s, one, two, motion, gate) for s in (scans, later))
+    assert told.fit[0] > 0.95
+    assert again.fit == told.fit
+    np.testing.assert_allclose(again.moments, told.moments, rtol=1e-3, atol=1e-3)
+
+
+def test_poses_fall_into_place_together() -> None:
+    """From poses 10 cm and 3 degrees off, and an odometry that says the same."""
+    rng = np.random.default_rng(5)
+    n = 12
+    real = np.column_stack([np.linspace(1.5, 3.5, n), np.full(n, 1.5), np.linspace(0, 0.6, n)])
+    scans = room_seen_from(real)
+    off = np.column_stack([rng.normal(0, 0.05, (n, 2)), rng.normal(0, 0.03, n)])
+    off[0] = 0.0
+    start = compose(real, off)
+    weak = np.tile(np.diag([100.0, 100.0, 100.0]), (n - 1, 1, 1))
+    earlier = [np.arange(n) - 1, np.maximum(np.arange(n) - 2, -1), np.maximum(np.arange(n) - 4, -1)]
+    steps = Steps(between(start[:-1], start[1:]), weak)
+    found = align(scans, start, steps, fixed=1, earlier=earlier, settings=AlignmentSettings())
+    error = between(real, found.pose)
+    assert np.abs(error[:, :2]).max() < 0.01
+    assert np.abs(error[:, 2]).max() < 0.005
+    assert found.pose[0] == pytest.approx(real[0], abs=1e-6)
+    # Every other scan is also held by the second offset alone.
+    assert np.abs(found.halves[::2]).max() < 0.01

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.noise import HALF, expected_drift, recorded_drift
+from topobatch.ingest.scans.noise import HALF, expected_drift, matched_noise, recorded_drift
+from topobatch.ingest.scans.scan import ScanPasses
+from topobatch.ingest.scans.step_errors import SpanErrors
+from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import RunNoise
 
 NOISE = RunNoise(
@@ -47,3 +50,32 @@ def test_a_run_too_short_tells_none() -> None:
     pose, way = circle(0.1, 1.0)
     assert np.isnan(expected_drift(NOISE, pose, way, 20.0))
     assert np.isnan(recorded_drift(pose, pose, way, 20.0))
+
+
+def test_headings_are_as_uncertain_as_halves_of_the_pairs_differ() -> None:
+    rng = np.random.default_rng(2)
+    way, turned = rng.uniform(2, 5, 300), rng.uniform(0, 1, 300)
+    variance = np.column_stack([4e-4 * way, 4e-4 * way, 1e-5 * way + 2e-5 * turned])
+    no_time, no_rows = np.zeros(0, np.int64), Ragged.from_rows([])
+    none = ScanPasses(
+        time_ns=no_time,
+        start_ns=no_time,
+        end_ns=no_time,
+        centre=np.zeros((0, 2)),
+        branches=no_rows,
+        support=no_rows,
+        confidence=np.zeros(0),
+        windows=no_time,
+        clearance_m=np.zeros(0),
+    )
+
+    def noise(part: float) -> RunNoise:
+        halves = part * variance[:, 2] * rng.chisquare(1, 300)
+        return matched_noise([SpanErrors(way, turned, variance, halves)], none)
+
+    quiet, loud = noise(0.02), noise(0.08)
+    assert loud.heading_rad_per_sqrt_m == pytest.approx(2 * quiet.heading_rad_per_sqrt_m, rel=0.15)
+    assert loud.heading_rad_per_sqrt_m**2 == pytest.approx(
+        loud.heading_rad_per_sqrt_rad**2 / 2, rel=0.05
+    )
+    assert loud.along_m_per_sqrt_m == quiet.along_m_per_sqrt_m == pytest.approx(0.02, rel=0.01)
