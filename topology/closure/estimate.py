@@ -35,9 +35,9 @@ class LayoutSettings:
     slot_gap_rad: float = ONE_WAY_RAD
     """Branch readings of several passes farther apart than this belong to different branches."""
     grid_kernel: float = 2.0
-    """Cauchy width [sigmas] of headings taken from the grid of a rectilinear building: 2.385 would
-    be 95 % efficient with Gaussian errors (Holland, Welsch 1977) and finds fewer places of rows
-    (`benchmarks/ablation.txt`)."""
+    """Cauchy width [sigmas] of what the grid of a rectilinear building tells of headings and of
+    where its corridors lead: 2.385 would be 95 % efficient with Gaussian errors (Holland, Welsch
+    1977) and finds fewer places of rows (`benchmarks/ablation.txt`)."""
     settled_chi2: float = 0.1
     """Solved to this: a step that lowers χ² by less moves no pose by a third of its error."""
     samples: int = 64
@@ -119,8 +119,7 @@ def lay_out(
     for k in (0, 1):
         total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
         guess[:, k] = total[several] / visits[several]
-    lines, pose = _lines(start, corridors)
-    line = count + len(several) + (lines.row if corridors is None else corridors.corridor)
+    lines, line, pose = _lines(start, corridors)
     parts = (legs, shared, lines)
     row, sighting = len(legs.row), slice(len(legs.row), len(legs.row) + len(shared.row))
     edges = sighting.stop + len(lines.row)
@@ -131,7 +130,7 @@ def lay_out(
     s = walk.systematic
     graph = PoseGraph(
         pose=np.vstack([start, guess, pose]),
-        source=np.concatenate([legs.row, shared.row, line]),
+        source=np.concatenate([legs.row, shared.row, count + len(several) + line]),
         target=np.concatenate([legs.row + 1, node[place[shared.row]], lines.row]),
         measurement=np.vstack([part.measurement for part in parts]),
         information=np.concatenate([part.information for part in parts]),
@@ -275,11 +274,14 @@ def _sightings(
     return _Factors(row, measurement, information)
 
 
-def _lines(start: FloatArray, corridors: GridCorridors | None) -> tuple[_Factors, FloatArray]:
-    """Passes (`row`) that lie on lines, and these (c, 3); a line begins at its first pass."""
+def _lines(
+    start: FloatArray, corridors: GridCorridors | None
+) -> tuple[_Factors, IntArray, FloatArray]:
+    """Passes (`row`) that lie on lines, on which line each does, and these (c, 3), which begin at
+    their first passes."""
     if corridors is None:
-        none = np.zeros((0, 3))
-        return _Factors(np.zeros(0, np.int64), none, np.zeros((0, 3, 3))), none
+        none, poses = np.zeros(0, np.int64), np.zeros((0, 3))
+        return _Factors(none, poses, np.zeros((0, 3, 3))), none, poses
     row, begin = corridors.row, np.diff(corridors.corridor, prepend=-1) > 0
     information = np.zeros((len(row), 3, 3))
     information[:, 1, 1] = corridors.sigma_m**-2
@@ -287,4 +289,4 @@ def _lines(start: FloatArray, corridors: GridCorridors | None) -> tuple[_Factors
     pose = np.column_stack([start[row[begin], :2], corridors.direction])
     measurement = np.zeros((len(row), 3))
     measurement[:, 1] = corridors.aside
-    return _Factors(row, measurement, information), pose
+    return _Factors(row, measurement, information), corridors.corridor, pose
