@@ -17,14 +17,18 @@ from .bag_wire import (
     connection_of,
     fields_of,
     number,
+    numbers_of,
     op_of,
     time_ns,
 )
 from .columns import MANY, column, gather, without_repeats, words
-from .described import Described, contradicts
+from .described import TOO_MANY, Described, contradicts, short
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
 from .tally import NUMBERS, Tally
 from .walk import LEAST_LISTED, bag_listed, bag_records, inside, seamless
+
+HEAD_BYTES = 64
+"""So much of many records is looked at together: of most connections, number and kind."""
 
 
 class MessageReader:
@@ -145,7 +149,11 @@ class MessageReader:
         if self._template is None:
             self._learn(data, where)
         conn, time, size_at, others = self._columns(data, where)
-        return conn, time, size_at, self._once(data, others) if len(others) >= MANY else others
+        if len(others) > self._described.left:
+            others = self._worth(data, others)
+        if len(others) >= MANY:
+            others = self._once(data, others)
+        return conn, time, size_at, others
 
     def _columns(self, data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
         """Connection, time and place of the payload's size of the records like the template.
@@ -182,6 +190,19 @@ class MessageReader:
         described = all(record is not None and record.op == CONNECTION for record in kinds)
         return places[~left_out] if described else places
 
+    def _worth(self, data: Bytes, places: Ints) -> Ints:
+        """The places without those of more connections than any log describes."""
+        at = np.minimum(places, max(len(data) - HEAD_BYTES, 0))
+        rows = gather(data, at, min(HEAD_BYTES, len(data)))
+        key = numbers_of(rows)
+        key[at != places] = -1
+        described = (key >= 0).nonzero()[0]
+        worth = self._described.worth(np.minimum(key[described], NUMBERS - 1))
+        if worth.all():
+            return places
+        self.findings.note(TOO_MANY)
+        return np.delete(places, described[~worth])
+
     def one_by_one(self, data: Bytes, places: Ints) -> list[tuple[int, int, int]]:
         """Connection records, and messages whose header is written in another order."""
         out = []
@@ -206,11 +227,11 @@ class MessageReader:
     def _connection(self, fields: Fields, record: bytes, data_at: int) -> None:
         """Take in what a connection is, once; raises DamageError."""
         if record not in self._described:
-            self._described.charge(record)
-            number, channel = connection_of(fields, record[data_at:])
-            self._described.add(record)
-            overrule = contradicts(record, self._told.get(number))
-            self.tally.describe(number, channel, overrule)
+            self._described.look(min(number(fields, b"conn"), NUMBERS - 1))
+            key, channel = connection_of(fields, record[data_at:])
+            if not self._described.add(record):
+                channel = short(channel)
+            self.tally.describe(key, channel, contradicts(record, self._told.get(key)))
 
     def unwanted(self, conn: int) -> bool:
         """Whether nobody asked for the messages of that connection."""

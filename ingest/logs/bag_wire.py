@@ -43,7 +43,7 @@ INDEX_BYTES = 1 << 26
 so 300,000 of them."""
 
 U32 = struct.Struct("<I").unpack_from
-_U64 = struct.Struct("<Q").unpack_from
+U64 = struct.Struct("<Q").unpack_from
 _TIME = struct.Struct("<II").unpack_from
 
 Fields = Mapping[bytes, bytes]
@@ -130,6 +130,21 @@ def connection_of(fields: Fields, data: bytes) -> tuple[int, Channel]:
     )
 
 
+_CONNECTION, _NUMBER = (U64(field)[0] for field in (b"\4\0\0\0op=\7", b"\x09\0\0\0conn"))
+
+
+def numbers_of(heads: Bytes) -> Ints:
+    """(n,) numbers of connections by the first bytes of records, as rows; -1 for other records."""
+    out, is_connection = np.full(len(heads), -1), np.zeros(len(heads), bool)
+    for at in range(4, heads.shape[1] - 12):
+        word = np.ndarray((len(heads),), "<u8", heads.data, at, (heads.shape[1],))
+        is_connection |= word == _CONNECTION
+        named = (word == _NUMBER).nonzero()[0]
+        out[named] = column(heads[named], "<u4", at + 9)
+    out[~is_connection] = -1
+    return out
+
+
 INDEX_ENTRY = 12
 """Bytes of an entry in an index record: a time and a place in the chunk."""
 
@@ -192,7 +207,7 @@ def read_index(window: Window) -> BagIndex | None:
         chunks = number(header.fields, b"chunk_count")
         if header.op != BAG_HEADER or not header.end <= start <= window.size:
             return None
-        if window.size - start > INDEX_BYTES:
+        if window.size - start > INDEX_BYTES or connections > NUMBERS:
             return None
         return _parse_index(window, start, connections, chunks)
     except DamageError:
@@ -212,9 +227,8 @@ def _parse_index(window: Window, start: int, connections: int, chunks: int) -> B
             return None
         if record.op == CONNECTION:
             whole = window.view(position, record.end - position).tobytes()
-            described.charge(whole)
             key, channel = connection_of(record.fields, whole[record.data_at - position :])
-            if told.setdefault(key, whole) != whole:
+            if told.setdefault(key, whole) != whole or not described.add(whole):
                 return None
             channels[key] = channel
         elif record.op == CHUNK_INFO:

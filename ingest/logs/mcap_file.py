@@ -181,6 +181,7 @@ class _Walk:
         """Take in a sound record outside chunks, or several; returns where to go on."""
         op = head[0]
         if op == CHUNK:
+            self._messages.ended = False
             return (yield from self._chunks.take(position, chunk_head(head, position), end))
         if op == MESSAGE_INDEX:
             if end - position <= WHOLE_BYTES:

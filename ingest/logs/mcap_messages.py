@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import MANY, column, gather, without_repeats, words
+from .described import TOO_MANY
 from .mcap_heads import IN_CHUNKS, Heads
 from .mcap_mend import mended
 from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
@@ -171,6 +172,13 @@ class MessageReader:
         if len(places) >= MANY:
             size = words(data, "<i8", places + 1) + RECORD_HEAD
             places = places[without_repeats(data, places, size)]
+        if len(places) > self._definitions.left:
+            # Of one that is cut, other bytes are taken for its number.
+            number = words(data, "<u2", np.minimum(places + RECORD_HEAD, len(data) - 2))
+            worth = self._definitions.worth(data[places], number.astype(np.int64))
+            if not worth.all():
+                self.findings.note(TOO_MANY)
+                places = places[worth]
         for place in places.tolist():
             kind, length = _HEAD(data.data, place)
             record = data[place : place + RECORD_HEAD + length].tobytes()

@@ -21,6 +21,7 @@ from .mcap_wire import (
     Definitions,
 )
 from .messages import Bytes, Channel, DamageError, Ints, Survey
+from .tally import NUMBERS
 from .walk import mcap_records
 from .windows import Window
 
@@ -164,8 +165,8 @@ def _statistics(cursor: Cursor) -> tuple[dict[int, int], tuple[int, int]]:
     cursor.take(2 + 4 + 4 + 4 + 4)
     span = (cursor.u64(), cursor.u64())
     per_channel = np.frombuffer(cursor.blob(), np.uint8)
-    if len(per_channel) % 10:
-        raise DamageError("the statistics are cut")
+    if len(per_channel) % 10 or len(per_channel) > 10 * NUMBERS:
+        raise DamageError("the statistics are cut, or count more channels than there can be")
     at = 10 * np.arange(len(per_channel) // 10)
     numbers = words(per_channel, "<u2", at).tolist()
     counts = dict(zip(numbers, words(per_channel, "<u8", at + 2).tolist(), strict=True))

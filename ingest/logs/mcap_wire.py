@@ -7,10 +7,21 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .described import Described, contradicts
-from .messages import SCHEMA_BYTES, Bytes, Channel, DamageError, normal_topic, normal_type, text
+from .described import SHORT_NAMES, TOO_MANY, Described, contradicts, short
+from .messages import (
+    SCHEMA_BYTES,
+    Bytes,
+    Channel,
+    DamageError,
+    Ints,
+    normal_topic,
+    normal_type,
+    text,
+)
 from .spelling import nearest, spelled
+from .tally import NUMBERS
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
@@ -105,46 +116,64 @@ class Definitions:
         self._overruled: set[int] = set()
 
     def tell(self, op: int, body: bytes) -> tuple[int, Channel] | None:
-        """What `take` gives, of a summary; raises DamageError if it says two things of a number."""
-        number = _U16(body)[0] if len(body) >= 2 else 0
-        if self._told.setdefault((op, number), body) != body:
+        """What `take` gives, of a summary.
+
+        Raises DamageError if it says two things of a number, or more than any log has.
+        """
+        if self._told.setdefault((op, _number(body)), body) != body:
             raise DamageError("the summary contradicts itself")
-        return self.take(op, body)
+        found = self.take(op, body)
+        if not self.met(op, body):
+            raise DamageError(TOO_MANY)
+        return found
 
     def overrule(self, op: int, body: bytes) -> bool:
         """Whether a description in the data is another one than the summary gives."""
-        number = _U16(body)[0] if len(body) >= 2 else 0
-        if op == CHANNEL and len(body) >= 4 and _U16(body, 2)[0] in self._overruled:
+        if op == CHANNEL and _number(body[2:]) in self._overruled:
             return True
-        other = contradicts(body, self._told.get((op, number)))
+        other = contradicts(body, self._told.get((op, _number(body))))
         if other and op == SCHEMA:
-            self._overruled.add(number)
+            self._overruled.add(_number(body))
         return other
 
     def met(self, op: int, body: bytes) -> bool:
         """Whether the same record was taken in before."""
         return bytes([op]) + body in self._described
 
+    @property
+    def left(self) -> int:
+        """How many more descriptions are looked at, whatever they describe."""
+        return self._described.left
+
+    def worth(self, op: Bytes, number: Ints) -> NDArray[np.bool_]:
+        """(n,) which schemas and channels of these numbers to look at."""
+        return self._described.worth(number + NUMBERS * (op == SCHEMA))
+
     def take(self, op: int, body: bytes) -> tuple[int, Channel] | None:
         """Number and content of a channel that is new, None for a schema or for what was met.
 
-        Raises DamageError, also for more definitions than any log has.
+        Raises DamageError.
         """
         known = bytes([op]) + body
         if known in self._described:
             return None
-        self._described.charge(known)
+        self._described.look(_number(body) + NUMBERS * (op == SCHEMA))
         cursor = Cursor(np.frombuffer(body, np.uint8))
         if op == CHANNEL:
-            found = channel_of(cursor, self._schemas)
-            self._described.add(known)
-            return found
+            number, channel = channel_of(cursor, self._schemas)
+            return number, channel if self._described.add(known) else short(channel)
         number, schema = schema_of(cursor)
         # A channel that names this number means another type from here on.
-        self._described.add(known, anew=True)
+        if not self._described.add(known, anew=True):
+            schema = Schema(schema.name[:SHORT_NAMES], "", b"")
         self._schemas[number] = schema
         return None
 
     def has_schema(self, number: int) -> bool:
         """Whether a schema was met; 0 stands for none."""
         return number == 0 or number in self._schemas
+
+
+def _number(body: bytes) -> int:
+    """The number at the front of a description, 0 if it is cut."""
+    return int(_U16(body)[0]) if len(body) >= 2 else 0

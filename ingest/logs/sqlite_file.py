@@ -390,13 +390,14 @@ def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
     encoding = "serialization_format" if "serialization_format" in columns else "'cdr'"
     definitions = _definitions(base)
     short = ", ".join(f"substr({column}, 1, {NAME_BYTES})" for column in ("name", "type", encoding))
-    out = {}
+    out: dict[int, Channel] = {}
     for key, name, type_name, form in base.execute(
         f"SELECT id, {short} FROM topics LIMIT {_TOPICS}"
     ):
         kind, body = definitions.get(str(type_name), ("", b""))
         names = normal_topic(printable(str(name))), normal_type(printable(str(type_name)))
-        out[int(key)] = spelled(Channel(*names, printable(str(form)), body, kind))
+        # The recorder wrote the first one, whatever else calls itself so.
+        out.setdefault(int(key), spelled(Channel(*names, printable(str(form)), body, kind)))
     return out
 
 

@@ -242,6 +242,72 @@ def _summary_flood(rng: random.Random, folder: Path) -> Case:
     return Case(path, SOUND, None, f"a summary with {count} records more ({kind})")
 
 
+# Descriptions in front of the sound run, and out of a small file
+
+
+def _described(rng: random.Random, count: int) -> list[bytes]:
+    """Channels or schemas, each of another name; or long definitions of a few."""
+    kind = rng.randrange(4)
+    if kind == 0:
+        return [_channel(10 + k % 60_000, b"/t%d" % k) for k in range(count)]
+    if kind == 1:
+        schema = _record(3, struct.pack("<H", 9) + _text(b"nav_msgs/msg/Odometry") + _text(b"") * 2)
+        return [schema, *(_channel(10 + k % 60_000, b"/t%d" % k, 9) for k in range(count))]
+    if kind == 2:
+        names = (_text(b"x/Y%d" % k) + _text(b"") * 2 for k in range(count))
+        return [_record(3, struct.pack("<H", 9 + k % 60_000) + t) for k, t in enumerate(names)]
+    long = _text(b"x/Y") + _text(b"ros2msg") + _text(b"uint8 a\n" * (MIB // 8))
+    return [_record(3, struct.pack("<H", 9 + k) + long) for k in range(40)]
+
+
+def _descriptions_in_front(rng: random.Random, folder: Path) -> Case:
+    front, records = _front(folder), _described(rng, _share(rng, 300_000))
+    head_end = 8 + 9 + struct.unpack_from("<Q", front, 9)[0]
+    flood = b"".join(_chunk(b"".join(records[k : k + 1000])) for k in range(0, len(records), 1000))
+    path = folder / "run.mcap"
+    path.write_bytes(front[:head_end] + flood + front[head_end:] + _TAIL)
+    return Case(path, SOUND, 0, f"{len(records)} descriptions in front of the messages")
+
+
+def _connections_in_front(rng: random.Random, folder: Path) -> Case:
+    logs = writers()
+    path = logs.bag(folder / "run.bag", logs.drive(ODOMETRY))
+    raw = path.read_bytes()
+    index = struct.unpack_from("<Q", raw, raw.index(b"index_pos=") + 10)[0]
+    raw = raw[:index].replace(struct.pack("<Q", index), bytes(8), 1)
+    header = struct.unpack_from("<I", raw, 13)[0]
+    first = 13 + 8 + header + struct.unpack_from("<I", raw, 17 + header)[0]
+    count, every = _share(rng, 200_000), rng.choice((0, 1))
+    kind, text = rng.choice(((b"x/Y", b""), (b"nav_msgs/Odometry", b""), (b"x/Y", b"a" * MIB)))
+    records = [
+        _connection(10 + every * k % 60_000, b"/t%d" % k, kind, text)
+        for k in range(40 if text else count)
+    ]
+    parts = [b"".join(records[k : k + 1000]) for k in range(0, len(records), 1000)]
+    flood = b"".join(_bag_chunk(part, b"none", len(part)) for part in parts)
+    path.write_bytes(raw[:first] + flood + raw[first:])
+    return Case(path, SOUND, 0, f"{len(records)} connections in front of the messages")
+
+
+def _packed_descriptions(rng: random.Random) -> bytes:
+    """A chunk of up to a million descriptions, each of another name."""
+    import zstandard
+
+    data = b"".join(_described(rng, _share(rng, 10**6)))
+    return _chunk(zstandard.compress(data, 3), b"zstd", len(data))
+
+
+def _packed_other_connections(rng: random.Random) -> bytes:
+    import lz4.frame
+
+    count, out = 250_000, []
+    for first in range(0, _share(rng, 4) * count + 1, count):
+        numbers = range(first, first + count)
+        data = b"".join(_connection(10 + k % 60_000, b"/t%d" % k, b"x/Y") for k in numbers)
+        out.append(_bag_chunk(lz4.frame.compress(data), b"lz4", len(data)))
+    return b"".join(out)
+
+
 # Both, out of kilobytes
 
 
@@ -375,6 +441,10 @@ CASES: dict[str, Generator] = {
     "bag-index-flood": _index_flood,
     "bag-false-index": _false_index,
     "bag-packed-records": _bag(_packed_connections, "chunks of 32 MiB of one record"),
+    "bag-connections-in-front": _connections_in_front,
+    "bag-packed-connections": _bag(_packed_other_connections, "up to 10^6 connections in lz4"),
+    "mcap-descriptions-in-front": _descriptions_in_front,
+    "mcap-packed-descriptions": _mcap(_packed_descriptions, "up to 10^6 descriptions in zstd"),
     "mcap-packed-records": _mcap(_packed_records, "chunks of 511 MiB of one record"),
     "mcap-attachments": _tails(_attachments, "up to 300,000 attachments"),
     "mcap-metadata": _tails(_metadata, "up to 300,000 records of metadata"),

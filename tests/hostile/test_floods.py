@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import sqlite3
 from pathlib import Path
 
 import logs_floods
@@ -15,11 +16,12 @@ from judge import print_of
 
 from topobatch.cli import places_file
 from topobatch.cli.places_file import read_places
+from topobatch.ingest.logs.bag_wire import numbers_of
 from topobatch.ingest.logs.columns import without_repeats
-from topobatch.ingest.logs.described import Described
+from topobatch.ingest.logs.described import LOOKED_AT, Described, short
 from topobatch.ingest.logs.fields import JunctionFields
 from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
-from topobatch.ingest.logs.messages import NAME_BYTES, DamageError
+from topobatch.ingest.logs.messages import NAME_BYTES, Channel, DamageError
 from topobatch.ingest.logs.poses import Frames
 from topobatch.ingest.logs.wire import WireDecoder
 from topobatch.ingest.reading import read_log
@@ -34,6 +36,7 @@ class Least(random.Random):
 
 
 NOT_QUICK = ("bag-connections", "names-bag", "bag-packed-records", "mcap-packed-records")
+NOT_QUICK += ("bag-packed-connections",)
 QUICK = {
     **{k: v for k, v in logs_floods.CASES.items() if k not in NOT_QUICK},
     **logs_split.CASES,
@@ -94,16 +97,46 @@ def test_connections_described_without_end_are_read(tmp_path):
     assert (used, failed) == (case.intact, 0)
 
 
-def test_one_number_described_without_end_takes_the_room_of_a_log_with_many_channels():
-    """However often it is described anew; what was met before costs nothing."""
+def test_more_descriptions_than_any_log_has_are_not_looked_at():
+    """Save for numbers that were not met; what was met before costs nothing."""
     met = Described()
-    records = [b"%d" % k + bytes(1 << 20) for k in range(40)]
-    for record in records[:31]:
-        met.charge(record)
-        met.add(record)
-    assert all(record in met for record in records[:31])
+    numbers = np.arange(3 * LOOKED_AT) % 1000
+    assert met.worth(numbers).nonzero()[0].tolist() == list(range(LOOKED_AT))
+    for number in range(LOOKED_AT):
+        met.look(number % 1000)
+    assert met.worth(np.array([3, 2000, 2000, 4, 2001])).tolist() == [0, 1, 0, 0, 1]
+
+
+def test_definitions_beyond_a_bounded_memory_are_not_kept():
+    met = Described()
+    records = [b"%02d" % k + bytes(1 << 20) for k in range(40)]
+    fits = [met.add(record) for record in records]
+    assert fits == [True] * 31 + [False] * 9
+    assert [record in met for record in records] == fits
+    channel = Channel("/odom", "nav_msgs/msg/Odometry", "cdr", b"float64 x", "ros2msg")
+    assert short(channel) == Channel("/odom", "nav_msgs/msg/Odometry", "cdr")
     with pytest.raises(DamageError, match="implausibly many"):
-        met.charge(records[31])
+        short(channel._replace(topic="/" + "x" * 300))
+
+
+def test_numbers_of_connections_are_found_in_any_order_of_fields():
+    orders = (b"conn", b"op", b"topic"), (b"topic", b"op", b"conn"), (b"op", b"topic", b"conn")
+    fields = {b"op": b"\x07", b"conn": (77).to_bytes(4, "little"), b"topic": b"/odom"}
+    heads = [logs_floods._bag_record({name: fields[name] for name in o}, b"") for o in orders]
+    heads.append(logs_floods._bag_message(77, b""))
+    rows = np.array([list(head.ljust(64, b"\0")) for head in heads], np.uint8)
+    assert numbers_of(rows).tolist() == [77, 77, 77, -1]
+
+
+def test_of_two_topics_of_one_number_the_first_is_the_recorders(tmp_path):
+    folder = writers().ros2_folder(tmp_path / "run", writers().drive(100))
+    with sqlite3.connect(folder / "run.db3") as base:
+        base.execute("ALTER TABLE topics RENAME TO kept")
+        base.execute("CREATE TABLE topics AS SELECT * FROM kept")
+        columns = "type, serialization_format, offered_qos_profiles, type_description_hash"
+        base.execute(f"INSERT INTO topics SELECT 3 - id, name, {columns} FROM kept")
+    base.close()
+    assert read_log(folder).source["odometry"]["messages"] == 100
 
 
 @pytest.mark.parametrize("seed", range(12))
