@@ -13,8 +13,9 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ...topology.se2 import wrap
+from .crossing import crossing
 from .grid import GridSettings, without_islands
-from .skeleton import Edge, SkeletonGraph, SkeletonSettings, forks, thin, traced
+from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, forks, thin, traced
 from .skeleton_lines import Lines, lines_of
 
 FloatArray = NDArray[np.float64]
@@ -91,19 +92,26 @@ def skeleton_graph(
         if s.clearance_m not in lines:
             skeleton = thin(clearance > s.clearance_m)
             lines[s.clearance_m] = lines_of(skeleton, clearance, resolution_m)
-    return _places([lines[s.clearance_m] for s in settings.variants], resolution_m, settings)
+    traced_from = [lines[s.clearance_m] for s in settings.variants]
+    return _places(traced_from, clearance, resolution_m, settings)
 
 
 def _places(
-    lines: list[Lines], cell_m: float, settings: FloorplanSettings
+    lines: list[Lines], clearance_m: FloatArray, cell_m: float, settings: FloorplanSettings
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
     """lines: of the skeleton under each of the variants."""
     graph = traced(lines[0], settings.skeleton)
+    agreement = _agreement(graph, lines, settings)
+    crossings = [
+        crossing(graph, node, clearance_m, cell_m, settings.skeleton) for node in graph.nodes
+    ]
+    nodes = tuple(Node(place.xy, place.clearance_m, place.ends) for place in crossings)
+    graph = replace(graph, nodes=nodes)
     # The middle of the padded grid's first cell lies half a cell before the corner.
     shift = np.array([-0.5, -0.5]) * cell_m
     places = [
-        Place(node.xy + shift, node.headings, "junction", share)
-        for node, share in zip(graph.nodes, _agreement(graph, lines, settings), strict=True)
+        Place(place.xy + shift, place.headings, "junction", share)
+        for place, share in zip(crossings, agreement, strict=True)
     ]
     corridors = []
     used = [[False] * len(node.ends) for node in graph.nodes]
@@ -138,7 +146,7 @@ def _agreement(
     """Share of the variants that have each place of the first one's graph, the first included:
     near enough, and with as many branches."""
     xy = np.array([node.xy for node in graph.nodes]).reshape(-1, 2)
-    branches = np.array([len(node.headings) for node in graph.nodes], np.int64)
+    branches = np.array([len(node.ends) for node in graph.nodes], np.int64)
     own = _placed(xy, branches, settings)
     agreeing = np.ones(len(own))
     for found, variant in zip(lines[1:], settings.variants[1:], strict=True):

@@ -8,7 +8,6 @@ from heapq import heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 
-from ...topology.se2 import wrap
 from .skeleton_lines import Labels, Lines, lines_of
 
 FloatArray = NDArray[np.float64]
@@ -39,13 +38,11 @@ class SkeletonSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A place of a skeleton. xy: (2,) x, y [m] from the middle of the first cell; clearance_m: from
-    the nearest wall; headings: (b,) [rad] of its branches, ascending; ends: (b,) the edge of each
-    branch, a ring's twice."""
+    """A fork of a skeleton. xy: (2,) x, y [m] from the middle of the first cell; clearance_m: from
+    the nearest wall; ends: (b,) the edge of each branch, a ring's twice."""
 
     xy: FloatArray
     clearance_m: float
-    headings: FloatArray
     ends: tuple[int, ...]
 
 
@@ -122,7 +119,7 @@ def traced(lines: Lines, settings: SkeletonSettings = SkeletonSettings()) -> Ske
     """
     net = _net(lines)
     _simplify(net, settings)
-    return _graph(net, lines.label, lines.cell_m, settings)
+    return _graph(net, lines.label)
 
 
 def forks(lines: Lines, settings: SkeletonSettings) -> tuple[FloatArray, IntArray]:
@@ -265,8 +262,8 @@ def _dissolve(net: _Net, node: int) -> None:
         table.pop(node, None)
 
 
-def _graph(net: _Net, label: Labels, cell_m: float, settings: SkeletonSettings) -> SkeletonGraph:
-    """What is left, with the cells of every way and the headings of every place."""
+def _graph(net: _Net, label: Labels) -> SkeletonGraph:
+    """What is left, with the cells of every way."""
     home = np.zeros(int(label.max(initial=0)) + 1, np.int64)
     kept = sorted(net.segments)
     for number, k in enumerate(kept, start=1):
@@ -284,44 +281,9 @@ def _graph(net: _Net, label: Labels, cell_m: float, settings: SkeletonSettings) 
         ends = [names[n] for n in segment.nodes] + [-1, -1]
         own = cells[bounds[number] : bounds[number + 1]]
         edges.append(Edge((ends[0], ends[1]), own, segment.length, segment.border))
-    nodes = []
     place = {k: number for number, k in enumerate(kept)}
-    for node in names:
-        ways = [place[k] for k in net.incident[node]]
-        reach = max(settings.chord_m, net.clearance[node] + settings.chord_beyond_m)
-        headings = _headings(net.centre[node], ways, edges, reach, cell_m)
-        order_ = np.argsort(headings, kind="stable")
-        nodes.append(
-            Node(
-                net.centre[node],
-                net.clearance[node],
-                headings[order_],
-                tuple(ways[k] for k in order_),
-            )
-        )
+    nodes = [
+        Node(net.centre[n], net.clearance[n], tuple(place[k] for k in net.incident[n]))
+        for n in names
+    ]
     return SkeletonGraph(tuple(nodes), tuple(edges), cells)
-
-
-def _headings(
-    centre: FloatArray, ways: list[int], edges: list[Edge], reach_m: float, cell_m: float
-) -> FloatArray:
-    """Headings of the chords from a place to where its ways cross a circle about it."""
-    out = np.zeros(len(ways))
-    used: dict[int, float] = {}
-    for k, way in enumerate(ways):
-        away = edges[way].cells[:, ::-1] * cell_m - centre
-        if len(away) == 0:
-            continue
-        off = np.abs(np.hypot(away[:, 0], away[:, 1]) - reach_m)
-        heading = np.arctan2(away[:, 1], away[:, 0])
-        if way in used:
-            # A ring comes back: its other end crosses the circle elsewhere.
-            apart = np.abs((heading - used[way] + np.pi) % (2 * np.pi) - np.pi) > 0.5
-            off = np.where(apart, off, np.inf)
-        best = int(np.argmin(off))
-        near = off <= off[best] + 0.5 * cell_m
-        # Mean over the cells on the circle that belong to the same crossing.
-        same = near & (np.hypot(*(away - away[best]).T) < 4 * cell_m)
-        mean = away[same].mean(axis=0)
-        out[k] = used[way] = wrap(np.arctan2(mean[1], mean[0]))
-    return out

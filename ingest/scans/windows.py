@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.se2 import compose, inverse
+from .crossing import Crossing, crossing
 from .grid import GridSettings, Looks, free_space, gather, looks
 from .keyframes import Keyframes
 from .matching import Matched
-from .skeleton import Node, SkeletonSettings, thin, trace
+from .skeleton import SkeletonSettings, thin, trace
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -71,7 +72,7 @@ class Seen:
 
     number: int
     way: float
-    forks: tuple[tuple[int, float, Node], ...]
+    forks: tuple[tuple[int, float, Crossing], ...]
     skeleton: FloatArray
 
 
@@ -195,7 +196,8 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
         mine = np.unique(labels[at[:, 1], at[:, 0]])
         thinned[k, :side] = np.isin(labels, mine[mine > 0])
     stacked = thin(thinned.reshape(-1, side)).reshape(thinned.shape)
-    forks: list[tuple[int, float, Node]] = []
+    forks: list[tuple[int, float, Crossing]] = []
+    middles = (corner + 0.5) * cell
     skeleton: FloatArray = np.zeros((0, 2))
     span = _near(held, middle, 1.5 * settings.every_m)
     border = np.zeros((side + 1, side), bool)
@@ -204,12 +206,16 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
     for k, variant in enumerate(variants):
         graph = trace(stacked[k], clearance[k], cell, variant.skeleton, border)
         for node in graph.nodes:
-            xy = node.xy + (corner + 0.5) * cell
+            reach = settings.near_m + node.clearance_m
+            if len(node.ends) < 3 or _passed(node.xy + middles, span, reach) is None:
+                continue
+            place = crossing(graph, node, clearance[k], cell, variant.skeleton)
+            xy = place.xy + middles
             found = _passed(xy, span, settings.near_m)
-            if found is not None and len(node.headings) >= 3:
-                forks.append((k, found, replace(node, xy=xy)))
+            if found is not None:
+                forks.append((k, found, replace(place, xy=xy)))
         if k == 0:
-            skeleton = np.asarray((graph.pixels[:, ::-1] + corner + 0.5) * cell, np.float64)
+            skeleton = np.asarray(graph.pixels[:, ::-1] * cell + middles, np.float64)
             skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
     return Seen(number, middle, tuple(forks), skeleton.astype(np.float32))
 
