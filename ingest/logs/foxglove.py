@@ -10,40 +10,31 @@ from typing import Any
 import numpy as np
 
 from .messages import LATEST_NS, Bytes, DamageError, Ints, text
+from .one_by_one import OneByOne
 from .poses import Frames, Poses, Row, join, no_poses
-
-MESSAGE_BYTES = 1 << 24
-"""Longest message that is decoded one by one."""
 
 POSES = 1 << 16
 """Most poses of one message that are decoded one by one."""
 
 
-class RowDecoder:
-    """Decodes message by message; for encodings without fixed places."""
+class RowDecoder(OneByOne[list[Row]]):
+    """Decodes poses message by message."""
 
     def __init__(self, parse: Callable[[bytes, Frames], list[Row]]) -> None:
-        self._parse = parse
         self.frames = Frames()
-        self.failed = 0
-        self.reason = ""
+        super().__init__(lambda raw: parse(raw, self.frames))
 
     def heads(self, data: Bytes, start: Ints, size: Ints) -> None:
         """Nothing: no two messages need be alike."""
 
     def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
         """The poses of a batch of messages."""
-        parts = []
-        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
-            try:
-                if length > MESSAGE_BYTES:
-                    raise DamageError("a message is implausibly long")
-                rows = self._parse(data[at : at + length].tobytes(), self.frames)
-            except DamageError as damage:
-                self.failed += 1
-                self.reason = self.reason or str(damage)
-                continue
-            parts += [_poses(number, part, row) for part, row in enumerate(rows) if row[2]]
+        parts = [
+            _poses(number, part, row)
+            for number, rows in self.parsed(data, start, size)
+            for part, row in enumerate(rows)
+            if row[2]
+        ]
         return join(parts) if parts else no_poses()
 
 

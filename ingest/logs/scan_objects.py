@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ...topology.se2 import yaw_from_quaternion
 from .foxglove import (
-    MESSAGE_BYTES,
     as_text,
     get,
     load_json,
@@ -21,34 +19,19 @@ from .foxglove import (
     stamp_of,
 )
 from .messages import Bytes, DamageError, Ints, text
+from .one_by_one import OneByOne
 from .scan_rows import Floats, Geometry, RawScans, checked_beams
 
 OneScan = tuple[int, Floats, Geometry]
 """Stamp [ns], ranges (m,) and geometry of one scan."""
 
 
-class ObjectScanDecoder:
+class ObjectScanDecoder(OneByOne[RawScans | OneScan]):
     """Decodes scan by scan; for encodings without fixed places."""
-
-    def __init__(self, parse: Callable[[bytes], RawScans | OneScan]) -> None:
-        self._parse = parse
-        self.failed = 0
-        self.reason = ""
 
     def decode(self, data: Bytes, start: Ints, size: Ints) -> list[RawScans]:
         """The scans of a batch of messages; those of one geometry that follow on, together."""
-        found: list[RawScans] = []
-        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
-            try:
-                if length > MESSAGE_BYTES:
-                    raise DamageError("a message is implausibly long")
-                parsed = self._parse(data[at : at + length].tobytes())
-            except DamageError as damage:
-                self.failed += 1
-                self.reason = self.reason or str(damage)
-                continue
-            found.append(_raw(parsed, number))
-        return _together(found)
+        return _together([_raw(scan, number) for number, scan in self.parsed(data, start, size)])
 
 
 def _raw(parsed: RawScans | OneScan, number: int) -> RawScans:

@@ -1,0 +1,33 @@
+"""Messages decoded one by one, for encodings without fixed places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Generic, TypeVar
+
+from .messages import MESSAGE_BYTES, Bytes, DamageError, Ints
+
+T = TypeVar("T")
+
+
+class OneByOne(Generic[T]):
+    """What `parse` makes of each message; failed: messages that it raised DamageError on, or that
+    were too long; reason: why the first of them failed."""
+
+    def __init__(self, parse: Callable[[bytes], T]) -> None:
+        self._parse = parse
+        self.failed = 0
+        self.reason = ""
+
+    def parsed(self, data: Bytes, start: Ints, size: Ints) -> Iterator[tuple[int, T]]:
+        """Number and content of every message of a batch that can be decoded."""
+        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+            try:
+                if length > MESSAGE_BYTES:
+                    raise DamageError("a message is implausibly long")
+                content = self._parse(data[at : at + length].tobytes())
+            except DamageError as damage:
+                self.failed += 1
+                self.reason = self.reason or str(damage)
+                continue
+            yield number, content
