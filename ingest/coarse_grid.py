@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,17 @@ variants, take a second."""
 ISLAND_M = GridSettings().island_m
 
 
-def affordable(grid: Grid, island_m: float = ISLAND_M) -> tuple[Grid, tuple[str, ...]]:
-    """The grid, in larger cells where there are too many, and what a person is told of that.
+class Affordable(NamedTuple):
+    """A grid that can be thinned; open_: (h, w) its free cells with islands filled, as it is
+    thinned; told: what a person is told of larger cells."""
+
+    grid: Grid
+    open_: BoolArray
+    told: tuple[str, ...]
+
+
+def affordable(grid: Grid, island_m: float = ISLAND_M) -> Affordable:
+    """The grid, in larger cells where there are too many.
 
     A larger cell is free if all its parts are: walls stay where they are, ways get narrower by a
     cell at most. island_m: what stands free in it and is no larger is no wall. O(cells).
@@ -36,23 +46,28 @@ def affordable(grid: Grid, island_m: float = ISLAND_M) -> tuple[Grid, tuple[str,
     while math.prod(2 - (-n // factor) for n in grid.free.shape) > MOST_CELLS:
         factor += 1
     found = _coarser(grid, factor)
-    # As it is thinned: what stands free in it is filled.
-    open_ = without_islands(
-        found.free, replace(GridSettings(), island_m=island_m, cell_m=found.resolution_m)
-    )
+    open_ = _filled(found, island_m)
     reach = int(distance_transform_cdt(np.pad(open_, 1), "chessboard").max())
     peel = math.ceil((found.free.size * reach / MOST_PEELED) ** (1 / 3))
     if peel > 1:
         factor *= peel
         found = _coarser(grid, factor)
+        open_ = _filled(found, island_m)
     if factor == 1:
-        return grid, ()
+        return Affordable(grid, open_, ())
     height, width = grid.free.shape
     cell = factor * grid.resolution_m
-    return found, (
+    told = (
         f"the free space of the grid, {width} x {height} cells, is large; cells of {cell:g} m are "
-        "taken",
+        "taken"
     )
+    return Affordable(found, open_, (told,))
+
+
+def _filled(grid: Grid, island_m: float) -> BoolArray:
+    """Its free cells, and what stands free among them."""
+    settings = replace(GridSettings(), island_m=island_m, cell_m=grid.resolution_m)
+    return without_islands(grid.free, settings)
 
 
 def _coarser(grid: Grid, factor: int) -> Grid:

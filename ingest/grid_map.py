@@ -51,9 +51,9 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
     It has no observations, and corridors that nobody drove. Raises DataError if there is no
     junction. O(cells).
     """
-    grid, coarser = affordable(_cropped(log.grid), settings.island_m)
+    grid, open_, coarser = affordable(_cropped(log.grid), settings.island_m)
     warnings = (*log.warnings, *coarser)
-    places, corridors = skeleton_graph(grid.free, grid.resolution_m, settings)
+    places, corridors = skeleton_graph(open_, grid.resolution_m, settings)
     places, corridors = _without_open_ends(places, corridors, grid)
     if not any(place.kind == "junction" for place in places):
         raise DataError(

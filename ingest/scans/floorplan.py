@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ...topology.se2 import wrap
 from .crossing import crossing
-from .grid import GridSettings, without_islands
+from .grid import GridSettings
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, forks, thin, traced
 from .skeleton_lines import Lines, lines_of
 
@@ -29,6 +29,7 @@ class FloorplanSettings:
 
     skeleton: SkeletonSettings = field(default_factory=SkeletonSettings)
     island_m: float = GridSettings().island_m
+    """What stands free and is smaller is filled before."""
     agree_m: float = 0.7
     """A variant agrees on a junction if it has one so near with as many branches."""
 
@@ -75,6 +76,7 @@ def skeleton_graph(
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
     """Places and corridors of free space (h, w), row 0 at the least y, column 0 at the least x.
 
+    Whatever stands in it counts as wall: small islands are filled before (`without_islands`).
     Every corridor has a place at both ends: where it ends without a junction, a dead end. A loop
     without any place is left out. Raises ValueError on a grid that is not two-dimensional or a
     resolution that is not positive. O(h w) a variant.
@@ -84,8 +86,7 @@ def skeleton_graph(
         raise ValueError("a grid of two dimensions and a positive resolution are needed")
     if not free.any():
         return (), ()
-    grid = replace(GridSettings(), island_m=settings.island_m, cell_m=resolution_m)
-    padded = np.pad(without_islands(free, grid), 1)
+    padded = np.pad(free, 1)
     clearance = ndimage.distance_transform_edt(padded) * resolution_m
     lines: dict[float, Lines] = {}
     for s in settings.variants:

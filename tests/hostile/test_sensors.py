@@ -84,14 +84,14 @@ def test_a_grid_of_too_many_cells_is_mapped_in_larger_ones():
     (found,) = map_of_grid(GridLog("run", large, {})).xy[:1]
     small = map_of_grid(GridLog("run", cross(250, 0.1), {}))
     assert np.hypot(*(found - small.xy[0])) < 0.2
-    _, told = affordable(large)
+    _, _, told = affordable(large)
     assert "cells of 0.02 m are taken" in told[0]
 
 
 def test_open_space_without_end_costs_no_more_than_its_cells():
     for cells in (600, 3000):
         free = np.ones((cells, cells), bool)
-        grid, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
+        grid, _, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
         assert grid.free.all()
         assert grid.free.size * min(grid.free.shape) / 2 <= 1.1 * MOST_PEELED
         assert bool(told) == (grid.free.size < free.size)
@@ -101,7 +101,7 @@ def test_open_space_with_pillars_costs_no_more_either():
     """They are filled before it is thinned."""
     free = np.ones((1500, 1500), bool)
     free[::21, ::21] = False
-    grid, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
+    grid, _, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
     assert grid.free.size * min(grid.free.shape) / 2 <= 1.1 * MOST_PEELED
     assert told
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.scans.floorplan import skeleton_graph
+from topobatch.ingest.scans.grid import GridSettings, without_islands
 from topobatch.topology.se2 import wrap
 
 from .building import RING
@@ -61,12 +62,12 @@ def test_ring_hangs_on_its_place_by_two_branches() -> None:
 def test_pillars_corners_and_narrow_gaps_are_no_junctions() -> None:
     free = grid((80, 20, 120, 280), (120, 150, 190, 153))
     free[98:102, 150:154] = False
-    places, _ = skeleton_graph(free, CELL)
+    places, _ = skeleton_graph(without_islands(free, GridSettings(cell_m=CELL)), CELL)
     assert all(p.kind == "dead_end" for p in places)
 
 
 def test_turned_grid_gives_the_turned_graph() -> None:
-    free = np.ascontiguousarray(RING.free[::5, ::5])
+    free = without_islands(np.ascontiguousarray(RING.free[::5, ::5]), GridSettings(cell_m=CELL))
     places, corridors = skeleton_graph(free, CELL)
     turned, others = skeleton_graph(np.ascontiguousarray(np.rot90(free)), CELL)
     assert len(corridors) == len(others)
@@ -80,7 +81,7 @@ def test_turned_grid_gives_the_turned_graph() -> None:
 
 
 def test_half_of_a_grid_shows_the_places_in_it() -> None:
-    free = np.ascontiguousarray(RING.free[::5, ::5])
+    free = without_islands(np.ascontiguousarray(RING.free[::5, ::5]), GridSettings(cell_m=CELL))
     whole = [p for p in skeleton_graph(free, CELL)[0] if p.kind == "junction"]
     half = [p for p in skeleton_graph(free[:, :170], CELL)[0] if p.kind == "junction"]
     inside = [p for p in whole if p.xy[0] < 15.0]

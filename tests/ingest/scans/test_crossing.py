@@ -1,0 +1,59 @@
+"""Centres of crossings: where axes of corridors meet, or the fork where branches are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from topobatch.ingest.scans.crossing import Crossing, aside, crossing
+from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, trace
+from topobatch.topology.se2 import wrap
+
+CELL = 0.1
+SIDE = 120
+MIDDLE = np.array([6.0, 6.0])
+
+
+def corridors(*headings_deg: float, wave_m: float = 0.0) -> np.ndarray:
+    """Free cells of corridors, 1.4 m wide, that leave the middle of a square, winding every 3 m."""
+    y, x = np.mgrid[:SIDE, :SIDE] * CELL - MIDDLE[0]
+    free = np.zeros((SIDE, SIDE), bool)
+    for heading in np.radians(headings_deg):
+        c, s = np.cos(heading), np.sin(heading)
+        along, across = c * x + s * y, c * y - s * x
+        free |= (np.abs(across - wave_m * np.sin(2.1 * along)) <= 0.7) & (along >= 0)
+    return free
+
+
+def seen(free: np.ndarray) -> tuple[Node, Crossing]:
+    """The one junction of a grid, as the skeleton forks and as its corridors cross."""
+    clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
+    settings = SkeletonSettings()
+    graph = trace(thin(clearance > settings.clearance_m), clearance, CELL, settings)
+    (node,) = graph.nodes
+    return node, crossing(graph, node, clearance, CELL, settings)
+
+
+@pytest.mark.parametrize("sharp", [40, 50, 60, 75])
+def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
+    node, found = seen(corridors(0, 180, sharp))
+    off = np.hypot(*(found.xy - MIDDLE))
+    assert off < max(0.15, 0.5 * np.hypot(*(node.xy - MIDDLE)))
+    assert off < 0.25
+    wanted = np.sort(wrap(np.radians([0, 180, sharp])))
+    assert np.abs(wrap(found.headings - wanted)).max() < 0.15
+
+
+def test_winding_ways_have_no_axes() -> None:
+    node, found = seen(corridors(0, 180, 90, wave_m=0.3))
+    assert np.array_equal(found.xy, node.xy)
+    assert len(found.headings) == 3
+
+
+def test_a_fork_is_off_by_the_sharpest_angle() -> None:
+    right = aside(np.radians([0, 90, 180]))
+    assert right == pytest.approx(0.2)
+    assert aside(np.radians([0, 45, 180])) == pytest.approx(np.hypot(1, 0.5) / 1.5)
+    assert right < aside(np.radians([0, 60, 180])) < aside(np.radians([-170, 170, 45]))
+    assert aside(np.radians([0.0, 10.0, 180])) == aside(np.radians([0.0, 30.0, 180]))
