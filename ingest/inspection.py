@@ -13,7 +13,7 @@ from .logs.intake import Intake
 from .logs.messages import Channel
 from .logs.recording import Recording, recording_at, run_name, sniff
 from .logs.saved_map import is_saved_map, read_saved_map
-from .logs.topics import choose_odometry
+from .logs.topics import JUNCTION_KINDS, choose_odometry
 from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .remote.path import LogPath
 from .survey import Index, surveyed, walk
@@ -121,8 +121,18 @@ def _uses(
         uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
     if source is not None:
         for choice in (source.choice, *(source.beside if source.way == "scan" else ())):
-            uses[choice.topic] = (NAMES[source.way], choice.why)
+            uses[choice.topic] = (NAMES[source.way], choice.why + _instead(source.way, counts))
     return uses
+
+
+def _instead(way: Way, counts: Mapping[Channel, int]) -> str:
+    """Why junctions come this way and no other, and how far each is believed."""
+    if way == "topic":
+        beside = bool(sensor_topics(counts))
+        return "; taken before what sensors show, each of confidence 1" if beside else ""
+    detected = any(c.type_name in JUNCTION_KINDS for c, n in counts.items() if n)
+    instead = "asked for in place of detections" if detected else "the log has no detections"
+    return f"; {instead}: junctions are found here, each with a confidence"
 
 
 NAMES: Mapping[Way, str] = {

@@ -26,7 +26,7 @@ def test_simulated_lasers(topobatch, tmp_path):
     done = topobatch("simulate", tmp_path / "a", "--laser", *small, "--format", "bag")
     assert done.code == 0, done
     out = topobatch("info", tmp_path / "a" / "run1.bag").out
-    assert "scans: default name" in out
+    assert "scans: default name; the log has no detections" in out
     assert "/junctions" not in out
     truth = json.loads((tmp_path / "a" / "truth.json").read_text())
     assert truth["runs"]["run1"]["settings"]["laser"]["corridor_m"] == 1.4
@@ -35,8 +35,10 @@ def test_simulated_lasers(topobatch, tmp_path):
     )
     assert done.code == 0, done
     out = topobatch("info", tmp_path / "b").out
-    assert "junctions: default name" in out
+    assert "junctions: default name; taken before what sensors show, each of confidence 1" in out
     assert "not used; --junctions-from scan finds junctions in it" in out
+    out = topobatch("info", tmp_path / "b", "--junctions-from", "scan").out
+    assert "scans: default name; asked for in place of detections" in out
     assert "corridor_m" in topobatch(
         "simulate", tmp_path / "c", "--laser", "--corridor-m", 9
     ).error(2)
