@@ -151,12 +151,10 @@ class Spread:
         Raises KeyError of pairs that were not asked for."""
         i, j = (bisect_left(self.runs, run) for run in (a, b))
         x, y = self.middle[j] - self.middle[i]
-        seen = np.zeros((3, 6))
-        seen[:, :3] = [[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]]
-        seen[:, 3:] = np.eye(3)
-        one, other = self._cross(i, j), self._cross(j, i)
-        covariance = np.block([[self.own[i], one], [other, self.own[j]]])
-        variance = np.diag(seen @ covariance @ seen.T)
+        # What is seen is A e_i + e_j, of the errors of the two.
+        A = np.array([[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]])
+        both = A @ self._cross(i, j)
+        variance = np.diag(A @ self.own[i] @ A.T + both + both.T + self.own[j])
         return float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2]))
 
     def _cross(self, i: int, j: int) -> NDArray[np.float64]:
