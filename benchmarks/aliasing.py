@@ -133,7 +133,7 @@ def leave_out(rule):
     if rule == "elsewhere":
         conflicts._with_elsewhere = lambda a, b, match, found: found
     elif rule == "small copies":
-        verdict.Bar.may_be_copy = lambda self, best: 0.0
+        verdict.Threshold.may_be_copy = lambda self, best: 0.0
     elif rule == "learned copies":
         assessment.copy_model = lambda samples, settings: repetition.default_copies(settings)
     elif rule == "uniform":

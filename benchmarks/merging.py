@@ -17,7 +17,7 @@ from paper import cpu_ms, pair_of_maps, right
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import PairCount, bar, opinion
+from topobatch.merge.robust.verdict import PairCount, opinion, threshold_for
 
 SIZES = (50, 126, 300, 800)
 CELL_M = 0.5
@@ -46,30 +46,30 @@ def hough(xy_a, xy_b):
     return best[1]
 
 
-def verdict(a, b, level):
+def verdict(a, b, threshold):
     """What `decide` does for one pair, preparation and self-match aside."""
-    return opinion(a, b, match(a, b, DEFAULT_ROBUST), level)
+    return opinion(a, b, match(a, b, DEFAULT_ROBUST), threshold)
 
 
 def rows(pairs, overlap):
     """Per size: ms of preparation, of a related pair, of an unrelated one, of Hough voting; how
     many pairs each got right; how many unrelated pairs were merged."""
-    level = bar(PairCount(1, 1), default_copies(DEFAULT_ROBUST), DEFAULT_ROBUST)
+    threshold = threshold_for(PairCount(1, 1), default_copies(DEFAULT_ROBUST), DEFAULT_ROBUST)
     for size in SIZES:
         maps = [pair_of_maps(size, overlap, seed, Noise()) for seed in range(pairs)]
         ready = [(prepare(a), prepare(b)) for a, b, _, _ in maps]
         made = np.mean([cpu_ms(lambda a=a: prepare(a), budget_ms=50) for a, _, _, _ in maps])
-        ours = [cpu_ms(lambda a=a, b=b: verdict(a, b, level), budget_ms=60) for a, b in ready]
+        ours = [cpu_ms(lambda a=a, b=b: verdict(a, b, threshold), budget_ms=60) for a, b in ready]
         other = [(a, ready[k - 1][1]) for k, (a, _) in enumerate(ready)]
-        apart = [cpu_ms(lambda a=a, b=b: verdict(a, b, level), budget_ms=60) for a, b in other]
+        apart = [cpu_ms(lambda a=a, b=b: verdict(a, b, threshold), budget_ms=60) for a, b in other]
         votes = [cpu_ms(lambda a=a, b=b: hough(a.xy, b.xy), budget_ms=60) for a, b, _, _ in maps]
         good = good_votes = 0
         for (a, b, onto, from_), (pa, pb) in zip(maps, ready, strict=True):
-            view = verdict(pa, pb, level)
+            view = verdict(pa, pb, threshold)
             merged = view.verdict is Verdict.MERGED
             good += merged and right(view.best.transform, onto, from_)
             good_votes += right(hough(a.xy, b.xy), onto, from_)
-        wrong = sum(verdict(a, b, level).verdict is Verdict.MERGED for a, b in other)
+        wrong = sum(verdict(a, b, threshold).verdict is Verdict.MERGED for a, b in other)
         times = (made, np.mean(ours), np.mean(apart), np.mean(votes))
         yield size, times, good, good_votes, wrong
 

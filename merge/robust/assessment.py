@@ -16,15 +16,15 @@ from .pairing import Pair, Samples
 from .prepare import Prepared, prepare
 from .repetition import CopyModel, copy_model
 from .settings import MATCH, RobustSettings
-from .verdict import Bar, Opinion, PairCount, bar, opinion
+from .verdict import Opinion, PairCount, Threshold, opinion, threshold_for
 
 
-def bars(
+def thresholds(
     prepared: Sequence[Prepared],
     settings: RobustSettings,
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
     copies_of: Callable[[Samples], CopyModel] | None = None,
-) -> Callable[[Sequence[int], PairCount], Bar]:
+) -> Callable[[Sequence[int], PairCount], Threshold]:
     """What some maps, a pair or those of two components, must reach in a batch of so many pairs.
     with_themselves: matches of each map with other parts of itself, if they are known; copies_of:
     stands for `copy_model`."""
@@ -36,10 +36,10 @@ def bars(
         copies = copies_of(samples)
     copied = _copied(own, settings)
 
-    def level(some: Sequence[int], count: PairCount) -> Bar:
-        return bar(count, copies, settings, copied=max(copied[k] for k in some))
+    def threshold(some: Sequence[int], count: PairCount) -> Threshold:
+        return threshold_for(count, copies, settings, copied=max(copied[k] for k in some))
 
-    return level
+    return threshold
 
 
 def _copied(
@@ -61,7 +61,7 @@ class Assessment:
     a: Prepared
     b: Prepared
     candidates: tuple[Candidate, ...]
-    level: Bar
+    threshold: Threshold
     view: Opinion
 
     def alone(self) -> PairVerdict:
@@ -80,13 +80,13 @@ def assess(
     batch, sorted by run, `pair` two of their indices, i < j."""
     prepared = [prepare(m) for m in maps]
     i, j = pair
-    level = bars(prepared, settings)(pair, count)
+    threshold = thresholds(prepared, settings)(pair, count)
     found = match(prepared[i], prepared[j], settings)
-    view = opinion(prepared[i], prepared[j], found, level)
+    view = opinion(prepared[i], prepared[j], found, threshold)
 
     def image_bits(pairs: list[Pair]) -> dict[Pair, float]:
         best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}
         return {p: c[0].bits if c else -np.inf for p, c in best.items()}
 
     view = doubt_mirrored({pair: view}, image_bits)[pair]
-    return Assessment(prepared[i], prepared[j], found, level, view)
+    return Assessment(prepared[i], prepared[j], found, threshold, view)

@@ -19,7 +19,7 @@ from .pairing import Means, Pair, Pairwise, Told, in_tiles
 from .prepare import FloatArray, IntArray
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
-from .verdict import Bar, Opinion, PairCount, needed_bits, opinions
+from .verdict import Opinion, PairCount, Threshold, needed_bits, opinions
 
 
 @dataclass(eq=False)
@@ -33,7 +33,7 @@ class Batch:
     """
 
     matcher: Pairwise
-    bar_of: Callable[[Sequence[int], PairCount], Bar]
+    threshold_of: Callable[[Sequence[int], PairCount], Threshold]
     worded: Callable[[Pair, Opinion], PairVerdict]
     asked: Collection[Pair] = ()
     found: dict[Pair, Told] = field(default_factory=dict)
@@ -42,7 +42,7 @@ class Batch:
     alone: dict[Pair, PairVerdict] = field(default_factory=dict)
     _count: dict[int, PairCount] = field(default_factory=dict)
 
-    def level(self, some: Sequence[int], pairs: int | None = None) -> Bar:
+    def threshold(self, some: Sequence[int], pairs: int | None = None) -> Threshold:
         """What two maps, or two components, must reach: so many pairs share the rate of false
         merges. All of the batch if it is not told, also those that were found to have no chance."""
         pairs = pairs_of(len(self.matcher.maps)) if pairs is None else pairs
@@ -50,7 +50,7 @@ class Batch:
             need = needed_bits(pairs, self.matcher.settings)
             beyond = int(np.count_nonzero(self._against_chance >= need))
             self._count[pairs] = PairCount(pairs, beyond)
-        return self.bar_of(some, self._count[pairs])
+        return self.threshold_of(some, self._count[pairs])
 
     @cached_property
     def _kept(self) -> KeptVerdicts | None:
@@ -58,7 +58,7 @@ class Batch:
         own, means = self.matcher, self.matcher.means
         if means.store is None:
             return None
-        return KeptVerdicts(means.store, own.maps, own.digests, self.level, means.verdict_keys)
+        return KeptVerdicts(means.store, own.maps, own.digests, self.threshold, means.verdict_keys)
 
     @cached_property
     def _against_chance(self) -> FloatArray:
@@ -142,7 +142,7 @@ class Batch:
         prepared, found = self.matcher.prepared, self.found
         candidates = self._candidates(pairs)
         cases = [
-            (prepared[i], prepared[j], candidates.get((i, j), ()), self.level((i, j)))
+            (prepared[i], prepared[j], candidates.get((i, j), ()), self.threshold((i, j)))
             for i, j in pairs
         ]
         out = {}

@@ -11,7 +11,7 @@ from ..discards import Names
 from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, pairs_of
 from .alignment import Candidate, match
-from .assessment import bars
+from .assessment import thresholds
 from .batch import Batch, wanted_pairs
 from .components import Components, Refusal, as_alignment, join_all
 from .entries import Case
@@ -61,8 +61,8 @@ def decide(
         i, j = pair
         return Case(prepared[i], prepared[j], view).verdict()
 
-    bar_of = bars(prepared, settings, matcher.with_themselves(), matcher.copies)
-    batch = Batch(matcher, bar_of, alone, frozenset(locked))
+    threshold_of = thresholds(prepared, settings, matcher.with_themselves(), matcher.copies)
+    batch = Batch(matcher, threshold_of, alone, frozenset(locked))
     wanted = wanted_pairs(matcher, [*locked, *gone])
     say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
     batch.look_at(wanted, gone)
@@ -77,7 +77,7 @@ def decide(
         prepared,
         components,
         batch.undecided(),
-        batch.level,
+        batch.threshold,
         settings,
         frozenset(gone),
         matcher.means.kept,

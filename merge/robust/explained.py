@@ -23,7 +23,7 @@ from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
 from ..wording import told_bits
 from .alignment import Candidate, best_seed, same_placement
-from .assessment import Assessment, assess, bars
+from .assessment import Assessment, assess, thresholds
 from .conflicts import one_by_one
 from .forced import forced_alignment
 from .growth import given_up
@@ -189,7 +189,9 @@ def _of_components(
 ) -> list[Shown]:
     """The placement of a pair that its components joined, by the evidence of these."""
     x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
-    level = bars([prepare(m) for m in batch.maps], batch.settings)((*x, *y), batch.count(told))
+    threshold = thresholds([prepare(m) for m in batch.maps], batch.settings)(
+        (*x, *y), batch.count(told)
+    )
     inside = {
         (batch.row[a], batch.row[b]): v.best
         for (a, b), v in batch.said.items()
@@ -198,7 +200,7 @@ def _of_components(
         and b in batch.row
         and v.best is not None
     }
-    one, two, view = view_of_components(batch.maps, (x, y), inside, level, batch.settings)
+    one, two, view = view_of_components(batch.maps, (x, y), inside, threshold, batch.settings)
     if view.best is None or told.best is None:
         return []
     swapped = told.a not in one.names

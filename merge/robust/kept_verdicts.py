@@ -1,9 +1,9 @@
 """What two maps say by themselves, in words, kept from merge to merge.
 
-A verdict hangs on the two maps and on what their batch asks of them (`Bar`), which is the same for
-most pairs when one more run has come. It is kept as its entry in the merged document, with its
-numbers in full: read again it is the same to the last bit, and the entry need not be made again.
-What is read is checked against the two maps.
+A verdict hangs on the two maps and on what their batch asks of them (`Threshold`), which is the
+same for most pairs when one more run has come. It is kept as its entry in the merged document, with
+its numbers in full: read again it is the same to the last bit, and the entry need not be made
+again. What is read is checked against the two maps.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..document import EXTRA, entry_of
 from ..packs import DIGEST, LARGEST, Key, Kind, PackWriter, Store
 from ..result import Alignment, PairVerdict, Verdict
 from .prepare import FloatArray
-from .verdict import Bar
+from .verdict import Threshold
 
 Pair = tuple[int, int]
 
@@ -158,15 +158,15 @@ def _extra(entry: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(slots=True, eq=False)
 class KeptVerdicts:
-    """Verdicts that earlier merges left. maps: of a batch, with their digests; level: what two of
-    them must reach; keys: where what was found or left is kept."""
+    """Verdicts that earlier merges left. maps: of a batch, with their digests; threshold: what two
+    of them must reach; keys: where what was found or left is kept."""
 
     store: Store
     maps: Sequence[TopoMap]
     digests: Sequence[bytes]
-    level: Callable[[Pair], Bar]
+    threshold: Callable[[Pair], Threshold]
     keys: dict[PairVerdict, Key]
-    _bars: dict[tuple[float, bool], bytes] = field(default_factory=dict)
+    _thresholds: dict[tuple[float, bool], bytes] = field(default_factory=dict)
 
     def find(
         self, pairs: Iterable[Pair], which: Mapping[Pair, int] = NONE
@@ -174,9 +174,9 @@ class KeptVerdicts:
         """What is known of some pairs. which: the candidates by which others second them."""
         out = {}
         for pair in pairs:
-            own, level = self._of(pair, which.get(pair)), self.level(pair)
+            own, threshold = self._of(pair, which.get(pair)), self.threshold(pair)
             for copies in (False, True):
-                key = own, self._bar(level, copies=copies)
+                key = own, self._threshold(threshold, copies=copies)
                 data = self.store.find(Kind.VERDICT, key)
                 found = None if data is None else from_bytes(data, *(self.maps[k] for k in pair))
                 if found is not None:
@@ -189,7 +189,7 @@ class KeptVerdicts:
         """Leave verdicts to later merges."""
         out = PackWriter(self.store.era)
         for pair, verdict in verdicts.items():
-            asked = self._bar(self.level(pair), copies="same_place_bits" in verdict.extra)
+            asked = self._threshold(self.threshold(pair), copies="same_place_bits" in verdict.extra)
             self.keys[verdict] = self._of(pair, which.get(pair)), asked
             out.add(self.keys[verdict], Kind.VERDICT, payload=to_bytes(verdict))
         if len(out):
@@ -201,18 +201,18 @@ class KeptVerdicts:
         names = "\n".join([*(self.maps[k].run for k in pair), str(second)]).encode()
         return _digest(b"".join(self.digests[k] for k in pair) + names)
 
-    def _bar(self, level: Bar, *, copies: bool) -> bytes:
+    def _threshold(self, threshold: Threshold, *, copies: bool) -> bytes:
         """Changes with what is asked; copies: of verdicts to which it matters how copies differ."""
-        key = level.copied, copies
-        if key not in self._bars:
-            self._bars[key] = bar_digest(level, copies=copies)
-        return self._bars[key]
+        key = threshold.copied, copies
+        if key not in self._thresholds:
+            self._thresholds[key] = threshold_digest(threshold, copies=copies)
+        return self._thresholds[key]
 
 
-def bar_digest(level: Bar, *, copies: bool) -> bytes:
+def threshold_digest(threshold: Threshold, *, copies: bool) -> bytes:
     """Of all that is asked; copies: also of how copies differ, where that matters."""
-    more = (level.need_copy_bits, astuple(level.copies)) if copies else ()
-    return _digest(repr((level.need_bits, level.copied, more)).encode())
+    more = (threshold.need_copy_bits, astuple(threshold.copies)) if copies else ()
+    return _digest(repr((threshold.need_bits, threshold.copied, more)).encode())
 
 
 def _digest(data: bytes) -> bytes:

@@ -20,12 +20,12 @@ from ..packs import DIGEST, Kept, Key, Kind
 from ..result import Alignment, Verdict, pairs_of
 from .alignment import laid_over, match
 from .components import Components
-from .kept_verdicts import bar_digest
+from .kept_verdicts import threshold_digest
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
 from .settings import RobustSettings
-from .verdict import Bar, Opinion, opinion, opinions
+from .verdict import Opinion, Threshold, opinion, opinions
 from .wording import summary
 
 Pair = tuple[int, int]
@@ -60,15 +60,15 @@ class Rematcher:
     """Matches the fused maps of components with open pairs between them, until nothing joins.
 
     Changes `components`. The strongest reunion of each round is carried out, then its component
-    is fused anew, so that every decision uses all that is known. level: what some runs must reach
-    in a batch of so many pairs.
+    is fused anew, so that every decision uses all that is known. threshold: what some runs must
+    reach in a batch of so many pairs.
     """
 
     maps: Sequence[TopoMap]
     prepared: Sequence[Prepared]
     components: Components
     undecided: Sequence[Pair]
-    level: Callable[[Sequence[int], int], Bar]
+    threshold: Callable[[Sequence[int], int], Threshold]
     settings: RobustSettings
     discarded: frozenset[Pair] = frozenset()
     kept: Kept | None = None
@@ -127,24 +127,24 @@ class Rematcher:
         left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
         pairs, cases = [], []
         for one, two in asked.values():
-            level = self.level((*one.runs, *two.runs), left)
-            if self._known_not_to_join(one, two, level):
+            threshold = self.threshold((*one.runs, *two.runs), left)
+            if self._known_not_to_join(one, two, threshold):
                 continue
             candidates = self._merged.matched(one, two, self.settings)
             if candidates:
-                pairs.append((one, two, level))
-                cases.append((one.prepared, two.prepared, candidates, level))
+                pairs.append((one, two, threshold))
+                cases.append((one.prepared, two.prepared, candidates, threshold))
         out = []
-        for (one, two, level), view in zip(pairs, opinions(cases), strict=True):
+        for (one, two, threshold), view in zip(pairs, opinions(cases), strict=True):
             if self._joins(one, two, view):
                 out.append((one, two, view))
             elif self.kept is not None:
-                self.kept.add(Kind.VERDICT, _key(one, two, level), NOT_JOINED)
+                self.kept.add(Kind.VERDICT, _key(one, two, threshold), NOT_JOINED)
         return out
 
-    def _known_not_to_join(self, one: MergedMap, two: MergedMap, level: Bar) -> bool:
+    def _known_not_to_join(self, one: MergedMap, two: MergedMap, threshold: Threshold) -> bool:
         """Whether an earlier merge, or round, found so: most components never are."""
-        found = self.kept and self.kept.find(Kind.VERDICT, _key(one, two, level))
+        found = self.kept and self.kept.find(Kind.VERDICT, _key(one, two, threshold))
         return found == NOT_JOINED
 
     def _apart(self, x: Runs, y: Runs) -> bool:
@@ -161,10 +161,10 @@ class Rematcher:
         return not fits_as_well(image, view.best)
 
 
-def _key(one: MergedMap, two: MergedMap, level: Bar) -> Key:
+def _key(one: MergedMap, two: MergedMap, threshold: Threshold) -> Key:
     """Of what the merged maps of two components say, where so much is asked of them."""
     digest = hashlib.blake2b(one.digest + two.digest, digest_size=DIGEST).digest()
-    return digest, bar_digest(level, copies=True)
+    return digest, threshold_digest(threshold, copies=True)
 
 
 def _strength(said: Said) -> tuple[float, Runs, Runs]:
@@ -176,7 +176,7 @@ def view_of_components(
     maps: Sequence[TopoMap],
     sides: tuple[Runs, Runs],
     accepted: Mapping[Pair, Alignment],
-    level: Bar,
+    threshold: Threshold,
     settings: RobustSettings,
 ) -> tuple[MergedMap, MergedMap, Opinion]:
     """What the merged maps of two components say of each other. sides: the runs of each, sorted;
@@ -184,7 +184,7 @@ def view_of_components(
     merged = MergedMaps(maps)
     one, two = (merged.of(runs, accepted) for runs in sides)
     candidates = match(one.prepared, two.prepared, settings)
-    return one, two, opinion(one.prepared, two.prepared, candidates, level)
+    return one, two, opinion(one.prepared, two.prepared, candidates, threshold)
 
 
 def _links(one: MergedMap, two: MergedMap, view: Opinion) -> dict[Pair, Alignment]:

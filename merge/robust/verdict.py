@@ -29,7 +29,7 @@ class PairCount:
 
 
 @dataclass(frozen=True, slots=True)
-class Bar:
+class Threshold:
     """What a pair must reach. need_bits: against chance; need_copy_bits: against copies, of an
     alignment that may well be one; copied: junctions of the largest part of a map that lies on
     another part of it; copies: how copies differ there."""
@@ -147,18 +147,18 @@ class Opinion:
         return max(self.ranked[0][1] - self.ranked[1][1], 0.0)  # less is rounding
 
 
-def bar(
+def threshold_for(
     count: PairCount,
     copies: CopyModel,
     settings: RobustSettings,
     *,
     copied: float = 0.0,
-) -> Bar:
-    """The bar for a batch of so many pairs: each may err at its share of the false-merge rate, at
-    either question."""
+) -> Threshold:
+    """The threshold in a batch of so many pairs: each may err at its share of the false-merge rate,
+    at either question."""
     against_copies = max(needed_bits(count.beyond, settings) - settings.copy_margin_bits, 0.0)
     need = needed_bits(count.all, settings)
-    return Bar(need, against_copies, copied, copies, settings)
+    return Threshold(need, against_copies, copied, copies, settings)
 
 
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
@@ -212,18 +212,20 @@ def counted_bits(c: Candidate) -> float:
     return min(c.bits + against, MATCH.junction_bits * len(c)) - against
 
 
-def _share(level: float) -> float:
+def _share(value: float) -> float:
     """Bounded to 0 … 1."""
-    return min(max(level, 0.0), 1.0)
+    return min(max(value, 0.0), 1.0)
 
 
-Found = tuple[Prepared, Prepared, Sequence[Candidate], Bar]
+Found = tuple[Prepared, Prepared, Sequence[Candidate], Threshold]
 """Two maps, their candidate alignments, and what they must reach."""
 
 
-def opinion(a: Prepared, b: Prepared, candidates: Sequence[Candidate], level: Bar) -> Opinion:
+def opinion(
+    a: Prepared, b: Prepared, candidates: Sequence[Candidate], threshold: Threshold
+) -> Opinion:
     """The verdict on a pair from its candidate alignments."""
-    return opinions([(a, b, candidates, level)])[0]
+    return opinions([(a, b, candidates, threshold)])[0]
 
 
 def opinions(pairs: Sequence[Found]) -> list[Opinion]:
@@ -237,7 +239,7 @@ def opinions(pairs: Sequence[Found]) -> list[Opinion]:
     as small as copies are. Its bits are counted on the scale of the first: with as many bits beyond
     what either question must yield, both answers are as sure.
     """
-    shown = [_beyond_chance(candidates, level) for _, _, candidates, level in pairs]
+    shown = [_beyond_chance(candidates, threshold) for _, _, candidates, threshold in pairs]
     shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
     cases = [
         (a, b, c)
@@ -251,11 +253,11 @@ def opinions(pairs: Sequence[Found]) -> list[Opinion]:
 
 
 def _repetitions(
-    a: Prepared, b: Prepared, _: object, level: Bar, odd: Sequence[Candidate]
+    a: Prepared, b: Prepared, _: object, threshold: Threshold, odd: Sequence[Candidate]
 ) -> list[float]:
     """0 to 1 of each alignment: how far the second question is asked of it."""
     uniform = uniformity(a, b) if odd else 0.0
-    return [max(uniform, level.may_be_copy(c)) for c in odd]
+    return [max(uniform, threshold.may_be_copy(c)) for c in odd]
 
 
 def _opinion(
@@ -266,50 +268,50 @@ def _opinion(
 ) -> Opinion:
     """The verdict on a pair. odd: alignments beyond chance; shares: how far the second question is
     asked of each; same: what it yields, if any asks it."""
-    a, b, candidates, level = pair
+    a, b, candidates, threshold = pair
     if not odd:
         return Opinion(
-            Verdict.UNRELATED, level.need_bits, faint=faint_of(candidates, level.settings)
+            Verdict.UNRELATED, threshold.need_bits, faint=faint_of(candidates, threshold.settings)
         )
     asked = max(shares) > 0
     answers = []
     for c, share in zip(odd, shares, strict=True):
         same_bits = next(same).bits if asked else None
-        need_same = share * level.need_copy_bits
+        need_same = share * threshold.need_copy_bits
         carried = counted_bits(c)
-        answers.append(Answers(level.need_bits, c.bits, carried, share, same_bits, need_same))
+        answers.append(Answers(threshold.need_bits, c.bits, carried, share, same_bits, need_same))
     ranking = sorted(range(len(odd)), key=lambda i: -round(answers[i].bits, MATCH.ranked_decimals))
     ranked = tuple((odd[i], answers[i].bits) for i in ranking)
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
-    why = _missing(odd[ranking[0]], answers[ranking[0]], margin, level)
-    if not why and size_sigmas(a, b, odd[ranking[0]].corridors) > level.settings.size_sigmas:
+    why = _missing(odd[ranking[0]], answers[ranking[0]], margin, threshold)
+    if not why and size_sigmas(a, b, odd[ranking[0]].corridors) > threshold.settings.size_sigmas:
         why = OTHER_SIZE
     return Opinion(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
-        need_bits=level.need_bits,
+        need_bits=threshold.need_bits,
         ranked=ranked,
         answers=tuple(answers[i] for i in ranking),
         why=why,
-        against_chance=beyond_chance_bits(candidates, level.settings),
+        against_chance=beyond_chance_bits(candidates, threshold.settings),
     )
 
 
-def _beyond_chance(candidates: Sequence[Candidate], level: Bar) -> list[Candidate]:
+def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
     """The alignments worth a word: those of enough junctions, or, if there are none, those of fewer
     that chance hardly offers."""
     odd = [c for c in candidates if c.bits > MATCH.lead_bits]
-    enough = [c for c in odd if len(c) >= level.settings.min_matches]
-    return enough or [c for c in odd if c.bits > level.need_bits]
+    enough = [c for c in odd if len(c) >= threshold.settings.min_matches]
+    return enough or [c for c in odd if c.bits > threshold.need_bits]
 
 
-def _missing(best: Candidate, answers: Answers, margin: float | None, level: Bar) -> str:
+def _missing(best: Candidate, answers: Answers, margin: float | None, threshold: Threshold) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
-    if answers.from_copies < min(answers.carried, level.need_bits):
+    if answers.from_copies < min(answers.carried, threshold.need_bits):
         return MAYBE_COPY
-    if answers.carried < level.need_bits:
+    if answers.carried < threshold.need_bits:
         return "chance offers as much too often"
-    if len(best) < level.settings.min_matches:
-        return f"{level.settings.min_matches} junctions at least must agree"
+    if len(best) < threshold.settings.min_matches:
+        return f"{threshold.settings.min_matches} junctions at least must agree"
     if margin is not None and margin < MATCH.lead_bits:
         return "another placement fits nearly as well"
     return ""

@@ -18,7 +18,7 @@ from topobatch.merge.robust.kept_verdicts import (
     to_bytes,
 )
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import PairCount, bar
+from topobatch.merge.robust.verdict import PairCount, threshold_for
 
 COPIES, COUNT = default_copies(DEFAULT_ROBUST), PairCount(100, 3)
 
@@ -140,9 +140,9 @@ class Shelf:
 
 
 def kept_by(shelf, maps, count=COUNT, copies=COPIES, keys=None):
-    level = bar(count, copies, DEFAULT_ROBUST)
+    threshold = threshold_for(count, copies, DEFAULT_ROBUST)
     digests = [digest_of(m) for m in maps]
-    return KeptVerdicts(shelf, maps, digests, lambda _: level, {} if keys is None else keys)
+    return KeptVerdicts(shelf, maps, digests, lambda _: threshold, {} if keys is None else keys)
 
 
 def test_a_verdict_is_known_by_all_that_it_hangs_on(pair):

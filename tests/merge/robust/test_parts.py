@@ -32,11 +32,11 @@ from topobatch.merge.robust.support import _forest, _without_repeats
 from topobatch.merge.robust.verdict import (
     PairCount,
     _missing,
-    bar,
     counted_bits,
     in_steps,
     needed_bits,
     opinion,
+    threshold_for,
     uniformity,
 )
 from topobatch.merge.wording import told_bits
@@ -294,7 +294,9 @@ def test_what_is_no_larger_than_copies_may_be_one(drawn):
     a = prepare(drawn("a", POINTS, EDGES))
     (told, *_) = match(a, prepare(drawn("b", POINTS, EDGES)), SETTINGS)
     count = PairCount(1, 1)
-    weights = [bar(count, COPIES, SETTINGS, copied=n).may_be_copy(told) for n in (0, 4, 6, 8, 9)]
+    weights = [
+        threshold_for(count, COPIES, SETTINGS, copied=n).may_be_copy(told) for n in (0, 4, 6, 8, 9)
+    ]
     assert weights == pytest.approx([0.0, 0.0, 2 / 3, 1.0, 1.0])
 
 
@@ -418,7 +420,7 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     )
     assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
     counts = (PairCount(n, n) for n in (1, 10**6))
-    alone, among_many = (bar(c, COPIES, SETTINGS, copied=len(told)) for c in counts)
+    alone, among_many = (threshold_for(c, COPIES, SETTINGS, copied=len(told)) for c in counts)
     assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
     view = opinion(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
@@ -471,7 +473,7 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
     found = match(a, b, SETTINGS)
     assert len(found) >= 2
     assert not same_placement(found[0], found[1], b)
-    view = opinion(a, b, found, bar(PairCount(1, 1), COPIES, SETTINGS))
+    view = opinion(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
     assert view.verdict == "ambiguous"
     assert view.runner_up is not None
     assert view.margin < MATCH.lead_bits

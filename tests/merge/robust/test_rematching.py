@@ -9,7 +9,7 @@ from topobatch.merge.robust import RobustSettings, match, prepare
 from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.rematching import Rematcher
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import Bar, counted_bits
+from topobatch.merge.robust.verdict import Threshold, counted_bits
 
 SETTINGS = RobustSettings()
 EXACT = {"centre_m": 0.02, "branch_rad": 0.02, "bend_m": 0.0, "missed": 0.0, "branch_fault": -1.0}
@@ -38,12 +38,12 @@ def rematched(three, found, need_bits, never=(), asked=None):
     """The components and reunions where the first two are joined and merging needs so much. asked:
     to be told of what runs, among how many pairs, that was asked."""
     ready = [prepare(m) for m in three]
-    level = Bar(need_bits, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
+    threshold = Threshold(need_bits, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
 
     def level_of(runs, pairs):
         if asked is not None:
             asked.append((tuple(runs), pairs))
-        return level
+        return threshold
 
     parts = Components(3, never)
     first = found[0, 1][0]
