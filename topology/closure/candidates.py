@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ..columns import take
+from ..matching.likelihood import LIKELIHOOD
 from ..se2 import turned_axes
 from .branches import align
 from .dead_reckoning import dead_reckoning_covariance
@@ -22,7 +23,6 @@ from .evidence import (
     best_position_odds,
     position_odds,
 )
-from .gates import GATE
 from .growth import GrowthSettings, Scene, grow
 from .places import NOWHERE, Places
 
@@ -117,7 +117,7 @@ def candidates(
     pairs = _known_apart(scene, place, layout, settings)
     strangers = _strangers(scene, pairs, settings)
     spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
-    pairs = take(pairs, (pairs.shift**2).sum(axis=1) < GATE.squared(2) * spread)
+    pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * spread)
     pairs = _nearest(pairs, settings.most_pairs * len(scene.places))
     if exact:
         best = best_position_odds(common, pairs.shift)
@@ -126,7 +126,7 @@ def candidates(
     odds, d2 = pairs.odds(common)
     # First what is plain: the rest is easier once that is settled.
     least = -np.inf if exact else 0.0
-    fine = (d2 < GATE.squared(2)) & (odds > least)
+    fine = (d2 < LIKELIHOOD.gate_chi2(2)) & (odds > least)
     pairs = take(pairs, fine)
     odds = among_neighbours(common, odds[fine], pairs.shift, pairs.noisy(common))
     pairs, odds = take(pairs, odds > least), odds[odds > least]
@@ -175,7 +175,7 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
     """
     _, d2 = pairs.odds(scene.common)
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
-    rows = np.flatnonzero((d2 > GATE.squared(2)) & apart)
+    rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
     aside = scene.common.pattern.is_step(pairs.shift[rows])
     if aside.sum() >= np.exp(settings.evidence.lead):
         # What a place could be taken for is one step of the pattern off: so many of these tell as
@@ -259,7 +259,7 @@ def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatAr
 def _telling_way(scene: Scene, reach_m: float, settings: CandidateSettings) -> float:
     """A way [m] at whose end places may lie anywhere within reach: it excludes nothing."""
     way = np.array(reach_m)
-    while GATE.squared(2) * _way_variance(scene, way)[0] < reach_m**2:
+    while LIKELIHOOD.gate_chi2(2) * _way_variance(scene, way)[0] < reach_m**2:
         way = 2.0 * way
     return float(way)
 

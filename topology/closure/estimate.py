@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..circular import cluster_angles
+from ..matching.likelihood import LIKELIHOOD
 from ..posegraph.samples import SampledMarginals
 from ..posegraph.solve import (
     Marginals,
@@ -20,7 +21,6 @@ from ..posegraph.solve import (
 )
 from ..se2 import wrap
 from .dead_reckoning import Walk, relative_covariance, systematic_modes
-from .gates import GATE
 from .manhattan import GridCorridors, GridHeadings
 from .places import ONE_WAY_RAD
 
@@ -146,7 +146,7 @@ def lay_out(
         node=node,
         sighting=shared.row,
         sighting_chi2=solution.edge_chi2[sighting],
-        misfit=_misfit(chi2, freedom, GATE.squared(3)),
+        misfit=_misfit(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
         freedom=freedom,
         graph=graph,
         solution=solution,
@@ -184,7 +184,7 @@ def _solved(
         start="given", relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2
     )
     solution = solve(graph, given)
-    kernel2 = GATE.squared(1)
+    kernel2 = LIKELIHOOD.gate_sigmas**2
     if np.all(solution.edge_chi2[sighting] < kernel2):
         return graph, solution, solution.edge_chi2
     width = graph.kernel.copy()

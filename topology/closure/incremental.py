@@ -15,7 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..columns import take
-from ..matching.likelihood import BIT
+from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import (
     AGREE,
     APART,
@@ -39,7 +39,6 @@ from .dead_reckoning import Walk, louder
 from .detector_faults import RateSettings, measured_rates
 from .estimate import Layout, LayoutSettings, lay_out
 from .evidence import background, with_pattern
-from .gates import GATE
 from .growth import Scene
 from .joint_compatibility import JointSettings, agreeing
 from .manhattan import (
@@ -198,7 +197,7 @@ def _scene(walk: Walk, place: IntArray, layout: Layout, settings: RoundSettings)
 
 def _loudness(now: float, layout: Layout) -> float:
     """Factor on the estimated noise, raised to fit where errors as large are no chance."""
-    if layout.misfit * layout.freedom > GATE.squared(layout.freedom):
+    if layout.misfit * layout.freedom > LIKELIHOOD.gate_chi2(layout.freedom):
         return now * float(np.sqrt(layout.misfit))
     return now
 
@@ -325,7 +324,7 @@ def _answer(
 
 def _strained(place: IntArray, layout: Layout, links: list[Identification]) -> list[Identification]:
     """The weakest links of every place that a pass is torn away from, enough to split it in two."""
-    bad = set(place[layout.sighting[layout.sighting_chi2 > GATE.squared(3)]].tolist())
+    bad = set(place[layout.sighting[layout.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist())
     of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
     for q in links:
         if int(place[q.first]) in bad:

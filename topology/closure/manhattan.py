@@ -15,7 +15,6 @@ from ..matching.likelihood import LIKELIHOOD
 from ..passes import Passes
 from ..se2 import wrap
 from .dead_reckoning import Walk, dead_reckoning_covariance
-from .gates import GATE
 from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
@@ -68,7 +67,7 @@ def grid_headings(
     off = from_quarter(np.diff(branches.values)[same])
     # Noise of the sensor alone must not make a grid look crooked.
     one = walk.noise.branch_rad**2 + settings.spread_rad**2
-    tolerance = np.sqrt(GATE.squared(1) * 2.0 * one)
+    tolerance = LIKELIHOOD.gate_sigmas * np.sqrt(2.0 * one)
     near = np.count_nonzero(np.abs(off) < tolerance)
     if tolerance > 0.5 or (near + 1) / (len(off) + 2) < settings.least_share:
         return None

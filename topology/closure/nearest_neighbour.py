@@ -10,14 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..matching.likelihood import BIT
+from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
 from .branches import align, branches_of
 from .candidates import CandidateSettings
 from .dead_reckoning import Walk, dead_reckoning_covariance, louder
 from .estimate import lay_out
 from .evidence import background, position_odds
-from .gates import GATE
 from .growth import Scene
 from .incremental import Closed, RoundSettings
 from .places import tabulate
@@ -76,7 +75,7 @@ def _odds(scene: Scene, known: IntArray, i: int, settings: CandidateSettings) ->
     cov = dead_reckoning_covariance(scene.walk, known, here)
     spread = cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
     odds, d2 = position_odds(common, scene.xy[known] - scene.xy[i], spread)
-    near = np.flatnonzero(d2 < GATE.squared(2))
+    near = np.flatnonzero(d2 < LIKELIHOOD.gate_chi2(2))
     turn_sigma = np.sqrt(cov[near, 2, 2])
     out = np.full(len(known), -np.inf)
     fit = align(scene.branches, known[near], here[near], turn_sigma=turn_sigma)

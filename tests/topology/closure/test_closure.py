@@ -24,7 +24,6 @@ from topobatch.topology.closure.dead_reckoning import (
 from topobatch.topology.closure.detector_faults import measured_rates
 from topobatch.topology.closure.estimate import lay_out
 from topobatch.topology.closure.evidence import EvidenceSettings, background
-from topobatch.topology.closure.gates import GateSettings
 from topobatch.topology.closure.growth import GrowthSettings, Scene, grow
 from topobatch.topology.closure.incremental import (
     RoundSettings,
@@ -40,6 +39,7 @@ from topobatch.topology.closure.nearest_neighbour import gated_closure
 from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.closure.variance_components import with_shown_spread
+from topobatch.topology.matching.likelihood import LIKELIHOOD
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.ragged import Ragged
@@ -316,7 +316,8 @@ def test_what_is_taken_back_is_kept_with_both_rounds(monkeypatch):
     rng = np.random.default_rng(10)
     world = grid_world(4, 4, rng)
     odometry, passes, _ = record(world, wander(world[1], 50, rng), rng)
-    monkeypatch.setattr("topobatch.topology.closure.incremental.GATE", GateSettings(chance=0.5))
+    tight = replace(LIKELIHOOD, gate_sigmas=0.67)
+    monkeypatch.setattr("topobatch.topology.closure.incremental.LIKELIHOOD", tight)
     closed = full_closure(make_walk(odometry, passes, NOISE))
     _, refused, revised = revisions(closed)
     back = [q for q in refused + revised if q.accepted_round is not None]
