@@ -72,28 +72,38 @@ def merge_maps(
     """
     ordered = _by_run(maps)
     means = means or Means()
-    verdicts: tuple[PairVerdict, ...]
-    if settings.method == "robust":
-        verdicts = robust.decide(
-            ordered, settings.robust, locks=locks, discarded=discarded, means=means
-        )
-    else:
-        with means.workers.start() if means.workers else nullcontext() as executor:
-            verdicts = paper.decide(
-                ordered, settings.paper, locks=locks, on_pair=means.on_pair, executor=executor
-            )
-        verdicts = tuple(_taken_back(v) if (v.a, v.b) in discarded else v for v in verdicts)
+    verdicts = _decided(ordered, settings, locks, discarded, means)
     listed = _listed_pairs(len(ordered), verdicts, discarded)
     asked = ((v.a, v.b) for v in listed)
     components, fused = fuse(
         ordered, verdicts, settings.fusion, how_sure=True, asked=asked, kept=means.kept
     )
-    unlisted = _unlisted(len(ordered), verdicts, listed, components)
     told = _placed(listed, components)
-    info = _info(settings, components, told)
     return MergeResult(
-        components, fused, told, info=info, unlisted=unlisted, kept_entry=means.kept_entry
+        components,
+        fused,
+        told,
+        info=_info(settings, components, told),
+        unlisted=_unlisted(len(ordered), verdicts, listed, components),
+        kept_entry=means.kept_entry,
     )
+
+
+def _decided(
+    maps: Sequence[TopoMap],
+    settings: MergeSettings,
+    locks: Sequence[Lock],
+    discarded: Collection[Names],
+    means: Means,
+) -> tuple[PairVerdict, ...]:
+    """The verdicts of the method that is asked for; `maps` are sorted by run."""
+    if settings.method == "robust":
+        return robust.decide(maps, settings.robust, locks=locks, discarded=discarded, means=means)
+    with means.workers.start() if means.workers else nullcontext() as executor:
+        verdicts = paper.decide(
+            maps, settings.paper, locks=locks, on_pair=means.on_pair, executor=executor
+        )
+    return tuple(_taken_back(v) if (v.a, v.b) in discarded else v for v in verdicts)
 
 
 def _taken_back(verdict: PairVerdict) -> PairVerdict:
