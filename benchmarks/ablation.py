@@ -73,8 +73,8 @@ OUT = {
 """Mechanisms, and what takes each out: fields of RoundSettings (`driven_by`: DrivenBySettings)."""
 
 REPLACED = {
-    "noise raised": (incremental, "_loudness", lambda now, *args: now),
-    "taking back": (incremental, "_strained", lambda *args: []),
+    "noise raised": (incremental, "_fitting_scale", lambda now, *args: now),
+    "taking back": (incremental, "_outliers", lambda *args: []),
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
     "straight corridors": (incremental, "_straight", lambda *args: None),
     "rivals": (incremental, "_rivals", lambda *args: []),

@@ -88,7 +88,7 @@ def make_walk(
     )
 
 
-def louder(walk: Walk, factor: float) -> Walk:
+def scale_noise(walk: Walk, factor: float) -> Walk:
     """The walk as if its random errors were `factor` times as large, those of jumps as they are."""
     n = walk.noise
     noise = replace(

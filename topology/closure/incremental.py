@@ -35,7 +35,7 @@ from .answers import (
 )
 from .branches import branches_of
 from .candidates import Candidates, CandidateSettings, candidates
-from .dead_reckoning import Walk, louder
+from .dead_reckoning import Walk, scale_noise
 from .detector_faults import RateSettings, measured_rates
 from .estimate import Layout, LayoutSettings, lay_out
 from .evidence import background, with_pattern
@@ -107,74 +107,112 @@ def closure_without_grid(walk: Walk, settings: RoundSettings = RoundSettings()) 
 
 
 def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
-    walk = louder(walk, settings.caution)
-    quiet, loudness = walk, 1.0
-    links: list[Identification] = []
-    barred: set[tuple[int, int]] = set()
-    doubts: dict[tuple[int, int], Identification] = {}
-    answers: dict[Answer, Identification] = {}
-    place = np.arange(len(walk), dtype=np.int64)
-    corridors: GridCorridors | None = None
-
-    def laid_out(start: FloatArray | None = None, turn: FloatArray | None = None) -> Layout:
-        return lay_out(
-            walk,
-            place,
-            start,
-            turn=turn,
-            grid=grid,
-            corridors=corridors,
-            settings=settings.layout,
-        )
-
-    layout = laid_out()
+    under_way = _Closure(walk, grid, settings)
     # Every round but the first identifies what was not, or is the last: what is taken back, is so
     # for good.
     for number in count(1):
-        exact = number > 1
-        scene = _scene(walk, place, layout, settings)
-        if grid is not None and scene.common.pattern.repeats:
-            # Likeness tells little here: the layout is to tell more.
-            corridors = _straight(corridors, grid, scene, layout)
-            layout = laid_out(layout.pose)
-            scene = _scene(walk, place, layout, settings)
-        found = candidates(scene, place, layout, settings.candidates, exact=exact)
-        found = take(found, ~_barred(found, barred, place))
-        new = _certain(scene.places, found, settings.least_odds(len(walk)))
-        doubts = _doubted(doubts, scene.places, found, settings, number)
+        new = under_way.certain(number)
+        if new:
+            under_way.identify(new)
+            under_way.fit_noise()
+            under_way.take_back_outliers(number)
+        elif number > 1:
+            break
+    return under_way.closed()
+
+
+class _Closure:
+    """A closure under way: what is identified, how the walk lies by that, and what was answered."""
+
+    def __init__(self, walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> None:
+        self._settings, self._grid = settings, grid
+        self._walk = self._unscaled = scale_noise(walk, settings.caution)
+        self._scale = 1.0
+        self._corridors: GridCorridors | None = None
+        self._links: list[Identification] = []
+        self._blocked: set[tuple[int, int]] = set()
+        self._doubts: dict[tuple[int, int], Identification] = {}
+        self._answers: dict[Answer, Identification] = {}
+        self._place = np.arange(len(walk), dtype=np.int64)
+        self._layout = self._laid_out(None)
+
+    def certain(self, number: int) -> list[Identification]:
+        """What is certain as the walk lies now: one by one or, failing that, together.
+
+        The first round answers what is plain: the rest is easier once that is settled.
+        """
+        exact, settings = number > 1, self._settings
+        scene = self._scene()
+        found = candidates(scene, self._place, self._layout, settings.candidates, exact=exact)
+        found = take(found, ~_blocked(found, self._blocked, self._place))
+        new = _certain(scene.places, found, settings.least_odds(len(self._walk)))
+        self._doubts = _doubted(self._doubts, scene.places, found, settings, number)
         if not new and exact:
-            new, reasons = _together(scene, found, layout, settings)
-            doubts |= explained(doubts, reasons)
+            new, reasons = _together(scene, found, self._layout, settings)
+            self._doubts |= explained(self._doubts, reasons)
         new = [replace(q, round=number) for q in new]
         made = {(q.first, q.second) for q in new}
-        note(answers, (q for pair, q in doubts.items() if is_open(q, place) and pair not in made))
-        if not new and exact:
-            break
-        if not new:
-            continue
-        links += new
-        turn = layout.pose[:, 2] + _turns(place, new)
-        place = _partition(len(walk), links)
-        layout = laid_out(layout.pose, turn)
-        better = _loudness(loudness, layout)
-        if better != loudness:
-            # The noise is not what it seemed before anything was identified.
-            loudness, walk = better, louder(quiet, better)
-            layout = laid_out(layout.pose)
-        bad = _strained(place, layout, links)
-        if bad:
-            barred |= {(q.first, q.second) for q in bad}
-            doubts |= {(q.first, q.second): taken_back(q, number) for q in bad}
-            note(answers, (doubts[q.first, q.second] for q in bad))
-            links = [q for q in links if q not in bad]
-            place = _partition(len(walk), links)
-            layout = laid_out(layout.pose)
-    if corridors is not None:
-        # They were to tell places apart: the map shows corridors as they were measured.
-        corridors = None
-        layout = laid_out(layout.pose)
-    asked = links + standing_doubts(place, doubts)
-    return Closed(walk, place, layout, asked, grid, revised_answers(place, answers.values(), asked))
+        open_ = (q for pair, q in self._doubts.items() if pair not in made)
+        note(self._answers, (q for q in open_ if is_open(q, self._place)))
+        return new
+
+    def identify(self, new: list[Identification]) -> None:
+        """Join the places of these passes, and lay the walk out by that."""
+        self._links += new
+        turn = self._layout.pose[:, 2] + _turns(self._place, new)
+        self._place = _partition(len(self._walk), self._links)
+        self._layout = self._laid_out(self._layout.pose, turn)
+
+    def fit_noise(self) -> None:
+        """Raise the noise if it is not what it seemed before anything was identified."""
+        scale = _fitting_scale(self._scale, self._layout)
+        if scale != self._scale:
+            self._scale, self._walk = scale, scale_noise(self._unscaled, scale)
+            self._layout = self._laid_out(self._layout.pose)
+
+    def take_back_outliers(self, number: int) -> None:
+        """Undo for good the identifications that the layout contradicts."""
+        bad = _outliers(self._place, self._layout, self._links)
+        if not bad:
+            return
+        self._blocked |= {(q.first, q.second) for q in bad}
+        back = {(q.first, q.second): taken_back(q, number) for q in bad}
+        self._doubts |= back
+        note(self._answers, back.values())
+        self._links = [q for q in self._links if q not in bad]
+        self._place = _partition(len(self._walk), self._links)
+        self._layout = self._laid_out(self._layout.pose)
+
+    def closed(self) -> Closed:
+        """What came of it."""
+        if self._corridors is not None:
+            # They were to tell places apart: the map shows corridors as they were measured.
+            self._corridors = None
+            self._layout = self._laid_out(self._layout.pose)
+        asked = self._links + standing_doubts(self._place, self._doubts)
+        revised = revised_answers(self._place, self._answers.values(), asked)
+        return Closed(self._walk, self._place, self._layout, asked, self._grid, revised)
+
+    def _scene(self) -> Scene:
+        """What the walk shows as it lies; laid out straighter first where its map repeats, for
+        there likeness tells little, and the layout is to tell more."""
+        scene = _scene(self._walk, self._place, self._layout, self._settings)
+        if self._grid is None or not scene.common.pattern.repeats:
+            return scene
+        self._corridors = _straight(self._corridors, self._grid, scene, self._layout)
+        self._layout = self._laid_out(self._layout.pose)
+        return _scene(self._walk, self._place, self._layout, self._settings)
+
+    def _laid_out(self, start: FloatArray | None, turn: FloatArray | None = None) -> Layout:
+        return lay_out(
+            self._walk,
+            self._place,
+            start,
+            turn=turn,
+            grid=self._grid,
+            corridors=self._corridors,
+            settings=self._settings.layout,
+        )
 
 
 def _straight(
@@ -195,16 +233,18 @@ def _scene(walk: Walk, place: IntArray, layout: Layout, settings: RoundSettings)
     return Scene(walk, places, layout.xy, common, branches_of(places, common, evidence))
 
 
-def _loudness(now: float, layout: Layout) -> float:
+def _fitting_scale(now: float, layout: Layout) -> float:
     """Factor on the estimated noise, raised to fit where errors as large are no chance."""
     if layout.misfit * layout.freedom > LIKELIHOOD.gate_chi2(layout.freedom):
         return now * float(np.sqrt(layout.misfit))
     return now
 
 
-def _barred(found: Candidates, barred: set[tuple[int, int]], place: IntArray) -> NDArray[np.bool_]:
+def _blocked(
+    found: Candidates, blocked: set[tuple[int, int]], place: IntArray
+) -> NDArray[np.bool_]:
     """(k,) candidates that would join two passes again whose identification was taken back."""
-    pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in barred}
+    pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in blocked}
     ends = zip(found.a.tolist(), found.b.tolist(), strict=True)
     return np.array([frozenset(pair) in pairs for pair in ends], bool)
 
@@ -322,7 +362,7 @@ def _answer(
     return Identification(i, j, accepted, odds / BIT, reason, turn)
 
 
-def _strained(place: IntArray, layout: Layout, links: list[Identification]) -> list[Identification]:
+def _outliers(place: IntArray, layout: Layout, links: list[Identification]) -> list[Identification]:
     """The weakest links of every place that a pass is torn away from, enough to split it in two."""
     bad = set(place[layout.sighting[layout.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist())
     of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}

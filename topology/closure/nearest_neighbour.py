@@ -14,7 +14,7 @@ from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
 from .branches import align, branches_of
 from .candidates import CandidateSettings
-from .dead_reckoning import Walk, dead_reckoning_covariance, louder
+from .dead_reckoning import Walk, dead_reckoning_covariance, scale_noise
 from .estimate import lay_out
 from .evidence import background, position_odds
 from .growth import Scene
@@ -31,7 +31,7 @@ def gated_closure(walk: Walk, settings: RoundSettings) -> Closed:
     O(p · places), vectorised over the places.
     """
     count = len(walk)
-    scene = _scene(louder(walk, settings.caution), settings)
+    scene = _scene(scale_noise(walk, settings.caution), settings)
     least = settings.least_odds(count)
     place = np.full(count, -1, np.int64)
     latest = np.zeros(count, np.int64)  # last pass by each place

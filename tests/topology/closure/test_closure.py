@@ -17,9 +17,9 @@ from topobatch.topology.closure.candidates import Candidates, candidates, likene
 from topobatch.topology.closure.dead_reckoning import (
     SystematicErrors,
     dead_reckoning_covariance,
-    louder,
     make_walk,
     relative_covariance,
+    scale_noise,
 )
 from topobatch.topology.closure.detector_faults import measured_rates
 from topobatch.topology.closure.estimate import lay_out
@@ -790,8 +790,8 @@ def test_a_jump_adds_its_own_uncertainty_and_keeps_it():
     )
     # However loud the rest is taken to be, the jump is as large as it is.
     for factor in (0.35, 4.0):
-        again = relative_covariance(louder(walk, factor), first, second)
-        again -= relative_covariance(louder(quiet, factor), first, second)
+        again = relative_covariance(scale_noise(walk, factor), first, second)
+        again -= relative_covariance(scale_noise(quiet, factor), first, second)
         np.testing.assert_allclose(again, more, atol=1e-12)
     assert np.flatnonzero(np.isnan(walk.leg)).tolist() == [2]  # no corridor is known by its length
     layout = lay_out(walk, np.arange(len(walk)))
