@@ -30,7 +30,6 @@ NUMBERS = {
     "AHEAD_CHUNKS": "ahead",
     "LARGE_BYTES": "bag_sparse",
     "HEAD_BYTES": "bag_sparse",
-    "SMALL_BYTES": "chunk_reader",
     "RUN": "chunk_reader",
     "INPUT_BYTES": "inflate",
     "PIECE_BYTES": "inflate",
@@ -44,8 +43,6 @@ NUMBERS = {
     "BATCH": "sqlite_pages",
     "NEAR": "sqlite_pages",
     "LEAST_REACH": "walk",
-    "LEAST_LISTED": "walk",
-    "FREQUENT": "walk",
     "MOST_GAPS": "walk",
     "SLAB_BYTES": "windows",
 }

@@ -82,7 +82,7 @@ class BagChunks(ChunkReader):
             offsets = np.concatenate([np.zeros(0, np.int64), *chunk.offsets])
             sparse = without_large(self._window, head, offsets, self._messages.unwanted)
             if sparse is not None:
-                listed = self._messages.listed(sparse, offsets, least=1)
+                listed = self._messages.listed(sparse, offsets)
         if listed is not None:
             yield from listed
         elif head.size > WHOLE_BYTES:

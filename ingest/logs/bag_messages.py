@@ -25,7 +25,7 @@ from .columns import MANY, column, gather, without_repeats, words
 from .described import TOO_MANY, Described, contradicts, short
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
 from .tally import NUMBERS, Tally
-from .walk import LEAST_LISTED, bag_listed, bag_records, inside, seamless
+from .walk import bag_listed, bag_records, inside, seamless
 
 HEAD_BYTES = 64
 """So much of many records is looked at together: of most connections, number and kind."""
@@ -59,17 +59,15 @@ class MessageReader:
             listed = self._records(data, where)
         yield from listed
 
-    def listed(
-        self, data: Bytes, offsets: Ints, least: int = LEAST_LISTED
-    ) -> Iterator[Block] | None:
-        """The same by the places of at least so many messages; None unless the index is proven."""
-        regular = self._regular(data, offsets, least)
+    def listed(self, data: Bytes, offsets: Ints) -> Iterator[Block] | None:
+        """The same by the places of messages; None unless the index is proven."""
+        regular = self._regular(data, offsets)
         if regular is not None:
             return self._blocks(data, *regular)
-        where = bag_listed(data, offsets, least)
+        where = bag_listed(data, offsets)
         return None if where is None else self._records(data, where)
 
-    def _regular(self, data: Bytes, offsets: Ints, least: int) -> tuple[Ints, Ints, Ints] | None:
+    def _regular(self, data: Bytes, offsets: Ints) -> tuple[Ints, Ints, Ints] | None:
         """Connection, time and place of the size of messages in data that hold nothing else.
 
         None unless all are like the template and each ends where the next begins, from the first
@@ -78,7 +76,7 @@ class MessageReader:
         template = self._template
         if template is None:
             return None
-        where = inside(offsets, len(data) - (template.size + 8), least)
+        where = inside(offsets, len(data) - (template.size + 8))
         if where is None or where[0]:
             return None
         heads = gather(data, where, template.size + 8)

@@ -25,14 +25,14 @@ from .inflate import (
     inflate_part,
     pieces,
 )
-from .messages import Block, Bytes, DamageError, Findings, Ints, Walking
+from .messages import Block, Bytes, DamageError, FileWindow, Findings, Ints, Walking
 from .split import Large, whole_records
 from .tally import Tally
 from .windows import RemoteWindow, Window
 
-SMALL_BYTES = 1 << 14
-"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte. An eighth of
-it or eight times as much makes no difference (benchmarks/reading_numbers.py)."""
+SMALL_BYTES = FileWindow.STEP
+"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte: it was read
+along with what is in front of it."""
 
 RUN = 8
 """After so many small chunks the next ones are expected to be small, too. After 64, logs of 4,000

@@ -19,14 +19,7 @@ _U32 = struct.Struct("<I").unpack_from
 
 LEAST_REACH = 64
 """How many records are looked at together at least, once two equal ones were met. As with the other
-numbers here, 8 times as many or as few make no difference (benchmarks/reading_numbers.py)."""
-
-
-LEAST_LISTED = 16
-"""So many places are worth while to go by an index."""
-
-FREQUENT = 8
-"""A run of so many records makes it worth while to look for the next one at once."""
+number here, 8 times as many or as few make no difference (benchmarks/reading_numbers.py)."""
 
 
 def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[Ints, int]:
@@ -52,7 +45,7 @@ def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[In
             most = min((size - position) // step, reach)
             count = _leading(np.ndarray((most,), "<u8", raw, position, (step,)) == word)
             reach = _next_reach(reach, count, most)
-            frequent = word if count >= FREQUENT else -1
+            frequent = word if count > 1 else -1
         else:
             count = 1
         counts.append(count)
@@ -89,7 +82,7 @@ def bag_records(data: Bytes) -> tuple[Ints, int]:
             bodies = np.ndarray((most,), "<u4", raw, body, (step,))
             count = _leading((headers == header) & (bodies == shape[1]))
             reach = _next_reach(reach, count, most)
-            frequent = shape if count >= FREQUENT else (-1, -1)
+            frequent = shape if count > 1 else (-1, -1)
         else:
             count = 1
         counts.append(count)
@@ -110,13 +103,13 @@ def mcap_listed(data: Bytes, offsets: Ints) -> Ints | None:
     return _completed(data, where, where + 9 + length, mcap_records)
 
 
-def bag_listed(data: Bytes, offsets: Ints, least: int = LEAST_LISTED) -> Ints | None:
-    """What `bag_records` finds, by at least so many places of an index: proven, or None."""
-    where = inside(offsets, len(data) - 8, least)
+def bag_listed(data: Bytes, offsets: Ints) -> Ints | None:
+    """What `bag_records` finds, by places that an index lists: proven, or None."""
+    where = inside(offsets, len(data) - 8)
     if where is None:
         return None
     head = words(data, "<u4", where).astype(np.int64)
-    body = inside(where + 4 + head, len(data) - 4, least)
+    body = inside(where + 4 + head, len(data) - 4)
     if body is None:
         return None
     return _completed(data, where, body + 4 + words(data, "<u4", body), bag_records)
@@ -126,11 +119,11 @@ MOST_GAPS = 16
 """So many places between the listed records may hold others."""
 
 
-def inside(places: Ints, last: int, least: int = LEAST_LISTED) -> Ints | None:
-    """The places in ascending order, None if there are few or one is outside of 0 … last."""
+def inside(places: Ints, last: int) -> Ints | None:
+    """The places in ascending order, None if there are none or one is outside of 0 … last."""
     # Ascending per channel: a stable sort merges the runs.
     places = np.sort(places, kind="stable")
-    if len(places) < least or places[0] < 0 or places[-1] > last:
+    if len(places) == 0 or places[0] < 0 or places[-1] > last:
         return None
     return places
 
