@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from topobatch.topology.matching.likelihood import (
     LIKELIHOOD,
@@ -63,3 +64,9 @@ def test_a_look_in_doubt_tells_less_for_and_against():
     assert doubted(told, sure) == pytest.approx(mixed)
     assert doubted(told, sure)[2] == 3.0
     assert doubted(told, sure)[1] == pytest.approx(np.log(0.5), abs=0.01)
+
+
+def test_one_gate_lets_by_as_many_errors_of_any_dimension():
+    assert LIKELIHOOD.gate_chi2(1) == pytest.approx(LIKELIHOOD.gate_sigmas**2)
+    for freedom in (2, 3, 60):
+        assert chi2.sf(LIKELIHOOD.gate_chi2(freedom), freedom) == pytest.approx(0.0027, rel=1e-3)
