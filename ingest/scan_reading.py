@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..topology.errors import LogError
+from ..topology.errors import DataError, LogError
 from ..topology.ragged import Ragged
 from ..topology.run import Detections, Run, Scanned
 from .frames import NOWHERE_ELSE
@@ -60,7 +60,11 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
             for laser in used
         ]
     )
-    found = detect(way.odometry if way else None, stream)
+    try:
+        found = detect(way.odometry if way else None, stream)
+    except DataError as error:
+        named = ", ".join(laser.topic for laser in used)
+        raise DataError("; ".join((f"{read.log}: {named}: {error}", *stream.warnings))) from error
     warnings += [*stream.warnings, *found.warnings]
     about["junctions"] |= {"messages": stream.messages, **_told(found.statistics)}
     if len(used) > 1:

@@ -57,14 +57,16 @@ def detect(
 
 @dataclass(slots=True, eq=False)
 class _Counted:
-    """The scans as they come, counted."""
+    """The scans as they come, counted; echoing: those with an echo."""
 
     batches: Iterable[ScanBatch]
     scans: int = 0
+    echoing: int = 0
 
     def __iter__(self) -> Iterator[ScanBatch]:
         for batch in self.batches:
             self.scans += len(batch)
+            self.echoing += int(np.isfinite(batch.ranges_m).any(axis=1).sum())
             yield batch
 
 
@@ -139,7 +141,7 @@ def _result(
     settings: ScanSettings,
 ) -> ScanResult:
     if not track.pose:
-        raise DataError(_nothing(recorded, counted.scans))
+        raise DataError(_nothing(counted))
     driven = track.driven()
     passes = junction_passes(seen, driven, settings.windows, settings.junctions)
     noise = matched_noise(track.spans, passes, alone=recorded is None)
@@ -175,6 +177,11 @@ def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
             "no odometry beside the scans: each scan was matched to the one before, so that the "
             "way along bare corridors is not well known"
         )
+    if statistics.covered < 0.5 and statistics.scans > 1:
+        out.append(
+            f"along {100 - 100 * statistics.covered:.0f} % of the way scans show too few surfaces "
+            "to be matched with each other; there the odometry stands as it was recorded"
+        )
     if statistics.searched:
         out.append(
             f"at {statistics.searched} of {statistics.scans} scans the odometry led astray; the "
@@ -187,15 +194,16 @@ DRIFT_M = 20.0
 """Way after which drift is told."""
 
 
-def _nothing(recorded: Odometry | None, scans: int) -> str:
-    if scans == 0:
+def _nothing(counted: _Counted) -> str:
+    """Why no scan could be used."""
+    if counted.scans == 0:
         return "the scan topic holds no usable scan"
-    if recorded is not None:
-        return (
-            f"none of the {scans} scans has an echo and lies within the time of the odometry; "
-            "check the clocks of the two topics"
-        )
-    return f"none of the {scans} scans has an echo"
+    if counted.echoing == 0:
+        return f"none of the {counted.scans} scans has an echo"
+    return (
+        f"none of the {counted.echoing} scans with an echo lies within the time of the odometry; "
+        "check the clocks of the two topics"
+    )
 
 
 def _covered(driven: Driven, good: NDArray[np.bool_]) -> float:

@@ -182,14 +182,22 @@ def test_nothing_to_go_by(odometry: Odometry | None) -> None:
     with pytest.raises(DataError, match="no usable scan"):
         detect(odometry, [])
     blind = ScanBatch(ROUND.time_ns[:20], np.full((20, 181), np.nan, np.float32), 0.0, HALF_TURN)
-    with pytest.raises(DataError, match="none of the 20 scans has an echo"):
+    with pytest.raises(DataError, match=r"none of the 20 scans has an echo$"):
         detect(odometry, [blind])
+
+
+def test_beams_too_far_apart_to_show_surfaces_are_told() -> None:
+    batch = parts(seen(), 120)[0]
+    ranges = np.where(np.arange(batch.ranges_m.shape[1]) % 9 == 0, batch.ranges_m, np.nan)
+    sparse = ScanBatch(batch.times_ns, ranges.astype(np.float32), 0.0, batch.angles_rad)
+    assert any("too few surfaces" in line for line in detect(ROUND, [sparse]).warnings)
+    assert not any("too few surfaces" in line for line in detect(ROUND, [batch]).warnings)
 
 
 def test_scans_of_another_time() -> None:
     batch = parts(seen(), 50)[0]
     late = ScanBatch(batch.times_ns + 10**15, batch.ranges_m, 0.0, batch.angles_rad)
-    with pytest.raises(DataError, match="clocks"):
+    with pytest.raises(DataError, match=r"none of the 50 scans with an echo lies within.* clocks"):
         detect(ROUND, [late])
 
 
