@@ -256,7 +256,9 @@ def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
 def _scales(pool: Pool, factors: Factors, within: int, settings: JointSettings) -> SharedErrors:
     """The scale of each run's odometry: one unknown that all its measurements share.
 
-    within: how many of the factors, the first ones, are measurements within a run.
+    within: how many of the factors, the first ones, are measurements within a run. How far scales
+    err is told by all runs of a component together, in the mean square: robots of one fleet are
+    alike, and few runs can see their own.
     """
     count = len(pool.maps)
     if count > settings.scaled_runs:
@@ -264,7 +266,8 @@ def _scales(pool: Pool, factors: Factors, within: int, settings: JointSettings) 
     sensitivity = np.zeros((len(factors.source), 3, count))
     run = pool.run[factors.source[:within]]
     sensitivity[np.arange(within), :2, run] = factors.measurement[:within, :2]
-    sigma = np.array([max(m.measured.scale, settings.min_scale) for m in pool.maps])
+    usual = np.sqrt(np.mean([m.measured.scale**2 for m in pool.maps]))
+    sigma = np.full(count, max(float(usual), settings.min_scale))
     return SharedErrors(sensitivity, sigma)
 
 

@@ -76,3 +76,16 @@ def test_corridors_bend_a_map_as_much_as_it_states(draw):
     sure = {of: bending(replace(plain, position_sigma=np.full(8, of))) for of in (0.01, 2.0, 4.0)}
     assert 0.0 < sure[0.01] < 1.0 < sure[2.0] < sure[4.0]
     assert sure[4.0] == pytest.approx(4 * sure[2.0], rel=0.05)
+
+
+def test_scales_err_as_far_as_all_runs_of_a_component_tell(draw):
+    corners = {k: (8.0 * k, 2.0 * (k % 2)) for k in range(5)}
+    edges = [(k, k + 1) for k in range(4)]
+    maps = [draw(name, corners, edges) for name in "ab"]
+    maps = [
+        replace(m, fitted_noise=replace(m.measured, scale=scale))
+        for m, scale in zip(maps, (0.04, 0.0), strict=True)
+    ]
+    label = np.concatenate([np.arange(5), np.arange(5)])
+    joint = settle(Pool.of(maps), label, {"a": np.zeros(3), "b": np.zeros(3)})
+    np.testing.assert_allclose(joint.graph.shared.sigma, 0.04 / np.sqrt(2))
