@@ -176,7 +176,6 @@ class Canvas:
         text: str,
         *,
         size_pt: float = TEXT_PT,
-        colour: str = "",
         room_m: float | None = None,
         **how: Any,
     ) -> None:
@@ -193,7 +192,7 @@ class Canvas:
             "fontfamily": "sans-serif",
         } | how
         self._axes.text(
-            *at, text, fontsize=size_pt, color=colour or self.theme["ink"], clip_on=False, **shown
+            *at, text, fontsize=size_pt, color=self.theme["ink"], clip_on=False, **shown
         )
 
     def _add(self, artist: Any, told: str) -> None:

@@ -30,7 +30,7 @@ class Meeting:
     """Vertices this close to where a robot was are near it."""
 
 
-def parse_meeting(text: str, range_m: float = 15.0) -> Meeting:
+def parse_meeting(text: str) -> Meeting:
     """A meeting from "run1@TIME,run2@TIME", times in seconds (with a point) or nanoseconds.
 
     Raises UsageError if the text is of another form.
@@ -44,7 +44,7 @@ def parse_meeting(text: str, range_m: float = 15.0) -> Meeting:
         )
     if found["run_a"] == found["run_b"]:
         raise UsageError(f"{text!r}: a robot does not meet itself")
-    return Meeting(found["run_a"], _ns(found["a"]), found["run_b"], _ns(found["b"]), range_m)
+    return Meeting(found["run_a"], _ns(found["a"]), found["run_b"], _ns(found["b"]))
 
 
 def _ns(text: str) -> int:
