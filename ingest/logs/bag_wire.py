@@ -222,6 +222,7 @@ def _parse_index(window: Window, start: int, connections: int, chunks: int) -> B
         window.copy(start, window.size - start)  # one request, not one per record
     while position < window.size:
         record = record_at(window, position)
+        info = _chunk_info(record, connections) if record.op == CHUNK_INFO else ()
         data = window.view(record.data_at, record.data_size)
         if len(data) < record.data_size:
             return None
@@ -231,8 +232,8 @@ def _parse_index(window: Window, start: int, connections: int, chunks: int) -> B
             if told.setdefault(key, whole) != whole or not described.add(whole):
                 return None
             channels[key] = channel
-        elif record.op == CHUNK_INFO:
-            infos.extend(_chunk_info(record))
+        elif info:
+            infos.extend(info)
             listed += data.data
         else:
             return None
@@ -251,10 +252,13 @@ def _parse_index(window: Window, start: int, connections: int, chunks: int) -> B
     return BagIndex(start, channels, told, begin, first, last, count, pairs, counts)
 
 
-def _chunk_info(record: Record) -> tuple[int, int, int, int]:
-    """Place, first and last time of a chunk, and how many connections are in it."""
-    if record.data_size % 8:
-        raise DamageError("a chunk info record is cut")
+def _chunk_info(record: Record, connections: int) -> tuple[int, int, int, int]:
+    """Place, first and last time of a chunk, and how many connections are in it.
+
+    Raises DamageError; connections: that there are.
+    """
+    if record.data_size % 8 or record.data_size > 8 * connections:
+        raise DamageError("a chunk info record is cut, or counts more connections than there are")
     begin = number(record.fields, b"chunk_pos", 8)
     first, last = (
         time_ns(record.fields.get(name, b"")) if record.data_size else 0

@@ -154,9 +154,6 @@ class Sink:
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
 
-    def __post_init__(self) -> None:
-        self._columns = _empty_columns(self.whole)
-
     @property
     def failed(self) -> int:
         """Messages that could not be decoded."""
@@ -201,7 +198,9 @@ class Sink:
     def columns(self) -> PoseColumns:
         """All poses; the sink is empty afterwards, so that they are held once."""
         self.flush()
-        return PoseColumns(*(column.taken() for column in self._columns))
+        return PoseColumns(
+            *(column.taken() for column in self._columns or _empty_columns(self.whole))
+        )
 
     def _packed(self, data: Bytes, start: Ints, size: Ints) -> NDArray[np.bool_]:
         """Which payloads are zstd streams: ROS 2 compresses messages one by one if asked to."""
@@ -272,6 +271,8 @@ class Sink:
             poses.frame,
             poses.value if self.whole else in_plane(poses.value),
         )
+        # Most channels that are described have no message: they take no room for any.
+        self._columns = self._columns or _empty_columns(self.whole)
         for column, more in zip(self._columns, rows, strict=True):
             column.add(more)
         self.messages += len(log_ns)
