@@ -89,7 +89,7 @@ def test_the_robot_drives_on_during_a_sweep() -> None:
     assert gap.mean() == pytest.approx(0.05, abs=0.005)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_beams_meet_what_a_search_along_them_meets(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -414,7 +414,7 @@ def test_a_region_without_corridors_is_refused() -> None:
         simulate_run(make_world("maze", 20, 1), {0})
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(
     kind=st.sampled_from(KINDS),
     junctions=st.integers(5, 40),

@@ -31,9 +31,7 @@ def types_of(logs):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("encoding", ["little", "big", "ros1"])
 @given(data=st.data())
-@settings(
-    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_columns_equal_the_library_bit_for_bit(logs, kind, encoding, data):
     ros1 = encoding == "ros1"
     store, type_name = logs.store_of(ros1), types_of(logs)[kind]
@@ -84,7 +82,7 @@ def test_a_message_that_is_cut_is_counted(logs):
 
 
 @given(st.lists(st.integers(0, 40), max_size=60), st.binary(max_size=12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_strides_find_the_records_that_a_loop_finds(sizes, tail):
     for repeat in (1, 70):
         lengths = [size for size in sizes for _ in range(repeat)]

@@ -11,7 +11,7 @@ from topobatch.ingest.logs.grids import grid_of_message
 from topobatch.ingest.logs.messages import Channel, DamageError
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.data())
 def test_any_bytes_are_a_grid_or_damage(sensors: ModuleType, data: st.DataObject) -> None:
     encoding = data.draw(st.sampled_from(["cdr", "ros1"]))

@@ -105,9 +105,7 @@ def test_the_fingerprint_follows_the_picture(tmp_path: Path) -> None:
     assert log_fingerprint(path) != before
 
 
-@settings(
-    deadline=None, max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_bytes_are_a_map_or_an_error(tmp_path: Path, data: st.DataObject) -> None:
     """Flipped and cut bytes of a description and of its picture, in every format."""

@@ -123,7 +123,7 @@ def test_odometry_that_stands_and_leaps_to_the_robot_was_late():
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.001, 0.05), st.floats(0.0, 1.0))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_jumps_are_found_as_without_the_shortcut(seed, noise, leap):
     rng = np.random.default_rng(seed)
     time, pose = drive(600, seed=seed)

@@ -126,7 +126,7 @@ def test_single_message_passes_are_no_obstacle() -> None:
     assert 0 < noise.centre_m < 0.3
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.integers(1, 12),
     st.lists(

@@ -144,7 +144,7 @@ def test_gaps_are_reported_and_driving_through_them_is_no_teleport():
         max_size=60,
     )
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_anything_finite_becomes_a_valid_track(rows):
     time = np.array([row[0] for row in rows], np.int64)
     pose = np.array([row[1:] for row in rows])
@@ -166,7 +166,7 @@ def test_detections_outside_the_odometry_are_left_out(logs, tmp_path):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.floats(0.0, 7.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_leaps_are_found_as_without_the_shortcut(seed, leap_m, leap_rad):
     rng = np.random.default_rng(seed)
     time, pose = straight(60)

@@ -375,7 +375,7 @@ def test_hostile_clouds(sensors: ModuleType) -> None:
         wire_cloud(sensors.packed(message, sensors.CLOUD), False)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.data())
 def test_any_bytes_are_scans_or_damage(sensors: ModuleType, data: st.DataObject) -> None:
     """Flipped bytes of real messages, in every decoder: scans come out, or failures are counted."""

@@ -118,7 +118,7 @@ class Problem:
 
 
 @given(graphs(), st.sampled_from(["chordal", "given"]))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 def test_what_is_called_converged_is_a_minimum(graph: PoseGraph, start: str) -> None:
     solution = solve(graph, SolverSettings(start=start))
     problem = Problem(graph, solution)
@@ -145,7 +145,7 @@ def test_most_graphs_converge() -> None:
     converged = []
 
     @given(graphs())
-    @settings(max_examples=60, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=60, derandomize=True, database=None)
     def collect(graph: PoseGraph) -> None:
         converged.append(solve(graph).converged)
 
