@@ -31,7 +31,7 @@ Pair = tuple[int, int]
 
 NONE: Mapping[Pair, int] = MappingProxyType({})
 
-NUMBERS = 13
+NUMBERS = 3 + 2 * 5
 """In full before the entry: evidence, threshold and margin [bits] of a verdict; x, y, theta,
 evidence and error of its alignment and of the next best one. 0 for what there is not."""
 

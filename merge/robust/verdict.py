@@ -170,15 +170,9 @@ def needed_bits(pairs: int, settings: RobustSettings) -> float:
     return float(np.log2(max(in_steps(pairs), 1) / settings.false_merge_rate))
 
 
-STEP_DIGITS = 4
-"""Binary digits of a number of pairs: up to 15 it is exact, beyond it is rounded up by an eighth at
-most, .17 bits and .07 in the mean. At 200 runs every tenth run is a step, at 1,420 every fortieth.
-"""
-
-
 def in_steps(pairs: int) -> int:
     """A number of pairs, rounded up."""
-    step = 1 << max(pairs.bit_length() - STEP_DIGITS, 0)
+    step = 1 << max(pairs.bit_length() - MATCH.pair_digits, 0)
     return -(-pairs // step) * step
 
 
