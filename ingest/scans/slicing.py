@@ -17,6 +17,14 @@ FloatArray = NDArray[np.float64]
 BEAMS = 360
 """Directions of a slice, 1 degree each: as coarse as the beams of the laser scanners in use."""
 
+WIDEST = 6
+"""Directions of a sparse cloud are up to so many degrees wide: points of a wall 3 m away are then
+as far apart as a line in it is long (`SurfaceSettings.reach_m`)."""
+
+IN_A_ROW = 0.8
+"""Share of directions next to which something is seen, too: of five in a row, which make a line
+(`SurfaceSettings.least_beams`), four have a next one."""
+
 PIECE = 1 << 18
 """So many points are looked at together: memory for more is not needed."""
 
@@ -63,7 +71,7 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
     """The nearest point of the band in each of BEAMS directions, seen from the sensor.
 
     T_body_sensor: (7,) pose of the cloud's frame. Directions in which nothing is seen tell nothing.
-    O(points).
+    Where the points stand farther apart, there are fewer, wider directions. O(points).
     """
     from scipy.spatial.transform import Rotation
 
@@ -80,8 +88,9 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
         turn = np.arctan2(y[far], x[far])
         beam = np.floor((turn + np.pi) / (2 * np.pi) * BEAMS).astype(np.int64) % BEAMS
         np.minimum.at(ranges, beam, way[far])
+    ranges = _in_a_row(ranges)
     ranges[np.isinf(ranges)] = np.nan
-    step = 2 * np.pi / BEAMS
+    step = 2 * np.pi / len(ranges)
     geometry = Geometry(cloud.frame, -np.pi + step / 2, step, level=True)
     return RawScans(
         np.zeros(1, np.int64),
@@ -90,3 +99,14 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
         geometry,
         blind=True,
     )
+
+
+def _in_a_row(ranges: FloatArray) -> FloatArray:
+    """The nearest ranges of directions as wide as it takes for neighbours to see something, too;
+    (BEAMS,) as they are where no width does that. ranges: inf where nothing is seen."""
+    for degrees in range(1, WIDEST + 1):
+        wider = ranges.reshape(-1, degrees).min(axis=1)
+        seen = np.isfinite(wider)
+        if (seen & np.roll(seen, -1)).sum() >= IN_A_ROW * seen.sum():
+            return np.asarray(wider)
+    return ranges

@@ -266,6 +266,22 @@ def test_a_cloud_is_sliced_at_the_sensors_height_in_the_robots_frame() -> None:
     assert angle == pytest.approx(-np.arctan2(1, 2), abs=0.01)
 
 
+@pytest.mark.parametrize(("apart_deg", "wide_deg"), [(0.2, 1), (1, 1), (2, 2), (3.6, 4), (5.5, 5)])
+def test_slices_of_sparse_clouds_have_wider_directions(apart_deg: float, wide_deg: int) -> None:
+    from topobatch.ingest.logs.clouds import Cloud
+
+    turn = np.radians(np.arange(-100, 100, apart_deg) + 0.1)
+    wall = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)]) * 4.0
+    scans = sliced(Cloud(0, "c", wall), LEVEL, DEFAULT_SLICES)
+    assert np.degrees(scans.geometry.angle_increment) == pytest.approx(wide_deg)
+    ranges = scans.ranges_m[0]
+    angle = scans.geometry.angle_min + scans.geometry.angle_increment * np.arange(len(ranges))
+    inside = np.abs(angle) < np.radians(90)
+    assert np.isfinite(ranges[inside]).mean() > 0.8
+    assert not np.isfinite(ranges[np.abs(angle) > np.radians(107)]).any()
+    assert ranges[np.isfinite(ranges)] == pytest.approx(4.0)
+
+
 def test_a_band_needs_two_heights() -> None:
     with pytest.raises(UsageError, match="lowest first"):
         SliceSettings((1.0, 0.5))
