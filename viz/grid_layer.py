@@ -22,7 +22,9 @@ MOST_PIXELS = 8192
 
 def write_grid(recording: Recording, root: PathParts, grid: Grid) -> None:
     """Write the grid below `root`: walls over free space over what is not known."""
-    shade = np.where(grid.free, 1, np.where(grid.unknown, 0, 2)).astype(np.uint8)
+    shade = np.full(grid.free.shape, 2, np.uint8)
+    shade[grid.unknown] = 0
+    shade[grid.free] = 1
     step = -(-max(shade.shape) // MOST_PIXELS)
     for axis in (0, 1):
         # Of cells drawn as one the wall is kept.
