@@ -87,7 +87,8 @@ def _branch(
     own = away[beyond] if beyond.any() else away
     x, y = middle = own.mean(axis=0) if len(own) else np.zeros(2)
     bearing = float(np.arctan2(y, x))
-    short = np.count_nonzero(beyond) < 0.4 * AXIS_M / cell_m
+    # Two cells make a line, where cells are large.
+    short = np.count_nonzero(beyond) < max(0.4 * AXIS_M / cell_m, 2)
     if short or node.ends.count(way) > 1:
         return _Branch(bearing, middle + node.xy, np.zeros(2), np.inf, 1.0)
     u, v = (own - middle).T

@@ -57,3 +57,17 @@ def test_a_fork_is_off_by_the_sharpest_angle() -> None:
     assert aside(np.radians([0, 45, 180])) == pytest.approx(np.hypot(1, 0.5) / 1.5)
     assert right < aside(np.radians([0, 60, 180])) < aside(np.radians([-170, 170, 45]))
     assert aside(np.radians([0.0, 10.0, 180])) == aside(np.radians([0.0, 30.0, 180]))
+
+
+def test_cells_as_large_as_an_axis_have_none() -> None:
+    free = np.zeros((40, 40), bool)
+    free[18:22] = free[:, 18:22] = True
+    cell_m = 3.0
+    clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * cell_m
+    settings = SkeletonSettings()
+    graph = trace(thin(clearance > settings.clearance_m), clearance, cell_m, settings)
+    for node in graph.nodes:
+        found = crossing(graph, node, clearance, cell_m, settings)
+        assert np.array_equal(found.xy, node.xy)
+        assert np.isfinite(found.headings).all()
+    assert graph.nodes
