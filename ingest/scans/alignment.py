@@ -8,12 +8,13 @@ normal matrix is banded: nothing ties scans that are farther apart than the wide
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from ...topology.columns import take
 from ...topology.se2 import between, compose, turned_axes, wrap
 from .association import Gate, Swept, pair_terms
 
@@ -135,8 +136,7 @@ def _matched(
         for _ in range(rounds):
             some = first[moving], second[moving]
             moments = scale * pair_terms(scans, *some, motion[moving], gate).moments
-            off = motion[moving] - expected[moving]
-            off[:, 2] = wrap(off[:, 2])
+            off = _difference(motion[moving], expected[moving])
             odometry_gradient = np.einsum("pkl,pl->pk", information[moving], off)
             gradient = moments[:, :3, 3] + odometry_gradient
             total = moments[:, :3, :3] + information[moving]
@@ -188,7 +188,7 @@ def align(
     band.hold(fixed)
     half, change = Steps(steps.motion, 0.5 * steps.information), []
     for k in range(2):
-        alone = _equations(pose, half, looks.take(looks.offset % 2 == k), settings)
+        alone = _equations(pose, half, take(looks, looks.offset % 2 == k), settings)
         alone.hold(fixed)
         change.append(alone.solve())
     return Aligned(pose, band.lower(), change[1] - change[0])
@@ -217,10 +217,6 @@ class _Looks:
         nothing = np.zeros((p, 3)), np.zeros((p, 4, 4)), np.zeros(p), np.zeros(p, bool)
         return cls(first, second, offset, *nothing)
 
-    def take(self, rows: BoolArray) -> _Looks:
-        """Some of them."""
-        return _Looks(*(getattr(self, f.name)[rows] for f in fields(self)))
-
     def renewed(
         self, scans: Swept, pose: FloatArray, gate: Gate, settings: AlignmentSettings
     ) -> bool:
@@ -233,9 +229,7 @@ class _Looks:
         return len(k) > 0
 
     def _change(self, motion: FloatArray) -> FloatArray:
-        change = motion - self.motion
-        change[:, 2] = wrap(change[:, 2])
-        return change
+        return _difference(motion, self.motion)
 
     def quadratic(self, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Σ w a aᵀ (p, 3, 3), Σ w a r (p, 3) and Σ w r² (p,) at these poses, by the residuals'
@@ -247,11 +241,17 @@ class _Looks:
         return inner, outer + by_change, squares
 
 
+def _difference(motion: FloatArray, other: FloatArray) -> FloatArray:
+    """(p, 3) of motions, turns by the shorter way."""
+    out = motion - other
+    out[:, 2] = wrap(out[:, 2])
+    return out
+
+
 def _equations(pose: FloatArray, steps: Steps, looks: _Looks, settings: AlignmentSettings) -> _Band:
     first, second = looks.first, looks.second
     band = _Band.empty(len(pose), int((first - second).max(initial=1)))
-    off = between(pose[:-1], pose[1:]) - steps.motion
-    off[:, 2] = wrap(off[:, 2])
+    off = _difference(between(pose[:-1], pose[1:]), steps.motion)
     distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)
     information = steps.information / (1 + distance / 9)[:, None, None]
     after = np.arange(1, len(pose))

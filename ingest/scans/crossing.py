@@ -28,15 +28,11 @@ ROUGH_M = GridSettings().cell_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Crossing:
-    """A place where ways of a skeleton meet. xy: (2,) x, y [m] from the middle of the first cell;
-    clearance_m: of the node; headings: (b,) [rad] of its branches, ascending; ends: (b,) the edge
-    of each branch, a ring's twice."""
+class Crossing(Node):
+    """A node as a place where ways of a skeleton meet: xy is where they do, clearance_m that of
+    the node. headings: (b,) [rad] of its branches, ascending, as `ends` has them."""
 
-    xy: FloatArray
-    clearance_m: float
     headings: FloatArray
-    ends: tuple[int, ...]
 
 
 def crossing(
@@ -56,7 +52,7 @@ def crossing(
     headings = _headings(xy, graph, node.ends, reach, cell_m)
     order = np.argsort(headings, kind="stable")
     ends = tuple(node.ends[k] for k in order)
-    return Crossing(xy, node.clearance_m, headings[order], ends)
+    return Crossing(xy, node.clearance_m, ends, headings[order])
 
 
 class _Branch(NamedTuple):
@@ -156,7 +152,7 @@ def _headings(
         if way in used:
             # A ring comes back: its other end crosses the circle elsewhere.
             heading = np.arctan2(away[:, 1], away[:, 0])
-            apart = np.abs((heading - used[way] + np.pi) % (2 * np.pi) - np.pi) > 0.5
+            apart = np.abs(wrap(heading - used[way])) > 0.5
             off = np.where(apart, off, np.inf)
         best = int(np.argmin(off))
         near = off <= off[best] + 0.5 * cell_m

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ...topology.se2 import wrap
 from .crossing import crossing
 from .grid import GridSettings
-from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, forks, thin, traced
+from .skeleton import Edge, SkeletonGraph, SkeletonSettings, forks, thin, traced
 from .skeleton_lines import Lines, lines_of
 
 FloatArray = NDArray[np.float64]
@@ -103,11 +103,10 @@ def _places(
     """lines: of the skeleton under each of the variants."""
     graph = traced(lines[0], settings.skeleton)
     agreement = _agreement(graph, lines, settings)
-    crossings = [
+    crossings = tuple(
         crossing(graph, node, clearance_m, cell_m, settings.skeleton) for node in graph.nodes
-    ]
-    nodes = tuple(Node(place.xy, place.clearance_m, place.ends) for place in crossings)
-    graph = replace(graph, nodes=nodes)
+    )
+    graph = replace(graph, nodes=crossings)
     # The middle of the padded grid's first cell lies half a cell before the corner.
     shift = np.array([-0.5, -0.5]) * cell_m
     places = [
