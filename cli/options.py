@@ -50,5 +50,7 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def complete_map(ctx: typer.Context, incomplete: str) -> list[str]:
     """The same, and the merged map."""
-    merged = [name for name in ("merged",) if name.startswith(incomplete)]
+    from .workspace import MERGED
+
+    merged = [MERGED] if MERGED.startswith(incomplete) else []
     return [*merged, *complete_run(ctx, incomplete)]

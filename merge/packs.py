@@ -88,6 +88,11 @@ class DamagedPackError(ValueError):
     """Bytes that are no pack, or none that is whole."""
 
 
+def digested(*parts: bytes) -> bytes:
+    """16 bytes that are the same for the same bytes, one part after the other."""
+    return hashlib.blake2b(b"".join(parts), digest_size=DIGEST).digest()
+
+
 def digest_of(topomap: TopoMap) -> bytes:
     """16 bytes that are the same for maps of the same content, whatever the run is called."""
     out = hashlib.blake2b(digest_size=DIGEST)
@@ -171,7 +176,7 @@ class Pack:
         """The pack as it is kept and sent."""
         body = b"".join(self.digests) + self.rows.tobytes()
         sizes = (len(self.digests), len(self.rows), len(self.payloads))
-        head = HEAD.pack(MAGIC, self.era, *sizes, _body_checksum(body))
+        head = HEAD.pack(MAGIC, self.era, *sizes, digested(body))
         return head + body + self.payloads[:]
 
     @classmethod
@@ -193,7 +198,7 @@ class Pack:
 
     @classmethod
     def _of_body(cls, era: bytes, maps: int, body: bytes, check: bytes, payloads: Payloads) -> Pack:
-        if _body_checksum(body) != check:
+        if digested(body) != check:
             raise DamagedPackError("its checksum is another one")
         table, payload = body[: maps * DIGEST], len(payloads)
         digests = tuple(table[k : k + DIGEST] for k in range(0, len(table), DIGEST))
@@ -217,10 +222,6 @@ def _head(head: bytes, size: int) -> tuple[bytes, int, int, bytes]:
     if magic != MAGIC or size != HEAD.size + maps * DIGEST + records * RECORD.itemsize + payload:
         raise DamagedPackError("no pack, or cut off")
     return era, maps, payload, check
-
-
-def _body_checksum(body: bytes) -> bytes:
-    return hashlib.blake2b(body, digest_size=DIGEST).digest()
 
 
 class PackWriter:

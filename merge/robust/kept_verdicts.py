@@ -8,7 +8,6 @@ again. What is read is checked against the two maps.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from types import MappingProxyType
@@ -22,7 +21,7 @@ from ...topology.files import Json, encoded
 from ...topology.map_schema import Finite, Index
 from ...topology.topomap import TopoMap
 from ..document import EXTRA, entry_of
-from ..packs import DIGEST, LARGEST, Key, Kind, PackWriter, Store
+from ..packs import LARGEST, Key, Kind, PackWriter, Store, digested
 from ..result import Alignment, PairVerdict, Verdict
 from .prepare import FloatArray
 from .verdict import Threshold
@@ -199,7 +198,7 @@ class KeptVerdicts:
         """Changes with the maps, with their names, which stand in the words, and with the
         candidate."""
         names = "\n".join([*(self.maps[k].run for k in pair), str(second)]).encode()
-        return _digest(b"".join(self.digests[k] for k in pair) + names)
+        return digested(*(self.digests[k] for k in pair), names)
 
     def _threshold(self, threshold: Threshold, *, copies: bool) -> bytes:
         """Changes with what is asked; copies: of verdicts to which it matters how copies differ."""
@@ -212,8 +211,4 @@ class KeptVerdicts:
 def threshold_digest(threshold: Threshold, *, copies: bool) -> bytes:
     """Of all that is asked; copies: also of how copies differ, where that matters."""
     more = (threshold.need_copy_bits, astuple(threshold.copies)) if copies else ()
-    return _digest(repr((threshold.need_bits, threshold.copied, more)).encode())
-
-
-def _digest(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=DIGEST).digest()
+    return digested(repr((threshold.need_bits, threshold.copied, more)).encode())

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ...topology.errors import DataError
 from ...topology.files import Json
 from ...topology.topomap import TopoMap
-from ..packs import DIGEST, Digests, Kept, Key, Kind, Pack, PackWriter, Store, digest_of
+from ..packs import DIGEST, Digests, Kept, Key, Kind, Pack, PackWriter, Store, digest_of, digested
 from ..result import PairVerdict
 from ..workers import Workers
 from .alignment import Candidate, match_all, self_matches
@@ -36,6 +36,7 @@ from .verdict import Faint
 
 Pair = tuple[int, int]
 IntArray = NDArray[np.int64]
+Remembered = TypeVar("Remembered", Probes, CopyModel)
 Samples = Sequence[tuple[int, Candidate]]
 """Maps of a batch that look like other parts of themselves, by their numbers."""
 Ready = Callable[[bytes, bool], Prepared]
@@ -133,7 +134,7 @@ def era_of(settings: RobustSettings) -> bytes:
     told = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
     parts = [_program(), np.__version__, scipy.__version__, told]
     text = json.dumps(parts, sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=DIGEST).digest()
+    return digested(text.encode())
 
 
 @cache
@@ -198,13 +199,28 @@ class Pairwise:
             raise ValueError("what the store keeps is of other settings")
 
     def _probes(self, k: int) -> Probes:
-        key, kept = (self.digests[k], self.digests[k]), self.means.kept
-        data = None if kept is None else kept.find(Kind.PROBES, key)
-        found = None if data is None else Probes.from_bytes(data, self.extents[k])
+        return self._remembered(
+            Kind.PROBES,
+            self.digests[k],
+            lambda data: Probes.from_bytes(data, self.extents[k]),
+            lambda: Probes.of(self.prepared[k]),
+        )
+
+    def _remembered(
+        self,
+        kind: Kind,
+        digest: bytes,
+        read: Callable[[bytes], Remembered | None],
+        make: Callable[[], Remembered],
+    ) -> Remembered:
+        """What is kept under twice a digest; made, and kept, where none can be read."""
+        kept, key = self.means.kept, (digest, digest)
+        data = None if kept is None else kept.find(kind, key)
+        found = None if data is None else read(data)
         if found is None:
-            found = Probes.of(self.prepared[k])
+            found = make()
             if kept is not None:
-                kept.add(Kind.PROBES, key, found.to_bytes())
+                kept.add(kind, key, found.to_bytes())
         return found
 
     def pairs(self, wanted: IntArray) -> list[Told]:
@@ -222,15 +238,12 @@ class Pairwise:
 
     def copies(self, samples: Samples) -> CopyModel:
         """How copies differ by what some maps show of themselves."""
-        maps = b"".join(self.digests[k] for k in sorted({k for k, _ in samples}))
-        digest = hashlib.blake2b(maps, digest_size=DIGEST).digest()
-        data = self.means.kept and self.means.kept.find(Kind.COPIES, (digest, digest))
-        found = CopyModel.from_bytes(data) if data else None
-        if found is None:
-            found = copy_model([(self.prepared[k], c) for k, c in samples], self.settings)
-            if self.means.kept:
-                self.means.kept.add(Kind.COPIES, (digest, digest), found.to_bytes())
-        return found
+        return self._remembered(
+            Kind.COPIES,
+            digested(*(self.digests[k] for k in sorted({k for k, _ in samples}))),
+            CopyModel.from_bytes,
+            lambda: copy_model([(self.prepared[k], c) for k, c in samples], self.settings),
+        )
 
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
         """The evidence of the best alignment with the mirror image of each pair's second map."""

@@ -8,7 +8,6 @@ Statistics 6, 1979; with pairs that others imply left out, Shaffer: JASA 81, 198
 
 from __future__ import annotations
 
-import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...topology.topomap import TopoMap
-from ..packs import DIGEST, Kept, Key, Kind
+from ..packs import Kept, Key, Kind, digested
 from ..result import Alignment, Verdict, pairs_of
 from .alignment import laid_over, match
 from .components import Components
@@ -163,8 +162,7 @@ class Rematcher:
 
 def _key(one: MergedMap, two: MergedMap, threshold: Threshold) -> Key:
     """Of what the merged maps of two components say, where so much is asked of them."""
-    digest = hashlib.blake2b(one.digest + two.digest, digest_size=DIGEST).digest()
-    return digest, threshold_digest(threshold, copies=True)
+    return digested(one.digest, two.digest), threshold_digest(threshold, copies=True)
 
 
 def _strength(said: Said) -> tuple[float, Runs, Runs]:

@@ -6,13 +6,12 @@ what is new is looked up.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..packs import DIGEST, Kept, Kind, arrays_from_bytes, arrays_to_bytes
+from ..packs import DIGEST, Kept, Kind, arrays_from_bytes, arrays_to_bytes, digested
 from ..result import pairs_of
 from .index import Corridors, Probes
 from .pairing import TASKS
@@ -120,7 +119,7 @@ def _known_chances(
     maps: Sequence[Probes], least: float, digests: Sequence[bytes], kept: Kept
 ) -> Chances:
     """What is known of the maps, and of the others what the index says."""
-    whole = hashlib.blake2b(b"".join(digests), digest_size=DIGEST).digest()
+    whole = digested(*digests)
     data = kept.find(Kind.CHANCES, (whole, whole))
     tables = kept.every(Kind.CHANCES) if data is None else iter([data])
     found = (_of_maps(table, digests, least) for table in tables)
