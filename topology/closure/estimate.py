@@ -184,11 +184,11 @@ def _solved(
         start="given", relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2
     )
     solution = solve(graph, given)
-    kernel2 = LIKELIHOOD.gate_sigmas**2
-    if np.all(solution.edge_chi2[sighting] < kernel2):
+    gate = LIKELIHOOD.gate_sigmas
+    if np.all(solution.edge_chi2[sighting] < gate**2):
         return graph, solution, solution.edge_chi2
     width = graph.kernel.copy()
-    width[sighting] = np.sqrt(kernel2)
+    width[sighting] = gate
     robust = replace(graph, pose=solution.pose, kernel=width)
     return robust, solve(robust, given), solution.edge_chi2
 

@@ -221,7 +221,7 @@ def _straight(
     """Corridors along the grid; those that were known, as the layout by them shows them."""
     if corridors is None:
         return grid_corridors(scene.walk, grid, layout.pose[:, 2], scene.common.core_m)
-    return with_shown_spread(corridors, layout)
+    return with_shown_spread(corridors, layout, grid)
 
 
 def _scene(walk: Walk, place: IntArray, layout: Layout, settings: RoundSettings) -> Scene:

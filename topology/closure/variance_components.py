@@ -21,7 +21,7 @@ from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
 from .dead_reckoning import RANDOM, Walk, make_walk, relative_covariance
 from .estimate import Layout, lay_out
-from .manhattan import GridCorridors, GridHeadings, RectilinearSettings, with_spread
+from .manhattan import GridCorridors, GridHeadings, with_spread
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -108,12 +108,16 @@ def fitted_noise(
 
 
 def with_shown_spread(
-    corridors: GridCorridors, layout: Layout, settings: ComponentSettings = ComponentSettings()
+    corridors: GridCorridors,
+    layout: Layout,
+    grid: GridHeadings,
+    settings: ComponentSettings = ComponentSettings(),
 ) -> GridCorridors:
     """The corridors with their directions as far off the grid as the layout shows, rows by
     themselves and what crosses them by itself.
 
-    layout: one by these corridors. One step of the same estimate: the grid's prior counts.
+    layout: one by these corridors; grid: that they run along. One step of the same estimate: the
+    grid's prior counts.
     """
     graph, solution = layout.graph, layout.solution
     lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
@@ -124,7 +128,7 @@ def with_shown_spread(
     left = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
     stood = np.bincount(side, minlength=2) / np.maximum(np.bincount(side[some], minlength=2), 1)
     told = stood * np.bincount(side[some], 1 - left / corridors.spread_rad[some] ** 2, 2)
-    prior = settings.prior_freedom * RectilinearSettings().spread_rad ** 2
+    prior = settings.prior_freedom * grid.spread_rad**2
     variance = (np.bincount(side, off**2, 2) + prior) / (told + settings.prior_freedom)
     return replace(corridors, spread_rad=np.sqrt(variance)[side])
 
