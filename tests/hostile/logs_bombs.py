@@ -15,7 +15,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from case import Case, Generator, writers
+from case import Case, Generator, without_index, writers
 
 ODOMETRY = 300
 SOUND = 330
@@ -285,10 +285,7 @@ def _bag(make: Callable[[random.Random], bytes], note: str, lost: int | None = N
     def write(rng: random.Random, folder: Path) -> Case:
         logs = writers()
         path = logs.bag(folder / "run.bag", logs.drive(ODOMETRY))
-        raw = path.read_bytes()
-        index = struct.unpack_from("<Q", raw, raw.index(b"index_pos=") + 10)[0]
-        raw = raw[:index].replace(struct.pack("<Q", index), bytes(8), 1)
-        path.write_bytes(raw + make(rng))
+        path.write_bytes(without_index(path.read_bytes()) + make(rng))
         return Case(path, SOUND, lost, note)
 
     return write

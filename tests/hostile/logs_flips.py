@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from case import Case, Generator, writers
+from case import Case, Generator, without_index, writers
 
 ODOMETRY = 600
 EVERY = 10
@@ -135,8 +135,7 @@ def _bag(compression: str, *, indexed: bool = True) -> Sound:
         else:
             spans.append(Span(data_at, end, held))
     if not indexed:
-        index = struct.unpack_from("<Q", raw, raw.index(b"index_pos=") + 10)[0]
-        raw = raw[:index].replace(struct.pack("<Q", index), bytes(8), 1)
+        raw = without_index(raw)
     return Sound(raw, tuple(spans), len(messages), "run.bag")
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from case import Case, Generator, writers
+from case import Case, Generator, without_index, writers
 from logs_bombs import (
     _TAIL,
     MIB,
@@ -272,9 +272,7 @@ def _descriptions_in_front(rng: random.Random, folder: Path) -> Case:
 def _connections_in_front(rng: random.Random, folder: Path) -> Case:
     logs = writers()
     path = logs.bag(folder / "run.bag", logs.drive(ODOMETRY))
-    raw = path.read_bytes()
-    index = struct.unpack_from("<Q", raw, raw.index(b"index_pos=") + 10)[0]
-    raw = raw[:index].replace(struct.pack("<Q", index), bytes(8), 1)
+    raw = without_index(path.read_bytes())
     header = struct.unpack_from("<I", raw, 13)[0]
     first = 13 + 8 + header + struct.unpack_from("<I", raw, 17 + header)[0]
     count, every = _share(rng, 200_000), rng.choice((0, 1))

@@ -10,7 +10,7 @@ import pytest
 from topobatch.merge.fusion import fuse as fusing
 from topobatch.merge.fusion.component import from_bytes, to_bytes
 from topobatch.merge.fusion.fuse import component_digest, fuse, fuse_component, fused_once
-from topobatch.merge.packs import Kept, Pack, digest_of
+from topobatch.merge.packs import Kept, digest_of
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 
@@ -78,29 +78,9 @@ def test_maps_of_other_sizes_are_refused(joined):
     assert from_bytes(data, maps[:1]) is None
 
 
-class Shelf:
-    """A store in memory."""
-
-    era = b"e" * 16
-
-    def __init__(self):
-        self.known = {}
-
-    def packs(self, digests):
-        return []
-
-    def find(self, kind, key):
-        return self.known.get((kind, key))
-
-    def keep(self, pack: Pack):
-        for k, row in enumerate(pack.rows):
-            key = pack.digests[row["a"]], pack.digests[row["b"]]
-            self.known[int(row["kind"]), key] = pack.payload(k)
-
-
-def test_what_was_fused_is_not_fused_again(joined, monkeypatch):
+def test_what_was_fused_is_not_fused_again(joined, monkeypatch, new_store):
     maps, inside = joined
-    kept = Kept(Shelf())
+    kept = Kept(new_store())
     first = fuse(maps, inside, how_sure=True, kept=kept)
     same(first, fuse(maps, inside, how_sure=True))
     monkeypatch.setattr(fusing, "fuse_component", None)
@@ -111,10 +91,10 @@ def test_what_was_fused_is_not_fused_again(joined, monkeypatch):
     assert sorted(poses) == [m.run for m in renamed]
 
 
-def test_a_component_kept_with_other_pairs_is_fused_again(joined):
+def test_a_component_kept_with_other_pairs_is_fused_again(joined, new_store):
     """A record that somebody exchanged for one of fewer pairs leaves no pair without its sigma."""
     maps, inside = joined
-    store, other = Shelf(), Shelf()
+    store, other = new_store(), new_store()
     first = fuse(maps, inside, how_sure=True, kept=Kept(store))
     fused_once(maps, inside, sure=FIRST_WITH_SECOND[:0], kept=Kept(other))
     (theirs,) = other.known.values()

@@ -5,7 +5,7 @@ import pytest
 
 from topobatch.merge.document import MergedDocument, merged_to_document
 from topobatch.merge.merging import merge_maps
-from topobatch.merge.packs import Kept, Kind, digest_of
+from topobatch.merge.packs import Kept, digest_of
 from topobatch.merge.result import Standing, pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, prepare
 from topobatch.merge.robust.index import Corridors
@@ -111,27 +111,7 @@ def test_the_threshold_is_that_of_all_pairs(buildings, request):
     assert {v.threshold_bits for v in merge_maps(buildings).verdicts} == {need}
 
 
-class Shelf:
-    """A store in memory that counts what is added to it."""
-
-    era = b"e" * 16
-
-    def __init__(self):
-        self.known = {}
-
-    def find(self, kind, key):
-        return self.known.get((kind, key))
-
-    def every(self, kind):
-        return (payload for (of, _), payload in self.known.items() if of is kind)
-
-    def keep(self, pack):
-        for k, row in enumerate(pack.rows):
-            key = pack.digests[row["a"]], pack.digests[row["b"]]
-            self.known[Kind(row["kind"]), key] = pack.payload(k)
-
-
-def test_beside_known_maps_only_new_ones_are_looked_up(buildings, large, monkeypatch):
+def test_beside_known_maps_only_new_ones_are_looked_up(buildings, large, monkeypatch, new_store):
     maps = sorted(buildings, key=lambda m: m.run)
     ready, digests = [prepare(m) for m in maps], [digest_of(m) for m in maps]
     asked = []
@@ -142,7 +122,7 @@ def test_beside_known_maps_only_new_ones_are_looked_up(buildings, large, monkeyp
         return chances_of(self, a, least, after)
 
     monkeypatch.setattr(Corridors, "chances", counted)
-    kept, looked = Kept(Shelf()), []
+    kept, looked = Kept(new_store()), []
     for left_out in ({3, 7}, {7}, set(), {1, 2}, set()):
         rows = [k for k in range(len(maps)) if k not in left_out]
         some, names = [ready[k] for k in rows], [digests[k] for k in rows]
@@ -154,10 +134,10 @@ def test_beside_known_maps_only_new_ones_are_looked_up(buildings, large, monkeyp
     assert looked == [78, 13, 14, 0, 0]
 
 
-def test_chances_of_other_bytes_are_refused(buildings, large):
+def test_chances_of_other_bytes_are_refused(buildings, large, new_store):
     maps = sorted(buildings, key=lambda m: m.run)
     ready, digests = [prepare(m) for m in maps], [digest_of(m) for m in maps]
-    kept = Kept(Shelf())
+    kept = Kept(new_store())
     right = pairs_to_match(ready, DEFAULT_ROBUST, digests, kept)
     ((key, data),) = kept.store.known.items()
     for at in range(0, len(data), 8):

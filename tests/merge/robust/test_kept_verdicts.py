@@ -122,34 +122,17 @@ def test_no_bytes_do_harm(pair):
     assert from_bytes(b"\xff" * 8 * NUMBERS + data[8 * NUMBERS :], a, b) is None  # no numbers
 
 
-class Shelf:
-    """A store in memory."""
-
-    era = b"e" * 16
-
-    def __init__(self):
-        self.known = {}
-
-    def find(self, kind, key):
-        return self.known.get((kind, key))
-
-    def keep(self, pack):
-        for k, row in enumerate(pack.rows):
-            key = pack.digests[row["a"]], pack.digests[row["b"]]
-            self.known[Kind(row["kind"]), key] = pack.payload(k)
-
-
 def kept_by(shelf, maps, count=COUNT, copies=COPIES, keys=None):
     threshold = threshold_for(count, copies, DEFAULT_ROBUST)
     digests = [digest_of(m) for m in maps]
     return KeptVerdicts(shelf, maps, digests, lambda _: threshold, {} if keys is None else keys)
 
 
-def test_a_verdict_is_known_by_all_that_it_hangs_on(pair):
+def test_a_verdict_is_known_by_all_that_it_hangs_on(pair, new_store):
     nothing, unclear, *_ = verdicts(*pair)
     a, b = pair
     for verdict in (nothing, unclear):
-        shelf = Shelf()
+        shelf = new_store()
         kept_by(shelf, pair).keep({(0, 1): verdict})
         same(kept_by(shelf, pair).find([(0, 1)])[0, 1], verdict)
         more = kept_by(shelf, pair, PairCount(10**6, 3))
@@ -160,7 +143,7 @@ def test_a_verdict_is_known_by_all_that_it_hangs_on(pair):
         assert kept_by(shelf, pair).find([(0, 1)], {(0, 1): 0}) == {}  # seconded by a candidate
     # What copies look like matters only to those that were asked.
     for verdict, matters in ((nothing, False), (unclear, True)):
-        shelf = Shelf()
+        shelf = new_store()
         kept_by(shelf, pair).keep({(0, 1): verdict})
         for changed in (
             kept_by(shelf, pair, PairCount(100, 90)),
@@ -169,8 +152,8 @@ def test_a_verdict_is_known_by_all_that_it_hangs_on(pair):
             assert bool(changed.find([(0, 1)])) != matters
 
 
-def test_what_is_kept_says_where_its_entry_is(pair):
-    shelf, left, found = Shelf(), {}, {}
+def test_what_is_kept_says_where_its_entry_is(pair, new_store):
+    shelf, left, found = new_store(), {}, {}
     verdict = verdicts(*pair)[1]
     kept_by(shelf, pair, keys=left).keep({(0, 1): verdict})
     (again,) = kept_by(shelf, pair, keys=found).find([(0, 1)]).values()

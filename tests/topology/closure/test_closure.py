@@ -882,7 +882,7 @@ def test_corridors_are_held_as_straight_as_loops_show_them(aslant, least, most):
     corridors = grid_corridors(walk, grid, turn, 3.0)
     for _ in range(3):
         layout = lay_out(walk, partition(truth), grid=grid, corridors=corridors)
-        corridors = with_shown_spread(corridors, layout)
+        corridors = with_shown_spread(corridors, layout, grid)
     across, along = (corridors.spread_rad[corridors.side == k] for k in (0, 1))
     assert least < along.min() == along.max() < most
     # What crosses the aisles is straight, however these are.
