@@ -5,48 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.certainty import place_errors
-from topobatch.topology.closure.dead_reckoning import SystematicErrors, make_walk
+from topobatch.topology.closure.dead_reckoning import make_walk
 from topobatch.topology.closure.estimate import lay_out
-from topobatch.topology.closure.manhattan import GridHeadings
-from topobatch.topology.closure.variance_components import fitted_noise
-from topobatch.topology.odometry import Odometry
-from topobatch.topology.passes import NO_BRANCH, Passes
-from topobatch.topology.ragged import Ragged
+from topobatch.topology.closure.manhattan import GridHeadings, grid_corridors, grid_headings
+from topobatch.topology.closure.variance_components import fitted_noise, with_shown_spread
 from topobatch.topology.topomap import RunNoise
 
-EVERY = 16
-"""Odometry rows from one pass to the next, at half a metre each."""
-EXACT = SystematicErrors(1e-6, 1e-6)
-
-
-def noisy_square(laps: int, noise: RunNoise, seed: int) -> tuple[Odometry, Passes, np.ndarray]:
-    """Laps round a square of eight junctions, 8 m apart, with errors of exactly that noise."""
-    rng = np.random.default_rng(seed)
-    count = 8 * EVERY * laps + 1
-    row = np.arange(count)
-    heading = np.pi / 2 * (row // (2 * EVERY))
-    turned = np.concatenate([[0.0], np.diff(heading)])
-    way = np.full(count, 0.5)
-    spread = noise.heading_rad_per_sqrt_m**2 * way + noise.heading_rad_per_sqrt_rad**2 * turned
-    off = np.cumsum(rng.normal(0, np.sqrt(spread)))
-    step = 0.5 * np.column_stack([np.cos(heading + off), np.sin(heading + off)])
-    step += rng.normal(0, noise.along_m_per_sqrt_m * np.sqrt(0.5), step.shape)
-    xy = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)[:-1]])
-    pose = np.column_stack([xy, heading + off])
-    odometry = Odometry(row * 10**8, pose, np.zeros(0, np.int64))
-    at = row[::EVERY]
-    p = len(at)
-    rows = [off[k] + np.array([0.0, np.pi / 2, np.pi]) for k in at]
-    branches = Ragged.from_rows(rows)
-    read = Ragged(branches.offsets, branches.values + rng.normal(0, noise.branch_rad, 3 * p))
-    unknown, when = np.full(p, NO_BRANCH), odometry.time_ns[at]
-    centre = xy[at] + rng.normal(0, noise.centre_m, (p, 2))
-    full = Ragged(read.offsets, np.ones(3 * p))
-    passes = Passes(
-        when, when, when, centre, read, full, unknown, unknown, np.ones(p, int), np.ones(p)
-    )
-    return odometry, passes, np.arange(p) % 8
+from .walks import EXACT, NOISE, aisles, noisy_square, partition, record, to_and_fro
 
 
 def test_loops_tell_each_kind_of_noise() -> None:
@@ -96,16 +61,6 @@ def test_without_loops_nothing_changes() -> None:
         assert getattr(fitted, name) == pytest.approx(getattr(start, name), rel=0.1)
 
 
-def test_places_seen_once_are_as_far_off_as_their_detection() -> None:
-    exact = RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.05, 0.02)
-    odometry, passes, place = noisy_square(1, exact, 2)
-    walk = make_walk(odometry, passes, exact, EXACT)
-    alone = np.arange(len(place))
-    errors = place_errors(walk, lay_out(walk, alone), alone, alone)
-    sigma = errors.distance_sigma(passes.centre, np.array([0, 1]), np.array([4, 3]))
-    np.testing.assert_allclose(sigma, 0.05 * np.sqrt(2), rtol=0.15)
-
-
 def test_what_a_kernel_holds_down_is_counted() -> None:
     true = RunNoise(0.01, 0.003, 0.003, 0.0, 0.06, 0.03)
     found = []
@@ -119,10 +74,19 @@ def test_what_a_kernel_holds_down_is_counted() -> None:
     assert np.mean(found) == pytest.approx(0.06, rel=0.06)
 
 
-def test_readings_turn_no_place_that_the_odometry_holds() -> None:
-    exact = RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.02, 0.03)
-    odometry, passes, place = noisy_square(2, exact, 3)
-    walk = make_walk(odometry, passes, exact, EXACT)
-    errors = place_errors(walk, lay_out(walk, place), place, np.arange(8))
-    xy = np.stack([passes.centre[place == k].mean(axis=0) for k in range(8)])
-    assert errors.as_a_whole(xy, np.zeros(8, int)).turn_sigma().max() < 0.1 * 0.03
+@pytest.mark.parametrize(("aslant", "least", "most"), [(0.0, 0.0, 0.015), (0.05, 0.03, 0.08)])
+def test_corridors_are_held_as_straight_as_loops_show_them(aslant, least, most):
+    rng = np.random.default_rng(32)
+    world = aisles(14, aslant=aslant * rng.normal(size=14))
+    odometry, passes, truth = record(world, to_and_fro(14), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    grid = grid_headings(walk)
+    turn = lay_out(walk, partition(truth), grid=grid).pose[:, 2]
+    corridors = grid_corridors(walk, grid, turn, 3.0)
+    for _ in range(3):
+        layout = lay_out(walk, partition(truth), grid=grid, corridors=corridors)
+        corridors = with_shown_spread(corridors, layout, grid)
+    across, along = (corridors.spread_rad[corridors.side == k] for k in (0, 1))
+    assert least < along.min() == along.max() < most
+    # What crosses the aisles is straight, however these are.
+    assert across.min() == across.max() < 0.02

@@ -1,0 +1,72 @@
+"""Which pairs of places are asked about, and what likeness is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.topology.closure.candidates import candidates, likeness_odds
+from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.se2 import compose
+
+from .walks import NOISE, grid_world, record, scene_of, wander
+
+
+def test_streets_of_one_length_make_likeness_common():
+    """Blocks of a regular grid look alike; in crooked streets nothing does."""
+    taken_off = []
+    xy, beside = grid_world(6, 6)
+    crooked = {v: p + np.random.default_rng(v).uniform(-1.6, 1.6, 2) for v, p in xy.items()}
+    for world in ((xy, beside), (crooked, beside)):
+        rng = np.random.default_rng(22)
+        odometry, passes, _ = record(world, wander(world[1], 120, rng), rng)
+        walk = make_walk(odometry, passes, NOISE)
+        start = lay_out(walk, np.arange(len(walk)))
+        found = candidates(scene_of(walk, start), np.arange(len(walk)), start, exact=False)
+        assert len(found) > 20
+        assert np.all(found.commonness >= 0)
+        taken_off.append(float(np.median(found.commonness)))
+    assert taken_off[0] > taken_off[1] + 2
+
+
+def test_likeness_is_worth_its_rarity_among_strangers():
+    strangers = np.sort(np.random.default_rng(1).normal(0.0, 3.0, 2000))
+    alike = np.linspace(-10.0, 40.0, 101)
+    odds = likeness_odds(alike, strangers)
+    assert np.all(np.diff(odds) >= 0)
+    # Half of the strangers look like that: odds of two to one.
+    assert likeness_odds(np.array([np.median(strangers)]), strangers)[0] == pytest.approx(
+        np.log(2), abs=0.01
+    )
+    top = strangers[-1]
+    beyond = likeness_odds(np.array([top + 1e-9, top + 7.0]), strangers)
+    assert beyond[0] == pytest.approx(np.log(2001), abs=0.01)
+    assert beyond[1] - beyond[0] == pytest.approx(7.0)
+
+
+def test_to_be_among_the_most_alike_is_worth_little_where_most_are_nearly_so():
+    rows_of_crops = np.sort(np.random.default_rng(2).normal(14.0, 1.0, 2000))
+    alike = rows_of_crops[[-20, -200, 1000]]
+    odds = likeness_odds(alike, rows_of_crops, slack=3.0)
+    assert np.all(odds <= likeness_odds(alike, rows_of_crops))
+    assert np.all(odds < 1.5)
+
+
+def test_without_strangers_likeness_is_taken_as_it_is():
+    alike = np.linspace(-10.0, 40.0, 101)
+    np.testing.assert_array_equal(likeness_odds(alike, np.zeros(0)), alike)
+
+
+def test_what_dead_reckoning_excludes_is_judged_in_the_axes_of_the_map():
+    rng = np.random.default_rng(3)
+    world = grid_world(5, 5, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    each = np.arange(len(walk))
+    layout = lay_out(walk, each)
+    turned = lay_out(walk, each, compose(np.array([2.0, 1.0, 0.7]), layout.pose))
+    found, again = (candidates(scene_of(walk, x), each, x, exact=False) for x in (layout, turned))
+    assert len(found) > 20
+    assert list(zip(found.a, found.b, strict=True)) == list(zip(again.a, again.b, strict=True))
+    np.testing.assert_allclose(again.position, found.position, atol=1e-3)

@@ -1,0 +1,313 @@
+"""Loop closure round by round, on walks with known truth."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.mapping import build_map
+from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
+from topobatch.topology.closure.answers import Identification
+from topobatch.topology.closure.candidates import candidates
+from topobatch.topology.closure.dead_reckoning import SystematicErrors, make_walk
+from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.incremental import (
+    RoundSettings,
+    closure_without_grid,
+    full_closure,
+    weakest_cut,
+)
+from topobatch.topology.closure.joint_compatibility import RIVALS, STEP_OFF
+from topobatch.topology.closure.manhattan import RectilinearSettings
+from topobatch.topology.closure.places import tabulate
+from topobatch.topology.matching.likelihood import LIKELIHOOD
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.passes import NO_BRANCH
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import apply, compose, fit_rigid, wrap
+
+from .walks import NOISE, aisles, grid_world, partition, record, scene_of, wander
+
+
+def test_a_perfect_walk_is_closed_completely():
+    world = grid_world(3, 3)
+    route = [(0, 0), (0, 1), (0, 2), (1, 2), (1, 1), (0, 1), (0, 0), (1, 0), (1, 1), (1, 2)]
+    odometry, passes, truth = record(world, route)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    assert closed.place.tolist() == partition(truth).tolist()
+    xy = np.array([world[0][v] for v in dict.fromkeys(truth)])
+    np.testing.assert_allclose(closed.layout.xy, xy, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_drifting_walks_are_closed_without_a_false_identification(seed):
+    rng = np.random.default_rng(seed)
+    world = grid_world(5, 5, rng)
+    route = wander(world[1], 90, rng)
+    odometry, passes, truth = record(world, route, rng)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    names = list(dict.fromkeys(truth))
+    assert closed.place.tolist() == partition(truth).tolist()
+    there = np.array([world[0][v] for v in names])
+    off = apply(fit_rigid(there, closed.layout.xy), closed.layout.xy) - there
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.25
+    # The odometry alone ends far off.
+    raw = np.hypot(*(passes.centre[-1] - world[0][truth[-1]]))
+    assert np.hypot(*(closed.layout.pose[-1, :2] - closed.layout.xy[closed.place[-1]])) < 0.3
+    assert raw > 0.3
+
+
+def test_the_result_does_not_depend_on_the_frame_of_the_odometry():
+    rng = np.random.default_rng(7)
+    world = grid_world(4, 4, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    T = np.array([12.0, -30.0, 2.2])
+    turned = [np.sort(wrap(row + T[2])) for row in (passes.branches[i] for i in range(len(passes)))]
+    shift = [int(np.argsort(wrap(passes.branches[i] + T[2]))[0]) for i in range(len(passes))]
+    count = passes.branches.counts
+
+    def renumbered(index):
+        moved = (index - np.array(shift)) % count
+        return np.where(index == NO_BRANCH, NO_BRANCH, moved)
+
+    moved = replace(
+        passes,
+        centre=apply(T, passes.centre),
+        branches=Ragged.from_rows(turned),
+        entry=renumbered(passes.entry),
+        exit=renumbered(passes.exit),
+    )
+    there = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
+    a = full_closure(make_walk(odometry, passes, NOISE))
+    b = full_closure(make_walk(there, moved, NOISE))
+    assert a.place.tolist() == b.place.tolist()
+    # The layout is solved until steps are small against its errors of centimetres, no further.
+    np.testing.assert_allclose(apply(T, a.layout.xy), b.layout.xy, atol=1e-3)
+
+
+def test_twice_the_same_gives_the_same():
+    rng = np.random.default_rng(8)
+    world = grid_world(4, 4, rng)
+    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
+    a, b = (full_closure(make_walk(odometry, passes, NOISE)) for _ in range(2))
+    assert a.layout.xy.tobytes() == b.layout.xy.tobytes()
+    assert [astuple(q) for q in a.asked] == [astuple(q) for q in b.asked]
+
+
+def test_a_wrong_noise_costs_recall_at_most():
+    rng = np.random.default_rng(9)
+    world = grid_world(5, 5, rng)
+    odometry, passes, truth = record(world, wander(world[1], 80, rng), rng)
+    for factor in (0.4, 2.5):
+        names = NOISE.__dataclass_fields__
+        wrong = replace(NOISE, **{name: getattr(NOISE, name) * factor for name in names})
+        closed = full_closure(make_walk(odometry, passes, wrong))
+        for place in range(closed.place.max() + 1):
+            members = {truth[i] for i in np.flatnonzero(closed.place == place)}
+            assert len(members) == 1
+
+
+def test_every_identification_keeps_its_evidence():
+    rng = np.random.default_rng(10)
+    world = grid_world(4, 4, rng)
+    odometry, passes, truth = record(world, wander(world[1], 50, rng), rng)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    made = [q for q in closed.asked if q.accepted]
+    # A tree of links joins the passes of every place.
+    assert len(made) >= len(truth) - (closed.place.max() + 1)
+    assert all(truth[q.first] == truth[q.second] and q.first < q.second for q in made)
+    assert all(q.bits > 4 and q.reason for q in made)
+
+
+def test_a_second_lap_closes_that_position_alone_speaks_against():
+    rng = np.random.default_rng(21)
+    world = grid_world(5, 5, rng)
+    lap = [(0, c) for c in range(5)] + [(r, 4) for r in range(1, 5)]
+    lap += [(4, c) for c in range(3, -1, -1)] + [(r, 0) for r in range(3, 0, -1)]
+    odometry, passes, truth = record(world, lap + lap[:9], rng, bias=0.02)
+    walk = make_walk(odometry, passes, NOISE, SystematicErrors(turn_rad_per_m=0.04))
+    start = lay_out(walk, np.arange(len(walk)))
+    scene = scene_of(walk, start)
+    plain = candidates(scene, np.arange(len(walk)), start, exact=False)
+    assert len(plain) == 0  # nothing is plain by position
+    closed = full_closure(walk)
+    assert closed.place.tolist() == partition(truth).tolist()
+
+
+def revisions(closed):
+    """Standing and revised answers, after checking what must hold of any."""
+    made = [q for q in closed.asked if q.accepted]
+    refused = [q for q in closed.asked if not q.accepted]
+    assert all(q.round >= 1 for q in closed.asked + closed.revised)
+    assert all(q.accepted_round is None for q in made)
+    assert not any(q.accepted for q in closed.revised)
+    place = closed.place
+
+    def apart(q):
+        return tuple(sorted((place[q.first], place[q.second])))
+
+    # One entry per question and reason: pairs of places, or of passes now by one place.
+    both = [(apart(q), q.reason, q.accepted_round) for q in refused + closed.revised]
+    between = [entry for entry in both if entry[0][0] != entry[0][1]]
+    assert len(set(between)) == len(between)
+    within = [q for q in closed.revised if place[q.first] == place[q.second]]
+    entries = {(q.first, q.second, q.reason, q.accepted_round) for q in within}
+    assert len(entries) == len(within)
+    return made, refused, closed.revised
+
+
+def test_what_was_put_off_keeps_the_round_and_the_reason():
+    rng = np.random.default_rng(17)
+    world = grid_world(7, 7)
+    loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
+    odometry, passes, _ = record(world, wander(world[1], 40, rng), rng, noise=loud)
+    closed = full_closure(make_walk(odometry, passes, loud))
+    made, refused, revised = revisions(closed)
+    assert revised
+    joined = {(q.first, q.second): q.round for q in made}
+    later = [q for q in revised if (q.first, q.second) in joined]
+    assert later
+    assert all(q.round < joined[q.first, q.second] for q in later)
+    assert max(q.round for q in refused) >= max(q.round for q in made)
+
+
+def test_what_is_taken_back_is_kept_with_both_rounds(monkeypatch):
+    """With hardly any strain allowed, passes are torn away from places that are right."""
+    rng = np.random.default_rng(10)
+    world = grid_world(4, 4, rng)
+    odometry, passes, _ = record(world, wander(world[1], 50, rng), rng)
+    tight = replace(LIKELIHOOD, gate_sigmas=0.67)
+    monkeypatch.setattr("topobatch.topology.closure.incremental.LIKELIHOOD", tight)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    _, refused, revised = revisions(closed)
+    back = [q for q in refused + revised if q.accepted_round is not None]
+    assert back
+    assert all(q.reason.startswith("taken back") for q in back)
+    assert all(1 <= q.accepted_round <= q.round for q in back)
+
+
+def test_a_place_is_split_where_it_hangs_together_least():
+    def link(i, j, bits):
+        return Identification(i, j, True, bits, "")
+
+    # {0, 1, 2} and {3, 4} by strong links, two weak ones between them.
+    strong = [link(0, 1, 30), link(1, 2, 25), link(0, 2, 9), link(3, 4, 28)]
+    weak = [link(2, 3, 12), link(0, 4, 11)]
+    assert weakest_cut(strong + weak) == weak
+    alone = link(5, 6, 3)
+    assert weakest_cut([alone]) == [alone]
+    assert weakest_cut([]) == []
+
+
+@pytest.mark.parametrize(
+    ("heading_noise", "seed", "found_again"),
+    [(0.001, 0, 100), (0.003, 1, 20), (0.005, 0, 0), (0.008, 2, 0)],
+)
+def test_equal_rows_side_by_side_are_not_taken_for_each_other(heading_noise, seed, found_again):
+    rng = np.random.default_rng(40 + seed)
+    world = aisles(14)
+    noise = replace(NOISE, heading_rad_per_sqrt_m=heading_noise)
+    odometry, passes, truth = record(world, wander(world[1], 160, rng), rng, noise=noise)
+    place = full_closure(make_walk(odometry, passes, noise)).place
+    homes = {}
+    for p, v in zip(place.tolist(), truth, strict=True):
+        homes.setdefault(p, set()).add(v)
+    assert all(len(found) == 1 for found in homes.values())
+    assert len(truth) - len(homes) >= found_again
+
+
+@pytest.mark.parametrize("faults", ["none", "mild", "harsh"])
+def test_equal_rows_close_without_a_wrong_identification(faults):
+    settings = ScenarioSettings(
+        world="rows", runs=1, junctions_per_run=60, drift="mid", faults=faults, seed=602
+    )
+    scenario = simulate_scenario(settings)
+    ((name, run),) = scenario.runs.items()
+    built = build_map(run)
+    true = true_vertex_of_passes(scenario.truth, name, built.observation_time_ns)
+    vertex = built.observation_vertex
+    real = (true >= 0) & (vertex >= 0)
+    homes = {(int(t), int(v)) for t, v in zip(true[real], vertex[real], strict=True)}
+    assert len({v for _, v in homes}) == len(homes)
+    assert len(homes) <= 1.1 * len(np.unique(true[real]))
+
+
+@pytest.mark.parametrize(("seed", "steps"), [(13, 80), (17, 40)])
+def test_doubts_are_kept_with_what_became_of_them(seed, steps):
+    rng = np.random.default_rng(seed)
+    world = grid_world(7, 7)  # regular: much looks alike
+    loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
+    odometry, passes, _ = record(world, wander(world[1], steps, rng), rng, noise=loud)
+    closed = closure_without_grid(make_walk(odometry, passes, loud))
+    doubts = [q for q in closed.asked if not q.accepted]
+    assert doubts
+    pairs = [tuple(sorted((closed.place[q.first], closed.place[q.second]))) for q in doubts]
+    assert all(a != b for a, b in pairs)  # what was joined after all is no doubt
+    assert len(set(pairs)) == len(pairs)
+    assert {q.reason for q in doubts} <= {
+        "not sure enough",
+        "corridors disagree",
+        "places that are certainly two look as much alike",
+        "too far apart once the run was laid out anew",
+        "taken back: a pass was torn away",
+        RIVALS,
+        STEP_OFF,
+    }
+
+
+@pytest.mark.parametrize(
+    "route",
+    [[(0, 0)], [(0, 0), (0, 1)], [(0, 0), (0, 1), (0, 0)], [(0, 0), (0, 1), (0, 0), (0, 1)]],
+)
+def test_tiny_walks(route):
+    odometry, passes, truth = record(grid_world(2, 2), route)
+    closed = full_closure(make_walk(odometry, passes, NOISE))
+    assert closed.place.tolist() == partition(truth).tolist()
+
+
+def test_a_loop_of_one_junction_to_itself():
+    xy = {
+        "a": np.zeros(2),
+        "p": np.array([6.0, 0]),
+        "q": np.array([6.0, 6.0]),
+        "r": np.array([0, 6.0]),
+    }
+    beside = {"a": ["p", "r"], "p": ["a", "q"], "q": ["p", "r"], "r": ["q", "a"]}
+    odometry, passes, truth = record((xy, beside), ["a", "p", "q", "r", "a"], unseen=(1, 2, 3))
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk)
+    assert truth == ["a", "a"]
+    assert closed.place.tolist() == [0, 0]
+    places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
+    assert places.next_place[0][:2].tolist() == [0, 0]
+
+
+def test_settings_are_the_gate_keeper():
+    rng = np.random.default_rng(14)
+    world = grid_world(4, 4, rng)
+    odometry, passes, truth = record(world, wander(world[1], 40, rng), rng)
+    walk = make_walk(odometry, passes, NOISE)
+    strict = RoundSettings(wrong_share=1e-300)
+    closed = full_closure(walk, strict)
+    assert closed.place.tolist() == list(range(len(truth)))
+    assert any(not q.accepted and q.bits > 0 for q in closed.asked)
+
+
+def test_a_grid_that_bends_on_its_way_is_found_out():
+    """Streets that meet at right angles and bend between: the walk closes, held by no grid."""
+    rng = np.random.default_rng(31)
+    xy, beside = grid_world(6, 6, rng)
+    flat = {v: complex(*p) - complex(*xy[3, 3]) for v, p in xy.items()}
+    size = max(abs(z) for z in flat.values())
+    bent = {
+        v: np.array([w.real, w.imag]) for v, z in flat.items() for w in [z + 0.3 * z * z / size]
+    }
+    route = wander(beside, 130, rng)
+    lax = RectilinearSettings(least_share=0.5)
+    for world, found in (((xy, beside), True), ((bent, beside), False)):
+        odometry, passes, truth = record(world, route, np.random.default_rng(31))
+        closed = full_closure(make_walk(odometry, passes, NOISE), RoundSettings(grid=lax))
+        assert (closed.grid is not None) == found
+        assert len(closed.layout.xy) == len(set(truth))

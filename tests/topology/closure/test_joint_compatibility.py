@@ -1,0 +1,87 @@
+"""Identifications that are sure only together."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.topology.closure.candidates import Candidates
+from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.evidence import EvidenceSettings, background
+from topobatch.topology.closure.joint_compatibility import agreeing
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.passes import NO_BRANCH, Passes
+from topobatch.topology.ragged import Ragged
+
+from .walks import NOISE, T0
+
+
+def _ends_of_a_long_way(offsets, street=(0, 7, 13, 22)):
+    """A street driven twice, 150 m of ways without branches in common between the two drives.
+
+    offsets: where the second drive comes by junctions of the first, and how far it seems off [m].
+    """
+    first = np.array([[x, 0.0] for x in street])
+    away = np.array([[60.0, 40.0 + 10 * k] for k in range(4)])
+    again = first[: len(offsets)] + np.asarray(offsets)
+    centre = np.vstack([first, away, again])
+    pose = np.vstack([np.linspace(p, q, 60) for p, q in itertools.pairwise(centre)])
+    pose = np.column_stack([pose, np.zeros(len(pose))])
+    time_ns = T0 + np.arange(len(pose)) * 100_000_000
+    odometry = Odometry(time_ns, pose, np.zeros(0, int))
+    when = time_ns[np.minimum(np.arange(len(centre)) * 60, len(pose) - 1)]
+    none = Ragged.from_rows([np.zeros(0)] * len(centre))
+    count = len(centre)
+    passes = Passes(
+        time_ns=when, start_ns=when, end_ns=when, centre=centre, branches=none, support=none,
+        entry=np.full(count, NO_BRANCH), exit=np.full(count, NO_BRANCH),
+        messages=np.full(count, 9), confidence=np.ones(count),
+    )  # fmt: skip
+    walk = make_walk(odometry, passes, replace(NOISE, heading_rad_per_sqrt_m=0.012))
+    return walk, lay_out(walk, np.arange(count))
+
+
+def _asked(a, b, position, alike):
+    """Candidates with nothing but position and likeness."""
+    zero = np.zeros(len(a))
+    likeness = np.asarray(alike, float)
+    return Candidates(np.array(a), np.array(b), position, likeness, zero, zero, zero, zero)
+
+
+@pytest.mark.parametrize(
+    ("offsets", "together"),
+    [
+        ([[2.0, 1.5]] * 4, True),  # all are off by the same: one drift explains it
+        ([[2.0, 1.5], [-2.0, 3.5], [4.0, -2.5], [-3.0, -3.0]], False),
+        ([[2.0, 1.5]], False),  # one alone is not sure
+    ],
+)
+def test_identifications_that_agree_on_one_position_are_sure_together(offsets, together):
+    walk, layout = _ends_of_a_long_way(offsets)
+    k = len(offsets)
+    common = background(walk, walk.noise)
+    a, b = np.arange(k), 8 + np.arange(k)
+    position = np.full(k, -2.0)
+    found = _asked(a, b, position, np.full(k, 4.0))
+    rows, odds, reason = agreeing(layout, found, common, EvidenceSettings(), least_odds=9.0)
+    assert (rows.tolist() == list(range(k))) is together
+    assert (np.all(odds > 4.5), reason) == (True, "")
+
+
+@pytest.mark.parametrize(("off", "expected"), [(3.0, []), (0.4, [0, 1, 2])])
+def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
+    """Junctions 6 m apart, passed again: by these, or each by the next one?"""
+    walk, layout = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
+    a, b = np.array([0, 1, 2, 1, 2, 3]), np.array([8, 9, 10, 8, 9, 10])
+    found = _asked(a, b, np.full(6, -2.0), np.full(6, 5.0))
+    agreed = agreeing(
+        layout, found, background(walk, walk.noise), EvidenceSettings(), least_odds=9.0
+    )
+    accepted = [] if agreed.reason else agreed.rows.tolist()
+    assert accepted == expected
+    assert ("exclude" in agreed.reason) is (expected == [])
+    assert len(agreed.odds) == len(accepted)

@@ -1,0 +1,45 @@
+"""Junctions driven by unseen, and places that are none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.incremental import full_closure
+from topobatch.topology.closure.missed_detections import correct_detections, phantoms
+from topobatch.topology.closure.places import tabulate
+
+from .walks import NOISE, grid_world, partition, record
+
+
+def test_a_missed_junction_becomes_an_unseen_visit():
+    world = grid_world(2, 4)
+    there = [(0, 0), (0, 1), (0, 2), (0, 3)]
+    route = [*there, *there[-2::-1], *there[1:]]
+    odometry, passes, truth = record(world, route, unseen=(5,))
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk)
+    assert closed.place.tolist() == partition(truth).tolist()
+    corrected = correct_detections(walk, odometry, closed.place, closed.layout)
+    assert int((~corrected.visits.seen).sum()) == 1
+    again = corrected.visits.vertex.tolist()
+    assert again == partition(route).tolist()
+
+
+def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
+    world = grid_world(1, 4)
+    xy, beside = world
+    xy["ghost"] = np.array([7.5, 5.0])
+    beside["ghost"] = [(0, 0), (0, 1)]
+    beside[0, 0], beside[0, 1] = [(0, 1), "ghost"], [(0, 0), (0, 2), "ghost"]
+    first = [(0, 0), "ghost", (0, 1), (0, 2)]
+    back = [(0, 1), (0, 0), (0, 1), (0, 2), (0, 1), (0, 0)]
+    odometry, passes, truth = record(world, first + back)
+    walk = make_walk(odometry, passes, NOISE)
+    closed = full_closure(walk)
+    corrected = correct_detections(walk, odometry, closed.place, closed.layout)
+    assert corrected.place[truth.index("ghost")] == -1
+    assert len(corrected.xy) == 3
+    # Once is not enough for a place with a side branch.
+    places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
+    assert not phantoms(walk, places, np.zeros(len(places), int)).any()
