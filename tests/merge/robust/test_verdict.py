@@ -1,0 +1,96 @@
+"""From candidate alignments to one of three verdicts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.result import Verdict
+from topobatch.merge.robust.alignment import match, same_placement
+from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.settings import MATCH
+from topobatch.merge.robust.verdict import (
+    PairCount,
+    _missing,
+    counted_bits,
+    in_steps,
+    needed_bits,
+    opinion,
+    threshold_for,
+    uniformity,
+)
+
+from .plans import COPIES, EDGES, POINTS, SETTINGS
+
+
+def test_what_is_no_larger_than_copies_may_be_one(drawn):
+    a = prepare(drawn("a", POINTS, EDGES))
+    (told, *_) = match(a, prepare(drawn("b", POINTS, EDGES)), SETTINGS)
+    count = PairCount(1, 1)
+    weights = [
+        threshold_for(count, COPIES, SETTINGS, copied=n).may_be_copy(told) for n in (0, 4, 6, 8, 9)
+    ]
+    assert weights == pytest.approx([0.0, 0.0, 2 / 3, 1.0, 1.0])
+
+
+def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    told = replace(match(a, b, SETTINGS)[0], bits=99.0)
+    assert counted_bits(told) == MATCH.junction_bits * len(told)
+    assert counted_bits(replace(told, bits=7.0)) == 7.0
+    doubted = replace(
+        told,
+        conflicts=replace(told.conflicts, elsewhere=np.zeros((2, 2), np.int64), elsewhere_bits=3.0),
+    )
+    assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
+    counts = (PairCount(n, n) for n in (1, 10**6))
+    alone, among_many = (threshold_for(c, COPIES, SETTINGS, copied=len(told)) for c in counts)
+    assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
+    view = opinion(a, b, [told], among_many)
+    assert view.verdict is Verdict.AMBIGUOUS
+    (answers,) = view.answers
+    assert answers.carried == MATCH.junction_bits * len(told)
+    assert view.bits == answers.from_copies < answers.carried
+    assert "another copy" in view.why
+    unasked = replace(answers, same_place=None)
+    assert unasked.bits == answers.carried
+    assert _missing(told, unasked, None, among_many) == "chance offers as much too often"
+
+
+def test_a_building_of_few_sizes_is_uniform(drawn):
+    grid = [(5.0 * x, 5.0 * y) for x in range(6) for y in range(6)]
+    edges = [(i, i + 6) for i in range(30)] + [(i, i + 1) for i in range(36) if i % 6 != 5]
+    steps = np.cumsum([0.0, 3.0, 4.3, 7.1, 11.7, 5.9])
+    uneven = [(x, 1.3 * y) for x in steps for y in steps]
+    regular, varied = prepare(drawn("grid", grid, edges)), prepare(drawn("plain", uneven, edges))
+    assert uniformity(regular, regular) == 1.0
+    assert uniformity(varied, varied) == 0.0
+    few = prepare(drawn("few", POINTS, EDGES))
+    assert uniformity(few, varied) == 0.0
+
+
+def test_two_placements_that_fit_alike_are_ambiguous(drawn):
+    """One wing, and a building that has it twice: there is no telling which."""
+    n = len(POINTS)
+    twice = [*POINTS, *[(x + 40.0, y) for x, y in POINTS]]
+    edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (2, n)]
+    a, b = prepare(drawn("both", twice, edges)), prepare(drawn("one", POINTS, EDGES))
+    found = match(a, b, SETTINGS)
+    assert len(found) >= 2
+    assert not same_placement(found[0], found[1], b)
+    view = opinion(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
+    assert view.verdict == "ambiguous"
+    assert view.runner_up is not None
+    assert view.margin < MATCH.lead_bits
+
+
+def test_pairs_are_counted_in_steps_and_never_too_few():
+    assert [in_steps(n) for n in range(16)] == list(range(16))
+    counts = [*range(1, 3000), 19_900, 1_007_490, 49_995_000]
+    for n in counts:
+        assert n <= in_steps(n) <= 9 * n / 8
+        assert in_steps(in_steps(n)) == in_steps(n)
+    # One more run of 1,420 is no step for most.
+    steps = {in_steps(n * (n - 1) // 2) for n in range(1400, 1440)}
+    assert len(steps) == 2
+    assert needed_bits(16, SETTINGS) < needed_bits(17, SETTINGS) == needed_bits(18, SETTINGS)

@@ -1,0 +1,104 @@
+"""Odometry that errs as it is told to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.simulation import (
+    DRIFTS,
+    FAULTS,
+    Drift,
+    RunSettings,
+    SimulatedRun,
+    make_world,
+    simulate_run,
+)
+from topobatch.topology.errors import UsageError
+from topobatch.topology.se2 import apply, between, compose, fit_rigid, wrap
+
+from .driven import PERFECT, drifted
+
+
+@pytest.mark.parametrize("wrong", [{"scale_sigma": -1.0}, {"heading_jump_deg": float("nan")}])
+def test_nonsensical_drift_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="drift"):
+        Drift(**wrong)
+
+
+def _turned_deg(simulated: SimulatedRun) -> float:
+    return float(np.degrees(np.sum(simulated.run.odometry.turn_rad)))
+
+
+def test_without_drift_odometry_is_the_true_path() -> None:
+    simulated = simulate_run(make_world("organic", 40, 1), settings=PERFECT, seed=1)
+    poses = compose(
+        simulated.truth.T_world_odom, simulated.run.odometry.at(simulated.truth.path_ns)
+    )
+    off = poses - simulated.truth.path
+    assert np.max(np.hypot(off[:, 0], off[:, 1])) < 0.01
+    assert np.max(np.abs(wrap(off[:, 2]))) < 1e-3
+
+
+def test_a_heading_bias_grows_with_the_way() -> None:
+    way = drifted().run.odometry.step_m.sum()
+    lost = _turned_deg(drifted()) - _turned_deg(drifted(heading_bias_deg_per_m=3.0))
+    assert lost == pytest.approx(3.0 * way, rel=0.01)
+
+
+def test_heading_jumps_are_where_the_truth_says() -> None:
+    plain, struck = drifted(), drifted(heading_jumps_per_100_m=2.0, heading_jump_deg=20.0)
+    difference = struck.run.odometry.turn_rad - plain.run.odometry.turn_rad
+    rows = np.flatnonzero(np.abs(difference) > np.radians(1.0))
+    jump_ns = struck.run.odometry.time_ns[rows].tolist()
+    assert len(jump_ns) >= 2
+    assert set(jump_ns) <= set(struck.truth.jump_ns)
+
+
+def test_a_reset_starts_again_from_zero_and_breaks_the_track() -> None:
+    broken = drifted(resets_per_100_m=1.0)
+    odometry = broken.run.odometry
+    assert len(odometry.breaks) >= 1
+    np.testing.assert_array_equal(odometry.pose[odometry.breaks], 0.0)
+    assert odometry.time_ns[odometry.breaks].tolist() == list(broken.truth.break_ns)
+    assert odometry.step_m.sum() == pytest.approx(drifted().run.odometry.step_m.sum(), rel=1e-3)
+
+
+def test_sideways_slip_moves_the_robot_in_turns_only() -> None:
+    plain, slipped = (
+        simulate_run(make_world("organic", 30, 3), settings=replace(PERFECT, drift=Drift(**d)))
+        for d in ({}, {"sideways_slip_m_per_rad": 0.3})
+    )
+    off = np.diff(slipped.run.odometry.pose[:, :2] - plain.run.odometry.pose[:, :2], axis=0)
+    moved = np.hypot(*off.T)
+    assert moved[np.abs(plain.run.odometry.turn_rad[1:]) < 1e-4].max(initial=0.0) < 1e-4
+    assert moved.sum() > 1.0
+
+
+def test_drift_levels_differ() -> None:
+    def error(level: str) -> float:
+        settings = RunSettings(drift=DRIFTS[level], faults=FAULTS["none"])
+        simulated = simulate_run(make_world("maze", 60, 9), settings=settings, seed=3)
+        raw = simulated.run.odometry.at(simulated.truth.path_ns)[:, :2]
+        true = simulated.truth.path[:, :2]
+        off = true - apply(fit_rigid(true, raw), raw)
+        return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+    assert error("none") < 0.01 < error("low") < error("mid") < error("high")
+
+
+def test_the_frame_jumps_where_the_truth_says_and_as_far() -> None:
+    plain, struck = drifted(), drifted(jumps=2, jump_m=0.7, jump_deg=40.0)
+    seen, true = struck.run.odometry, plain.run.odometry
+    rows = np.searchsorted(seen.time_ns, struck.truth.jump_ns)
+    assert len(rows) == 2
+    step = between(seen.pose[rows - 1], seen.pose[rows])
+    off = step - between(true.pose[rows - 1], true.pose[rows])
+    np.testing.assert_allclose(np.hypot(off[:, 0], off[:, 1]), 0.7, atol=1e-3)
+    np.testing.assert_allclose(np.abs(np.degrees(off[:, 2])), 40.0, atol=1e-2)
+    others = np.delete(np.arange(1, len(seen)), rows - 1)
+    turned = wrap(seen.turn_rad - true.turn_rad)[others]
+    np.testing.assert_allclose(turned, 0.0, atol=1e-3)
+    assert struck.truth.vertex.tolist() == plain.truth.vertex.tolist()

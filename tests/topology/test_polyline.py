@@ -1,0 +1,41 @@
+"""Lines thinned, sharpened at corners, and led to the centres of junctions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.topology.polyline import join_centres, simplify, way_of, with_corners
+
+
+def test_simplified_lines_stay_near():
+    rng = np.random.default_rng(1)
+    path = np.cumsum(rng.normal(size=(200, 2)), axis=0)
+    thin = simplify(path, 0.5)
+    assert 2 <= len(thin) < 200
+    assert thin[0].tolist() == path[0].tolist()
+    assert thin[-1].tolist() == path[-1].tolist()
+    a, b = thin[:-1, None], thin[1:, None]
+    t = np.clip(((path - a) * (b - a)).sum(-1) / ((b - a) ** 2).sum(-1), 0, 1)
+    off = np.linalg.norm(path - a - t[..., None] * (b - a), axis=-1).min(axis=0)
+    assert off.max() <= 0.5 + 1e-9
+    closed = simplify(np.array([[0, 0], [1, 0], [1, 1], [0, 0.0]]), 0.1)
+    assert len(closed) == 4
+
+
+def test_a_corner_that_was_cut_is_a_corner():
+    angle = np.linspace(-np.pi / 2, 0, 20)[:, None]
+    arc = np.array([4.6, 0.4]) + 0.4 * np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    driven = np.concatenate([[[0, 0], [2, 0]], arc, [[5, 3], [5, 6]]])
+    path = with_corners(driven, 0.5, 0.5)
+    assert way_of(driven)[-1] == pytest.approx(10.83, abs=0.01)
+    assert way_of(path)[-1] == pytest.approx(11.0, abs=0.01)
+    assert np.hypot(*(path - [5, 0]).T).min() < 0.02
+    wide = 4 * np.column_stack([np.cos(np.linspace(0, 3, 99)), np.sin(np.linspace(0, 3, 99))])
+    assert with_corners(wide, 0.5, 0.5) is wide
+
+
+def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
+    past = np.array([[0, 0.1], [-0.3, 0.2], [0.2, 0.1], [1, 0], [4, 0], [5.4, 0], [5.0, 0.3]])
+    path = join_centres(past, np.zeros(2), np.array([5.0, 0.0]), 0.7)
+    np.testing.assert_allclose(path, [[0, 0], [1, 0], [4, 0], [5, 0]])
