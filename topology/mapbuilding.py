@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ from .visits import Visits, draw_track
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+_Ends = tuple[int, int, int, int]
+"""Of a corridor: source, target, and the branch at each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,12 @@ class MapBuildingSettings:
     standing_m: float = 0.05
     """A robot that stands, or turns on the spot, seems to drive no farther: what it does so near to
     a centre is no part of the time that a corridor takes."""
+    moved_m: float = 0.05
+    """A robot that drove no farther between two visits did not move."""
+    same_length_m: float = 1.5
+    """A leg with an unknown branch is of the corridor whose median length is within this of its."""
+    sound_m: float = 1.0
+    """A leg within this of its corridor's median length was driven straight through."""
     repeated_m: float = 50.0
     """Way driven again without wandering at all that a run is taken to have shown beforehand."""
 
@@ -225,7 +234,7 @@ def _legs(
     u, v = visits.vertex[:-1], visits.vertex[1:]
     a, b = exit_[:-1], entry[1:]
     loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
-    driven = np.diff(way_at(odometry, visits.time_ns)) > 0.05
+    driven = np.diff(way_at(odometry, visits.time_ns)) > settings.moved_m
     fine = (np.diff(visits.chain) == 0) & ~loop & driven
     path = _between_centres(odometry, visits, xy, first[fine], settings)
     length = np.array([way_of(p)[-1] for p in path])
@@ -286,60 +295,59 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
 
     A leg with an unknown branch joins the corridor between its vertices that fits its length.
     """
-    groups: dict[tuple[int, int, int, int], list[int]] = {}
-    between: dict[tuple[int, int], list[tuple[int, int, int, int]]] = {}
-    rows = list(
-        zip(
-            legs.source.tolist(),
-            legs.target.tolist(),
-            legs.source_branch.tolist(),
-            legs.target_branch.tolist(),
-            strict=True,
-        )
-    )
-    vague = []
-    for k, (s, t, sb, tb) in enumerate(rows):
-        if NO_BRANCH in (sb, tb):
-            vague.append(k)
-            continue
-        key = (s, t, sb, tb)
-        if key not in groups:
-            between.setdefault((s, t), []).append(key)
-        groups.setdefault(key, []).append(k)
-    for k in vague:
-        key = _fitting(legs, groups, between.get(rows[k][:2], []), rows[k], k)
-        if key not in groups:
-            between.setdefault(rows[k][:2], []).append(key)
-        groups.setdefault(key, []).append(k)
+    groups = _corridors(legs, settings)
     keys = sorted(groups)
-    table = np.array(keys, np.int64).reshape(-1, 4)
+    members = [np.array(groups[key]) for key in keys]
     length, leg = np.zeros(len(keys)), np.zeros(len(keys), np.int64)
     excess, way = 0.0, settings.repeated_m
-    for e, key in enumerate(keys):
-        member = np.array(groups[key])
+    for e, member in enumerate(members):
         ordered = member[np.argsort(legs.length[member], kind="stable")]
         middle = legs.length[ordered[len(ordered) // 2]]
-        sound = ordered[np.abs(legs.length[ordered] - middle) < 1.0]
+        sound = ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
         leg[e] = sound[0]  # who wanders drives farther, nobody less far
         length[e] = legs.length[leg[e]]
         excess += float(np.var(legs.length[sound]) * len(sound))
         way += float(length[e] * (len(sound) - 1))
-    traversals = np.array([len(groups[key]) for key in keys], np.int64)
-    s, t, sb, tb = table.T
     at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
-    times = tuple(at[groups[key]] for key in keys)
-    times = tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times)
-    detour = _chosen_detour(legs, [groups[key] for key in keys], xy)
-    return _Edges(s, t, sb, tb, length, traversals, times, leg, excess / way, detour)
+    times = (at[member] for member in members)
+    source, target, source_branch, target_branch = np.array(keys, np.int64).reshape(-1, 4).T
+    return _Edges(
+        source=source,
+        target=target,
+        source_branch=source_branch,
+        target_branch=target_branch,
+        length=length,
+        traversals=np.array([len(member) for member in members], np.int64),
+        time_ns=tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times),
+        leg=leg,
+        wander=excess / way,
+        detour=_chosen_detour(legs, members, xy),
+    )
 
 
-def _chosen_detour(legs: _Legs, corridors: list[list[int]], xy: FloatArray) -> float:
+def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[int]]:
+    """Numbers of the legs through each corridor, by its ends."""
+    rows = np.stack([legs.source, legs.target, legs.source_branch, legs.target_branch], axis=1)
+    between: dict[tuple[int, int], dict[_Ends, list[int]]] = defaultdict(dict)
+    vague = []
+    for k, (s, t, sb, tb) in enumerate(rows.tolist()):
+        if NO_BRANCH in (sb, tb):
+            vague.append((k, (s, t, sb, tb)))
+        else:
+            between[s, t].setdefault((s, t, sb, tb), []).append(k)
+    for k, ends in vague:
+        corridors = between[ends[:2]]
+        corridors.setdefault(_fitting(legs, corridors, ends, k, settings), []).append(k)
+    return {ends: member for some in between.values() for ends, member in some.items()}
+
+
+def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> float:
     """Root mean square share of the detours driven that a robot takes one time and not another.
 
     What a way is longer than the line between its ends is the corridor's bend, or the robot's
     wandering: what it drives again tells how much of it is not there the next time.
     """
-    again = [np.array(member) for member in corridors if len(member) > 1]
+    again = [member for member in corridors if len(member) > 1]
     if not again:
         return 0.0
     row = np.concatenate(again)
@@ -351,17 +359,18 @@ def _chosen_detour(legs: _Legs, corridors: list[list[int]], xy: FloatArray) -> f
 
 def _fitting(
     legs: _Legs,
-    groups: dict[tuple[int, int, int, int], list[int]],
-    keys: list[tuple[int, int, int, int]],
-    row: tuple[int, int, int, int],
+    corridors: dict[_Ends, list[int]],
+    ends: _Ends,
     k: int,
-) -> tuple[int, int, int, int]:
-    """The corridor that a leg with an unknown branch belongs to; its own key if none fits."""
-    best, best_off = row, 1.5
-    for key in keys:
-        if any(mine not in (NO_BRANCH, its) for mine, its in zip(row[2:], key[2:], strict=True)):
+    settings: MapBuildingSettings,
+) -> _Ends:
+    """Of the corridors between its vertices, the one that leg k belongs to, of whose ends some
+    branch is unknown; its own ends if none fits."""
+    best, best_off = ends, settings.same_length_m
+    for key, member in corridors.items():
+        if any(mine not in (NO_BRANCH, its) for mine, its in zip(ends[2:], key[2:], strict=True)):
             continue
-        off = abs(float(np.median(legs.length[groups[key]])) - legs.length[k])
+        off = abs(float(np.median(legs.length[member])) - legs.length[k])
         if off < best_off:
             best, best_off = key, off
     return best
