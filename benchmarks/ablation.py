@@ -28,7 +28,7 @@ from topobatch.ingest.mapping import dead_reckoned
 from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
 from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import true_vertex_of_passes
-from topobatch.topology.closure import candidates, incremental, joint_compatibility
+from topobatch.topology.closure import candidates, growth, incremental, joint_compatibility
 from topobatch.topology.closure.dead_reckoning import Walk
 from topobatch.topology.closure.incremental import RoundSettings, full_closure
 from topobatch.topology.closure.missed_detections import DrivenBySettings, correct_detections
@@ -54,8 +54,6 @@ OUT = {
     "inflation": {"candidates.evidence.inflation": 1.0},
     "rarity: bandwidth": {"candidates.evidence.bandwidth_rad": 0.0},
     "pattern": {"candidates.evidence.pattern.regular": ALWAYS},
-    "growth": {"candidates.growth.hops": 0},
-    "growth: one hop": {"candidates.growth.hops": 1},
     "lead": {"candidates.evidence.lead": 0.0},
     "growth: caps": {
         "candidates.growth.leg_cap": ALWAYS,
@@ -72,7 +70,20 @@ OUT = {
 }
 """Mechanisms, and what takes each out: fields of RoundSettings (`driven_by`: DrivenBySettings)."""
 
+
+def _no_growth(scene, a, *args):
+    """What corridors around tell, if nobody looks at them."""
+    return growth.Support(np.zeros(len(a)), np.zeros(len(a)), np.zeros(len(a), np.int64))
+
+
+def _one_hop(scene, a, b, aligned, settings):
+    return growth.grow(scene, a, b, aligned, replace(settings, hops=1))
+
+
 REPLACED = {
+    # `hops` says, too, how far candidates are looked for: without them there are none.
+    "growth": (candidates, "grow", _no_growth),
+    "growth: one hop": (candidates, "grow", _one_hop),
     "noise raised": (incremental, "_fitting_scale", lambda now, *args: now),
     "taking back": (incremental, "_outliers", lambda *args: []),
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),

@@ -56,7 +56,7 @@ def transfer(
         typer.Option(
             metavar="METRES",
             min=0.01,
-            help="A place of which 95 % of the errors may be larger is not carried.",
+            help="A place that may be off by more (95 % bound) is not carried.",
         ),
     ] = 0.5,
     merge: MergeOption = MERGED,

@@ -24,6 +24,19 @@ MAY_IMPORT = {
     "viz": {"topology", "merge"},
     "cli": {"topology", "ingest", "merge", "simulation", "viz"},
 }
+STANDS_ON: dict[str, set[str]] = {
+    "topology/posegraph": set(),
+    "topology/matching": set(),
+    "topology/closure": {"topology/posegraph", "topology/matching"},
+    "ingest/remote": set(),
+    "ingest/logs": {"ingest/remote"},
+    "ingest/odometry": {"ingest/logs"},
+    "ingest/scans": {"ingest/logs"},
+    "merge/fusion": set(),
+    "merge/paper": set(),
+    "merge/robust": {"merge/fusion"},
+    "viz/exports": set(),
+}
 VIZ_MAY_USE_OF_MERGE = {"result", "paper.explain", "decision", "decision_text"}
 HEAVY = (
     "rerun",
@@ -94,11 +107,23 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
-def test_the_two_methods_of_merging_know_nothing_of_each_other() -> None:
-    for one, other in (("paper", "robust"), ("robust", "paper")):
-        for path in modules(f"merge/{one}"):
-            targets = {target[:2] for target in imported(path)}
-            assert ("merge", other) not in targets, path
+def folder_of(module: tuple[str, ...]) -> str:
+    """The folder within a package that a module lies in, the package itself if it lies in none."""
+    inside = len(module) > 1 and (ROOT / module[0] / module[1]).is_dir()
+    return "/".join(module[: 1 + inside])
+
+
+def test_folders_of_a_package_stand_on_each_other_one_way() -> None:
+    """Beside what lies in no folder. The two methods of merging know nothing of each other."""
+    folders = {folder_of(module_name(path)) for package in PACKAGES for path in modules(package)}
+    assert folders - set(PACKAGES) == STANDS_ON.keys()
+    for folder, others in STANDS_ON.items():
+        for path in modules(folder):
+            used = {folder_of(target) for target in imported(path)}
+            inner = {
+                name for name in used if "/" in name and name.split("/")[0] == folder.split("/")[0]
+            }
+            assert inner <= {folder, *others}, f"{path} imports from {inner}"
 
 
 def test_closure_and_both_methods_of_merging_stand_on_one_matching() -> None:
@@ -114,7 +139,6 @@ def test_closure_and_both_methods_of_merging_stand_on_one_matching() -> None:
         assert {target[2] for target in used if target[:2] == matching} >= parts, room
     inside = {target for path in modules("topology/matching") for target in imported(path)}
     assert (*matching, "branches") in inside
-    assert not [target for target in inside if target[:2] == ("topology", "closure")]
 
 
 def test_nothing_is_there_that_only_tests_use() -> None:

@@ -128,17 +128,17 @@ class MatchSettings:
     """Nearer than this to its ends a corridor is the junctions' own [m]; also the spacing of the
     points that stand for the rest of it. Tried: .7 and 1.5, the same."""
     crossing_m: float = 1.7
-    """Skeletons show a crossing as two forks up to so far apart [m]: variants of the detector join
-    forks up to 1.7 m apart, and of the acute crossings of organic ways it shows as two, the forks
-    lie 1.1 to 1.55 m apart."""
+    """Skeletons show a crossing as two forks up to so far apart [m]: the detector joins those up to
+    1.0 m apart (one variant for saved grids 1.3 m); of the acute crossings of organic ways that it
+    shows as two, the forks lie 1.1 to 1.55 m apart."""
     ranked_decimals: int = 6
     """Decimals of evidence [bits] by which placements are ranked: copies that are built alike have
     the same but for rounding, which is no order. Sums of a thousand bits are rounded at the twelfth
     decimal, documents at the second."""
     pair_digits: int = 4
     """Binary digits of a number of pairs: up to 15 it is exact, beyond it is rounded up by up to
-    an eighth, .17 bits, .07 in the mean. At 200 runs every tenth run is a step, at 1,420 every
-    fortieth."""
+    an eighth, .17 bits, .06 in the mean. At 200 runs every tenth run is a step, at 1,420 every
+    forty-fifth."""
     floor_rad: float = 0.03
     """Noise of branches that no estimate holds [rad]: detectors that turn with the view. Without it
     tunnels repeat themselves more by chance, and fewer pairs of them are told."""
