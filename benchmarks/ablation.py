@@ -1,12 +1,12 @@
 """What every mechanism of loop closure is there for: python benchmarks/ablation.py [--seeds 5]
 
-Takes one mechanism out at a time, by the settings, and closes the same walks again: runs of the
-project's simulator in five kinds of world, by drift and faults (`CELLS`), and recorded runs
-(`--real FOLDER…`, as `uncertainty.py` reads them). `runs`: how many walks come out otherwise at
-all; `recall`: of the passes by a junction passed before, those that stand in one place with such a
-pass; then for every kind of world passes in a place that is mostly another junction (false), and
-junctions that stand once more than they should (double). `--only NAME…` tries these mechanisms,
-`--list` names them all.
+Takes one mechanism out at a time, by the settings or in place of a function, and closes the same
+walks again: runs of the project's simulator in five kinds of world, by drift and faults (`CELLS`),
+and recorded runs (`--real FOLDER…`, as `uncertainty.py` reads them). `runs`: how many walks come
+out otherwise at all; `recall`: of the passes by a junction passed before, those that stand in one
+place with such a pass; then for every kind of world passes in a place that is mostly another
+junction (false), and junctions that stand once more than they should (double). `--only NAME…` tries
+these mechanisms, `--list` names them all.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Layers of maps (§4.1): whose map rests on whose.
+"""Layers of maps (§4.1): through which matches a run's map rests on another's.
 
 Layer 0 is a run's own map. Layer 1 holds the maps matched to it, layer n + 1 those matched to maps
 of layer n; every map above layer 0 names the match that it depends on.

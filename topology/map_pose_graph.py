@@ -39,10 +39,10 @@ class Measurements:
 def odometry_measurements(topomap: TopoMap) -> Measurements:
     """Relative poses along the corridors of a map, with the errors of the odometry between them.
 
-    For a pose graph over vertices whose centres are as this map saw them: where the detections
-    err, all corridors of a junction err together, and that is said where the junction is tied to
-    the world. What passes by one junction differ remains in every corridor. Into a corridor a
-    robot turns by nothing or by a right angle, a quarter of π in the mean; each end has half.
+    For a pose graph whose vertices are centres as this map saw them: an error of a vertex's centre
+    is common to all of its corridors, and enters where that vertex is tied to other maps. What the
+    single passes by a junction differ by remains in each corridor. Errors of turns: a robot enters
+    a corridor straight or at a right angle, a quarter of π in the mean, half of it at each end.
     """
     noise, length = topomap.measured, topomap.length
     times = np.maximum(topomap.traversals, 1)

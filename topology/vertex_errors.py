@@ -76,11 +76,12 @@ class VertexErrors:
         return np.asarray(np.sqrt(np.mean(self.sample[:, 2] ** 2, axis=1)))
 
     def branch_sigma(self, owner: IntArray, reading: FloatArray) -> FloatArray:
-        """(b,) 1 sigma [rad] of branch headings, each of vertex `owner` and read to `reading`.
+        """(b,) 1 sigma [rad] of branch headings, each of vertex `owner` and read to `reading`
+        [rad].
 
-        Where a building's grid fixes the turn through the branches' own readings, the turn's error
-        undoes theirs: of variances r of a reading and s of the turn, cov = -s · own. Never less
-        than half of the reading's.
+        Where the building's grid fixes the turn at a vertex by the branches' own readings, the
+        errors of both cancel in part: with variances r of a reading and s of the turn, cov = -s ·
+        own. No less than half of the reading's own sigma.
         """
         own = np.zeros(len(self.sample)) if self.own is None else self.own
         turn = self.turn_sigma() ** 2 * (1 - 2 * own)

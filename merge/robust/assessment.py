@@ -25,9 +25,12 @@ def thresholds(
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
     copies_of: Callable[[Samples], CopyModel] | None = None,
 ) -> Callable[[Sequence[int], PairCount], Threshold]:
-    """What some maps, a pair or those of two components, must reach in a batch of so many pairs.
+    """A function from some maps (a pair, or the runs of two components) and a count of pairs to the
+    threshold that they must reach.
+
     with_themselves: matches of each map with other parts of itself, if they are known; copies_of:
-    stands for `copy_model`."""
+    is called in place of `copy_model`.
+    """
     own = with_themselves or list(self_matches(prepared, settings))
     samples = [(k, c) for k, found in enumerate(own) for c in found if c.bits > MATCH.lead_bits]
     if copies_of is None:

@@ -62,8 +62,8 @@ class Components:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a pair was not joined in spite of its evidence; advice: what would settle it, where that
-    is no further recording."""
+    """Why a pair was not joined in spite of its evidence. advice: what would settle it, if that is
+    not a further recording."""
 
     reason: str
     advice: str | None = None
@@ -81,8 +81,10 @@ def as_alignment(c: Candidate) -> Alignment:
 
 
 def agrees(found: Alignment, T_a_b: NDArray[np.float64], b: ComplexArray) -> bool:
-    """Does an alignment place b as T_a_b does, within what drift makes of chained transforms?
-    b: its junctions (x + iy)."""
+    """Whether an alignment places b where T_a_b does, up to the drift of chained transforms.
+
+    b: its junctions, x + iy [m].
+    """
     middle = b[found.matched[:, 1]].mean()
     here, there = (_laid(T, middle) for T in (found.transform, T_a_b))
     gap, reach = abs(complex(here - there)), abs(complex(middle - b.mean()))

@@ -1,4 +1,5 @@
-"""What speaks against a match: what one run drove through and the other says is there, in bits."""
+"""Evidence against a match: junctions of one run in corridors that the other drove without seeing
+them, and corridors that lead elsewhere, in bits."""
 
 from __future__ import annotations
 
@@ -100,9 +101,11 @@ class _Unseen:
 
 
 def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
-    """The contradictions of the match of each lane that is asked for, none of the others.
-    O(points · log points). A corridor tells one thing once: where it passes a junction unseen, it
-    does not lead elsewhere as well."""
+    """The contradictions of the match in each lane of `asked`; none for the others.
+
+    O(points · log points). A corridor counts once: one that passes a junction unseen does not also
+    lead elsewhere.
+    """
     lanes = grown.lanes
     near = (grown.support_m < MATCH.near_m) & asked[lanes.lane]
     extra_b, extra_a = _extra_b(grown, near), _extra_a(grown, near)

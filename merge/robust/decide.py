@@ -146,7 +146,7 @@ def _strongest_first(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Others:
-    """What was said of some pairs by others than their two maps."""
+    """What locks, refusals and reunions say of some pairs."""
 
     forced: Mapping[Pair, Candidate]
     locked: Mapping[Pair, Lock]

@@ -1,4 +1,5 @@
-"""What the result says of one pair of maps, once all that was said about it is known."""
+"""The verdict on one pair of maps as the result states it, when all that concerns the pair is
+known."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from .wording import contradictions, nothing, summary
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """All that was said about two maps: by themselves, by a person, by the other runs."""
+    """What is known of two maps: by themselves, by a person's locks, by the other runs."""
 
     a: Prepared
     b: Prepared

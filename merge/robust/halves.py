@@ -1,7 +1,7 @@
-"""Crossings shown as two forks: where ways cross at an acute angle or a little beside each other.
+"""Crossings shown as two forks: at acute angles, or of corridors slightly offset from each other.
 
-Skeletons of scans and grids fork twice where other looks, and detectors, show one crossing. So each
-of two forks of such a map that lie close by also counts as the crossing that they would be.
+The skeleton of a scan or grid may fork twice where other looks, and detectors, show one crossing.
+So each of two forks close to each other in such a map can also be matched as that whole crossing.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What two maps say by themselves, in words, kept from merge to merge.
+"""Verdicts on two maps by themselves, kept from merge to merge as entries of the document.
 
-A verdict hangs on the two maps and on what their batch asks of them (`Threshold`), which is the
-same for most pairs when one more run has come. It is kept as its entry in the merged document, with
-its numbers in full: read again it is the same to the last bit, and the entry need not be made
-again. What is read is checked against the two maps.
+Such a verdict follows from the two maps and their threshold (`Threshold`), which one more run
+leaves as it is for most pairs. It is kept as its entry in the merged document with all digits: read
+again it is the same to the last bit, and the entry need not be made again. What is read is checked
+against the two maps.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Merged maps of components as maps to be matched, each fused and matched once."""
+"""The merged maps of components, prepared to be matched; each is fused and matched once."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Mirrored copies: a wing built the other way round has the same lengths, but is another place.
+"""Mirror images: a wing built the other way round has equal lengths, but is another place.
 
-Along a straight line a map and its mirror image agree, corridor by corridor; chance does not offer
-that, and nothing there contradicts. What gives it away is that the mirror image fits as well. So it
-counts as any other placement does: it must be as far behind. Of 144 pairs of equal rows and tunnels
-of which the one was mirrored two were merged otherwise.
+Along a straight line a map and its mirror image agree corridor by corridor; chance does not explain
+that, and nothing contradicts. It shows in that the mirror image fits as well. So the mirror image
+counts as another placement, which the right one must lead. Of 144 pairs of equal rows and tunnels,
+in which one map was mirrored, two were merged without this.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ def doubt_mirrored(
     opinions: Mapping[Pair, Opinion],
     image_bits: Callable[[list[Pair]], Mapping[Pair, float]],
 ) -> dict[Pair, Opinion]:
-    """The opinions, with "merged" made "ambiguous" where the second map's mirror image fits the
-    first one nearly as well as the map itself does, or better.
+    """The opinions, with "merged" made "ambiguous" where the mirror image of the second map fits
+    the first nearly as well as the map itself does, or better.
 
-    image_bits: the evidence of the best alignments with mirror images, of some pairs.
+    image_bits: the evidence of the best alignment with the mirror image, of some pairs.
     """
     merged = [pair for pair, view in opinions.items() if view.verdict is Verdict.MERGED]
     out = dict(opinions)

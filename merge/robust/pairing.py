@@ -1,7 +1,8 @@
-"""The pairwise stage: what is known already is looked up, the rest matched, here or by workers.
+"""The pairwise stage: what earlier merges found is looked up, the rest is matched, here or by
+workers.
 
-A task names maps by run and content; who does it reads them. Results come back as packs, whoever
-made them, so that one process, many, and a cache give the same numbers.
+A task names maps by run and content digest; the worker reads them. Results come back as packs
+whoever made them, so that one process, many, and a cache give the same numbers.
 """
 
 from __future__ import annotations

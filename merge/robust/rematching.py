@@ -1,9 +1,10 @@
-"""Merged maps matched again: the evidence of many runs, every physical thing counted once.
+"""The merged maps of components matched again: the evidence of many runs, every junction counted
+once.
 
-Two components with an open pair across them are joined where their merged maps say so. What they
-must reach is shared by the pairs of runs that are not joined yet: as long as nothing was merged
-wrongly, a wrong merge can only be one of these (Holm's procedure: Scandinavian Journal of
-Statistics 6, 1979; with pairs that others imply left out, Shaffer: JASA 81, 1986).
+Two components with an undecided pair of runs across them are joined if their merged maps say so.
+The threshold is that of the pairs of runs not joined yet: as long as nothing was merged wrongly, a
+wrong merge can only be one of these (Holm's procedure: Scandinavian Journal of Statistics 6, 1979;
+with pairs that others imply left out, Shaffer: JASA 81, 1986).
 """
 
 from __future__ import annotations

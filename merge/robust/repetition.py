@@ -1,8 +1,8 @@
-"""The second question: this place, or another copy of the same design?
+"""The second question: is this the place, or another copy of the same design?
 
-Where a building repeats itself, "better than chance" says little: the wrong wing, too, is much
-better than chance. What tells the place from its copy is that two looks at one place differ by
-measurement noise alone.
+Where a building repeats itself, the wrong wing is much better than chance, too. What distinguishes
+the place from a copy is that two looks at one place differ by measurement noise alone, and two
+copies by more.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Which pairs of a batch are matched: in a large one those that the index gives a chance.
+"""Which pairs of a batch are matched: in a large one those to which the index gives a chance.
 
-What the index said of two maps is kept from merge to merge: beside many maps that are known, only
-what is new is looked up.
+What the index says of two maps is kept from merge to merge, so that only new maps are looked up.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The nearest of some points, asked for by many others at once."""
+"""Nearest neighbours in a fixed set of points, for many queries at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What speaks for a match: agreeing junctions and corridors, in bits."""
+"""Evidence for a match: agreeing junctions and corridors, in bits."""
 
 from __future__ import annotations
 

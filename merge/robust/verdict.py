@@ -21,8 +21,8 @@ MAYBE_COPY = "the building repeats itself and this may be another copy of the pl
 
 @dataclass(frozen=True, slots=True)
 class PairCount:
-    """Pairs of runs of a batch: all of them, and those beyond chance. A copy can only be merged
-    wrongly where chance does not explain it already."""
+    """Numbers of pairs of runs in a batch: all, and those with an alignment that chance does not
+    explain. Only the latter can be merged wrongly because they are copies."""
 
     all: int
     beyond: int
@@ -30,9 +30,12 @@ class PairCount:
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """What a pair must reach. need_bits: against chance; need_copy_bits: against copies, of an
-    alignment that may well be one; copied: junctions of the largest part of a map that lies on
-    another part of it; copies: how copies differ there."""
+    """The evidence that a pair must reach.
+
+    need_bits: against chance; need_copy_bits: against being a copy, of an alignment that may well
+    be one; copied: junctions of the largest part of either map that matches another part of it;
+    copies: how copies differ in this batch.
+    """
 
     need_bits: float
     need_copy_bits: float
@@ -41,21 +44,25 @@ class Threshold:
     settings: RobustSettings
 
     def may_be_copy(self, best: Candidate) -> float:
-        """0 to 1: whether an alignment is as small as copies are. One no larger than what a map
-        shares with another part of itself is none that copies do not offer; one of twice as many
-        junctions is. Without it tunnels are merged wrongly (`benchmarks/aliasing.py --without
-        "small copies"`)."""
+        """0 to 1: how likely an alignment is a copy, by its size.
+
+        1 if it has no more junctions than the largest repetition within a map, 0 from twice as many
+        on. Without this tunnels are merged wrongly (`benchmarks/aliasing.py --without "small
+        copies"`).
+        """
         return _share(2.0 - len(best) / self.copied) if self.copied else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What a placement answers to the two questions, and the one number made of it, in bits.
+    """The evidence of a placement for the two questions (chance? a copy?), and the one number made
+    of it, in bits.
 
-    need: what merging needs. against_chance: all that speaks for it less all that speaks against
-    it; carried: the same with what agrees cut to what its junctions can carry (`counted_bits`).
-    repetition: 0 to 1, whether it may be a copy; same_place: what says that it is the place and
-    not a copy of it, None where that was not asked; need_same: what merging needs of it.
+    need: the threshold against chance. against_chance: evidence for less evidence against; carried:
+    the same with the agreeing part bounded by the number of junctions (`counted_bits`). repetition:
+    0 to 1, how likely it is a copy by its size and the building; same_place: evidence that it is
+    the place itself and not a copy, None where that was not asked; need_same: the threshold of
+    that.
     """
 
     need: float
@@ -67,13 +74,14 @@ class Answers:
 
     @property
     def bits(self) -> float:
-        """The evidence: that of the question answered worst. The second counts on the scale of the
-        first: as many bits beyond what either needs make both answers as sure."""
+        """The evidence: of the two questions the one answered worse. The answer to the second is
+        shifted so that its threshold meets that of the first."""
         return min(self.carried, self.from_copies)
 
     @property
     def from_copies(self) -> float:
-        """The answer to the second question on the scale of the first; infinite if not asked."""
+        """The answer to the second question, shifted so that its threshold is `need`; inf if not
+        asked."""
         if self.same_place is None:
             return np.inf
         return self.same_place + self.need - self.need_same
@@ -81,8 +89,8 @@ class Answers:
 
 @dataclass(frozen=True, slots=True)
 class Faint:
-    """An alignment that chance offers as well: of how many junctions, and its evidence;
-    against_chance: `beyond_chance_bits` of all that there were."""
+    """An alignment no better than chance offers: its junctions and evidence. against_chance:
+    `beyond_chance_bits` of all alignments of the pair."""
 
     junctions: int
     bits: float
@@ -90,7 +98,7 @@ class Faint:
 
 
 def faint_of(candidates: Sequence[Candidate], settings: RobustSettings) -> Faint | None:
-    """The best of some candidates in short; None if there is none."""
+    """Summary of the best candidate; None if there is none."""
     if not candidates:
         return None
     best = candidates[0]
@@ -99,13 +107,12 @@ def faint_of(candidates: Sequence[Candidate], settings: RobustSettings) -> Faint
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Opinion:
-    """A verdict on two maps, alone.
+    """The assessment of two maps by themselves, without locks and other runs.
 
-    need_bits: the evidence that merging needs. ranked: placements beyond chance, best first, each
-    with its evidence; best, runner_up, bits and margin are read off it; answers: how the evidence
-    of each follows. why: what was missing, "" where merged; faint: the best alignment where none is
-    beyond chance; against_chance: `beyond_chance_bits`; discarded: a person took back whatever was
-    found.
+    need_bits: the threshold. ranked: placements better than chance, best first, each with its
+    evidence; answers: how the evidence of each follows. why: what was missing for merging, "" if
+    merged; faint: the best alignment if none is better than chance; against_chance:
+    `beyond_chance_bits`; discarded: a person discarded the match of the two.
     """
 
     verdict: Verdict
@@ -154,30 +161,32 @@ def threshold_for(
     *,
     copied: float = 0.0,
 ) -> Threshold:
-    """The threshold in a batch of so many pairs: each may err at its share of the false-merge rate,
-    at either question."""
+    """The threshold in a batch: every pair may err with its share of the false-merge rate, for
+    either question."""
     against_copies = max(needed_bits(count.beyond, settings) - settings.copy_margin_bits, 0.0)
     need = needed_bits(count.all, settings)
     return Threshold(need, against_copies, copied, copies, settings)
 
 
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
-    """The evidence with which chance merges any of so many pairs at the false-merge rate.
+    """The evidence at which chance merges any of `pairs` pairs with the false-merge rate:
+    log2(pairs / rate).
 
-    Pairs are counted in steps, so that one more run seldom changes what all the others must reach,
-    and what was said of these still holds.
+    Pairs are counted in steps (`in_steps`), so that one more run seldom changes the threshold of
+    all the others.
     """
     return float(np.log2(max(in_steps(pairs), 1) / settings.false_merge_rate))
 
 
 def in_steps(pairs: int) -> int:
-    """A number of pairs, rounded up."""
+    """`pairs` rounded up to `MATCH.pair_digits` binary digits."""
     step = 1 << max(pairs.bit_length() - MATCH.pair_digits, 0)
     return -(-pairs // step) * step
 
 
 def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings) -> float:
-    """The most evidence against chance of any alignment that may be merged; 0 if there is none."""
+    """The largest evidence against chance of all alignments with enough junctions to be merged; 0
+    if none."""
     bits = (counted_bits(c) for c in candidates if len(c) >= settings.min_matches)
     return max((rounded(b, BITS) for b in bits), default=0.0)
 
@@ -185,9 +194,9 @@ def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings
 def uniformity(a: Prepared, b: Prepared) -> float:
     """0 to 1: how little the length of a corridor tells in these two maps.
 
-    A building of few sizes repeats itself, though neither run may have seen it do so. Measured by
-    how often two different corridors of one map are equally long, which is right for small maps,
-    too.
+    A building with few sizes of corridors repeats itself, even if neither run saw it do so.
+    Measured by how often two different corridors of one map are equally long, which is unbiased for
+    small maps, too.
     """
     alike, pairs = a.alike + b.alike, a.alike_pairs + b.alike_pairs
     tells = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
@@ -195,12 +204,12 @@ def uniformity(a: Prepared, b: Prepared) -> float:
 
 
 def counted_bits(c: Candidate) -> float:
-    """The evidence of an alignment against chance: what agrees, as far as its junctions can carry
-    it, less all that contradicts.
+    """The evidence of an alignment against chance: agreement, bounded by its number of junctions,
+    less all contradictions.
 
-    What agrees hangs together (a room or a tunnel piece of a standard form brings its junctions,
-    corridors and angles with it), so that its sum overstates what it tells; a contradiction needs a
-    fault of its own to explain it, so that each counts in full.
+    Agreeing terms are not independent (a room of standard form brings its junctions, corridors and
+    angles together), so that their sum overstates the evidence; a contradiction needs a fault of
+    its own to be explained, so that each counts in full.
     """
     against = c.contradicting_bits
     return min(c.bits + against, MATCH.junction_bits * len(c)) - against
@@ -225,13 +234,12 @@ def opinion(
 def opinions(pairs: Sequence[Found]) -> list[Opinion]:
     """Verdicts on pairs of one batch from their candidate alignments.
 
-    merged: enough evidence against chance, the same place rather than a copy of it, and a lead
-    over every other placement. ambiguous: an alignment that chance hardly offers, but one of the
-    three is missing, or too few junctions agree. unrelated: no such alignment.
+    merged: enough evidence against chance, the place itself rather than a copy, and a lead over
+    every other placement. ambiguous: an alignment that chance hardly offers, but one of the three
+    is missing, or too few junctions agree. unrelated: no such alignment.
 
-    The second question is asked where the building has corridors of few sizes, and of alignments
-    as small as copies are. Its bits are counted on the scale of the first: with as many bits beyond
-    what either question must yield, both answers are as sure.
+    The second question is asked where the building has corridors of few sizes, and of alignments no
+    larger than repetitions within the maps.
     """
     shown = [_beyond_chance(candidates, threshold) for _, _, candidates, threshold in pairs]
     shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
@@ -291,8 +299,8 @@ def _opinion(
 
 
 def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
-    """The alignments worth a word: those of enough junctions, or, if there are none, those of fewer
-    that chance hardly offers."""
+    """Alignments better than chance (`lead_bits`): those with enough junctions to be merged, or, if
+    there are none, smaller ones that reach the threshold."""
     odd = [c for c in candidates if c.bits > MATCH.lead_bits]
     enough = [c for c in odd if len(c) >= threshold.settings.min_matches]
     return enough or [c for c in odd if c.bits > threshold.need_bits]

@@ -45,7 +45,8 @@ Answer = tuple[int | str | None, ...]
 def explained(
     doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
 ) -> dict[tuple[int, int], Identification]:
-    """Doubts that were only not sure enough, with the better reason that there is."""
+    """The doubts that were only "not sure enough" and for which a more specific reason is known,
+    with it."""
     return {
         pair: replace(doubts[pair], reason=reason)
         for pair, reason in reasons.items()
@@ -64,7 +65,7 @@ def taken_back(q: Identification, number: int) -> Identification:
 
 
 def note(answers: dict[Answer, Identification], given: Iterable[Identification]) -> None:
-    """Keep, for two passes, the last answer of each kind."""
+    """Record answers: of each two passes the last one of each reason."""
     for q in given:
         answers[q.first, q.second, q.reason, q.accepted_round] = q
 
@@ -72,9 +73,10 @@ def note(answers: dict[Answer, Identification], given: Iterable[Identification])
 def revised_answers(
     place: IntArray, answers: Iterable[Identification], asked: list[Identification]
 ) -> list[Identification]:
-    """Refusals that do not stand any more: of each reason the last, for each pair of places.
+    """Refusals that later rounds changed: for each pair of places the last one of each reason.
 
-    asked: what stands. Passes that were found to be by one place later on keep theirs.
+    asked: the answers that stand. Two passes that were later found to be by one place keep their
+    own entry.
     """
 
     def key(q: Identification) -> Answer:
@@ -91,7 +93,7 @@ def revised_answers(
 def standing_doubts(
     place: IntArray, doubts: dict[tuple[int, int], Identification]
 ) -> list[Identification]:
-    """The doubts that still join two places, the latest of each two, by their first passes."""
+    """Refusals that still concern two places: the latest of each pair, sorted by place."""
     latest: dict[tuple[int, int], Identification] = {}
     for (i, j), q in doubts.items():
         a, b = sorted((int(place[i]), int(place[j])))

@@ -1,9 +1,8 @@
-"""What the branches of two places say of their being one, in nats.
+"""What the branches of two places tell of their being one place, in nats.
 
-The terms are those of `matching/branches.py`. Unlike two maps, two places of one run share a frame
-but for what dead reckoning may have turned between them: so the turn has a prior, a branch by
-chance points anywhere, and what a set of branches is worth follows from how often this run has the
-like in these very directions.
+The terms are those of `matching/branches.py`. Two places of one run, unlike two maps, share a frame
+up to the error of dead reckoning. So the turn between them has a prior, a branch by chance may
+point anywhere, and a set of branches is worth its rarity in this run, directions included.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class CandidateSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Pairs of places a < b that may be one, with what speaks for and against (log odds)."""
+    """Pairs of places a < b that may be one place, with the terms of their log odds [nats]."""
 
     a: IntArray
     b: IntArray
@@ -107,11 +107,11 @@ def candidates(
     *,
     exact: bool,
 ) -> Candidates:
-    """All pairs of places that position and branches allow, with their evidence.
+    """All pairs of places that position and branches allow, with the terms of their evidence.
 
-    Bounds that are cheap come first: dead reckoning, the shortest known way, then what branches and
-    corridors could make of the best position. Only what is left needs covariances of the solved
-    graph (`exact`); the bounds stand for them otherwise.
+    Cheap bounds come first: dead reckoning, the shortest known way, and the most that branches and
+    corridors could add at the best position. Only the pairs that are left need covariances of the
+    solved graph, and get them if `exact`; otherwise the bounds stand in for these.
     """
     common = scene.common
     pairs = _known_apart(scene, place, layout, settings)
@@ -168,10 +168,11 @@ def _known_apart(
 
 
 def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
-    """(m,) sorted: what branches and corridors say (log odds) of places that are certainly two.
+    """(m,) ascending: likeness (log odds of branches and corridors) of null pairs, certainly two
+    places.
 
-    Rows of corridors side by side, of one length because a grid is behind them, look like each
-    other more often than independent lengths would: this run tells how often.
+    In rows of corridors of equal length, two places look alike more often than independent lengths
+    would make them: this measures how often in this run.
     """
     _, d2 = pairs.odds(scene.common)
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
@@ -186,11 +187,12 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
 
 
 def likeness_odds(alike: FloatArray, strangers: FloatArray, slack: float = 0.0) -> FloatArray:
-    """(k,) log odds that `alike` is worth, by the share of strangers that are as much alike.
+    """(k,) log odds [nats] that the likeness `alike` is worth, calibrated on null pairs.
 
-    Beyond all strangers the odds grow as the model says: they are not known to be wrong there.
-    slack: to be among the most alike is worth no more than one above what the share of
-    strangers says that are alike but for so much: visits to one place are as seldom among them.
+    strangers: (m,) ascending likeness of pairs of places that are certainly two. What a share q of
+    them reaches is worth -ln q; beyond the largest of them the odds grow as the model says. slack:
+    where the map repeats itself, right pairs are as rare as null pairs: being among the highest is
+    then worth at most one nat more than the share of null pairs within `slack` below tells.
     """
     if len(strangers) == 0:
         return alike
@@ -267,11 +269,11 @@ def _telling_way(scene: Scene, reach_m: float, settings: CandidateSettings) -> f
 def known_way_variance(
     scene: Scene, a: IntArray, b: IntArray, far_m: float, settings: CandidateSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) bounds on the squared error [m²] and turn [rad²] of b seen from a.
+    """(k,) upper bounds on the squared error [m²] and turn [rad²] of place b seen from place a.
 
-    Those of dead reckoning along the shortest known way: corridors bound the error of a solved
-    graph from above, and cheaply, by one Dijkstra over all places, in strips. Ways longer than
-    `far_m` bound nothing (inf).
+    The error of dead reckoning along the shortest known way between the two bounds that of the
+    solved graph, and costs one Dijkstra search per place, in strips. Ways longer than `far_m` [m]
+    give no bound (inf).
     """
     places = scene.places
     source, slot = np.nonzero(places.next_place != NOWHERE)

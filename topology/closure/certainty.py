@@ -1,4 +1,4 @@
-"""How sure the places of a laid out walk are, as samples of all their errors together."""
+"""How sure the places of a closed layout are: samples of all their errors together."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ def place_errors(
     *,
     settings: CertaintySettings = CertaintySettings(),
 ) -> VertexErrors:
-    """Errors of the places `kept` of a layout, by the noise that the walk was laid out with.
+    """Errors of the places `kept` of a layout, by the noise that it was optimised with.
 
-    The pose graph holds all but two: a place of one pass is as far off as its detection, and all
-    lengths share the odometry's error of scale.
+    Sampled from the posterior of the pose graph, with the two errors that the graph does not hold:
+    a place with a single pass is off by the error of its detection, and all lengths share the error
+    of the odometry's scale.
     """
     count = settings.samples
     sampled = SampledMarginals.of(layout.graph, layout.solution.with_full_weights(), count)

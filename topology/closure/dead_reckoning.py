@@ -1,4 +1,4 @@
-"""A run as loop closure sees it: passes in a row, and the legs driven between them."""
+"""A run as loop closure sees it: its passes in order, and the odometry between them."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ RANDOM = slice(7)
 
 @dataclass(frozen=True, slots=True)
 class SystematicErrors:
-    """1 sigma of what the odometry gets wrong in the same way all the time.
+    """1 sigma of the odometry's constant errors.
 
-    An error of scale is not among them: every loop closes whatever the scale.
+    Scale is not among them: a scaled map still closes all of its loops.
     """
 
     turn_rad_per_m: float = 0.0005
@@ -89,7 +89,8 @@ def make_walk(
 
 
 def scale_noise(walk: Walk, factor: float) -> Walk:
-    """The walk as if its random errors were `factor` times as large, those of jumps as they are."""
+    """The walk with its random errors (1 sigma) multiplied by `factor`; those of jumps stay as
+    stated."""
     n = walk.noise
     noise = replace(
         n,

@@ -1,4 +1,4 @@
-"""How often the detector of a run is at fault, from the places that are known so far."""
+"""How often the detector of a run errs, counted at the places known so far."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .places import Places
 
 @dataclass(frozen=True, slots=True)
 class RateSettings:
-    """What a run is held to before it has shown otherwise."""
+    """The prior of a detector's rates of faults."""
 
     prior_passes: float = 25.0
     """Worth of the prior rates, in passes."""
@@ -21,11 +21,11 @@ class RateSettings:
 def measured_rates(
     places: Places, noise: RunNoise, settings: RateSettings = RateSettings()
 ) -> RunNoise:
-    """The noise with the rates of missed junctions and of branch faults measured.
+    """The noise, with the detector's rates of faults measured on this run.
 
-    A corridor that mostly leads to one place and once to another passed a junction unseen (or an
-    invented one); a branch that most passes of a place saw and one did not, or the other way
-    round, is a fault.
+    miss_rate: of drives along a corridor that mostly leads to one place, those that came out at
+    another one, having passed a junction unseen or reported one that is none. branch_fault_rate: of
+    looks at a branch of a place with three passes or more, those that disagree with the majority.
     """
     several = places.tried >= 2
     torn = float((places.tried - places.driven)[several].sum())

@@ -37,7 +37,8 @@ class LayoutSettings:
     grid_kernel: float = 2.0
     """Cauchy width [sigmas] of what the grid of a rectilinear building tells of headings and of
     where its corridors lead: 2.385 would be 95 % efficient with Gaussian errors (Holland, Welsch
-    1977) and finds fewer places of rows (`benchmarks/ablation.txt`)."""
+    1977) and found fewer places of rows, before corridors held these straight
+    (`benchmarks/ablation.txt`, part 2)."""
     settled_chi2: float = 0.1
     """Solved to this: a step that lowers χ² by less moves no pose by a third of its error."""
     samples: int = 64

@@ -48,12 +48,12 @@ class EvidenceSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Background:
-    """What is common in a run.
+    """What is usual in a run, against which likeness is judged.
 
-    leg_m: typical length of a leg. core_m: radius within which no other junction is expected.
-    lengths: how common lengths of legs are. branch_sigma, centre_sigma: of one look [rad, m];
-    fault_rate, miss_rate: of branches and junctions. pattern: where other junctions stand around a
-    junction.
+    leg_m: median way from one pass to the next [m]. core_m: radius [m] within which no other
+    junction is expected. lengths: distribution of these ways. branch_sigma, centre_sigma: 1 sigma
+    of one detection [rad, m]. fault_rate, miss_rate: of branches and of junctions. pattern: where
+    other junctions lie relative to a junction.
     """
 
     leg_m: float
@@ -74,7 +74,8 @@ class Background:
 def background(
     walk: Walk, noise: RunNoise, settings: EvidenceSettings = EvidenceSettings()
 ) -> Background:
-    """Statistics of a run that evidence is measured against; `noise` as far as it is known."""
+    """Statistics of a run that evidence is measured against. noise: as far as the run has shown
+    it."""
     legs = walk.leg[np.isfinite(walk.leg)]
     # Chords: a leg that turns back or winds says nothing about how close junctions lie.
     chord = np.hypot(*np.diff(walk.passes.centre, axis=0).T)
@@ -98,7 +99,8 @@ def background(
 def with_pattern(
     common: Background, places: Places, xy: FloatArray, settings: EvidenceSettings
 ) -> Background:
-    """The background with what a map of so many places, at `xy` (n, 2), says of neighbours."""
+    """The background with the arrangement of neighbouring junctions in a map of places at `xy` (n,
+    2)."""
     found = pattern_of(
         places, xy, core_m=common.core_m, typical_m=common.leg_m, settings=settings.pattern
     )
@@ -108,9 +110,11 @@ def with_pattern(
 def position_odds(
     common: Background, shift: FloatArray, cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) log odds of being apart by `shift` (k, 2) with covariance `cov` (k, 2, 2), and d².
+    """(k,) log odds that two places are one by position alone, and their squared Mahalanobis
+    distance.
 
-    Against another junction, which would stand anywhere but within the core around this one.
+    shift: (k, 2) [m] between the two, with covariance `cov` (k, 2, 2) [m²]. The alternative is
+    another junction, which may lie anywhere outside of the core around this one.
     """
     x, y = shift.T
     d2, det = squared_mahalanobis(x, y, cov)
@@ -128,8 +132,8 @@ def position_odds(
 def among_neighbours(
     common: Background, odds: FloatArray, shift: FloatArray, cov: FloatArray
 ) -> FloatArray:
-    """(k,) `odds` of `position_odds`, if the other junction may also stand where in this map
-    junctions have their neighbours."""
+    """(k,) `odds` of `position_odds`, lowered where another junction of this map may well lie at
+    `shift`: the alternative is then a neighbour in the lattice, too."""
     if not common.pattern.repeats:
         return odds
     # Neighbours are beyond the core: what is known much better than that cannot be one.
@@ -145,7 +149,7 @@ def among_neighbours(
 
 
 def best_position_odds(common: Background, shift: FloatArray) -> FloatArray:
-    """(k,) what `position_odds` could be at most, whatever the covariance."""
+    """(k,) upper bound of `position_odds` over all covariances."""
     s2 = np.maximum(0.5 * (shift**2).sum(axis=1), 2 * common.centre_sigma**2)
     odds, _ = position_odds(common, shift, s2[:, None, None] * np.eye(2))
     return odds

@@ -45,8 +45,8 @@ class GrowthSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """The map as it stands: places with their positions (n, 2) and branches, and what is common in
-    the run."""
+    """The state of the map: places, their positions (n, 2) [m] and branches, and the run's
+    statistics."""
 
     walk: Walk
     places: Places
@@ -158,9 +158,9 @@ def grow(
 class _Gaps:
     """Gaps between parallel lines that the legs of each hypothesis have spanned so far.
 
-    Streets and corridors run on, so that the blocks along one are as long as those along the next:
-    of parallel legs between the same two lines only the first tells something by its length. Taken
-    for independent, they speak for a place one street off as well.
+    Blocks between the same two streets are equally long. So of parallel legs between the same two
+    lines only the first counts by its length; counted as independent evidence, they would support
+    the place one street off as well.
     """
 
     def __init__(self, hypotheses: int, settings: GrowthSettings) -> None:

@@ -1,7 +1,8 @@
-"""The full closure: greedy rounds of the most certain identifications.
+"""The full closure: in rounds, the identifications that are certain enough.
 
-A run is at hand as a whole, so certainty is collected first and spent later: identify what is
-sure, lay the walk out again, look again with the smaller uncertainty that this leaves.
+A run is available as a whole, so it is not closed pass by pass. Each round makes the
+identifications that are certain by now, optimises the layout again, and gives the next round its
+smaller uncertainty.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ IntArray = NDArray[np.int64]
 class RoundSettings:
     """When an identification is certain enough.
 
-    What `benchmarks/ablation.txt` says of a mechanism is what the runs there lose without it.
+    What the runs lose without each mechanism: `benchmarks/ablation.txt`, part 1.
     """
 
     wrong_share: float = 0.1
@@ -76,17 +77,23 @@ class RoundSettings:
     grid: RectilinearSettings = field(default_factory=RectilinearSettings)
 
     def least_odds(self, passes: int) -> float:
-        """Log odds asked of an identification in a run of so many passes, which is as many chances
-        to be wrong."""
+        """Log odds [nats] that an identification needs in a run of `passes` passes.
+
+        Each pass is one chance of a wrong identification (a Bonferroni bound).
+        """
         return float(np.log(passes / self.wrong_share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Closed:
-    """place: (p,) of each pass, numbered by first visit; layout: of these places; asked: evidence
-    for every identification made, and for those refused that had some; walk: the one given, its
-    noise raised by `caution`, and as the layout asked for; grid: the headings that held it;
-    revised: earlier answers, where a later round gave another one."""
+    """A closed walk.
+
+    place: (p,) place of each pass, numbered by first visit; layout: the optimised positions of
+    these places; asked: evidence of every identification made, and of the refused ones that had
+    some; walk: the one given, its noise raised by `caution` and by what the layout showed; grid:
+    the headings of the building's grid that held the layout, if any; revised: answers of earlier
+    rounds that a later round changed.
+    """
 
     walk: Walk
     place: IntArray
@@ -137,9 +144,11 @@ class _Closure:
         self._layout = self._laid_out(None)
 
     def certain(self, number: int) -> list[Identification]:
-        """What is certain as the walk lies now: one by one or, failing that, together.
+        """The identifications that are certain by the present layout: one by one or, failing that,
+        jointly.
 
-        The first round answers what is plain: the rest is easier once that is settled.
+        The first round bounds positions cheaply and makes only what is plain by these bounds, which
+        eases the rest.
         """
         exact, settings = number > 1, self._settings
         scene = self._scene()
@@ -157,14 +166,14 @@ class _Closure:
         return new
 
     def identify(self, new: list[Identification]) -> None:
-        """Join the places of these passes, and lay the walk out by that."""
+        """Join the places of these passes, and optimise the layout again."""
         self._links += new
         turn = self._layout.pose[:, 2] + _turns(self._place, new)
         self._place = _partition(len(self._walk), self._links)
         self._layout = self._laid_out(self._layout.pose, turn)
 
     def fit_noise(self) -> None:
-        """Raise the noise if it is not what it seemed before anything was identified."""
+        """Raise the noise where the residuals of the layout are larger than it explains."""
         scale = _fitting_scale(self._scale, self._layout)
         if scale != self._scale:
             self._scale, self._walk = scale, scale_noise(self._unscaled, scale)
@@ -184,7 +193,7 @@ class _Closure:
         self._layout = self._laid_out(self._layout.pose)
 
     def closed(self) -> Closed:
-        """What came of it."""
+        """The result, when nothing more is certain."""
         if self._corridors is not None:
             # They were to tell places apart: the map shows corridors as they were measured.
             self._corridors = None
@@ -291,7 +300,8 @@ def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
 
 
 def _certain(places: Places, found: Candidates, least: float) -> list[Identification]:
-    """The candidates that are as sure as that against all that they exclude, best first."""
+    """The candidates whose log odds against all the candidates that they exclude reach `least`,
+    best first."""
     total = found.total
     likely = np.flatnonzero(total >= 0.0)
     ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely.tolist()}
@@ -363,7 +373,8 @@ def _answer(
 
 
 def _outliers(place: IntArray, layout: Layout, links: list[Identification]) -> list[Identification]:
-    """The weakest links of every place that a pass is torn away from, enough to split it in two."""
+    """The links to remove: of each place with a pass whose observation the layout rejects (χ²
+    gate), the weakest links that split it in two."""
     bad = set(place[layout.sighting[layout.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist())
     of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
     for q in links:
@@ -373,7 +384,8 @@ def _outliers(place: IntArray, layout: Layout, links: list[Identification]) -> l
 
 
 def weakest_cut(links: list[Identification]) -> list[Identification]:
-    """The links between the two parts of a place that are joined last, strongest links first."""
+    """The weakest links of a place: those between its two parts that joining by strength joins
+    last."""
     passes = sorted({i for q in links for i in (q.first, q.second)})
     part = {i: i for i in passes}
     parts = len(passes)

@@ -1,8 +1,9 @@
-"""Identifications that only together are certain (joint compatibility).
+"""Identifications that are certain only together (joint compatibility).
 
-A long loop that ends in a dozen places: none of them is sure to be the one left an hour ago, but
-if one is, all the others lie where they should. Neira, Tardós: Data Association in Stochastic
-Mapping Using the Joint Compatibility Test (T-RO 2001), here with odds in place of gates.
+At the end of a long loop several junctions are met again, and none of them is certain alone; but if
+one is right, all others lie where they should. Neira, Tardós: Data Association in Stochastic
+Mapping Using the Joint Compatibility Test (IEEE T-RA 17(6), 2001), here with odds in place of
+gates.
 """
 
 from __future__ import annotations
@@ -95,10 +96,10 @@ def agreeing(
     least_odds: float,
     settings: JointSettings = JointSettings(),
 ) -> Agreement:
-    """The candidates that are certain together, to these log odds.
+    """The candidates that are certain together: their joint log odds reach `least_odds`.
 
-    There are none where no set is certain, or where another set that excludes one of it is nearly
-    as good, or the map repeats itself and all might be one step off.
+    Refused, with the reason, where another set that excludes one of them is nearly as likely, or
+    where the map repeats itself and all might be one lattice step off.
     """
     rows = np.sort(np.argsort(-found.total, kind="stable")[: settings.most])
     if len(rows) < 2:
@@ -123,10 +124,8 @@ def agreeing(
 
 
 def _one_step_off(start: _Beliefs, members: IntArray) -> float:
-    """Log odds of the likeliest rival in a map that repeats: some members one step off.
-
-    Those that are tied to each other firmly move together.
-    """
+    """Log odds of the likeliest alternative in a map that repeats itself: a group of members, all
+    shifted by one lattice step. Groups are those of members whose errors go together."""
     pattern = start.common.pattern
     if not pattern.repeats:
         return -np.inf

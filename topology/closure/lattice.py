@@ -1,8 +1,8 @@
-"""Where a map says that other junctions stand around a junction, and by which steps it repeats.
+"""Where other junctions lie around a junction, and the steps by which a map repeats itself.
 
-Rows of crops, shelves or pillars put junctions in line at even spacing: there, one step of the
-pattern off, another junction is far likelier than the mean density of junctions has it, and looks
-the same. Everything is learned from places a few legs from each other, which are certainly two.
+Rows of crops, shelves or pillars put junctions on a lattice. One step off, another junction is then
+far likelier than the mean density of junctions says, and looks the same. All of it is learned from
+pairs of places a few corridors apart, which are certainly two.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ class PatternSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pattern:
-    """Neighbours in the axes of the map.
+    """Neighbouring junctions, in the axes of the map.
 
-    beside: (m, 2) [m] from a place to another one, a sample; each stands for `crowd` neighbours of
-    every place. steps: (r, 2) [m] by which the map repeats; share: (r,) of the places that have
-    another one there.
+    beside: (m, 2) [m] a sample of shifts from a place to another one; each stands for `crowd`
+    neighbours of every place. steps: (r, 2) [m] lattice vectors by which the map repeats itself;
+    share: (r,) of the places that have another place at that step.
     """
 
     beside: FloatArray
@@ -84,10 +84,11 @@ def pattern_of(
     typical_m: float,
     settings: PatternSettings = PatternSettings(),
 ) -> Pattern:
-    """The pattern of a map as it stands: places at `xy` (n, 2).
+    """The arrangement of neighbours in a map with places at `xy` (n, 2) [m].
 
-    core_m: what lies nearer than this may be the same junction; typical_m: length of a leg. Pieces
-    of a run whose odometry broke may be turned against each other: each has steps of its own.
+    core_m: places nearer than this may be the same junction; typical_m: usual way between
+    junctions. Steps are sought in each piece of a broken odometry by itself, for pieces may be
+    turned against each other.
     """
     n = len(places)
     source, slot = np.nonzero(places.next_place != NOWHERE)

@@ -1,7 +1,7 @@
-"""Buildings whose corridors cross at right angles (the paper's rectilinear worlds).
+"""Buildings whose corridors meet at right angles (Manhattan world; the paper's rectilinear worlds).
 
-There the branches of a single pass tell the robot's heading up to quarter turns, and the odometry
-knows which quarter: heading drift does not grow.
+The branches of a single pass tell the robot's heading there up to quarter turns, and the odometry
+tells which quarter, so that errors of the heading do not accumulate.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class GridHeadings:
 def grid_headings(
     walk: Walk, settings: RectilinearSettings = RectilinearSettings()
 ) -> GridHeadings | None:
-    """Headings from the building's grid; None if the building is not rectilinear."""
+    """Headings of the passes by the building's grid; None if the building is not rectilinear."""
     branches = walk.passes.branches
     owner = branches.owner
     # Angles between neighbouring branches of a pass, as distance from the next quarter turn.
@@ -100,11 +100,12 @@ def grid_headings(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridCorridors:
-    """Straight corridors along the grid of a building, one for every time one is driven.
+    """Straight corridors along the grid of a building, one for each drive through one.
 
-    direction: (c,) [rad] in the map frame, known to spread_rad (c,); side: (c,) which of the two
-    directions of the grid, 0 or 1; corridor, row: (k,) passes by each, ordered by both; aside: (k,)
-    [m] to the left of the line, known to sigma_m.
+    direction: (c,) [rad] in the map frame, known to spread_rad (c,); side: (c,) which of the grid's
+    two axes it follows, 0 or 1; corridor, row: (k,) corridor and pass of every pass that lies on
+    one, sorted by both; aside: (k,) [m] how far to the left of the corridor's line the pass lies,
+    known to sigma_m.
     """
 
     direction: FloatArray
@@ -119,15 +120,15 @@ class GridCorridors:
 def grid_corridors(
     walk: Walk, grid: GridHeadings, turn: FloatArray, apart_m: float
 ) -> GridCorridors:
-    """What a rectilinear building says of where its corridors lead, and not of headings alone.
+    """Straight corridors of a rectilinear building: they tell positions across, not headings alone.
 
-    turn: (p,) [rad] of each pass to the map's frame; apart_m: parallel corridors are no nearer to
-    each other.
+    turn: (p,) [rad] from the odometry's frame to the map's at each pass; apart_m: least distance
+    between parallel corridors [m].
 
-    A leg that began and ended along the grid led straight on, for to come out on another corridor
-    takes as much way as that is aside. One that ended across how it began led round one corner,
-    where a junction was missed: chord c and way a + b tell both its parts, a² + b² = c². So drift
-    of the heading on the way moves nobody aside.
+    A leg that began and ended along the same axis of the grid led straight on: to come out on a
+    parallel corridor would have taken that much more way. A leg that ended across its beginning led
+    round one corner, where a junction was missed; chord c and way a + b give both its parts by a² +
+    b² = c². On such legs an error of the heading displaces no pass sideways.
     """
     piece = walk.chain[grid.row]
     first = np.minimum(np.searchsorted(piece, walk.chain[:-1]), len(piece) - 1)

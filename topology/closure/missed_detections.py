@@ -1,9 +1,8 @@
-"""What the track tells after the places are known: junctions driven by unseen, and phantoms.
+"""Missed and spurious detections: junctions driven by unseen, and places that are none.
 
-Before that, places that the detector cannot have told apart become one (`resolution.py`).
-
-A leg that leads past a known place without a detection was two legs, with a junction missed in
-between. A place that was seen once and driven by unseen again and again was never there.
+Places that the detector cannot tell apart are joined first (`resolution.py`). A leg that leads past
+a known place without a detection was two legs, with a missed junction between. A place that was
+reported once and driven by unseen many times was a false detection (a phantom).
 """
 
 from __future__ import annotations

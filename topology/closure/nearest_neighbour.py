@@ -1,8 +1,8 @@
-"""Nearest-neighbour gating: each pass joins the one known place that dead reckoning allows.
+"""Nearest-neighbour gating: each pass joins the one known place within the error of dead reckoning.
 
-One look per pass, in the order of time; nothing is laid out anew. It asks what the full closure
-asks, but for the corridors around, and is as sure, but finds little once the drift outgrows the
-distance between junctions.
+One pass at a time, in order, without optimising the layout. It needs the same log odds as the full
+closure, but does not look at the corridors around, and finds little once the drift exceeds the
+distance between junctions. For comparison (`--closure gated`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ IntArray = NDArray[np.int64]
 
 
 def gated_closure(walk: Walk, settings: RoundSettings) -> Closed:
-    """The places of the passes, numbered by first visit, and the questions that were asked.
+    """(p,) place of each pass, numbered by first visit, and every identification that was
+    considered.
 
     O(p · places), vectorised over the places.
     """

@@ -1,4 +1,5 @@
-"""Pieces of a run whose odometry broke: nothing tells where they lie in each other's frame."""
+"""Pieces of a run whose odometry broke, drawn beside each other: their relative poses are
+unknown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places in tables: what is known of each, given which passes were by the same one."""
+"""Tables of what is known of each place, given which passes were by the same one."""
 
 from __future__ import annotations
 

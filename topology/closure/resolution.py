@@ -1,9 +1,10 @@
 """Places nearer to each other than the detector can tell two junctions apart.
 
-A junction seen from where little of it shows, or a crossing that one drive-by shows as two forks
-and another one as one, makes places that no identification joins: their branches differ. But scans
-show junctions nearer to each other than their resolution as one. So places that are certainly as
-near, and that no drive-by has told apart, are one place; it looks as it was seen best.
+A junction seen only in part, or a crossing that one drive-by shows as two forks and another one as
+a single crossing, gives places with different branches, which closure does not identify. Scans show
+junctions nearer to each other than their resolution as one. So places that are certainly nearer
+than that, and that no single drive-by reported as two, are joined; the best seen one gives the
+branches.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ REASON = "nearer than scans can tell two junctions apart"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blurred:
-    """What stands for what. place: (n,) the place that each one is, most often itself; xy: (n, 2)
-    where it is: amid all that were taken for it; asked: the identifications that this makes."""
+    """Places after joining. place: (n,) the place that each one became part of, mostly itself; xy:
+    (n, 2) [m] position of each, the mean of all its looks; asked: the identifications that this
+    makes."""
 
     place: IntArray
     xy: FloatArray

@@ -1,10 +1,10 @@
-"""The noise of a walk from its own layout: variance components of the closed pose graph.
+"""The noise of a run from its own closed layout: variance components of the pose graph.
 
-Before closure little tells how much an odometry drifts (`ingest.noise`). Loops do: what their
-edges are off, and how far each kind of noise was free to show it, gives every variance by itself
-(Förstner's estimate, Bestimmung der Varianzkomponenten, 1979; REML with as many iterations). What
-a kernel holds down shows less of its error than there is: errors are compared with what the kernel
-would leave of normal ones (Huber's proposal 2).
+Before closure little tells how much an odometry drifts (`ingest/odometry/noise.py`). Residuals of
+loops do: each variance is its squared residuals over the degrees of freedom that it left them
+(Förstner, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten, 1979; iterated, it is
+REML). A robust kernel hides part of a residual: residuals are compared with what the kernel would
+leave of normal ones (Huber's proposal 2).
 """
 
 from __future__ import annotations
@@ -113,11 +113,11 @@ def with_shown_spread(
     grid: GridHeadings,
     settings: ComponentSettings = ComponentSettings(),
 ) -> GridCorridors:
-    """The corridors with their directions as far off the grid as the layout shows, rows by
-    themselves and what crosses them by itself.
+    """The corridors with their directions as far off the grid as the layout shows, separately for
+    the two axes of the grid.
 
-    layout: one by these corridors; grid: that they run along. One step of the same estimate: the
-    grid's prior counts.
+    layout: optimised with these corridors; grid: that they run along. One step of the variance
+    component estimate, with the prior of the grid.
     """
     graph, solution = layout.graph, layout.solution
     lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side

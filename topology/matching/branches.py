@@ -66,11 +66,11 @@ def agreeing(
     free: FloatArray | float,
     most: float = np.inf,
 ) -> FloatArray:
-    """(k,) nats that the headings of paired branches tell: Σ ln p(d | same) - ln p(heading | any).
+    """(k,) nats of the headings of paired branches: Σ ln p(d | same) - ln p(heading | any).
 
-    variance: (k,) or (1,) [rad²] of a difference of headings; free: (k, d_a) -ln density [1/rad] of
-    finding a branch there by chance: the more freely branches point, the more an agreeing one
-    tells; most: what one branch may tell at most.
+    variance: (k,) or (1,) [rad²] of the difference of two readings; free: (k, d_a) -ln density
+    [1/rad] of a branch pointing there by chance (rarer directions count more); most: bound on what
+    one branch may add.
     """
     fit = log_density(pairs.chord2 / variance[:, None], variance[:, None])
     told = np.where(pairs.paired, np.minimum(fit + free, most), 0.0)
@@ -78,8 +78,8 @@ def agreeing(
 
 
 def missing(pairs: BranchPairs, lack_a: FloatArray, lack_b: FloatArray) -> FloatArray:
-    """(k,) nats that branches without a partner tell. lack_a: (k, d_a), lack_b: (k, d_b): ln of how
-    often a look lacks each of them, weighted by how sure it is; 0 where there is none."""
+    """(k,) nats, negative, of branches without a partner. lack_a: (k, d_a), lack_b: (k, d_b): ln of
+    how often a look lacks that branch, weighted by its confidence; 0 where there is none."""
     partner = np.where(pairs.paired, pairs.nearest, -1)
     taken = (partner[:, :, None] == np.arange(lack_b.shape[1])).any(axis=1)
     told = np.where(pairs.paired, 0.0, lack_a).sum(axis=1) + np.where(taken, 0.0, lack_b).sum(

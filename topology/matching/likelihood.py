@@ -43,7 +43,7 @@ BIT = float(np.log(2.0))
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodSettings:
-    """What the likelihood takes for granted of every view."""
+    """Numbers of the likelihood, common to closure and to merging."""
 
     outlier_share: float = 0.05
     """Share of lengths and headings that are measured worse than their noise says …"""
@@ -100,8 +100,10 @@ def log_density(q: Reals, variance: Reals) -> FloatArray:
 
 
 def doubted(told: FloatArray, sure: FloatArray) -> FloatArray:
-    """(k,) nats that looks tell which would tell `told` (k,), were they not in doubt; sure: (k,) ln
-    of the confidence."""
+    """(k,) nats of looks that are right only with some confidence: ln(c e^told + 1 - c).
+
+    told: (k,) nats if the looks are right; sure: (k,) ln c.
+    """
     out = np.array(told)
     rows = (sure < 0).nonzero()[0]
     if len(rows):
