@@ -21,7 +21,7 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
-from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_branches, ribbon
+from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_branches, strands
 from .palette import Order
 from .parts import Part, lay_out, ranks
 from .placements import contradiction_spots, placements
@@ -216,15 +216,10 @@ def _fused(
 ) -> None:
     T = part.cell.T_sheet_map
     alone = len(part.component.poses) == 1
-    strands: dict[tuple[str, float], list[FloatArray]] = {}
-    step_m = pen_pt / canvas.points_per_m
-    for edge in part.edges.tolist():
-        runs = sorted({run for run, _ in fused.edge_members[edge]})
-        share = min(1.0, 4.0 / max(len(runs), 1))
-        for k, run in enumerate(runs):
-            beside = ribbon(fused.paths[edge], (k - (len(runs) - 1) / 2) * step_m * share)
-            strands.setdefault((run, share), []).append(apply(T, beside))
-    for (run, share), paths in sorted(strands.items()):
+    drawn: dict[tuple[str, float], list[FloatArray]] = {}
+    for strand in strands(fused, part.edges, pen_pt / canvas.points_per_m):
+        drawn.setdefault((strand.run, strand.share), []).append(apply(T, strand.path))
+    for (run, share), paths in sorted(drawn.items()):
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
         canvas.lines(paths, colour, pen_pt * share, told=run)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)

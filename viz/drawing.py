@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..merge.result import FusedMap
 from ..topology.passes import NO_BRANCH
 from ..topology.ragged import Ragged
 from ..topology.se2 import wrap
@@ -23,6 +25,9 @@ LEAVING_M = 1.5
 
 MOST_NUMBERED = 150
 """Above this many junctions their numbers hide more than they tell: pointing at them shows them."""
+
+WIDEST_RIBBON = 4
+"""A ribbon is at most this many pens wide; with more runs its strands get thinner."""
 
 MARGIN, SHEET_MARGIN = 0.05, 0.02
 """Room around a map, and around a sheet of maps, which have room of their own: shares of it."""
@@ -92,26 +97,65 @@ def branch_arrows(graph: Graph, length_m: float) -> tuple[FloatArray, FloatArray
     return graph.xy[graph.branches.owner], vectors
 
 
-def ribbon(path: FloatArray, offset_m: float) -> FloatArray:
-    """A polyline beside another one, `offset_m` to its left; corners are mitred.
+def ribbons(paths: Sequence[FloatArray], offset_m: FloatArray) -> list[FloatArray]:
+    """Polylines beside others, each its `offset_m` to the left; corners are mitred.
 
-    Points that repeat are dropped; a path of no extent comes back as it is.
+    Points that repeat are dropped; a path that has no extent, or no offset, comes back as it is.
+    All are laid end to end: most have a few points.
     """
-    if offset_m == 0.0:
-        return path
-    keep = np.concatenate([[True], np.any(np.diff(path, axis=0) != 0, axis=1)])
-    points = path[keep]
-    if len(points) < 2:
-        return path
-    along = np.diff(points, axis=0)
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=-1) / np.hypot(*along.T)[:, None]
+    owner = np.arange(len(paths)).repeat([len(path) for path in paths])
+    points = np.concatenate([np.zeros((0, 2)), *paths])
+    fresh = np.ones(len(points), np.bool_)
+    fresh[1:] = (owner[1:] != owner[:-1]) | np.any(points[1:] != points[:-1], axis=1)
+    points, owner = points[fresh], owner[fresh]
+    within = owner[1:] == owner[:-1]
+    x, y = (points[1:] - points[:-1])[within].T
+    normal = np.stack([-y, x], axis=-1) / np.hypot(x, y)[:, None]
+    before, after = np.zeros_like(points), np.zeros_like(points)
+    before[1:][within], after[:-1][within] = normal, normal
     # A corner moves along the bisector; sharp ones are held so that they throw no spikes.
-    first, last = normal[:1], normal[-1:]
-    mean = np.concatenate([first, normal[:-1] + normal[1:], last])
+    mean = before + after
     mean /= np.maximum(np.hypot(*mean.T), 1e-9)[:, None]
-    cosine = np.concatenate([[1.0], (mean[1:-1] * normal[1:]).sum(axis=1), [1.0]])
-    beside: FloatArray = points + offset_m * mean / np.maximum(cosine, 0.5)[:, None]
-    return beside
+    cosine = np.ones(len(points))
+    corner = np.flatnonzero(within[:-1] & within[1:]) + 1
+    cosine[corner] = (mean[corner] * after[corner]).sum(axis=1)
+    beside = points + offset_m[owner][:, None] * mean / np.maximum(cosine, 0.5)[:, None]
+    size = np.bincount(owner, minlength=len(paths))
+    stops = np.cumsum(size).tolist()
+    moved = ((size > 1) & (offset_m != 0)).tolist()
+    return [
+        beside[stop - own : stop] if aside else path
+        for path, aside, own, stop in zip(paths, moved, size.tolist(), stops, strict=True)
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strand:
+    """What one run drove of one fused corridor. share: its width over a pen's."""
+
+    edge: int
+    run: str
+    share: float
+    path: FloatArray
+
+
+def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
+    """Corridors as ribbons: a strand beside the other for each run that drove them, `pen` wide or,
+    of many runs, thinner."""
+    rows = edges.tolist()
+    runs = [sorted({run for run, _ in fused.edge_members[edge]}) for edge in rows]
+    count = np.array([len(own) for own in runs], np.int64)
+    share = np.minimum(1.0, WIDEST_RIBBON / np.maximum(count, 1))
+    strand = np.arange(count.sum()) - (np.cumsum(count) - count).repeat(count)
+    aside = (strand - (count.repeat(count) - 1) / 2) * pen * share.repeat(count)
+    paths = [fused.paths[edge] for edge, own in zip(rows, runs, strict=True) for _ in own]
+    whose = [
+        (edge, run, part)
+        for edge, own, part in zip(rows, runs, share.tolist(), strict=True)
+        for run in own
+    ]
+    beside = ribbons(paths, aside)
+    return [Strand(*known, path) for known, path in zip(whose, beside, strict=True)]
 
 
 def thinned(xy: FloatArray, spacing_m: float) -> IntArray:

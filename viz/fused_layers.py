@@ -14,7 +14,7 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from . import palette
 from .contradictions import write_contradictions
-from .drawing import branch_arrows, driven_branches, pen_m, ribbon
+from .drawing import Strand, branch_arrows, driven_branches, pen_m, strands
 from .growing import colour_columns, light_up_by_step
 from .map_sheet import write_cards, write_own_map, write_words
 from .parts import Part, legend_step_m
@@ -29,9 +29,6 @@ FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
 
 LEGEND_ROWS, LEGEND_COLUMN = 34, 8.0
 """Rows of the legend, and the distance of its columns in rows."""
-
-WIDEST_RIBBON = 4
-"""A ribbon is at most this many pens wide; with more runs its strands get thinner."""
 
 LEGEND_LINE = 0.2
 """Half the length of a legend's lines over its width."""
@@ -54,15 +51,16 @@ def write_fused_layers(
         for part in parts:
             recording.static((root, part.name), placed(part.cell.T_sheet_map))
     pen = pen_m([result.fused])
-    driven = driven_branches(result.fused)
+    free = _free_branches(result.fused, parts)
+    origins, vectors = branch_arrows(result.fused, 6 * pen)
     first = first_steps(steps)
-    for part in parts:
+    for part, bare in zip(parts, free, strict=True):
         _ribbons(recording, result.fused, part, colours, pen=pen, first=first)
         _agreement(recording, result.fused, part, pen)
         _junctions(recording, AGREEMENT, result.fused, part, pen)
         _junctions(recording, FUSED, result.fused, part, pen)
         _junctions_in_time(recording, result.fused, part, steps, first)
-        _unexplored(recording, result.fused, part, driven, pen)
+        _unexplored(recording, part, (origins[bare], vectors[bare]), pen)
         for run in sorted(part.component.poses):
             own = (RUNS, part.name, run)
             recording.static(own, placed(part.component.poses[run]))
@@ -183,19 +181,15 @@ def _ribbons(
 ) -> None:
     """Corridors with one strand beside the other for each run that drove them, dim until the run
     is joined with another; first: at which step that is."""
-    strands: dict[str, list[tuple[int, NDArray[np.float64], float]]] = {}
-    for edge in part.edges.tolist():
-        runs = sorted({run for run, _ in fused.edge_members[edge]})
-        width = pen * min(1.0, WIDEST_RIBBON / max(len(runs), 1))
-        for k, run in enumerate(runs):
-            beside = ribbon(fused.paths[edge], (k - (len(runs) - 1) / 2) * width)
-            strands.setdefault(run, []).append((edge, beside, width / 2))
-    for run, drawn in sorted(strands.items()):
-        edges = np.array([edge for edge, _, _ in drawn])
+    driven: dict[str, list[Strand]] = {}
+    for strand in strands(fused, part.edges, pen):
+        driven.setdefault(strand.run, []).append(strand)
+    for run, drawn in sorted(driven.items()):
+        edges = np.array([strand.edge for strand in drawn])
         path = (FUSED, part.name, "corridors", run)
         lines = rr.LineStrips2D.from_fields(
-            strips=strips([line for _, line, _ in drawn]),
-            radii=[radius for _, _, radius in drawn],
+            strips=strips([strand.path for strand in drawn]),
+            radii=[pen * strand.share / 2 for strand in drawn],
             draw_order=palette.Order.CORRIDOR,
         )
         recording.static(path, lines, _corridor_info(fused, edges))
@@ -300,16 +294,28 @@ def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
     )
 
 
+def _free_branches(fused: FusedMap, parts: list[Part]) -> list[NDArray[np.int64]]:
+    """Of each component the branches that nobody drove, by their rows."""
+    free = np.flatnonzero(~driven_branches(fused))
+    owner = fused.component[fused.branches.owner[free]]
+    order = np.argsort(owner, kind="stable")
+    free, owner = free[order], owner[order]
+    return [
+        free[np.searchsorted(owner, number) : np.searchsorted(owner, number, side="right")]
+        for number in (part.component.id for part in parts)
+    ]
+
+
 def _unexplored(
-    recording: Recording, fused: FusedMap, part: Part, driven: NDArray[np.bool_], pen: float
+    recording: Recording, part: Part, free: tuple[NDArray[np.float64], ...], pen: float
 ) -> None:
-    free = np.isin(fused.branches.owner, part.vertices) & ~driven
-    if not free.any():
+    """Branches that nobody drove. free: their origins and vectors."""
+    origins, vectors = free
+    if not len(origins):
         return
-    origins, vectors = branch_arrows(fused, 6 * pen)
     arrows = rr.Arrows2D(
-        origins=origins[free],
-        vectors=vectors[free],
+        origins=origins,
+        vectors=vectors,
         radii=pen / 3,
         colors=palette.FAINT,
         draw_order=palette.Order.STUB,

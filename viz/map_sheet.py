@@ -70,19 +70,22 @@ def write_cards(
             corners, radii=HAIR, colors=palette.CARD, draw_order=palette.Order.CARD
         )
         recording.static((root, "frames"), frames)
-    shown = [(k, _fitting(forms, cells[k], cells)) for k, forms in enumerate(titles)]
+    low, high = (
+        np.array([getattr(c, end) for c in cells]).reshape(-1, 2) for end in ("low", "high")
+    )
+    width, height = high.max(axis=0) - low.min(axis=0) if cells else np.zeros(2)
+    seen_m = max(float(width), ASPECT * float(height))
+    shown = [(k, _fitting(forms, cells[k], seen_m)) for k, forms in enumerate(titles)]
     shown = [(k, title) for k, title in shown if title]
     if shown:
         tops = [((cells[k].low[0] + cells[k].high[0]) / 2, cells[k].high[1]) for k, _ in shown]
         write_words(recording, (root, "titles"), tops, [title for _, title in shown])
 
 
-def _fitting(titles: Sequence[str], cell: Cell, cells: list[Cell]) -> str:
-    """The first title that its cell has room for, where the sheet fills a view of usual width, or
-    the last one, cut; "" where there is no room for that."""
-    width = max(c.high[0] for c in cells) - min(c.low[0] for c in cells)
-    height = max(c.high[1] for c in cells) - min(c.low[1] for c in cells)
-    share = (cell.high[0] - cell.low[0]) / max(width, ASPECT * height)
+def _fitting(titles: Sequence[str], cell: Cell, seen_m: float) -> str:
+    """The first title that its cell has room for, in a view of usual width in which the sheet
+    takes `seen_m`, or the last one, cut; "" where there is no room for that."""
+    share = (cell.high[0] - cell.low[0]) / seen_m
     room = int(share * TITLE_LETTERS)
     fitting = next((title for title in titles if len(title) <= room), None)
     if fitting is not None:

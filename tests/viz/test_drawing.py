@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.drawing import bounds, branch_arrows, driven_branches, pen_m, ribbon, thinned
+from topobatch.viz.drawing import bounds, branch_arrows, driven_branches, pen_m, ribbons, thinned
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, 3.0])
@@ -37,19 +37,24 @@ def test_arrows_point_along_their_branches(make_map: Callable[..., TopoMap]) -> 
 
 def test_a_ribbon_keeps_its_distance_round_a_corner() -> None:
     path = np.array([(0.0, 0.0), (5.0, 0.0), (5.0, 0.0), (5.0, 5.0)])
-    beside = ribbon(path, 0.5)
-    assert beside == pytest.approx(np.array([(0.0, 0.5), (4.5, 0.5), (4.5, 5.0)]))
+    left, right = ribbons([path, path], np.array([0.5, -0.5]))
+    assert left == pytest.approx(np.array([(0.0, 0.5), (4.5, 0.5), (4.5, 5.0)]))
+    assert right == pytest.approx(np.array([(0.0, -0.5), (5.5, -0.5), (5.5, 5.0)]))
 
 
 def test_a_ribbon_throws_no_spikes_where_the_path_turns_back() -> None:
     path = np.array([(0.0, 0.0), (5.0, 0.0), (0.0, 0.01)])
-    assert np.abs(ribbon(path, 0.5) - path).max() <= 1.0 + 1e-9
+    (beside,) = ribbons([path], np.array([0.5]))
+    assert np.abs(beside - path).max() <= 1.0 + 1e-9
 
 
-def test_a_ribbon_of_a_path_without_extent_is_the_path() -> None:
-    path = np.ones((2, 2))
-    assert ribbon(path, 0.5) is path
-    assert ribbon(path, 0.0) is path
+def test_a_ribbon_of_a_path_without_extent_or_offset_is_the_path() -> None:
+    point, line = np.ones((2, 2)), np.array([(0.0, 0.0), (1.0, 0.0)])
+    first, second, third = ribbons([point, line, line], np.array([0.5, 0.0, 2.0]))
+    assert first is point
+    assert second is line
+    assert third == pytest.approx(np.array([(0.0, 2.0), (1.0, 2.0)]))
+    assert ribbons([], np.zeros(0)) == []
 
 
 def test_thinning_keeps_the_ends_and_the_spacing() -> None:
