@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,3 +31,18 @@ def frozen_array(array: Any, dtype: Any, shape: tuple[int | None, ...], name: st
         out = out.copy() if out is array or out.base is not None else out
         out.flags.writeable = False
     return out
+
+
+def frozen_rows(
+    arrays: Sequence[Any], dtype: Any, columns: int, name: str
+) -> tuple[NDArray[Any], ...]:
+    """Arrays (k, columns), each of a length of its own, as parts of one that is frozen: many short
+    ones are checked at once. Raises ValueError as `frozen_array` does."""
+    given = [np.asarray(array) for array in arrays]
+    for array in given:
+        if array.ndim != 2 or array.shape[1] != columns:
+            raise ValueError(f"{name} has shape {array.shape}, expected (None, {columns})")
+    stops = np.cumsum([0, *map(len, given)]).tolist()
+    joined = np.concatenate([np.zeros((0, columns), dtype), *given])
+    whole = frozen_array(joined, dtype, (None, columns), name)
+    return tuple(whole[start:stop] for start, stop in pairwise(stops))

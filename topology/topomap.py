@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .frozen import frozen_array
+from .frozen import frozen_array, frozen_rows
 from .passes import NO_BRANCH
 from .ragged import Ragged
 
@@ -127,7 +127,7 @@ class TopoMap:
         for name, (dtype, shape) in shapes.items():
             value = frozen_array(getattr(self, name), dtype, shape, name)
             object.__setattr__(self, name, value)
-        paths = tuple(frozen_array(p, np.float64, (None, 2), "path") for p in self.paths)
+        paths = frozen_rows(self.paths, np.float64, 2, "path")
         object.__setattr__(self, "paths", paths)
         if len(self.branches) != n or len(self.kind) != n or len(paths) != m:
             raise ValueError("one branch row and kind per vertex, one path per edge are needed")
@@ -144,7 +144,7 @@ class TopoMap:
             raise ValueError("an observation names a vertex that does not exist")
         self._check_certainty(n)
         if self.traversal_ns is not None:
-            driven = tuple(frozen_array(t, np.int64, (None, 2), "times") for t in self.traversal_ns)
+            driven = frozen_rows(self.traversal_ns, np.int64, 2, "times")
             object.__setattr__(self, "traversal_ns", driven)
             if len(driven) != m:
                 raise ValueError("traversal_ns needs one array per edge")
