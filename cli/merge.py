@@ -314,7 +314,7 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             screen.warn(f"{pair.a} and {pair.b} are not joined: {pair.reason}")
     merged, joined, ambiguous = map(of, (Standing.MERGED, Standing.JOINED, Standing.AMBIGUOUS))
-    others = result.count(Standing.JOINED)
+    others = result.standings()[Standing.JOINED]
     for pair in merged[:MOST_LINES]:
         _told(screen, f"  {pair.a} + {pair.b}: {pair.reason}")
     if len(merged) > MOST_LINES:
@@ -341,12 +341,13 @@ def _counts(result: MergeResult) -> str:
     from ..merge.result import Standing, pairs_of
 
     runs = sum(len(component.poses) for component in result.components)
-    others, kept_out = result.count(Standing.JOINED), result.count(Standing.KEPT_OUT)
+    count = result.standings()
+    others, kept_out = count[Standing.JOINED], count[Standing.KEPT_OUT]
     return (
-        f"{counted(pairs_of(runs), 'pair')}: {result.count(Standing.MERGED)} merged, "
+        f"{counted(pairs_of(runs), 'pair')}: {count[Standing.MERGED]} merged, "
         f"{f'{others} joined through others, ' if others else ''}"
-        f"{result.count(Standing.AMBIGUOUS)} ambiguous, "
-        f"{result.count(Standing.UNRELATED)} unrelated"
+        f"{count[Standing.AMBIGUOUS]} ambiguous, "
+        f"{count[Standing.UNRELATED]} unrelated"
         f"{f', {kept_out} kept out' if kept_out else ''}; "
         f"{counted(len(result.components), 'component')}"
     )

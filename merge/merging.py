@@ -189,13 +189,17 @@ def _info(
     settings: MergeSettings, components: Sequence[Component], verdicts: Sequence[PairVerdict]
 ) -> dict[str, Any]:
     """The method, its settings, and the layers (§4.1) around the first run of every component."""
-    accepted = [v for v in verdicts if v.accepted]
-    firsts = [min(c.poses) for c in components if len(c.poses) > 1]
+    home = {run: c.id for c in components for run in c.poses}
+    inside: dict[int, list[PairVerdict]] = {}
+    for v in verdicts:
+        if v.accepted:
+            inside.setdefault(home[v.a], []).append(v)
+    firsts = {c.id: min(c.poses) for c in components if len(c.poses) > 1}
     own = settings.robust if settings.method == "robust" else settings.paper
     return {
         "settings": asdict(own),
         "method": settings.method,
-        "layers": {own: layers_to_document(own, accepted) for own in firsts},
+        "layers": {first: layers_to_document(first, inside[k]) for k, first in firsts.items()},
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -286,15 +287,13 @@ class MergeResult:
     unlisted: Unlisted | None = None
     kept_entry: Callable[[PairVerdict], str | None] = nothing_kept
 
-    def count(self, standing: Standing) -> int:
-        """How many pairs, listed or not, stand so."""
-        listed = sum(pair.standing is standing for pair in self.verdicts)
+    def standings(self) -> dict[Standing, int]:
+        """How many pairs, listed or not, stand how."""
+        count = Counter(pair.standing for pair in self.verdicts)
         rest = self.unlisted or Unlisted()
-        if standing is Standing.JOINED:
-            return listed + rest.joined
-        if standing is Standing.UNRELATED:
-            return listed + rest.unrelated + rest.screened
-        return listed
+        count[Standing.JOINED] += rest.joined
+        count[Standing.UNRELATED] += rest.unrelated + rest.screened
+        return {standing: count[standing] for standing in Standing}
 
 
 def shown_bits(bits: float, digits: int = 1) -> str:

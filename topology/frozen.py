@@ -18,19 +18,21 @@ def frozen_array(array: Any, dtype: Any, shape: tuple[int | None, ...], name: st
     """
     given = np.asarray(array)
     out = np.ascontiguousarray(given, dtype=dtype)
-    if out.ndim != len(shape) or any(
-        want is not None and want != got for want, got in zip(shape, out.shape, strict=True)
-    ):
+    if len(out.shape) != len(shape) or not all(map(_fits, shape, out.shape)):
         raise ValueError(f"{name} has shape {out.shape}, expected {shape}")
-    if np.issubdtype(out.dtype, np.floating):
+    if out.dtype.kind == "f":
         if not np.isfinite(out).all():
             raise ValueError(f"{name} holds values that are not finite")
-    elif np.issubdtype(given.dtype, np.floating) and not np.array_equal(given, out):
+    elif given.dtype.kind == "f" and not np.array_equal(given, out):
         raise ValueError(f"{name} holds fractions where integers are needed")
     if out.flags.writeable:
         out = out.copy() if out is array or out.base is not None else out
         out.flags.writeable = False
     return out
+
+
+def _fits(want: int | None, got: int) -> bool:
+    return want is None or want == got
 
 
 def frozen_rows(

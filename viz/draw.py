@@ -14,7 +14,6 @@ from ..merge.result import (
     FusedMap,
     MergeResult,
     PairVerdict,
-    Standing,
     shown_bits,
 )
 from ..topology.se2 import apply, compose
@@ -151,7 +150,7 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
     told = (
         f"{counted(len(result.fused), 'junction')}, "
         f"{float(result.fused.length.sum()):,.0f} m of corridors; {counted(pairs, 'pair')} of "
-        f"{sum(map(result.count, Standing)):,} merged"
+        f"{sum(result.standings().values()):,} merged"
     )
     title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))

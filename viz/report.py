@@ -109,8 +109,7 @@ def _head(report: Report, runs: Sequence[str]) -> str:
             (shared, "seen by several runs", "seen by several runs"),
             (way_m, "m of corridors", "m of corridors"),
         ]
-        for standing in Standing:
-            count = result.count(standing)
+        for standing, count in result.standings().items():
             if count or standing in (Standing.MERGED, Standing.AMBIGUOUS):
                 words = (f"pair {standing}", f"pairs {standing}")
                 facts.append((count, *words))
@@ -243,10 +242,11 @@ def _matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
         ]
     # Numbers last, so that nothing covers them.
     drawn += numbers
+    count = result.standings()
     legend = "".join(
         f'<span><i class="swatch" style="background:var(--v{k})"></i>{text(name)}</span>'
         for k, name in enumerate(STANDINGS)
-        if result.count(Standing(name))
+        if count[Standing(name)]
     )
     framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
     numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
@@ -306,7 +306,7 @@ def _pairs(report: Report) -> str:
                 "<noscript>This list takes JavaScript; merged.json holds it as well.</noscript>"
                 "</details>"
             )
-    unlisted = sum(map(report.result.count, Standing)) - len(report.result.verdicts)
+    unlisted = sum(report.result.standings().values()) - len(report.result.verdicts)
     if unlisted:
         parts.append(
             f"<p>{counted(unlisted, 'pair')} more, joined through others or unrelated, that a "

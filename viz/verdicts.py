@@ -75,7 +75,7 @@ class Shown:
 
 def merge_summary(result: MergeResult, shown: Shown) -> str:
     """A page of markdown: counts, how to read the picture, components, warnings."""
-    count = {kind: result.count(standing) for standing, kind in _CLASSES.items()}
+    count = {_CLASSES[standing]: pairs for standing, pairs in result.standings().items()}
     fused = result.fused
     shared = sum(len(members) > 1 for members in fused.members)
     runs = sum(len(c.poses) for c in result.components)
@@ -143,7 +143,7 @@ def _matrix_legend(result: MergeResult, shown: Shown) -> str:
     """What the matrix shows, and nothing that it does not."""
     if not result.verdicts:
         return ""
-    classes = {kind for standing, kind in _CLASSES.items() if result.count(standing)}
+    classes = {_CLASSES[standing] for standing, pairs in result.standings().items() if pairs}
     named = ", ".join(name for kind, name in _CLASS_NAMES.items() if kind in classes)
     lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
     if shown.numbers:
@@ -184,6 +184,10 @@ def _notes(result: MergeResult) -> str:
 def pairs_told(result: MergeResult) -> str:
     """Markdown with every pair's verdict, reason and evidence; the strongest of each kind first."""
     parts = ["# Pairs of runs"]
+    of_kind: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
+    for pair in result.verdicts:
+        of_kind[pair.standing].append(pair)
+    count = result.standings()
     for standing, title in (
         (Standing.AMBIGUOUS, "Ambiguous"),
         (Standing.KEPT_OUT, "Fitting, but kept out"),
@@ -191,12 +195,10 @@ def pairs_told(result: MergeResult) -> str:
         (Standing.JOINED, "Joined through others"),
         (Standing.UNRELATED, "Unrelated"),
     ):
-        kind = _CLASSES[standing]
-        pairs = strongest(p for p in result.verdicts if verdict_class(p) == kind)
-        everyone = result.count(standing)
+        pairs, everyone = strongest(of_kind[standing]), count[standing]
         if everyone:
             parts.append(f"## {title} ({everyone})")
-            told = _in_short if kind in (JOINED, UNRELATED) else _in_full
+            told = _in_short if standing in (Standing.JOINED, Standing.UNRELATED) else _in_full
             parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
             if len(pairs) > MOST_PAIRS:
                 parts.append(f"… and {len(pairs) - MOST_PAIRS} more, in `merged.json`")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -39,8 +40,12 @@ def thresholds(
         copies = copies_of(samples)
     copied = _copied(own, settings)
 
+    @cache  # few differ: no map has less copied than most of the batch
+    def reached(count: PairCount, most: float) -> Threshold:
+        return threshold_for(count, copies, settings, copied=most)
+
     def threshold(some: Sequence[int], count: PairCount) -> Threshold:
-        return threshold_for(count, copies, settings, copied=max(copied[k] for k in some))
+        return reached(count, max(copied[k] for k in some))
 
     return threshold
 

@@ -6,7 +6,7 @@ import pytest
 from topobatch.merge.document import MergedDocument, merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.packs import Kept, digest_of
-from topobatch.merge.result import Standing, pairs_of
+from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, prepare
 from topobatch.merge.robust.index import Corridors
 from topobatch.merge.robust.links import _components, candidate_links
@@ -94,7 +94,7 @@ def test_pairs_with_nothing_to_say_are_counted(buildings, large):
     result = merge_maps(buildings)
     rest = result.unlisted
     assert rest.screened > 0
-    assert sum(result.count(s) for s in Standing) == pairs_of(len(buildings))
+    assert sum(result.standings().values()) == pairs_of(len(buildings))
     assert len(result.verdicts) + rest.joined + rest.unrelated + rest.screened == pairs_of(15)
     home = {run: c.id for c in result.components for run in c.poses}
     together = sum(home[a] == home[b] for a in home for b in home if a < b)
