@@ -3,9 +3,12 @@ others, which had to meet them, did not.
 
 Asked is every corridor that a run drove, of every run that passed an end of it and did not drive
 it: did it see the branch? What it did not see was overlooked, or was not there. Overlooking has a
-probability, which is the run's own rate of wrong branches; however often the robot passed, one
-junction counts once, for a detector that is wrong about a place is so each time. What is left after
-as many questions as were asked is called a change.
+probability: the run's own rate of wrong branches, of which each branch of the junction has its
+share. However often the robot passed, one junction counts once, for a detector that is wrong about
+a place is so each time. What is left after as many questions as were asked is called a change.
+
+A junction that lost all branches but one is a dead end, which no merge takes for the same place. It
+is found where the corridor that is left leads to (`_lookalikes`).
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -22,7 +26,7 @@ from ..topology.digits import BITS, METRES, rounded
 from ..topology.matching.structure import padded_branches
 from ..topology.polyline import way_of
 from ..topology.se2 import wrap
-from ..topology.topomap import TopoMap
+from ..topology.topomap import NO_BRANCH, TopoMap
 from .component_map import component_map
 from .document import MergedDocument, poses_from_document
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
@@ -48,6 +52,8 @@ class ChangeSettings:
     least_fault_rate: float = 0.01
     """No detector is wrong about fewer branches, and misses fewer junctions, than this: a run of a
     hundred passes cannot tell."""
+    equal_sigmas: float = 3.0
+    """Corridors whose lengths differ by no more are equally long: all but one in 370 that are."""
 
 
 DEFAULT_CHANGES = ChangeSettings()
@@ -87,7 +93,7 @@ class Change:
     @property
     def sure(self) -> bool:
         """Is it more than chance offers?"""
-        return self.bits >= self.needed
+        return self.bits > self.needed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,12 +124,11 @@ def changes(
     ids = [node.id for node in document.nodes if node.component == component]
     merged = component_map(document, component, "merged", maps)
     poses = poses_from_document(document)
-    seen = _Seen(merged, dict(sorted(maps.items())), poses)
+    seen = _Seen(merged, dict(sorted(maps.items())), poses, settings)
     corridors, asked = _corridors(seen, settings)
     junctions, more = _junctions(seen, settings)
-    # Either kind may have half of the false ones.
     found = [
-        _weighed(doubt, component, ids, float(np.log2(2 * max(count, 1) / settings.false_rate)))
+        _weighed(doubt, component, ids, _needed(count, settings))
         for doubts, count in ((corridors, asked), (junctions, more))
         for doubt in doubts
     ]
@@ -134,7 +139,11 @@ class _Seen:
     """A component's fused map with what every run saw of its vertices."""
 
     def __init__(
-        self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
+        self,
+        merged: TopoMap,
+        maps: Mapping[str, TopoMap],
+        poses: Mapping[str, FloatArray],
+        settings: ChangeSettings,
     ) -> None:
         self.merged, self.maps = merged, maps
         self.nodes: list[dict[str, list[int]]] = merged.info["members"]["nodes"]
@@ -146,19 +155,27 @@ class _Seen:
         self._headings = {run: padded_branches(m) for run, m in maps.items()}
         self._fused = padded_branches(merged)
         self._turn = {run: float(poses[run][2]) for run in maps}
+        self._lookalikes = _lookalikes(merged, self.nodes, settings)
+
+    def places(self, run: str, node: int) -> list[int]:
+        """Fused vertices as which a run passed the place of a fused vertex: itself, or others."""
+        if run in self.nodes[node]:
+            return [node]
+        return [k for k in self._lookalikes[node] if run in self.nodes[k]]
 
     def times(self, run: str, node: int) -> IntArray:
-        """When a run passed a fused vertex."""
-        rows = [self.passes[run][v] for v in self.nodes[node].get(run, ())]
+        """When a run passed the place of a fused vertex."""
+        at = [v for k in self.places(run, node) for v in self.nodes[k][run]]
+        rows = [self.passes[run][v] for v in at]
         return np.sort(np.concatenate([np.zeros(0, np.int64), *rows]))
 
     def saw(self, run: str, node: int, heading: float) -> bool:
-        """Did a run see a branch of a fused vertex? heading: in the component's frame."""
-        for v in self.nodes[node].get(run, ()):
+        """Did a run see a branch at a fused vertex? heading: in the component's frame."""
+        gate = DEFAULT_JOINT.branch_gate_rad
+        for place, v in [(k, v) for k in self.places(run, node) for v in self.nodes[k][run]]:
             own = self._headings[run][v]
-            gate = DEFAULT_JOINT.branch_gate_rad
             turn, count = measured_turn(
-                self._fused[node][None], own[None], np.array([self._turn[run]]), gate
+                self._fused[place][None], own[None], np.array([self._turn[run]]), gate
             )
             local = own + (turn[0] if count[0] else self._turn[run])
             if np.any(np.abs(wrap(local[~np.isnan(local)] - heading)) <= gate):
@@ -177,6 +194,30 @@ class _Seen:
         return float(np.arctan2(step[1], step[0]))
 
 
+def _lookalikes(
+    merged: TopoMap, nodes: Sequence[Mapping[str, Any]], settings: ChangeSettings
+) -> list[list[int]]:
+    """For every fused vertex those that other runs alone saw and that are the same place:
+    corridors that leave one vertex by one branch, and are equally long, lead to both. O(m)."""
+    leaving: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    ends = (merged.source, merged.target)
+    branches = (merged.source_branch, merged.target_branch)
+    for k in (0, 1):
+        rows = zip(ends[k].tolist(), branches[k].tolist(), ends[1 - k].tolist(), strict=True)
+        for e, (node, branch, other) in enumerate(rows):
+            if branch != NO_BRANCH:
+                leaving.setdefault((node, branch), []).append((e, other))
+    out: list[set[int]] = [set() for _ in nodes]
+    for side in leaving.values():
+        for (e, u), (f, v) in combinations(side, 2):
+            off = abs(merged.length[e] - merged.length[f])
+            sigma = np.hypot(merged.length_sigma[e], merged.length_sigma[f])
+            if not nodes[u].keys() & nodes[v].keys() and off <= settings.equal_sigmas * sigma:
+                out[u].add(v)
+                out[v].add(u)
+    return [sorted(alike) for alike in out]
+
+
 def _fault_rate(rate: float, settings: ChangeSettings) -> float:
     return min(max(rate, settings.least_fault_rate), 0.5)
 
@@ -190,16 +231,18 @@ def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
         ends = [int(m.source[e]), int(m.target[e])]
         headings = [seen.heading(e, k) for k in (0, 1)]
         for run, topomap in seen.maps.items():
-            passed = [k for k in (0, 1) if run in seen.nodes[ends[k]]]
+            passed = [k for k in (0, 1) if seen.places(run, ends[k])]
             if run in members or not passed:
                 continue
             asked += 1
             if any(seen.saw(run, ends[k], headings[k]) for k in passed):
                 continue
-            rate = _fault_rate(topomap.measured.branch_fault_rate, settings)
             at = {ends[k] for k in passed}
             times = np.sort(np.concatenate([seen.times(run, node) for node in at]))
-            missing.append((_witness(run, times), rate ** len(at)))
+            # A fault is of one branch of those that the junction has.
+            rate = topomap.measured.branch_fault_rate
+            overlooked = [_fault_rate(rate / len(m.branches[k]), settings) for k in at]
+            missing.append((_witness(run, times), float(np.prod(overlooked))))
         if missing:
             there = tuple(_drove(seen, run, ids) for run, ids in sorted(members.items()))
             middle = _middle(m.paths[e])
@@ -212,7 +255,8 @@ def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
 def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int]:
     """Junctions that runs drove through without seeing them; and how often that could have been:
     every junction that several runs passed could have been overlooked by each, and one could have
-    been invented in every corridor that several drove."""
+    been invented in every corridor that several drove. What those who saw it overlooked at times,
+    others may have."""
     out, m = [], seen.merged
     asked = sum(len(members) for members in seen.nodes if len(members) > 1)
     asked += sum(len(members) > 1 for members in seen.edges)
@@ -222,6 +266,7 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
             at[node].append(e)
     for node, members in enumerate(seen.nodes):
         missing = []
+        unseen = max(_unseen_share(seen.maps[run], ids) for run, ids in members.items())
         for run, topomap in seen.maps.items():
             if run in members:
                 continue
@@ -231,7 +276,7 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
                 continue
             asked += 1
             witness = _drove(seen, run, through)
-            rate = _fault_rate(topomap.measured.miss_rate, settings)
+            rate = _fault_rate(max(topomap.measured.miss_rate, unseen), settings)
             floor = _fault_rate(topomap.measured.branch_fault_rate, settings) ** 2
             missing.append((witness, max(rate ** max(witness.passes, 1), floor)))
         if missing:
@@ -248,6 +293,14 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
             )
             out.append(doubt)
     return out, asked
+
+
+def _unseen_share(topomap: TopoMap, vertices: Sequence[int]) -> float:
+    """Share of the times a run came by some of its own vertices at which it did not see them."""
+    ends = [np.isin(end, vertices) for end in (topomap.source, topomap.target)]
+    visits = sum(int(topomap.traversals[end].sum()) for end in ends) // 2
+    seen = int(np.isin(topomap.observation_vertex, vertices).sum())
+    return max(0.0, 1 - seen / visits) if visits else 0.0
 
 
 def _middle(path: FloatArray) -> FloatArray:
@@ -272,6 +325,13 @@ def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
     times = np.sort(np.concatenate([seen.passes[run][v] for v in ends]))
     told = _witness(run, times)
     return Witness(run, int(m.traversals[list(edges)].sum()), told.first_ns, told.last_ns)
+
+
+def _needed(asked: int, settings: ChangeSettings) -> float:
+    """Bits that a change takes, of as many questions. Either kind of thing may have half of the
+    false ones. What one junction can tell at most is never enough: two have to."""
+    several = float(np.log2(2 * max(asked, 1) / settings.false_rate))
+    return max(several, -float(np.log2(settings.least_fault_rate)))
 
 
 def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -> Change:

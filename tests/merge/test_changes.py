@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import build_map
-from topobatch.merge.changes import ChangeKind, change_to_document, changes
+from topobatch.merge.changes import ChangeKind, ChangeSettings, change_to_document, changes
 from topobatch.merge.document import MergedDocument, merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation import DRIFTS, FAULTS, RunSettings, make_world, simulate_run
@@ -18,11 +19,20 @@ from topobatch.topology.document import map_from_document, map_to_document
 DAY_NS = 86_400 * 10**9
 
 
-def observed(seed: int, *, closed: float, later: bool = True, kind: str = "organic"):
+@cache
+def observed(
+    seed: int,
+    *,
+    closed: float,
+    later: bool = True,
+    kind: str = "organic",
+    junctions: int = 30,
+    faults: str = "mild",
+):
     """Maps of two runs in one world, the second a day later with some corridors closed (or the
     first, if not later); their merge; the ends of the corridors that were open and then closed."""
-    world = make_world(kind, 30, seed)
-    open_ = RunSettings(drift=DRIFTS["low"], faults=replace(FAULTS["mild"], closed_share=0.0))
+    world = make_world(kind, junctions, seed)
+    open_ = RunSettings(drift=DRIFTS["low"], faults=replace(FAULTS[faults], closed_share=0.0))
     shut = replace(open_, faults=replace(open_.faults, closed_share=closed))
     first, second = (open_, shut) if later else (shut, open_)
     runs = [
@@ -73,3 +83,36 @@ def test_maps_without_times_of_corridors_tell_it_too() -> None:
     known = [(c.junctions, c.kind) for c in changes(document, 0, maps) if c.sure]
     assert [(c.junctions, c.kind) for c in changes(document, 0, bare) if c.sure] == known
     assert len(known) == len(lengths)
+
+
+def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
+    """It lost two corridors of three, so that the merge takes it for another place; but the third
+    leads there from a junction that both runs know."""
+    document, maps, _ = observed(0, closed=0.1, kind="maze", junctions=40, faults="none")
+    lost = [c for c in changes(document, 0, maps) if c.sure]
+    members = {node.id: node.members for node in document.nodes}
+    torn = [c for c in lost if {"monday"} in [set(members[j]) for j in c.junctions]]
+    assert len(torn) == 2
+    for change in torn:
+        assert change.kind == ChangeKind.GONE
+        (witness,) = change.missing
+        assert witness.passes > sum(
+            int(np.sum(maps["tuesday"].observation_vertex == v))
+            for j in change.junctions
+            for v in members[j].get("tuesday", ())
+        )
+
+
+def test_one_junction_alone_is_never_sure() -> None:
+    """A detector that is wrong about one place is so each time."""
+    document, maps, _ = observed(2, closed=0.1)
+    eager = ChangeSettings(false_rate=1.0)  # the questions themselves ask for less
+    told = next(c for c in changes(document, 0, maps, eager) if c.sure)
+    halved = document.model_copy(deep=True)
+    for node in halved.nodes:
+        if node.id == told.junctions[0]:
+            del node.members["tuesday"]
+    (half,) = [c for c in changes(halved, 0, maps, eager) if c.junctions == told.junctions]
+    assert half.bits == pytest.approx(told.bits / 2)
+    assert not half.sure
+    assert half.needed == half.bits

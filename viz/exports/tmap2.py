@@ -2,6 +2,11 @@
 
 Nodes with their outgoing edges; every node has a zone of influence around it (`verts`). Edges are
 driven by a navigation action, freely between two nodes, so curved corridors get nodes on the way.
+
+Versions of the package differ in what they read beyond the schema, and a file has it all. Until
+2025 an edge holds its goal, and the frame is `transformation.child`. Since 2026 the localiser takes
+the frame from `transformation.topo_frame_id`, the navigator its action servers from `actions`, and
+routes are the lightest by `properties.weight`: metres here, as its A* guesses the rest in metres.
 """
 
 from __future__ import annotations
@@ -18,6 +23,17 @@ from .yaml_lines import yaml_text
 
 ACTION = "navigate_to_pose"
 ACTION_TYPE = "nav2_msgs.action.NavigateToPose"
+ACTIONS = {
+    ACTION: {
+        "action_type": ACTION_TYPE,
+        "action_server": f"/{ACTION}",
+        "composable": False,
+        "action_goal_template": {
+            "pose": {"header": {"frame_id": "${node.nav_frame}"}, "pose": "${node.pose}"}
+        },
+    }
+}
+"""How the navigator drives an edge, node by node; `${…}` is filled in from the node it leads to."""
 ZONE_M = 0.5
 """Half of the side of a zone; smaller where another node is near, so that zones do not overlap."""
 GOAL_TOLERANCE_M = 0.3
@@ -28,7 +44,9 @@ ANY_YAW_RAD = 6.283
 def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
     """The topological map of a map, every corridor both ways.
 
-    Its date is that of the map's newest observation: the same map gives the same file.
+    Its date is that of the map's newest observation: the same map gives the same file. The frame
+    is called after the map: the map manager publishes where it lies in `map`, which it must not do
+    for a frame of that robot's odometry.
     """
     graph, name = route_graph(topomap, max_error_m), topomap.run
     stamp = datetime.fromtimestamp(last_pass_ns(topomap) // 10**9, UTC)
@@ -40,7 +58,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
         half = zone[k]
         node = {
             "name": names[k],
-            "parent_frame": topomap.frame,
+            "parent_frame": name,
             "pose": {
                 "position": {"x": x, "y": y, "z": 0.0},
                 "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
@@ -63,11 +81,13 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
         "name": name,
         "pointset": name,
         "transformation": {
-            "child": topomap.frame,
+            "child": name,
+            "topo_frame_id": name,
             "parent": "map",
             "rotation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
             "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
         },
+        "actions": ACTIONS,
         "nodes": nodes,
     }
     return yaml_text(document, 5)
@@ -93,8 +113,10 @@ def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
             edge_id = f"{names[start]}_{names[end]}"
             used[edge_id] = used.get(edge_id, 0) + 1
             again = f"_{used[edge_id]}" if used[edge_id] > 1 else ""
+            length = rounded(graph.length[k], METRES)
             properties: dict[str, Any] = {
-                "length": rounded(graph.length[k], METRES),
+                "weight": length,
+                "length": length,
                 "length_sigma": rounded(graph.length_sigma[k], METRES),
             }
             if np.isfinite(graph.seconds[k]):

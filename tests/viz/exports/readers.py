@@ -192,13 +192,22 @@ registry."""
 
 
 def read_tmap2(text: str) -> nx.MultiDiGraph:
-    """A tmap2 document by its schema; what its validator warns of is refused, too."""
+    """A tmap2 document by its schema; what its validator warns of is refused, too, and what its
+    map manager, localiser and navigator stumble over."""
     document, graph = _yaml(text), nx.MultiDiGraph()
     jsonschema.validate(document, TMAP2_SCHEMA)
+    require(len({e["meta"]["pointset"] for e in document["nodes"]}) <= 1, "several pointsets")
+    require(isinstance(document["transformation"]["topo_frame_id"], str), "no frame")
+    for action in document["actions"].values():
+        require(action["action_type"].count(".") == 2, action["action_type"])
+        require(action["action_server"].startswith("/"), action["action_server"])
     for entry in document["nodes"]:
         node = entry["node"]
         require(node["name"] == entry["meta"]["node"] and node["name"] not in graph, node["name"])
-        position = node["pose"]["position"]
+        pose = node["pose"]
+        require(set("xyz") <= set(pose["position"]), "a position")
+        require(set("xyzw") <= set(pose["orientation"]), "an orientation")
+        position = pose["position"]
         graph.add_node(node["name"], xy=(position["x"], position["y"]), **node["properties"])
     seen = set()
     for entry in document["nodes"]:
@@ -206,6 +215,8 @@ def read_tmap2(text: str) -> nx.MultiDiGraph:
             require(edge["node"] in graph, f"leads to no node: {edge['node']}")
             require(edge["edge_id"] not in seen, f"an edge id twice: {edge['edge_id']}")
             seen.add(edge["edge_id"])
+            require(edge["action"] in document["actions"], f"no such action: {edge['action']}")
+            require(edge["properties"]["weight"] >= 0, edge["edge_id"])
             graph.add_edge(entry["node"]["name"], edge["node"], **edge["properties"])
     return graph
 

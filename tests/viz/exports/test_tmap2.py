@@ -2,9 +2,38 @@
 
 from __future__ import annotations
 
+import math
+from itertools import combinations, pairwise
+
+import networkx as nx
+import pytest
+
 from .readers import read_tmap2, text_of
 
 
 def test_a_map_without_corridors_has_nodes(bare_map) -> None:
     graph = read_tmap2(text_of(bare_map, "tmap2"))
     assert (len(graph), graph.number_of_edges()) == (2, 0)
+
+
+def test_the_planner_finds_the_shortest_way(driven) -> None:
+    """A* over `weight`, with the way as the crow flies for what is left, as LCAS plans; one edge
+    between two nodes, for it keeps no more."""
+    read = read_tmap2(text_of(driven[1], "tmap2"))
+    graph, xy = nx.DiGraph(read), nx.get_node_attributes(read, "xy")
+
+    def straight(a: str, b: str) -> float:
+        return math.dist(xy[a], xy[b])
+
+    for start, end in combinations([n for n in graph if n.startswith("junction")], 2):
+        way = nx.astar_path(graph, start, end, heuristic=straight, weight="weight")
+        shortest = nx.shortest_path_length(graph, start, end, weight=lambda a, b, _: straight(a, b))
+        assert sum(straight(a, b) for a, b in pairwise(way)) == pytest.approx(shortest, abs=0.02)
+
+
+def test_the_frame_is_the_maps_own(odd_map) -> None:
+    """The map manager publishes where it lies, which it must not do for an odometry's frame."""
+    assert odd_map.frame == "odom"
+    text = text_of(odd_map, "tmap2")
+    assert '"odom"' not in text
+    read_tmap2(text)
