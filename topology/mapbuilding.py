@@ -268,7 +268,9 @@ def _between_centres(
         drawn = track.xy[track.offsets[k] : track.offsets[k + 1]]
         begin, end = xy[visits.vertex[visit : visit + 2]]
         path = join_centres(drawn, begin, end, settings.junction_m)
-        out.append(with_corners(path, settings.corner_m, settings.corner_rad))
+        # Where a track was joined to a centre it has an angle, but nobody cut a corner there.
+        inner = with_corners(path[1:-1], settings.corner_m, settings.corner_rad)
+        out.append(np.concatenate([path[:1], inner, path[-1:]]))
     return out
 
 
