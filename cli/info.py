@@ -141,6 +141,9 @@ def described(found: LogInfo) -> list[str]:
         for topic in found.topics
     ]
     lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
+    uses = {topic.use for topic in found.topics}
+    if "scans" in uses and "odometry" not in uses:
+        lines.append("  no odometry: each scan will be matched to the one before")
     if not rows:
         lines = [head, f"  {counted(0, 'topic')}"]
     return lines

@@ -20,8 +20,8 @@ from .workspace import Workspace
 @dataclass(frozen=True, slots=True)
 class Listed:
     """A run. health: "ok", warnings, or why its map cannot be read; component, with: number of its
-    component in the last merge and how many runs it has; recorded, ingested: in UTC; stale: what
-    changed since."""
+    component in the last merge and how many runs it has; recorded: when it passed its first
+    junction, ingested: when its map was made, in UTC; stale: what changed since."""
 
     run: str
     junctions: int | None
@@ -53,7 +53,7 @@ def list_runs(
     if as_json:
         say_lines(json.dumps([asdict(row) for row in rows]))
         return
-    head = ("run", "junctions", "corridors", "metres", "component", "recorded", "health", "stale")
+    head = ("run", "junctions", "corridors", "component", "from (UTC)", "health", "stale")
     for line in table(head, [_row(row) for row in rows], indent=""):
         say(line)
     gone = sorted(set(home) - {row.run for row in rows})
@@ -65,10 +65,10 @@ def list_runs(
 
 def _row(row: Listed) -> tuple[str, ...]:
     home = "-" if row.component is None else f"{row.component} ({counted(row.runs or 1, 'run')})"
-    numbers = ("?" if n is None else f"{n:,.0f}" for n in (row.junctions, row.corridors))
-    length = "?" if row.length_m is None else f"{row.length_m:,.0f}"
+    junctions = "?" if row.junctions is None else f"{row.junctions:,}"
+    corridors = "?" if row.corridors is None else f"{row.corridors:,} ({row.length_m:,.0f} m)"
     recorded = (row.recorded or "?")[:16].replace("T", " ")
-    return (row.run, *numbers, length, home, recorded, row.health, "; ".join(row.stale))
+    return (row.run, junctions, corridors, home, recorded, row.health, "; ".join(row.stale))
 
 
 def _merge(place: Workspace) -> tuple[Mapping[str, tuple[int, int]], int | None]:
@@ -101,7 +101,8 @@ def _listed(
             run, None, None, None, f"unreadable: {error}", component, runs, None,
             _utc(made_ns), tuple(old),
         )  # fmt: skip
-    last = int(m.observation_time_ns.max(initial=0))
+    times = m.observation_time_ns
+    first = int(times.min()) if len(times) else 0
     warnings = m.info.get("warnings")
     told = len(warnings) if isinstance(warnings, list) else 0
     return Listed(
@@ -112,7 +113,7 @@ def _listed(
         health=counted(told, "warning") if told else "ok",
         component=component,
         runs=runs,
-        recorded=_utc(last) if last > 0 else None,
+        recorded=_utc(first) if first > 0 else None,
         ingested=_utc(made_ns),
         stale=(*old, *_log_changes(place, run)),
     )

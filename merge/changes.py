@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 
 from ..topology.digits import BITS, METRES, rounded
 from ..topology.matching.structure import padded_branches
+from ..topology.passes import NO_BRANCH
 from ..topology.polyline import way_of
 from ..topology.se2 import wrap
-from ..topology.topomap import NO_BRANCH, TopoMap
+from ..topology.topomap import TopoMap
 from .component_map import component_map
 from .document import MergedDocument, poses_from_document
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn

@@ -38,6 +38,8 @@ LARGE_PT = 900.0
 MOST_NAMES = 60
 """Up to this many runs their names stand beside the matrix."""
 
+SQUARE_REM = 5.0
+"""Side of a square of the matrix, as long as all find room."""
 MOST_NUMBERS = 14
 """Up to this many runs the evidence stands in the matrix."""
 
@@ -252,7 +254,8 @@ def _matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
     numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
     return (
         f"<h2>Verdicts</h2><p>Every pair of runs{framed}.{numbered}</p>"
-        f'<div class="legend">{legend}</div><div id="matrix">'
+        f'<div class="legend">{legend}</div>'
+        f'<div id="matrix" style="max-width:{min(SQUARE_REM * (n + left), 48):.0f}rem">'
         f'<svg viewBox="{-left:.2f} -0.2 {n + left + 0.2:.2f} {n + 0.4:.2f}" role="img" '
         f'aria-label="verdict of every pair">{"".join(drawn)}'
         '<rect id="spot" width="1" height="1" visibility="hidden"/></svg></div>'
@@ -369,20 +372,22 @@ def _health(report: Report, runs: Sequence[str]) -> str:
             m = report.maps[run]
             cells = [run, home.get(run, "—"), *_measured(m)]
             warned = [str(w) for w in m.info.get("warnings") or ()]
-            shown = "".join(f"<td>{text(c)}</td>" for c in cells)
+            rows.append(f"<tr>{''.join(f'<td>{text(c)}</td>' for c in cells)}</tr>")
             told = "<br>".join(text(w) for w in warned[:8])
-            rows.append(f'<tr>{shown}<td class="text">{told}</td></tr>')
+            rows += [f'<tr><td class="told" colspan="{len(head)}">{told}</td></tr>'] if told else []
     if not rows:
         return ""
     header = "".join(f"<th>{text(h)}</th>" for h in head)
     table = (
-        f'<div class="wide"><table><thead><tr>{header}<th class="text">warnings</th></tr></thead>'
+        f'<div class="wide"><table><thead><tr>{header}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
     note = (
-        '<p class="dim">Closures: visits recognised as the same place. Heading noise: random walk '
-        "of the odometry's heading, 1 sigma after a metre. Missed: share of passes in which a "
-        "junction went unseen. Jumps: steps of unknown size in the odometry.</p>"
+        '<p class="dim">Closures: visits recognised as the same place; refused: visits that were '
+        "not taken for it. Heading noise: random walk of the odometry's heading, 1 sigma after a "
+        "metre. Missed: share of passes in which a junction went unseen; wrong branches: in which "
+        "it was seen with one too many or too few. Jumps: steps of unknown size in the odometry."
+        "</p>"
     )
     return f"<h2>Runs</h2>{note}{table}{_own_maps(report, runs)}"
 

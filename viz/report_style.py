@@ -45,13 +45,16 @@ ol.pairs li:first-child{border-top:0}
 .wide{overflow-x:auto}
 table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums}
 th,td{padding:.2rem .6rem;text-align:right;border-bottom:1px solid var(--c3);white-space:nowrap}
-th:first-child,td:first-child,td.text,th.text{text-align:left}
-td.text{white-space:normal;min-width:14rem}
+th:first-child,td:first-child,td.told{text-align:left}
+th,td.told{white-space:normal}
+th{vertical-align:bottom}
+td.told{padding-left:1.6rem;color:var(--c2)}
+tr:has(+tr>td.told)>td{border-bottom:none}
 pre{overflow-x:auto;font-size:.8rem}
 .swatch{display:inline-block;width:.8em;height:.8em;border-radius:.15em;margin-right:.35em;
  vertical-align:-.05em}
 .legend{display:flex;flex-wrap:wrap;gap:.2rem 1.2rem;margin:.5rem 0}
-#matrix{position:relative;max-width:48rem}
+#matrix{position:relative}
 #matrix svg{width:100%;height:auto;display:block;touch-action:manipulation}
 #matrix text{fill:var(--c1)}
 #matrix text.s0{fill:var(--t0)}

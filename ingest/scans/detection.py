@@ -183,8 +183,9 @@ def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
             "to be matched with each other; there the odometry stands as it was recorded"
         )
     if statistics.searched:
+        guide = "odometry" if statistics.odometry else "scan before"
         out.append(
-            f"at {statistics.searched} of {statistics.scans} scans the odometry led astray; the "
+            f"at {statistics.searched} of {statistics.scans} scans the {guide} led astray; the "
             "way on was found by searching"
         )
     return tuple(out)
