@@ -8,7 +8,7 @@ Every export of every run and of every component goes through its reader (tests/
   routes   shortest routes between junctions in the Nav2 graph, against the way in the true world
   times    `abs_time_taken` along those routes, against what the robots truly took to drive them
   said     routes of which the graph itself says that more than one in twenty may be off by more
-           (`length_sigma`, `time_sigma`), and of all the others those within
+           (`length_sigma` with `length_scale_sigma`; `time_sigma`), and of the others those within
 """
 
 from __future__ import annotations
@@ -113,6 +113,7 @@ def judged(topomap: TopoMap, true: np.ndarray, truth: Truth, runs: list[str]) ->
         if simple.has_edge(u, v) and simple.edges[u, v]["length"] <= length:
             continue
         simple.add_edge(u, v, **(data | {"length": length}))
+    scale = topomap.measured.scale  # the graph's length_scale_sigma
     known = _true_corridors(topomap, true, truth, runs)
     out, real = Tally(), [v for v in range(len(topomap)) if v in simple]
     for corridor, (length, seconds) in known.items():
@@ -133,7 +134,7 @@ def judged(topomap: TopoMap, true: np.ndarray, truth: Truth, runs: list[str]) ->
         length, seconds = np.sum([known[c] for c in corridors], axis=0)
         out.routes.append(sum(step["length"] for step in steps) / length - 1)
         out.times.append(sum(step["abs_time_taken"] for step in steps) / seconds - 1)
-        out.route_sigmas.append(_sigma(steps, "length_sigma") / length)
+        out.route_sigmas.append(np.hypot(_sigma(steps, "length_sigma") / length, scale))
         out.time_sigmas.append(_sigma(steps, "time_sigma") / seconds)
     return out
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..topology.map_schema import FARTHEST_M
 from ..topology.passes import NO_BRANCH
 from ..topology.posegraph.graph import PoseGraph
 from ..topology.ragged import Ragged
-from ..topology.topomap import ALL_SURE, TopoMap
+from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
 from .document import MergedDocument, MergedEdge, MergedNode, poses_from_document
 from .fusion.joint_graph import settle
 from .fusion.vertex_partition import Pool
@@ -55,7 +56,7 @@ def component_map(
     source = np.array([number[e.source] for e in edges], np.int64)
     target = np.array([number[e.target] for e in edges], np.int64)
     sigma = [node.sigma_m for node in chosen if node.sigma_m is not None]
-    times, sure = None, ALL_SURE
+    times, sure, noise = None, ALL_SURE, RunNoise()
     if maps is not None and not stale_runs(document, component, maps):
         times = member_times(
             maps,
@@ -66,6 +67,9 @@ def component_map(
             length=length,
         )
         sure = fused_confidence([node.members for node in chosen], maps)
+        # Robots of one kind err alike: their scales do not average out.
+        scales = [maps[run].measured.scale for run in sorted(runs)]
+        noise = replace(noise, scale=float(np.sqrt(np.mean(np.square(scales)))))
     return TopoMap(
         run=name,
         frame=name,
@@ -85,6 +89,7 @@ def component_map(
         position_sigma=np.array(sigma) if sigma and len(sigma) == len(chosen) else None,
         traversal_ns=times,
         confidence=sure,
+        noise=noise,
         info={
             "members": {
                 "nodes": [node.members for node in chosen],

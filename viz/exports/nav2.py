@@ -3,7 +3,8 @@
 The loader asks for unsigned ids that are unique over nodes and edges, for one of each at least, and
 takes edges as directed; it ignores the geometry of edges, which is there for people who open the
 file in a GIS, so a curved corridor gets nodes on its way. Numbers in metadata that are read as
-floats (`abs_time_taken`, seconds, by its TimeScorer) must not be written as integers.
+floats (`abs_time_taken`, seconds, by its TimeScorer) must not be written as integers. Of the
+collection it reads the features alone: `length_scale_sigma` is for people.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from ...topology.digits import METRES, rounded
+from ...topology.digits import METRES, rounded, significant
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
 from .route_graph import VIA, RouteGraph, route_graph
@@ -31,6 +32,7 @@ def nav2_geojson(topomap: TopoMap, max_error_m: float) -> str:
     document = {
         "type": "FeatureCollection",
         "name": topomap.run,
+        "length_scale_sigma": significant(topomap.measured.scale),
         "features": [*_nodes(topomap, graph), *_edges(topomap, graph)],
     }
     lines = json.dumps(document, ensure_ascii=False, allow_nan=False)
