@@ -171,7 +171,7 @@ class Placed(Model):
     is, seen from the other's (root mean square of both ways to see it), and of the turn between
     them."""
 
-    sigma_m: Finite = Field(description="Metres.")
+    sigma_m: Finite = Field(description="Metres, of both coordinates together.")
     sigma_rad: Finite = Field(description="Radians.")
 
 
@@ -190,8 +190,9 @@ class MergeEntry(Contradicted):
     )
     threshold_bits: Finite | None = Field(
         None,
-        description="The evidence that merging needs: log2(pairs of runs / false-merge rate); of "
-        "pairs accepted by components only the pairs that were not joined by then count.",
+        description="The evidence that merging needs: log2(pairs of runs / false-merge rate), with "
+        "more than 15 pairs rounded up by an eighth at most; of pairs accepted by components only "
+        "the pairs that were not joined by then count.",
     )
     margin_bits: Finite | None = Field(
         None,

@@ -88,10 +88,10 @@ class PairVerdict:
     would settle an ambiguous pair; locked: "same" or "never" where a person decided. through: of
     two runs that only others place in one component, the runs of the shortest chain of accepted
     pairs from a to b, without these two; placed: 1 sigma [m] of where the middle of one's map then
-    lies, seen from the other's (the worse of the two ways), and [rad] of the turn between them.
-    together: the runs of the two components whose evidence joined the pair. transform_sigma: the
-    same as `placed` of an accepted pair, as all maps of its component place it together.
-    extra: JSON values that a method adds to its entry.
+    lies, seen from the other's (both coordinates together, the root mean square of both ways to see
+    it), and [rad] of the turn between them. together: the runs of the two components whose evidence
+    joined the pair. transform_sigma: the same as `placed` of an accepted pair, as all maps of its
+    component place it together. extra: JSON values that a method adds to its entry.
     """
 
     a: str

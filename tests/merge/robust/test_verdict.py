@@ -33,6 +33,14 @@ def test_what_is_no_larger_than_copies_may_be_one(drawn):
     assert weights == pytest.approx([0.0, 0.0, 2 / 3, 1.0, 1.0])
 
 
+def test_copies_are_asked_by_the_pairs_that_chance_does_not_explain():
+    found = threshold_for(PairCount(6, 2), COPIES, SETTINGS)
+    assert found.need_bits == needed_bits(6, SETTINGS)
+    assert found.need_copy_bits == needed_bits(2, SETTINGS) - SETTINGS.copy_margin_bits > 0
+    lax = replace(SETTINGS, false_merge_rate=0.5)
+    assert threshold_for(PairCount(6, 2), COPIES, lax).need_copy_bits == 0.0
+
+
 def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     told = replace(match(a, b, SETTINGS)[0], bits=99.0)
