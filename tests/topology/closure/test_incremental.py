@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ import pytest
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
 from topobatch.topology.closure.answers import Identification
-from topobatch.topology.closure.candidates import candidates
+from topobatch.topology.closure.candidates import Candidates, candidates
 from topobatch.topology.closure.dead_reckoning import SystematicErrors, make_walk
 from topobatch.topology.closure.estimate import lay_out
 from topobatch.topology.closure.incremental import (
     RoundSettings,
+    _certain,
     closure_without_grid,
     full_closure,
     weakest_cut,
@@ -313,3 +315,19 @@ def test_a_grid_that_bends_on_its_way_is_found_out():
         closed = full_closure(make_walk(odometry, passes, NOISE), RoundSettings(grid=lax))
         assert (closed.grid is not None) == found
         assert len(closed.layout.xy) == len(set(truth))
+
+
+@pytest.mark.parametrize(("third", "accepted"), [(False, []), (True, [(0, 1), (0, 2)])])
+def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, accepted):
+    """Place 0 cannot be 1 as well as 2, unless these may be one."""
+    pairs = [(0, 1), (0, 2), *([(1, 2)] if third else [])]
+    a, b = np.array(pairs).T
+    zero = np.zeros(len(pairs))
+    alike = np.array([12.0, 11.0, 0.5])[: len(pairs)]
+    found = Candidates(a, b, zero, alike, zero, zero, zero, zero)
+    places = SimpleNamespace(first=np.arange(3))
+    certain = _certain(places, found, least=9.0)
+    assert [(q.first, q.second) for q in certain] == accepted
+    # A rival as unlikely as not takes little away.
+    found = replace(found, branches=alike - [0.0, 10.5, 0.0][: len(pairs)])
+    assert [(q.first, q.second) for q in _certain(places, found, least=9.0)] == [(0, 1)]
