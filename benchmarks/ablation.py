@@ -53,7 +53,7 @@ OUT = {
     "hard core: the shortest": {"candidates.evidence.core_quantile": 0.0},
     "inflation": {"candidates.evidence.inflation": 1.0},
     "rarity: bandwidth": {"candidates.evidence.bandwidth_rad": 0.0},
-    "pattern": {"candidates.evidence.pattern.regular": ALWAYS},
+    "lattice": {"candidates.evidence.pattern.regular": ALWAYS},
     "lead": {"candidates.evidence.lead": 0.0},
     "growth: caps": {
         "candidates.growth.leg_cap": ALWAYS,
@@ -89,7 +89,7 @@ REPLACED = {
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
     "straight corridors": (incremental, "_straight", lambda *args: None),
     "rivals": (incremental, "_rivals", lambda *args: []),
-    "strangers": (candidates, "_strangers", lambda *args: np.zeros(0)),
+    "null pairs": (candidates, "_null_pairs", lambda *args: np.zeros(0)),
     "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
 }
 """Mechanisms that no field takes out: module, function, and what stands in for it."""

@@ -56,7 +56,7 @@ class Candidates:
     branches: FloatArray
     support: FloatArray
     conflict: FloatArray
-    commonness: FloatArray
+    aliasing_penalty: FloatArray
     """What is taken off because places that are certainly two look as much alike."""
     turn: FloatArray
     """Added to the branches of b to meet those of a [rad]."""
@@ -67,7 +67,7 @@ class Candidates:
     @property
     def alike(self) -> FloatArray:
         """(k,) all evidence but that of position."""
-        out: FloatArray = self.branches + self.support - self.conflict - self.commonness
+        out: FloatArray = self.branches + self.support - self.conflict - self.aliasing_penalty
         return out
 
     @property
@@ -115,7 +115,7 @@ def candidates(
     """
     common = scene.common
     pairs = _known_apart(scene, place, layout, settings)
-    strangers = _strangers(scene, pairs, settings)
+    null_pairs = _null_pairs(scene, pairs, settings)
     spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
     pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * spread)
     pairs = _nearest(pairs, settings.most_pairs * len(scene.places))
@@ -132,8 +132,8 @@ def candidates(
     pairs, odds = take(pairs, odds > least), odds[odds > least]
     found = _surroundings(scene, pairs, settings)
     alike = found.sum()
-    slack = settings.evidence.lead if common.pattern.repeats else 0.0
-    commonness = np.maximum(alike - likeness_odds(alike, strangers, slack), 0.0)
+    slack = settings.evidence.lead if common.lattice.repeats else 0.0
+    aliasing_penalty = np.maximum(alike - calibrated_odds(alike, null_pairs, slack), 0.0)
     return Candidates(
         pairs.a,
         pairs.b,
@@ -141,7 +141,7 @@ def candidates(
         found.branches,
         found.support,
         found.conflict,
-        commonness,
+        aliasing_penalty,
         found.turn,
     )
 
@@ -167,7 +167,7 @@ def _known_apart(
     return _Apart(a, b, layout.xy[a] - layout.xy[b], cov)
 
 
-def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
+def _null_pairs(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
     """(m,) ascending: likeness (log odds of branches and corridors) of null pairs, certainly two
     places.
 
@@ -177,30 +177,30 @@ def _strangers(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> Floa
     _, d2 = pairs.odds(scene.common)
     apart = np.hypot(*pairs.shift.T) > scene.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
-    aside = scene.common.pattern.is_step(pairs.shift[rows])
+    aside = scene.common.lattice.is_step(pairs.shift[rows])
     if aside.sum() >= np.exp(settings.evidence.lead):
-        # What a place could be taken for is one step of the pattern off: so many of these tell as
+        # What a place could be taken for is one step of the lattice off: so many of these tell as
         # much as `lead` asks.
         rows = rows[aside]
     rows = rows[:: -(-len(rows) // settings.most_strangers) or 1]
     return np.sort(_surroundings(scene, take(pairs, rows), settings).sum())
 
 
-def likeness_odds(alike: FloatArray, strangers: FloatArray, slack: float = 0.0) -> FloatArray:
+def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
     """(k,) log odds [nats] that the likeness `alike` is worth, calibrated on null pairs.
 
-    strangers: (m,) ascending likeness of pairs of places that are certainly two. What a share q of
+    null_pairs: (m,) ascending likeness of pairs of places that are certainly two. What a share q of
     them reaches is worth -ln q; beyond the largest of them the odds grow as the model says. slack:
     where the map repeats itself, right pairs are as rare as null pairs: being among the highest is
     then worth at most one nat more than the share of null pairs within `slack` below tells.
     """
-    if len(strangers) == 0:
+    if len(null_pairs) == 0:
         return alike
-    as_much = len(strangers) - np.searchsorted(strangers, alike)
-    nearly = len(strangers) - np.searchsorted(strangers, alike - slack)
+    as_much = len(null_pairs) - np.searchsorted(null_pairs, alike)
+    nearly = len(null_pairs) - np.searchsorted(null_pairs, alike - slack)
     share = np.maximum(np.log1p(as_much), np.log1p(nearly) - 1.0)
-    beyond = np.maximum(alike - strangers[-1], 0.0)
-    out: FloatArray = np.log1p(len(strangers)) - share + beyond
+    beyond = np.maximum(alike - null_pairs[-1], 0.0)
+    out: FloatArray = np.log1p(len(null_pairs)) - share + beyond
     return out
 
 

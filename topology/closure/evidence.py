@@ -16,7 +16,7 @@ from scipy.special import chndtr
 from ..matching.likelihood import LIKELIHOOD, Lengths, length_log_density
 from ..topomap import RunNoise
 from .dead_reckoning import Walk
-from .lattice import Pattern, PatternSettings, no_pattern, pattern_of, squared_mahalanobis
+from .lattice import Lattice, LatticeSettings, lattice_of, no_lattice, squared_mahalanobis
 from .places import Places
 
 FloatArray = NDArray[np.float64]
@@ -38,12 +38,12 @@ class EvidenceSettings:
     references: int = 100
     """Places that stand for the run when asking how common a set of branches is."""
     strip: int = 64
-    """Places whose commonness is worked out at once: what the processor keeps at hand."""
+    """Places whose aliasing_penalty is worked out at once: what the processor keeps at hand."""
     lead: float = 3.0
     """Log odds that tell two answers apart, 20 to one: of sets of identifications over those that
     exclude one of them and of each candidate that joins a set (`joint_compatibility.py`), and of
     likeness over what is nearly as much alike (`candidates.py`)."""
-    pattern: PatternSettings = field(default_factory=PatternSettings)
+    pattern: LatticeSettings = field(default_factory=LatticeSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ class Background:
 
     leg_m: median way from one pass to the next [m]. core_m: radius [m] within which no other
     junction is expected. lengths: distribution of these ways. branch_sigma, centre_sigma: 1 sigma
-    of one detection [rad, m]. fault_rate, miss_rate: of branches and of junctions. pattern: where
+    of one detection [rad, m]. fault_rate, miss_rate: of branches and of junctions. lattice: where
     other junctions lie relative to a junction.
     """
 
@@ -63,7 +63,7 @@ class Background:
     centre_sigma: float
     fault_rate: float
     miss_rate: float
-    pattern: Pattern = field(default_factory=no_pattern)
+    lattice: Lattice = field(default_factory=no_lattice)
 
     @property
     def density(self) -> float:
@@ -96,15 +96,15 @@ def background(
     )
 
 
-def with_pattern(
+def with_lattice(
     common: Background, places: Places, xy: FloatArray, settings: EvidenceSettings
 ) -> Background:
     """The background with the arrangement of neighbouring junctions in a map of places at `xy` (n,
     2)."""
-    found = pattern_of(
+    found = lattice_of(
         places, xy, core_m=common.core_m, typical_m=common.leg_m, settings=settings.pattern
     )
-    return replace(common, pattern=found)
+    return replace(common, lattice=found)
 
 
 def position_odds(
@@ -134,14 +134,14 @@ def among_neighbours(
 ) -> FloatArray:
     """(k,) `odds` of `position_odds`, lowered where another junction of this map may well lie at
     `shift`: the alternative is then a neighbour in the lattice, too."""
-    if not common.pattern.repeats:
+    if not common.lattice.repeats:
         return odds
     # Neighbours are beyond the core: what is known much better than that cannot be one.
     room = common.core_m - np.hypot(*shift.T)
     vague = np.flatnonzero(room**2 < LIKELIHOOD.gate_sigmas**2 * (cov[:, 0, 0] + cov[:, 1, 1]))
     shift, cov = shift[vague], cov[vague]
     d2, det = squared_mahalanobis(shift[:, 0], shift[:, 1], cov)
-    density = np.maximum(common.pattern.density(shift, cov), np.finfo(np.float64).tiny)
+    density = np.maximum(common.lattice.density(shift, cov), np.finfo(np.float64).tiny)
     out = odds.copy()
     against = -0.5 * d2 - np.log(2 * np.pi * np.sqrt(det)) - np.log(density)
     out[vague] = np.minimum(odds[vague], against)

@@ -39,7 +39,7 @@ from .candidates import Candidates, CandidateSettings, candidates
 from .dead_reckoning import Walk, scale_noise
 from .detector_faults import RateSettings, measured_rates
 from .estimate import Layout, LayoutSettings, lay_out
-from .evidence import background, with_pattern
+from .evidence import background, with_lattice
 from .growth import Scene
 from .joint_compatibility import JointSettings, agreeing
 from .manhattan import (
@@ -206,7 +206,7 @@ class _Closure:
         """What the walk shows as it lies; laid out straighter first where its map repeats, for
         there likeness tells little, and the layout is to tell more."""
         scene = _scene(self._walk, self._place, self._layout, self._settings)
-        if self._grid is None or not scene.common.pattern.repeats:
+        if self._grid is None or not scene.common.lattice.repeats:
             return scene
         self._corridors = _straight(self._corridors, self._grid, scene, self._layout)
         self._layout = self._laid_out(self._layout.pose)
@@ -238,7 +238,7 @@ def _scene(walk: Walk, place: IntArray, layout: Layout, settings: RoundSettings)
     evidence = settings.candidates.evidence
     noise = measured_rates(places, walk.noise, settings.rates)
     common = background(walk, noise, evidence)
-    common = with_pattern(common, places, layout.xy, evidence)
+    common = with_lattice(common, places, layout.xy, evidence)
     return Scene(walk, places, layout.xy, common, branches_of(places, common, evidence))
 
 
@@ -420,7 +420,7 @@ def _doubted(
         reason = UNSURE
         if found.conflict[k] > 2:
             reason = DISAGREE
-        elif total[k] + found.commonness[k] >= least > total[k]:
+        elif total[k] + found.aliasing_penalty[k] >= least > total[k]:
             reason = COMMON
         q = _answer(places, found, k, float(total[k]), reason=reason, accepted=False)
         out[q.first, q.second] = replace(q, round=number)

@@ -126,21 +126,21 @@ def agreeing(
 def _one_step_off(start: _Beliefs, members: IntArray) -> float:
     """Log odds of the likeliest alternative in a map that repeats itself: a group of members, all
     shifted by one lattice step. Groups are those of members whose errors go together."""
-    pattern = start.common.pattern
-    if not pattern.repeats:
+    lattice = start.common.lattice
+    if not lattice.repeats:
         return -np.inf
     rows = (2 * members[:, None] + np.arange(2)).ravel()
     cov = start.cov[np.ix_(rows, rows)] + 2 * start.common.centre_sigma**2 * np.eye(len(rows))
     own = cov.reshape(len(members), 2, len(members), 2).trace(axis1=1, axis2=3)
     apart = own.diagonal()[:, None] + own.diagonal() - 2 * own
-    step_m = np.hypot(*pattern.steps.T)
+    step_m = np.hypot(*lattice.steps.T)
     groups = _tied(apart)
     # A map that is not laid out yet may be bent: steps in all directions, too.
     ways = int(np.ceil(2 * np.pi / ONE_WAY_RAD))
     angle = np.arange(ways) * (2 * np.pi / ways)
     turned = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-    step = np.concatenate([pattern.steps, turned.reshape(-1, 2)])
-    odds = np.log(np.concatenate([pattern.share, pattern.share.repeat(ways)]))
+    step = np.concatenate([lattice.steps, turned.reshape(-1, 2)])
+    odds = np.log(np.concatenate([lattice.share, lattice.share.repeat(ways)]))
     information = np.linalg.inv(cov)
     push = information @ start.shift[rows]
     worst = -np.inf

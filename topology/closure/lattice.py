@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class PatternSettings:
+class LatticeSettings:
     """How neighbours are counted."""
 
     hops: int = 4
@@ -34,11 +34,11 @@ class PatternSettings:
     least_places: int = 20
     """Pieces of fewer places have no steps of their own, unless there is no larger one."""
     regular: float = 0.4
-    """A step that leads from this share of all places to another one is a step of a pattern."""
+    """A step that leads from this share of all places to another one is a step of a lattice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pattern:
+class Lattice:
     """Neighbouring junctions, in the axes of the map.
 
     beside: (m, 2) [m] a sample of shifts from a place to another one; each stands for `crowd`
@@ -65,25 +65,25 @@ class Pattern:
         return out
 
     def is_step(self, shift: FloatArray) -> NDArray[np.bool_]:
-        """(k,) whether `shift` (k, 2) is a step of the pattern."""
+        """(k,) whether `shift` (k, 2) is a step of the lattice."""
         off = np.abs(shift[:, None, :] - self.steps).max(axis=2)
         found: NDArray[np.bool_] = (off < 2 * self.width_m).any(axis=1)
         return found
 
 
-def no_pattern() -> Pattern:
+def no_lattice() -> Lattice:
     """That of a map that does not repeat itself."""
-    return Pattern(np.zeros((0, 2)), 0.0, np.zeros((0, 2)), np.zeros(0), 1.0)
+    return Lattice(np.zeros((0, 2)), 0.0, np.zeros((0, 2)), np.zeros(0), 1.0)
 
 
-def pattern_of(
+def lattice_of(
     places: Places,
     xy: FloatArray,
     *,
     core_m: float,
     typical_m: float,
-    settings: PatternSettings = PatternSettings(),
-) -> Pattern:
+    settings: LatticeSettings = LatticeSettings(),
+) -> Lattice:
     """The arrangement of neighbours in a map with places at `xy` (n, 2) [m].
 
     core_m: places nearer than this may be the same junction; typical_m: usual way between
@@ -110,13 +110,13 @@ def pattern_of(
     steps = np.concatenate([np.zeros((0, 2)), *(steps for steps, _ in found)])
     share = np.concatenate([np.zeros(0), *(share for _, share in found)])
     if len(steps) == 0:
-        return no_pattern()
+        return no_lattice()
     sample = shift[:: -(-len(shift) // settings.sample)]
-    return Pattern(sample, len(shift) / n / len(sample), steps, share, settings.width_m)
+    return Lattice(sample, len(shift) / n / len(sample), steps, share, settings.width_m)
 
 
 def _steps(
-    shift: FloatArray, places: int, settings: PatternSettings
+    shift: FloatArray, places: int, settings: LatticeSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Steps that many places have in common, and their share of all places."""
     cell = 2 * settings.width_m

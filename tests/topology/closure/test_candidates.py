@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.candidates import candidates, likeness_odds
+from topobatch.topology.closure.candidates import calibrated_odds, candidates
 from topobatch.topology.closure.dead_reckoning import make_walk
 from topobatch.topology.closure.estimate import lay_out
 from topobatch.topology.se2 import compose
@@ -25,22 +25,22 @@ def test_streets_of_one_length_make_likeness_common():
         start = lay_out(walk, np.arange(len(walk)))
         found = candidates(scene_of(walk, start), np.arange(len(walk)), start, exact=False)
         assert len(found) > 20
-        assert np.all(found.commonness >= 0)
-        taken_off.append(float(np.median(found.commonness)))
+        assert np.all(found.aliasing_penalty >= 0)
+        taken_off.append(float(np.median(found.aliasing_penalty)))
     assert taken_off[0] > taken_off[1] + 2
 
 
-def test_likeness_is_worth_its_rarity_among_strangers():
-    strangers = np.sort(np.random.default_rng(1).normal(0.0, 3.0, 2000))
+def test_likeness_is_worth_its_rarity_among_null_pairs():
+    null_pairs = np.sort(np.random.default_rng(1).normal(0.0, 3.0, 2000))
     alike = np.linspace(-10.0, 40.0, 101)
-    odds = likeness_odds(alike, strangers)
+    odds = calibrated_odds(alike, null_pairs)
     assert np.all(np.diff(odds) >= 0)
-    # Half of the strangers look like that: odds of two to one.
-    assert likeness_odds(np.array([np.median(strangers)]), strangers)[0] == pytest.approx(
+    # Half of the null_pairs look like that: odds of two to one.
+    assert calibrated_odds(np.array([np.median(null_pairs)]), null_pairs)[0] == pytest.approx(
         np.log(2), abs=0.01
     )
-    top = strangers[-1]
-    beyond = likeness_odds(np.array([top + 1e-9, top + 7.0]), strangers)
+    top = null_pairs[-1]
+    beyond = calibrated_odds(np.array([top + 1e-9, top + 7.0]), null_pairs)
     assert beyond[0] == pytest.approx(np.log(2001), abs=0.01)
     assert beyond[1] - beyond[0] == pytest.approx(7.0)
 
@@ -48,14 +48,14 @@ def test_likeness_is_worth_its_rarity_among_strangers():
 def test_to_be_among_the_most_alike_is_worth_little_where_most_are_nearly_so():
     rows_of_crops = np.sort(np.random.default_rng(2).normal(14.0, 1.0, 2000))
     alike = rows_of_crops[[-20, -200, 1000]]
-    odds = likeness_odds(alike, rows_of_crops, slack=3.0)
-    assert np.all(odds <= likeness_odds(alike, rows_of_crops))
+    odds = calibrated_odds(alike, rows_of_crops, slack=3.0)
+    assert np.all(odds <= calibrated_odds(alike, rows_of_crops))
     assert np.all(odds < 1.5)
 
 
-def test_without_strangers_likeness_is_taken_as_it_is():
+def test_without_null_pairs_likeness_is_taken_as_it_is():
     alike = np.linspace(-10.0, 40.0, 101)
-    np.testing.assert_array_equal(likeness_odds(alike, np.zeros(0)), alike)
+    np.testing.assert_array_equal(calibrated_odds(alike, np.zeros(0)), alike)
 
 
 def test_what_dead_reckoning_excludes_is_judged_in_the_axes_of_the_map():

@@ -7,32 +7,32 @@ import pytest
 
 from topobatch.topology.closure.dead_reckoning import make_walk
 from topobatch.topology.closure.estimate import lay_out
-from topobatch.topology.closure.lattice import pattern_of
+from topobatch.topology.closure.lattice import lattice_of
 from topobatch.topology.closure.places import tabulate
 
 from .walks import NOISE, aisles, partition, record
 
 
-def test_a_pattern_is_found_by_its_steps():
+def test_a_lattice_is_found_by_its_steps():
     odometry, passes, truth = record(aisles(8), [(0, c) for c in range(8)] + [(1, 7), (1, 6)])
     walk = make_walk(odometry, passes, NOISE)
     place = partition(truth)
     layout = lay_out(walk, place)
     places = tabulate(walk, place, layout.pose[:, 2], 0.35)
-    pattern = pattern_of(places, layout.xy, core_m=2.0, typical_m=3.0)
-    order = np.argsort(pattern.steps[:, 0])
+    lattice = lattice_of(places, layout.xy, core_m=2.0, typical_m=3.0)
+    order = np.argsort(lattice.steps[:, 0])
     found = [-9.0, -6.0, -3.0, 3.0, 6.0, 9.0]
-    np.testing.assert_allclose(pattern.steps[order, 0], found, atol=0.1)
-    assert np.abs(pattern.steps[:, 1]).max() < 0.1
-    assert pattern.share.max() == pytest.approx(0.8)  # 8 of 10 have one to the right
+    np.testing.assert_allclose(lattice.steps[order, 0], found, atol=0.1)
+    assert np.abs(lattice.steps[:, 1]).max() < 0.1
+    assert lattice.share.max() == pytest.approx(0.8)  # 8 of 10 have one to the right
     asked = np.array([[3.2, 0.1], [1.5, 0], [0, 3.0]])
-    assert pattern.is_step(asked).tolist() == [True, False, False]
+    assert lattice.is_step(asked).tolist() == [True, False, False]
     sharp = np.tile(0.1**2 * np.eye(2), (3, 1, 1))
-    step, between, across = pattern.density(np.array([[3.0, 0], [1.5, 0], [0, 3.0]]), sharp)
+    step, between, across = lattice.density(np.array([[3.0, 0], [1.5, 0], [0, 3.0]]), sharp)
     assert step > 50 * between
     assert step > 50 * across
     # Known to 3 m, the line of neighbours is a blur.
-    blurred = pattern.density(np.array([[3.0, 0], [1.5, 0]]), np.tile(9.0 * np.eye(2), (2, 1, 1)))
+    blurred = lattice.density(np.array([[3.0, 0], [1.5, 0]]), np.tile(9.0 * np.eye(2), (2, 1, 1)))
     assert blurred[0] == pytest.approx(blurred[1], rel=0.2)
 
 
@@ -46,16 +46,16 @@ def test_each_piece_of_a_broken_odometry_has_steps_of_its_own():
     places = tabulate(walk, place, layout.pose[:, 2], 0.35)
     turn = np.repeat([0.0, 0.7, 1.4], 24)
     at = 3.0 * np.tile(np.arange(24), 3)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    pattern = pattern_of(places, at, core_m=2.0, typical_m=3.0)
+    lattice = lattice_of(places, at, core_m=2.0, typical_m=3.0)
     asked = 3.0 * np.stack([np.cos([0.0, 0.7, 1.4, 0.35]), np.sin([0.0, 0.7, 1.4, 0.35])], axis=1)
-    assert pattern.is_step(asked).tolist() == [True, True, True, False]
+    assert lattice.is_step(asked).tolist() == [True, True, True, False]
 
 
-def test_a_map_of_one_place_has_no_pattern():
+def test_a_map_of_one_place_has_no_lattice():
     odometry, passes, truth = record(aisles(2), [(0, 0)])
     walk = make_walk(odometry, passes, NOISE)
     place = partition(truth)
     places = tabulate(walk, place, np.zeros(1), 0.35)
-    pattern = pattern_of(places, np.zeros((1, 2)), core_m=2.0, typical_m=3.0)
-    assert len(pattern.steps) == 0
-    assert pattern.density(np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1))).tolist() == [0, 0]
+    lattice = lattice_of(places, np.zeros((1, 2)), core_m=2.0, typical_m=3.0)
+    assert len(lattice.steps) == 0
+    assert lattice.density(np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1))).tolist() == [0, 0]
