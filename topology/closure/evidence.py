@@ -149,7 +149,11 @@ def among_neighbours(
 
 
 def best_position_odds(common: Background, shift: FloatArray) -> FloatArray:
-    """(k,) upper bound of `position_odds` over all covariances."""
+    """(k,) `position_odds` at the round covariance that suits each shift best.
+
+    About the most that they can be, cheaply. No strict bound: a long, thin covariance along the
+    shift, or one that places the other certainly within the core, can give a few nats more.
+    """
     s2 = np.maximum(0.5 * (shift**2).sum(axis=1), 2 * common.centre_sigma**2)
     odds, _ = position_odds(common, shift, s2[:, None, None] * np.eye(2))
     return odds

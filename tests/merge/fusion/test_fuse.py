@@ -11,6 +11,7 @@ import pytest
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.passes import NO_BRANCH
+from topobatch.topology.posegraph.solve import Priors
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, fit_rigid, inverse
 
@@ -341,22 +342,53 @@ def test_a_false_match_among_right_ones_gives_way(draw):
     assert off[2] < 0.1
 
 
-def test_a_grid_keeps_a_chain_of_rectilinear_maps_from_bending(draw):
-    # Each map saw its neighbours at one junction only, with branches 6 degrees off.
+def far_end_of_a_chain(draw, *, placed_deg=0.0, read_deg=0.0):
+    """Four maps in a row, 20 m each, that share one junction with the next: where the last ends.
+
+    placed_deg: how far each verdict turns its second map; read_deg: how far off each map read the
+    branches of its first junction.
+    """
     chain = []
     for k in range(4):
         corners = {0: (20.0 * k, 0.0), 1: (20.0 * k + 20, 0.0), 2: (20.0 * k, 8.0)}
         stubs = [(0, np.pi), (1, 0.0), (1, np.pi / 2), (2, np.pi / 2)]
-        chain.append(draw(f"r{k}", corners, [(0, 1), (0, 2)], stubs))
+        m = draw(f"r{k}", corners, [(0, 1), (0, 2)], stubs)
+        rows = [m.branches[v] + np.deg2rad(read_deg) * (v == 0) for v in range(len(m))]
+        chain.append(replace(m, branches=Ragged.from_rows(rows)))
     links = []
     for a, b in pairwise(chain):
-        bent = np.array([0.0, 0.0, np.deg2rad(6.0)])
+        bent = np.array([0.0, 0.0, np.deg2rad(placed_deg)])
         bent[:2] = a.xy[1] - apply(bent, b.xy[0])
         best = Alignment(bent, 20.0, np.array([[1, 0]]), 0.0)
         links.append(PairVerdict(a.run, b.run, Verdict.MERGED, True, 20.0, "", best=best))
     _, fused = fuse(chain, links)
-    far = next(k for k, m in enumerate(fused.members) if m == {"r3": (1,)})
-    assert fused.xy[far] == pytest.approx([80.0, 0.0], abs=0.3)
+    return fused.xy[next(k for k, m in enumerate(fused.members) if m == {"r3": (1,)})]
+
+
+def test_how_maps_are_turned_against_each_other_is_told_by_branches_and_not_by_verdicts(draw):
+    assert far_end_of_a_chain(draw, placed_deg=6.0) == pytest.approx([80.0, 0.0], abs=0.3)
+
+
+def test_a_grid_keeps_a_chain_of_rectilinear_maps_from_bending(draw, monkeypatch):
+    assert far_end_of_a_chain(draw, read_deg=-4.0) == pytest.approx([80.0, 0.0], abs=1.0)
+    without = lambda pool, guess, settings: Priors.empty()  # noqa: E731
+    monkeypatch.setattr("topobatch.merge.fusion.joint_graph._grid_priors", without)
+    assert far_end_of_a_chain(draw, read_deg=-4.0)[1] > 8.0
+
+
+@pytest.mark.parametrize(("lengths", "together"), [((6.0, 6.0), True), ((9.0, 9.0), False)])
+def test_corridors_of_other_lengths_keep_vertices_apart_that_lie_on_each_other(
+    draw, lengths, together
+):
+    """Both runs drove two corridors from s; in b they are as long, or longer."""
+    cross = {"s": (0, 0), "e": (6, 0), "n": (0, 6)}
+    down = {"h": (-6, 0), "k": (-6, -7), "l": (-12, -7)}
+    drives = [("h", "k"), ("k", "l"), ("s", "e"), ("s", "n")]
+    a = draw("a", {**down, **cross}, [*drives, ("h", "s")])
+    longer = dict(zip([("s", "e"), ("s", "n")], lengths, strict=True))
+    b = draw("b", {**down, **cross}, drives, [("s", np.pi), ("h", 0.0)], lengths=longer)
+    _, fused = fuse([a, b], [verdict(a, b, [(0, 0), (1, 1), (2, 2)])])
+    assert ({"a": (3,), "b": (3,)} in [dict(m) for m in fused.members]) is together
 
 
 def test_a_phantom_in_one_run_splits_the_other_runs_corridor_by_their_branches(draw):

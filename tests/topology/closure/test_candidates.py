@@ -8,7 +8,8 @@ import pytest
 from topobatch.topology.closure.candidates import calibrated_odds, candidates
 from topobatch.topology.closure.dead_reckoning import make_walk
 from topobatch.topology.closure.estimate import lay_out
-from topobatch.topology.se2 import compose
+from topobatch.topology.matching.likelihood import LIKELIHOOD
+from topobatch.topology.se2 import compose, turned_axes
 
 from .walks import NOISE, grid_world, record, scene_of, wander
 
@@ -70,3 +71,21 @@ def test_what_dead_reckoning_excludes_is_judged_in_the_axes_of_the_map():
     assert len(found) > 20
     assert list(zip(found.a, found.b, strict=True)) == list(zip(again.a, again.b, strict=True))
     np.testing.assert_allclose(again.position, found.position, atol=1e-3)
+
+
+def test_what_position_excludes_is_no_candidate():
+    rng = np.random.default_rng(22)
+    world = grid_world(6, 6)
+    odometry, passes, _ = record(world, wander(world[1], 120, rng), rng)
+    walk, each = make_walk(odometry, passes, NOISE), np.arange(len(passes))
+    layout = lay_out(walk, each)
+    scene = scene_of(walk, layout)
+    found = candidates(scene, each, layout, exact=True)
+    a, b = layout.node[found.a], layout.node[found.b]
+    R = turned_axes(layout.solution.pose[a, 2])
+    cov = (R @ layout.relative_covariance(a, b) @ R.transpose(0, 2, 1))[:, :2, :2]
+    cov += 2 * scene.common.centre_sigma**2 * np.eye(2)
+    shift = layout.xy[found.a] - layout.xy[found.b]
+    d2 = np.einsum("ki,kij,kj->k", shift, np.linalg.inv(cov), shift)
+    assert len(found) > 20
+    assert d2.max() < LIKELIHOOD.gate_chi2(2)

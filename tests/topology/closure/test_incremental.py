@@ -17,6 +17,7 @@ from topobatch.topology.closure.estimate import lay_out
 from topobatch.topology.closure.incremental import (
     RoundSettings,
     _certain,
+    _fitting_scale,
     closure_without_grid,
     full_closure,
     weakest_cut,
@@ -331,3 +332,11 @@ def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, accepte
     # A rival as unlikely as not takes little away.
     found = replace(found, branches=alike - [0.0, 10.5, 0.0][: len(pairs)])
     assert [(q.first, q.second) for q in _certain(places, found, least=9.0)] == [(0, 1)]
+
+
+def test_noise_is_raised_where_errors_as_large_are_no_chance():
+    fine, loud = (SimpleNamespace(misfit=m, freedom=100) for m in (1.2, 4.0))
+    assert _fitting_scale(1.5, fine) == 1.5
+    assert _fitting_scale(1.5, loud) == 3.0
+    # Of few residuals such a misfit is chance.
+    assert _fitting_scale(1.5, SimpleNamespace(misfit=4.0, freedom=2)) == 1.5

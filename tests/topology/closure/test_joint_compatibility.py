@@ -85,3 +85,14 @@ def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
     assert accepted == expected
     assert ("exclude" in agreed.reason) is (expected == [])
     assert len(agreed.odds) == len(accepted)
+
+
+def test_what_agrees_is_as_sure_as_is_asked_or_not_believed():
+    walk, layout = _ends_of_a_long_way([[2.0, 1.5]] * 4)
+    found = _asked(np.arange(4), 8 + np.arange(4), np.full(4, -2.0), np.full(4, 4.0))
+    common = background(walk, walk.noise)
+    accepted = [
+        len(agreeing(layout, found, common, EvidenceSettings(), least_odds=least).rows)
+        for least in (9.0, 1000.0)
+    ]
+    assert accepted == [4, 0]
