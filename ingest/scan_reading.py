@@ -16,6 +16,7 @@ from .logs.intake import PoseColumns
 from .mounting import mounting
 from .odometry.reading import OdometryTopic, described, driven, odometry_topic
 from .scans.detection import detect
+from .scans.mount_yaw import MountYaw, mount_yaw
 from .scans.scan import ScanStatistics
 from .scans.stream import InterleavedScans, Mounting, ScanStream
 from .sources import Clock, Source, choose_clock, clock_without_jumps
@@ -42,7 +43,21 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     lasers = [first, *_others(read, source, first, warnings)]
     frames = set().union(*(laser.frames for laser in lasers))
     recorded = way.recorded if way else None
-    mounts, told = mounting(read.recording, frames, recorded, read.settings)
+
+    def yaw_of(frame: str) -> MountYaw | None:
+        if recorded is None or first.frames != {frame}:
+            return None
+        unturned = ScanStream(
+            read.recording,
+            first.topic,
+            ANYWHERE,
+            clock=clock,
+            stamp=read.settings.scan_stamp,
+            slices=read.settings.slices,
+        )
+        return mount_yaw(recorded, unturned)
+
+    mounts, told = mounting(read.recording, frames, recorded, read.settings, yaw_of)
     warnings += [*(way.warnings if way else ()), *told]
     used = [laser for laser in lasers if laser is first or laser.frames <= set(mounts.known)]
     stream = InterleavedScans(

@@ -71,7 +71,7 @@ class StepErrors:
         self, frames: Keyframes, first: IntArray, second: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """Motion (p, 3) to keyframes `first` from `second`, corrected; information."""
-        own = _own(frames, first, second)
+        own = odometry_motion(frames, first, second)
         inputs = _inputs(frames, first, second, own)
         turn = wrap(own[:, 2] + inputs @ self.heading.terms)
         shift = np.einsum("pkl,l->pk", _shifts(own, turn), self.shift.terms)
@@ -93,7 +93,7 @@ class StepErrors:
     ) -> StepErrors:
         """With the motion (p, 3) of more pairs as matched, where turn and where way are sure."""
         (first, second), (motion, turn_sure, way_sure) = pairs, matched
-        own = _own(frames, first, second)
+        own = odometry_motion(frames, first, second)
         real = compose(compose(frames.mount[second], motion), inverse(frames.mount[first]))
         out = self
         if turn_sure.any():
@@ -106,7 +106,7 @@ class StepErrors:
         return out
 
 
-def _own(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
+def odometry_motion(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
     """(p, 3) motion of the robot by its odometry."""
     pose = [compose(frames.odometry[k], inverse(frames.mount[k])) for k in (second, first)]
     return between(*pose)

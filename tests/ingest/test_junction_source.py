@@ -194,6 +194,37 @@ def test_a_mounting_that_nobody_tells_is_assumed_and_said(
         ReadSettings(laser_pose=(0.0, float("nan"), 0.0))
 
 
+def test_a_laser_that_looks_aside_is_found_to(
+    both: Path, sensors: ModuleType, tmp_path: Path
+) -> None:
+    """Without its transform, and turned by a right angle."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+
+    def turned(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic == "/tf_static":
+            return []
+        if topic == "/scan":
+            scan = store.deserialize_cdr(raw, kind)
+            scan.angle_min -= np.pi / 2
+            scan.angle_max -= np.pi / 2
+            raw = bytes(store.serialize_cdr(scan, kind))
+        return [(topic, kind, log_ns, raw)]
+
+    log = rewritten(both, tmp_path / "x.mcap", sensors, turned)
+    run = read_run(log, ReadSettings(junctions_from="scan"))
+    (told,) = run.warnings
+    assert "'laser' looks 90 degrees to the left" in told
+    assert "--laser-pose" in told
+    assert run.source["junctions"]["covered"] > 0.9
+    assert run.source["junctions"]["drift_after_m"] < 0.2
+    straight = read_run(both, ReadSettings(junctions_from="scan"))
+    assert run.scanned is not None
+    assert straight.scanned is not None
+    assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
+
+
 def test_scans_that_cannot_be_read_are_told_by_topic(sensors: ModuleType, tmp_path: Path) -> None:
     rows = [("/scan", sensors.SCAN, sensors.START_NS + k, b"nonsense") for k in range(3)]
     log = sensors.mcap(tmp_path / "x.mcap", rows)

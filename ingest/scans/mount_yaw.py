@@ -1,0 +1,106 @@
+"""Which way a laser looks, where the log does not say: its own motion beside the odometry's.
+
+Driving straight on, a laser moves in its own frame as the robot does in its, turned by how it is
+mounted; where it sits on the robot does not matter (the rotational part of hand-eye calibration:
+Censi, Franchi, Marchionni and Oriolo, Simultaneous calibration of odometry and sensor parameters
+for mobile robots, 2013). Each scan is matched to the one before without asking the odometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.odometry import Odometry
+from ...topology.se2 import wrap
+from .alignment import Steps, match_steps
+from .association import Swept
+from .keyframes import Keyframes, keyframes
+from .matching import MatchingSettings, posed
+from .scan import ScanBatch
+from .step_errors import LOOSE_M, odometry_motion
+from .surfaces import surfaces
+
+FloatArray = NDArray[np.float64]
+
+DEFAULT_MATCHING = MatchingSettings()
+ENOUGH = 40
+"""Steps that tell: their directions scatter by some degrees, their mean then by one."""
+MOST_SCANS = 4000
+"""Scans asked at most."""
+STRAIGHT_RAD = 0.05
+"""Turn of a step by which a laser 0.5 m off the middle moves aside by a tenth of the step."""
+SAME_RAD, SAME_SHARE = 0.2, 0.8
+"""So near each other so many directions have to be: scans matched wrongly go anywhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class MountYaw:
+    """yaw_rad: of the laser in the robot's frame, with 1 sigma."""
+
+    yaw_rad: float
+    sigma_rad: float
+
+
+def mount_yaw(
+    odometry: Odometry,
+    batches: Iterable[ScanBatch],
+    settings: MatchingSettings = DEFAULT_MATCHING,
+) -> MountYaw | None:
+    """The yaw of a laser whose scans are taken to be of the robot's middle; None if not sure.
+
+    batches: of one laser. Reads as few as needed.
+    """
+    found = np.zeros(0)
+    for frames in keyframes(posed(odometry, _first(batches), settings), settings.keyframes):
+        found = np.concatenate([found, _yaws(frames, settings)])
+        if len(found) >= ENOUGH:
+            return _agreed(found)
+    return None
+
+
+def _first(batches: Iterable[ScanBatch]) -> Iterator[ScanBatch]:
+    scans = 0
+    for batch in batches:
+        yield batch
+        scans += len(batch)
+        if scans >= MOST_SCANS:
+            return
+
+
+def _yaws(frames: Keyframes, settings: MatchingSettings) -> FloatArray:
+    """Of every step of a stretch of keyframes that goes straight on and is known by its scans."""
+    second = np.arange(len(frames) - 1)
+    own = odometry_motion(frames, second + 1, second)
+    way = np.hypot(own[:, 0], own[:, 1])
+    straight = (np.abs(own[:, 2]) < STRAIGHT_RAD) & (np.diff(frames.piece) == 0)
+    straight &= (way > 0.5 * settings.keyframes.step_m) & (way < 2 * settings.keyframes.step_m)
+    second, own, way = second[straight], own[straight], way[straight]
+    if len(second) == 0:
+        return np.zeros(0)
+    scans = Swept(
+        frames.xy,
+        frames.start,
+        frames.increment,
+        surfaces(frames.xy, frames.increment, settings.surfaces),
+    )
+    anywhere = np.tile(np.diag(1 / np.array([1.0, 1.0, STRAIGHT_RAD]) ** 2), (len(own), 1, 1))
+    still = Steps(np.zeros_like(own), anywhere)
+    seen = match_steps(scans, (second + 1, second), still, settings.alignment)
+    x, y = seen.motion[:, :2].T
+    sure = (seen.fit > settings.alignment.lost_fit) & (seen.loose_m < LOOSE_M) & ~seen.searched
+    sure &= np.abs(np.hypot(x, y) - way) < SAME_RAD * way
+    return np.asarray(wrap(np.arctan2(own[:, 1], own[:, 0]) - np.arctan2(y, x))[sure])
+
+
+def _agreed(yaws: FloatArray) -> MountYaw | None:
+    near = np.abs(wrap(yaws[:, None] - yaws)) < SAME_RAD
+    middle = int(near.sum(axis=1).argmax())
+    best = near[middle]
+    if best.mean() < SAME_SHARE:
+        return None
+    off = wrap(yaws[best] - yaws[middle])
+    return MountYaw(float(wrap(yaws[middle] + off.mean())), float(off.std() / np.sqrt(len(off))))
