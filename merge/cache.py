@@ -60,7 +60,8 @@ class ResultCache:
     def find(self, kind: Kind, key: Key) -> bytes | None:
         """The payload of a record, wanted from now on; None if there is no undamaged one."""
         self._wanted.update(key)
-        return next(_undamaged(self._of(kind).get(key, ())), None)
+        known = self._of(kind).get(key)
+        return None if known is None else next(_undamaged(known), None)
 
     def every(self, kind: Kind) -> Iterator[bytes]:
         """The payloads of all undamaged records of a kind."""
@@ -174,5 +175,7 @@ class ResultCache:
 
 def _undamaged(records: Iterable[Record]) -> Iterator[bytes]:
     """The payloads of records, as far as they are whole."""
-    found = (pack.payload(row) for pack, row in records)
-    return (payload for payload in found if payload is not None)
+    for pack, row in records:
+        payload = pack.payload(row)
+        if payload is not None:
+            yield payload

@@ -54,9 +54,12 @@ def entry_text(data: bytes) -> Json:
     return Json(data[8 * NUMBERS :].decode())
 
 
+Ends = Annotated[list[Index], Field(min_length=1, max_length=2)]
+
+
 class _Sides(TypedDict):
-    a: list[Index]
-    b: list[Index]
+    a: Ends
+    b: Ends
 
 
 class _Aligned(TypedDict):
@@ -106,9 +109,12 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
         entry = _ENTRY.validate_json(data[8 * NUMBERS :])
     except ValueError:  # too short, or of pydantic
         return None
-    if (entry["a"], entry["b"]) != (a.run, b.run) or not (np.abs(numbers) <= LARGEST).all():
+    known = numbers.tolist()
+    if (entry["a"], entry["b"]) != (a.run, b.run) or not all(
+        -LARGEST <= x <= LARGEST for x in known
+    ):
         return None
-    bits, need, margin = numbers[:3].tolist()
+    bits, need, margin = known[:3]
     own = (a.run, b.run, Verdict(entry["verdict"]), entry["accepted"], bits, entry["reason"])
     if entry["verdict"] == "unrelated":
         return PairVerdict(*own, threshold_bits=need)
@@ -116,39 +122,38 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
     merged = entry["verdict"] == "merged"
     if entry["accepted"] != merged or (by is not None) != merged:
         return None
-    best = _aligned(entry, numbers[3:8], (len(a), len(b)))
-    runner_up = None if second is None else _aligned(second, numbers[8:], (len(a), len(b)))
-    if best is None or (runner_up is None) != (second is None):
+    sizes = (len(a), len(b))
+    if not all(_fits(part, sizes) for part in (entry, second) if part is not None):
         return None
     return PairVerdict(
         *own,
         threshold_bits=need,
         accepted_by=by,
-        best=best,
-        runner_up=runner_up,
+        best=_aligned(entry, numbers[3:6], *known[6:8]),
+        runner_up=None if second is None else _aligned(second, numbers[8:11], *known[11:]),
         margin_bits=margin if "margin_bits" in entry else None,
         advice=entry.get("advice"),
         extra=_extra(entry),
     )
 
 
-def _aligned(part: _Aligned, numbers: FloatArray, sizes: tuple[int, int]) -> Alignment | None:
-    """An alignment; None where it speaks of vertices that maps of such sizes do not have."""
-    matched = np.array(part["matched"], np.int64).reshape(-1, 2)
-    contradicting = tuple(
-        (tuple(sides["a"]), tuple(sides["b"])) for sides in part.get("contradicting", ())
+def _fits(part: _Aligned, sizes: tuple[int, int]) -> bool:
+    """Whether an alignment speaks of vertices that maps of such sizes have, and says of each
+    contradiction where it lies, if of any."""
+    n, m = sizes
+    where = part.get("contradicting", ())
+    return (
+        all(i < n and j < m for i, j in part["matched"])
+        and all(max(sides["a"]) < n and max(sides["b"]) < m for sides in where)
+        and (not where or len(where) == len(part["contradictions"]))
     )
-    if not (matched < sizes).all() or any(
-        max(own, default=-1) >= size
-        for sides in contradicting
-        for own, size in zip(sides, sizes, strict=True)
-    ):
-        return None
-    bits, rmse_m = numbers[3:].tolist()
+
+
+def _aligned(part: _Aligned, transform: FloatArray, bits: float, rmse_m: float) -> Alignment:
+    where = ((tuple(sides["a"]), tuple(sides["b"])) for sides in part.get("contradicting", ()))
+    matched = np.array(part["matched"], np.int64)
     told = tuple(part["contradictions"])
-    if contradicting and len(contradicting) != len(told):
-        return None
-    return Alignment(numbers[:3], bits, matched, rmse_m, part["corridors"], told, contradicting)
+    return Alignment(transform, bits, matched, rmse_m, part["corridors"], told, tuple(where))
 
 
 def _extra(entry: Mapping[str, Any]) -> dict[str, float]:
