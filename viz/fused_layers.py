@@ -17,7 +17,7 @@ from .contradictions import write_contradictions
 from .drawing import Strand, branch_arrows, driven_branches, pen_m, strands
 from .growing import colour_columns, light_up_by_step
 from .map_sheet import write_cards, write_own_map, write_words
-from .parts import Part, legend_step_m
+from .parts import Part, legend_step_m, rows_of
 from .placements import Spot, contradiction_spots
 from .recording import JOIN, UP, PathParts, Recording, placed, strips
 from .sheet import Cell
@@ -54,12 +54,17 @@ def write_fused_layers(
     free = _free_branches(result.fused, parts)
     origins, vectors = branch_arrows(result.fused, 6 * pen)
     first = first_steps(steps)
+    own_steps: dict[int, list[tuple[int, Step]]] = {}
+    for number, step in enumerate(steps, start=1):
+        own_steps.setdefault(step.component, []).append((number, step))
     for part, bare in zip(parts, free, strict=True):
         _ribbons(recording, result.fused, part, colours, pen=pen, first=first)
         _agreement(recording, result.fused, part, pen)
         _junctions(recording, AGREEMENT, result.fused, part, pen)
         _junctions(recording, FUSED, result.fused, part, pen)
-        _junctions_in_time(recording, result.fused, part, steps, first)
+        _junctions_in_time(
+            recording, result.fused, part, own_steps.get(part.component.id, ()), first
+        )
         _unexplored(recording, part, (origins[bare], vectors[bare]), pen)
         for run in sorted(part.component.poses):
             own = (RUNS, part.name, run)
@@ -260,7 +265,7 @@ def _junctions_in_time(
     recording: Recording,
     fused: FusedMap,
     part: Part,
-    steps: Sequence[Step],
+    steps: Sequence[tuple[int, Step]],
     first: Mapping[str, int],
 ) -> None:
     """Junctions are dim until a run that has them is joined, grey until two of their runs are
@@ -298,12 +303,7 @@ def _free_branches(fused: FusedMap, parts: list[Part]) -> list[NDArray[np.int64]
     """Of each component the branches that nobody drove, by their rows."""
     free = np.flatnonzero(~driven_branches(fused))
     owner = fused.component[fused.branches.owner[free]]
-    order = np.argsort(owner, kind="stable")
-    free, owner = free[order], owner[order]
-    return [
-        free[np.searchsorted(owner, number) : np.searchsorted(owner, number, side="right")]
-        for number in (part.component.id for part in parts)
-    ]
+    return [free[rows] for rows in rows_of(owner, [part.component.id for part in parts])]
 
 
 def _unexplored(

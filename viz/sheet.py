@@ -40,14 +40,14 @@ def upright_rad(polylines: Sequence[NDArray[np.float64]]) -> float:
 
     Where the corridors have no common direction (mod 90°), the longest extent becomes the width.
     """
-    parts = [np.diff(p, axis=0) for p in polylines]
-    steps = np.concatenate([*parts, np.zeros((0, 2))])
+    points = np.concatenate([np.zeros((0, 2)), *polylines])
+    owner = np.arange(len(polylines)).repeat([len(p) for p in polylines])
+    steps = np.diff(points, axis=0)[owner[1:] == owner[:-1]]
     length = np.hypot(*steps.T)
     if not length.sum() > 0:
         return 0.0
     # Angles mod 90° are averaged as unit vectors at four times the angle.
     mean = (length * np.exp(4j * np.arctan2(steps[:, 1], steps[:, 0]))).sum() / length.sum()
-    points = np.concatenate(polylines)
     if abs(mean) >= STRAIGHT:
         turn = -float(np.angle(mean)) / 4
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -22,17 +22,19 @@ STORY = "story"
 """Root of the pages."""
 
 
-def shared_from(part: Part, steps: Sequence[Step], runs_at: NDArray[np.bool_]) -> NDArray[np.int64]:
+def shared_from(
+    part: Part, steps: Iterable[tuple[int, Step]], runs_at: NDArray[np.bool_]
+) -> NDArray[np.int64]:
     """(n,) number of the step at which a junction of a component is first shared by two of its runs
-    that are together; 0 for those that never are. runs_at: (n, r) whether each of the component's
-    runs, in their order, has the junction. O(steps · n · r)."""
+    that are together; 0 for those that never are. steps: those of the component, with their
+    numbers; runs_at: (n, r) whether each of its runs, in their order, has the junction.
+    O(steps · n · r)."""
     column = {run: k for k, run in enumerate(sorted(part.component.poses))}
     shared = np.zeros(len(runs_at), np.int64)
-    for number, step in enumerate(steps, start=1):
-        if step.component == part.component.id:
-            one = runs_at[:, [column[run] for run in step.joins]].any(axis=1)
-            two = runs_at[:, [column[run] for run in step.into]].any(axis=1)
-            shared[(shared == 0) & one & two] = number
+    for number, step in steps:
+        one = runs_at[:, [column[run] for run in step.joins]].any(axis=1)
+        two = runs_at[:, [column[run] for run in step.into]].any(axis=1)
+        shared[(shared == 0) & one & two] = number
     return shared
 
 
