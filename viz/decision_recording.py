@@ -33,7 +33,7 @@ from .map_sheet import (
     sheet_view,
     write_cards,
     write_laid_over,
-    write_own_map,
+    write_own_maps,
     write_rings,
     write_words,
 )
@@ -99,7 +99,7 @@ def _side_by_side(recording: Recording, a: TopoMap, b: TopoMap) -> list[Cell]:
     for k, (m, cell) in enumerate(zip(maps, cells, strict=True)):
         here = (PLACEMENTS, "maps", m.run)
         recording.static(here, placed(cell.T_sheet_map))
-        write_own_map(recording, here, m, palette.of_rank(k), pen_m(maps))
+        write_own_maps(recording, [here], [m], [palette.of_rank(k)], pen_m(maps))
     return cells
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 import rerun as rr
@@ -16,7 +17,7 @@ from . import palette
 from .contradictions import write_contradictions
 from .drawing import Strand, branch_arrows, driven_branches, pen_m, strands
 from .growing import colour_columns, light_up_by_step
-from .map_sheet import write_cards, write_own_map, write_words
+from .map_sheet import write_cards, write_own_maps, write_words
 from .parts import Part, legend_step_m, rows_of
 from .placements import Spot, contradiction_spots
 from .recording import JOIN, UP, PathParts, Recording, placed, strips
@@ -51,25 +52,28 @@ def write_fused_layers(
         for part in parts:
             recording.static((root, part.name), placed(part.cell.T_sheet_map))
     pen = pen_m([result.fused])
-    free = _free_branches(result.fused, parts)
-    origins, vectors = branch_arrows(result.fused, 6 * pen)
     first = first_steps(steps)
     own_steps: dict[int, list[tuple[int, Step]]] = {}
     for number, step in enumerate(steps, start=1):
         own_steps.setdefault(step.component, []).append((number, step))
-    for part, bare in zip(parts, free, strict=True):
-        _ribbons(recording, result.fused, part, colours, pen=pen, first=first)
-        _agreement(recording, result.fused, part, pen)
-        _junctions(recording, AGREEMENT, result.fused, part, pen)
-        _junctions(recording, FUSED, result.fused, part, pen)
-        _junctions_in_time(
-            recording, result.fused, part, own_steps.get(part.component.id, ()), first
-        )
-        _unexplored(recording, part, (origins[bare], vectors[bare]), pen)
-        for run in sorted(part.component.poses):
-            own = (RUNS, part.name, run)
-            recording.static(own, placed(part.component.poses[run]))
-            write_own_map(recording, own, maps[run], colours[run], pen)
+    _ribbons(recording, result.fused, parts, colours, pen=pen, first=first)
+    _agreement(recording, result.fused, parts, pen)
+    for root in (AGREEMENT, FUSED):
+        _junctions(recording, root, result.fused, parts, pen)
+    for part in parts:
+        own = own_steps.get(part.component.id, ())
+        _junctions_in_time(recording, result.fused, part, own, first)
+    _unexplored(recording, result.fused, parts, pen)
+    lying = [(part, run) for part in parts for run in sorted(part.component.poses)]
+    for part, run in lying:
+        recording.static((RUNS, part.name, run), placed(part.component.poses[run]))
+    write_own_maps(
+        recording,
+        [(RUNS, part.name, run) for part, run in lying],
+        [maps[run] for _, run in lying],
+        [colours[run] for _, run in lying],
+        pen,
+    )
 
 
 def write_fused_contradictions(
@@ -178,7 +182,7 @@ def _legend(
 def _ribbons(
     recording: Recording,
     fused: FusedMap,
-    part: Part,
+    parts: list[Part],
     colours: Mapping[str, tuple[int, int, int]],
     *,
     pen: float,
@@ -186,18 +190,24 @@ def _ribbons(
 ) -> None:
     """Corridors with one strand beside the other for each run that drove them, dim until the run
     is joined with another; first: at which step that is."""
-    driven: dict[str, list[Strand]] = {}
-    for strand in strands(fused, part.edges, pen):
-        driven.setdefault(strand.run, []).append(strand)
-    for run, drawn in sorted(driven.items()):
-        edges = np.array([strand.edge for strand in drawn])
-        path = (FUSED, part.name, "corridors", run)
-        lines = rr.LineStrips2D.from_fields(
-            strips=strips([strand.path for strand in drawn]),
-            radii=[pen * strand.share / 2 for strand in drawn],
-            draw_order=palette.Order.CORRIDOR,
-        )
-        recording.static(path, lines, _corridor_info(fused, edges))
+    of_run: dict[PathParts, list[Strand]] = {}
+    home = {run: part.name for part in parts for run in part.component.poses}
+    edges = np.concatenate([np.zeros(0, np.int64), *(part.edges for part in parts)])
+    for strand in strands(fused, edges, pen):
+        own = (FUSED, home[strand.run], "corridors", strand.run)
+        of_run.setdefault(own, []).append(strand)
+    if not of_run:
+        return
+    drawn = list(chain.from_iterable(of_run.values()))
+    lines = rr.LineStrips2D.from_fields(
+        strips=strips([strand.path for strand in drawn]),
+        radii=[pen * strand.share / 2 for strand in drawn],
+        draw_order=palette.Order.CORRIDOR,
+    )
+    told = _corridor_info(fused, np.array([strand.edge for strand in drawn]))
+    recording.static_each([*of_run], [len(own) for own in of_run.values()], lines, told)
+    for path in of_run:
+        run = path[-1]
         colour = np.array([colours[run]], np.uint8)
         if run in first:
             light_up_by_step(recording, path, rr.LineStrips2D, np.array([first[run]]), colour)
@@ -205,10 +215,10 @@ def _ribbons(
             recording.static(path, rr.LineStrips2D.from_fields(colors=colour))
 
 
-def _agreement(recording: Recording, fused: FusedMap, part: Part, pen: float) -> None:
-    if len(part.edges) == 0:
+def _agreement(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
+    edges = np.concatenate([np.zeros(0, np.int64), *(part.edges for part in parts)])
+    if len(edges) == 0:
         return
-    edges = part.edges
     runs = np.array([len({run for run, _ in fused.edge_members[i]}) for i in edges.tolist()])
     lines = rr.LineStrips2D(
         strips([fused.paths[i] for i in edges.tolist()]),
@@ -216,8 +226,9 @@ def _agreement(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
         colors=palette.by_count(runs),
         draw_order=palette.Order.CORRIDOR,
     )
-    path = (AGREEMENT, part.name, "corridors")
-    recording.static(path, lines, _corridor_info(fused, edges))
+    paths = [(AGREEMENT, part.name, "corridors") for part in parts]
+    counts = [len(part.edges) for part in parts]
+    recording.static_each(paths, counts, lines, _corridor_info(fused, edges))
 
 
 def _corridor_info(fused: FusedMap, edges: NDArray[np.int64]) -> rr.AnyValues:
@@ -232,16 +243,19 @@ def _corridor_info(fused: FusedMap, edges: NDArray[np.int64]) -> rr.AnyValues:
     )
 
 
-def _junctions(recording: Recording, root: str, fused: FusedMap, part: Part, pen: float) -> None:
-    rows = part.vertices
+def _junctions(
+    recording: Recording, root: str, fused: FusedMap, parts: list[Part], pen: float
+) -> None:
+    rows = np.concatenate([np.zeros(0, np.int64), *(part.vertices for part in parts)])
     if len(rows) == 0:
         return
     runs = np.array([len(fused.members[i]) for i in rows.tolist()])
     shared = runs > 1
     # Those of the map get their colours step by step.
     colours = palette.by_count(runs) if root == AGREEMENT else None
-    recording.static(
-        (root, part.name, "junctions"),
+    recording.static_each(
+        [(root, part.name, "junctions") for part in parts],
+        [len(part.vertices) for part in parts],
         rr.Points2D.from_fields(
             positions=fused.xy[rows],
             radii=pen * np.where(shared, 2.4, 1.4),
@@ -299,25 +313,21 @@ def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
     )
 
 
-def _free_branches(fused: FusedMap, parts: list[Part]) -> list[NDArray[np.int64]]:
-    """Of each component the branches that nobody drove, by their rows."""
+def _unexplored(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
+    """The branches that nobody drove."""
     free = np.flatnonzero(~driven_branches(fused))
     owner = fused.component[fused.branches.owner[free]]
-    return [free[rows] for rows in rows_of(owner, [part.component.id for part in parts])]
-
-
-def _unexplored(
-    recording: Recording, part: Part, free: tuple[NDArray[np.float64], ...], pen: float
-) -> None:
-    """Branches that nobody drove. free: their origins and vectors."""
-    origins, vectors = free
-    if not len(origins):
+    own = [free[rows] for rows in rows_of(owner, [part.component.id for part in parts])]
+    if len(free) == 0:
         return
+    origins, vectors = branch_arrows(fused, 6 * pen)
+    bare = np.concatenate(own)
     arrows = rr.Arrows2D(
-        origins=origins,
-        vectors=vectors,
+        origins=origins[bare],
+        vectors=vectors[bare],
         radii=pen / 3,
         colors=palette.FAINT,
         draw_order=palette.Order.STUB,
     )
-    recording.static((FUSED, part.name, "branches never driven"), arrows)
+    paths = [(FUSED, part.name, "branches never driven") for part in parts]
+    recording.static_each(paths, [len(rows) for rows in own], arrows)

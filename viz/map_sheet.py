@@ -93,43 +93,62 @@ def _fitting(titles: Sequence[str], cell: Cell, seen_m: float) -> str:
     return short(titles[-1], room) if room >= SHORTEST_TITLE else ""
 
 
-def corridors_told(topomap: TopoMap) -> rr.AnyValues:
-    """What is known of each corridor of a map."""
+def corridors_told(*maps: TopoMap) -> rr.AnyValues:
+    """What is known of each corridor of some maps."""
+    ends = [pair for m in maps for pair in zip(m.source.tolist(), m.target.tolist(), strict=True)]
     return rr.AnyValues(
-        corridor=np.arange(len(topomap.source)),
-        between=[f"{u} - {v}" for u, v in zip(topomap.source, topomap.target, strict=True)],
-        length_m=topomap.length,
-        length_sigma_m=topomap.length_sigma,
-        traversals=topomap.traversals,
+        corridor=np.concatenate([np.arange(len(m.source)) for m in maps]),
+        between=[f"{u} - {v}" for u, v in ends],
+        length_m=np.concatenate([m.length for m in maps]),
+        length_sigma_m=np.concatenate([m.length_sigma for m in maps]),
+        traversals=np.concatenate([m.traversals for m in maps]),
     )
 
 
-def write_own_map(
+def write_own_maps(
     recording: Recording,
-    path: PathParts,
-    topomap: TopoMap,
-    colour: tuple[int, int, int],
+    paths: Sequence[PathParts],
+    maps: Sequence[TopoMap],
+    colours: Sequence[tuple[int, int, int]],
     pen: float,
 ) -> None:
-    """A run's own map below `path`, in its own frame and one colour."""
-    if len(topomap.source):
-        lines = rr.LineStrips2D(
-            strips(topomap.paths), radii=0.4 * pen, colors=colour, draw_order=palette.Order.CORRIDOR
+    """The own map of each of some runs below its path, in its own frame and one colour."""
+    corridors, junctions = [len(m.source) for m in maps], [len(m) for m in maps]
+    tint = np.array(colours, np.uint8).reshape(-1, 3)
+    if any(corridors):
+        lines = rr.LineStrips2D.from_fields(
+            strips=strips([path for m in maps for path in m.paths]),
+            radii=0.4 * pen,
+            draw_order=palette.Order.CORRIDOR,
         )
-        recording.static((*path, "corridors"), lines, corridors_told(topomap))
-    if len(topomap):
-        points = rr.Points2D(
-            topomap.xy,
+        recording.static_each(
+            [(*path, "corridors") for path in paths],
+            corridors,
+            lines,
+            corridors_told(*maps),
+            once=rr.LineStrips2D.from_fields(colors=tint),
+        )
+    if any(junctions):
+        vertices = [v for count in junctions for v in range(count)]
+        points = rr.Points2D.from_fields(
+            positions=np.concatenate([m.xy for m in maps]),
             radii=1.2 * pen,
-            colors=colour,
-            labels=list(map(str, range(len(topomap)))),
+            labels=list(map(str, vertices)),
             show_labels=False,
             draw_order=palette.Order.JUNCTION,
         )
         info = rr.AnyValues(
-            vertex=np.arange(len(topomap)), kind=list(topomap.kind), branches=topomap.degree
+            vertex=np.array(vertices),
+            kind=[kind for m in maps for kind in m.kind],
+            branches=np.concatenate([m.degree for m in maps]),
         )
-        recording.static((*path, "junctions"), points, info)
+        recording.static_each(
+            [(*path, "junctions") for path in paths],
+            junctions,
+            points,
+            info,
+            once=rr.Points2D.from_fields(colors=tint),
+        )
 
 
 def write_laid_over(
@@ -144,6 +163,6 @@ def write_laid_over(
     """Map b laid over map a in a cell, each in a colour of its own."""
     a, b = maps
     recording.static(here, placed(cell.T_sheet_map))
-    write_own_map(recording, (*here, "a", a.run), a, palette.of_rank(0), pen)
     recording.static((*here, "b"), placed(T_a_b))
-    write_own_map(recording, (*here, "b", b.run), b, palette.of_rank(1), pen)
+    paths = [(*here, "a", a.run), (*here, "b", b.run)]
+    write_own_maps(recording, paths, maps, [palette.of_rank(0), palette.of_rank(1)], pen)

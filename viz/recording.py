@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,21 @@ HAIR = rr.Radius.ui_points(0.75)
 PathParts = tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Slice:
+    """What is logged of one entity, out of an array of many."""
+
+    array: pa.Array
+
+    def as_arrow_array(self) -> pa.Array:
+        return self.array
+
+
+def _arrays(*parts: rr.AsComponents) -> list[tuple[rr.ComponentDescriptor, pa.Array]]:
+    batches = (batch for part in parts for batch in part.as_component_batches())
+    return [(batch.component_descriptor(), batch.as_arrow_array()) for batch in batches]
+
+
 class Recording:
     """A recording being written: paths are given in parts, so that any run name may stand in one.
 
@@ -49,6 +66,32 @@ class Recording:
         """Log what holds at all times."""
         first, *more = parts
         self._stream.log(entity(path), first, *more, static=True)
+
+    def static_each(
+        self,
+        paths: Sequence[PathParts],
+        counts: Sequence[int],
+        *parts: rr.AsComponents,
+        once: rr.AsComponents | None = None,
+    ) -> None:
+        """Log what holds at all times of several entities, nothing of those without things.
+
+        `parts` hold the things of all end to end, of each entity as many as counts says: made
+        together they take half the time. What a part says once holds for all; `once` says
+        something once for each entity.
+        """
+        things, single = _arrays(*parts), _arrays(*([] if once is None else [once]))
+        stops = np.cumsum([0, *counts]).tolist()
+        ends, total = pairwise(stops), stops[-1]
+        for k, (path, (start, stop)) in enumerate(zip(paths, ends, strict=True)):
+            if stop > start:
+                own = [
+                    (told, array[start:stop] if len(array) == total else array)
+                    for told, array in things
+                ]
+                own += [(told, array[k : k + 1]) for told, array in single]
+                batches = [rr.DescribedComponentBatch(_Slice(part), told) for told, part in own]
+                self._stream.log(entity(path), batches, static=True)
 
     def over_time(
         self, path: PathParts, time_ns: NDArray[np.int64], columns: Iterable[Any]
