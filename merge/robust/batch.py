@@ -15,10 +15,11 @@ from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .kept_verdicts import KeptVerdicts
 from .mirror import doubt_mirrored
-from .pairing import Means, Pair, Pairwise, Told, in_tiles
+from .pairing import Means, Pair, Pairwise, Told
 from .prepare import FloatArray, IntArray
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
+from .tasks import in_tiles
 from .verdict import Opinion, PairCount, Threshold, needed_bits, opinions
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NotRequired
 
@@ -213,6 +214,7 @@ class KeptVerdicts:
         return self._thresholds[key]
 
 
+@lru_cache(maxsize=256)
 def threshold_digest(threshold: Threshold, *, copies: bool) -> bytes:
     """Of all that is asked; copies: also of how copies differ, where that matters."""
     more = (threshold.need_copy_bits, astuple(threshold.copies)) if copies else ()

@@ -13,9 +13,9 @@ import numpy as np
 from ..packs import DIGEST, Kept, Kind, arrays_from_bytes, arrays_to_bytes, digested
 from ..result import pairs_of
 from .index import Corridors, Probes
-from .pairing import TASKS
 from .prepare import FloatArray, IntArray
 from .settings import RobustSettings
+from .tasks import TASKS
 from .verdict import needed_bits
 
 

@@ -13,8 +13,8 @@ from topobatch.merge.cache import MOST_FILES, ResultCache
 from topobatch.merge.document import merged_to_document, write_merged
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.packs import Kind
-from topobatch.merge.robust import DEFAULT_ROBUST, Means, RobustSettings, pairing
-from topobatch.merge.robust.pairing import era_of
+from topobatch.merge.robust import DEFAULT_ROBUST, Means, RobustSettings, tasks
+from topobatch.merge.robust.tasks import era_of
 from topobatch.merge.workers import Workers
 
 
@@ -151,7 +151,7 @@ def test_settings_and_program_make_another_era(monkeypatch):
     plain = era_of(DEFAULT_ROBUST)
     assert era_of(RobustSettings(hypotheses=4)) != plain
     assert era_of(RobustSettings(false_merge_rate=0.01)) == plain
-    monkeypatch.setattr(pairing, "_program", lambda: "other")
+    monkeypatch.setattr(tasks, "_program", lambda: "other")
     assert era_of(DEFAULT_ROBUST) != plain
 
 

@@ -10,8 +10,8 @@ from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, prepare
 from topobatch.merge.robust.index import Corridors
 from topobatch.merge.robust.links import _components, candidate_links
-from topobatch.merge.robust.pairing import TaskSettings
 from topobatch.merge.robust.screening import ScreeningSettings, chances, pairs_to_match
+from topobatch.merge.robust.tasks import TaskSettings
 from topobatch.simulation import make_world
 
 
