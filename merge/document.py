@@ -15,6 +15,7 @@ from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import edges_to_document
 from ..topology.files import read_json, write_json
 from ..topology.map_schema import (
+    Attributes,
     Finite,
     Index,
     MapEdge,
@@ -69,7 +70,7 @@ class UnlistedPairs(Model):
     )
 
 
-class MergedGraph(Model):
+class MergedGraph(Attributes):
     """Attributes of the whole merge."""
 
     components: list[ComponentEntry] = Field(

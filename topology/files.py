@@ -45,7 +45,7 @@ def read_json(path: Path) -> Any:
     """A parsed JSON file, or a DocumentError that names it.
 
     Refused are files that are none (links, FIFOs, devices), implausibly long ones, nesting deeper
-    than 200, text that is no UTF-8 or holds halves of characters, numbers that are none.
+    than 200, text that is no UTF-8 or holds halves of characters, NaN and Infinity.
     """
     try:
         return from_json(read_bytes(path), allow_inf_nan=False)

@@ -6,7 +6,8 @@ The pydantic models validate what is read, and publish the JSON Schema.
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from math import isfinite
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -44,6 +45,26 @@ class Model(BaseModel):
     """A part of a document; unknown keys are kept, known ones checked."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class Attributes(Model):
+    """What a document says of a graph as a whole. Unknown values are kept to be written again, so
+    that numbers too large for a float, which are read as infinite, are refused."""
+
+    @model_validator(mode="after")
+    def _finite(self) -> Self:
+        for key, value in self:
+            if isinstance(value, dict | list | float) and not _is_finite(value):
+                raise ValueError(f"{key} holds a number that is too large")
+        return self
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, dict):
+        return all(map(_is_finite, value.values()))
+    if isinstance(value, list):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or isfinite(value)
 
 
 class Observation(Model):
@@ -138,7 +159,7 @@ class ClosureRecord(Model):
     revised: bool = Field(False, description="A later round answered otherwise.")
 
 
-class MapGraph(Model):
+class MapGraph(Attributes):
     """Attributes of a whole map."""
 
     run: str = Field(description="Name of the run, unique in a workspace.")

@@ -257,3 +257,14 @@ def test_lists_written_entry_by_entry_are_the_same_bytes(tmp_path, entries):
         write_json(tmp_path / "whole.json", {"nodes": iter([float("nan")])})
     assert sorted(p.name for p in tmp_path.iterdir()) == ["parts.json", "whole.json"]
     assert (tmp_path / "whole.json").read_bytes() == data
+
+
+def test_what_is_kept_unread_can_be_written_again():
+    doc = map_to_document(small_map())
+    doc["graph"]["mine"] = {"deep": [1.5, "x", None]}
+    kept = map_from_document(doc)
+    assert map_to_document(kept)["graph"]["mine"] == {"deep": [1.5, "x", None]}
+    # 1e999 is read as infinite, which no document can say.
+    doc["graph"]["mine"] = {"deep": [float("inf")]}
+    with pytest.raises(DocumentError, match=r"a\.json: graph: .*mine holds a number"):
+        map_from_document(doc, "a.json")

@@ -1,0 +1,48 @@
+"""Mirror images of maps, and verdicts that they cast doubt on."""
+
+import numpy as np
+
+from topobatch.merge.result import Verdict
+from topobatch.merge.robust.alignment import match
+from topobatch.merge.robust.mirror import WHY, doubt_mirrored, mirrored
+from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.settings import MATCH
+from topobatch.merge.robust.verdict import PairCount, opinion, threshold_for
+
+from .plans import COPIES, EDGES, POINTS, SETTINGS
+
+
+def test_a_mirror_image_is_the_other_way_round_and_twice_mirrored_the_same(drawn):
+    m = drawn("a", POINTS, EDGES, stubs=[(2, 0.4)])
+    image = mirrored(m)
+    np.testing.assert_array_equal(image.xy, m.xy * [1, -1])
+    for edge in range(len(m.source)):
+        there, here = (x.branches[int(x.source[edge])][x.source_branch[edge]] for x in (image, m))
+        assert np.cos(there + here) > 1 - 1e-12
+    again = mirrored(image)
+    np.testing.assert_allclose(again.branches.values, m.branches.values, atol=1e-12)
+    np.testing.assert_array_equal(again.target_branch, m.target_branch)
+
+
+def test_only_what_leads_its_mirror_image_stays_merged(drawn):
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    found = match(a, b, SETTINGS)
+    view = opinion(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
+    assert view.verdict is Verdict.MERGED
+    asked = []
+
+    def image(bits):
+        def of(pairs):
+            asked.extend(pairs)
+            return dict.fromkeys(pairs, bits)
+
+        return of
+
+    pairs = {(0, 1): view}
+    behind, near = view.best.bits - MATCH.lead_bits - 0.1, view.best.bits - MATCH.lead_bits + 0.1
+    assert doubt_mirrored(pairs, image(behind))[0, 1] is view
+    doubted = doubt_mirrored(pairs, image(near))[0, 1]
+    assert (doubted.verdict, doubted.why) == (Verdict.AMBIGUOUS, WHY)
+    # Nobody asks for the image of a pair that is not merged anyhow.
+    assert doubt_mirrored({(0, 1): doubted}, image(99.0)) == {(0, 1): doubted}
+    assert asked == [(0, 1), (0, 1)]
