@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import errno
 import json
 import os
 import sys
@@ -19,7 +18,6 @@ from topobatch.merge.document import MergedDocument
 from topobatch.merge.locks import LocksDocument
 from topobatch.topology.document import map_from_document, map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError
-from topobatch.topology.files import write_atomically, write_json, write_together
 from topobatch.topology.map_schema import MapDocument, validated
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import Closure, TopoMap
@@ -208,19 +206,6 @@ def test_what_is_no_file_is_not_opened(tmp_path):
             read_map(path)
 
 
-def test_files_that_belong_together_are_written_all_or_none(tmp_path):
-    def fail(temporary):
-        temporary.write_text("half")
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    one, two = tmp_path / "one", tmp_path / "two"
-    with pytest.raises(OSError, match=f"No space left on device: '{two}'"):
-        write_together({one: lambda path: path.write_text("1"), two: fail})
-    assert os.listdir(tmp_path) == []
-    write_together({path: lambda temporary: temporary.write_text("x") for path in (one, two)})
-    assert sorted(os.listdir(tmp_path)) == ["one", "two"]
-
-
 def test_written_files_are_whole_and_the_same_each_time(tmp_path):
     path = tmp_path / "maps" / "run1.json"
     write_map(path, small_map())
@@ -229,34 +214,6 @@ def test_written_files_are_whole_and_the_same_each_time(tmp_path):
     assert path.read_bytes() == first
     assert os.listdir(path.parent) == ["run1.json"]
     assert read_map(path).run == "run1"
-
-
-def test_a_write_that_fails_leaves_the_old_file(tmp_path):
-    path = tmp_path / "x.json"
-    path.write_text("old")
-
-    def fail(temporary):
-        temporary.write_text("half")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(path, fail)
-    assert path.read_text() == "old"
-    assert os.listdir(tmp_path) == ["x.json"]
-
-
-@pytest.mark.parametrize("entries", [[], [{"x": 1.5}], [{"ü": k} for k in range(2001)]])
-def test_lists_written_entry_by_entry_are_the_same_bytes(tmp_path, entries):
-    whole = {"schema": "a", "nodes": entries, "edges": [1, None], "merges": entries}
-    write_json(tmp_path / "whole.json", whole)
-    write_json(tmp_path / "parts.json", whole | {k: iter(entries) for k in ("nodes", "merges")})
-    data = (tmp_path / "parts.json").read_bytes()
-    assert data == (tmp_path / "whole.json").read_bytes()
-    assert json.loads(data) == whole
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        write_json(tmp_path / "whole.json", {"nodes": iter([float("nan")])})
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["parts.json", "whole.json"]
-    assert (tmp_path / "whole.json").read_bytes() == data
 
 
 def test_what_is_kept_unread_can_be_written_again():
