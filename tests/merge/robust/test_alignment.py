@@ -1,8 +1,12 @@
 """Candidate alignments of two maps, with their evidence."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from topobatch.merge.robust.alignment import match, match_all
+from topobatch.merge.robust.alignment import _apart, match, match_all
+from topobatch.merge.robust.links import candidate_links
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.records import to_bytes
 
@@ -36,3 +40,27 @@ def test_what_a_match_is_made_of_adds_up(halves):
         ends = {frozenset(found.a[pair].tolist()) for pair in agree.ends[agree.along >= 0]}
         rows = zip(a.tail[corridors[:, 0]], a.head[corridors[:, 0]], strict=True)
         assert {frozenset(map(int, row)) for row in rows} == ends
+
+
+def test_of_versions_of_one_placement_the_best_stays_and_the_best_is_first(halves):
+    a, b = (prepare(m) for m in halves)
+    best = match(a, b, SETTINGS)[0]
+
+    def other(turn, bits):
+        return replace(best, bits=best.bits - bits, transform=np.add(best.transform, [0, 0, turn]))
+
+    version, elsewhere = other(0.05, 5.0), other(1.5, 2.0)
+    assert _apart([version, elsewhere, best], b) == (best, elsewhere)
+    assert _apart([best, version], b) == (best,)
+    assert _apart([], b) == ()
+
+
+def test_evidence_pays_for_the_links_it_was_chosen_from_and_for_contradictions(drawn):
+    more = [*POINTS, (8.5, -6)]
+    split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
+    a = prepare(drawn("a", POINTS, EDGES))
+    b = prepare(drawn("b", more, split, stubs=[(8, -1.57)]))
+    (found, *_) = match(a, b, SETTINGS)
+    assert found.tested_bits == pytest.approx(np.log2(len(candidate_links(a, b)) + 1))
+    assert found.conflicts.extra_b.tolist() == [8]
+    assert found.bits < found.support.bits - found.tested_bits - 3

@@ -6,7 +6,7 @@ from topobatch.merge.robust.growth import grow
 from topobatch.merge.robust.links import Seed, candidate_links, seeds
 from topobatch.merge.robust.prepare import prepare
 
-from .plans import SETTINGS, lanes_of
+from .plans import EDGES, POINTS, SETTINGS, lanes_of
 
 
 def test_seeds_grow_as_each_would_alone(halves):
@@ -25,3 +25,25 @@ def test_seeds_grow_as_each_would_alone(halves):
         assert grown.branch[mine].tolist() == alone.branch.tolist()
     assert np.count_nonzero(grown.lane == 0) > 10
     assert not (grown.lane == len(found)).any()
+
+
+def test_a_match_of_few_of_the_junctions_that_should_be_there_is_given_up(drawn):
+    a = prepare(drawn("a", POINTS, EDGES))
+    for displaced, kept in ((2, [2, 3, 4, 6, 7]), (5, [])):
+        aside = [
+            (x + (k < displaced) * 2.0, y + (k < displaced) * 1.5)
+            for k, (x, y) in enumerate(POINTS)
+        ]
+        b = prepare(drawn("b", aside, EDGES))
+        seed = Seed(np.array([6, 7]), np.array([6, 7]), 0.0, 0j, 1.0)
+        grown = grow(lanes_of([(a, b)]), [seed], SETTINGS)
+        assert grown.a.tolist() == kept
+
+
+def test_junctions_with_contradicting_branches_are_not_matched(drawn):
+    a = prepare(drawn("a", POINTS, EDGES))
+    other = [(7, heading) for heading in (0.8, 2.0, -0.8, -2.0)]
+    b = prepare(drawn("b", POINTS, EDGES, stubs=other))
+    seed = Seed(np.array([0, 1]), np.array([0, 1]), 0.0, 0j, 1.0)
+    grown = grow(lanes_of([(a, b)]), [seed], SETTINGS)
+    assert grown.a.tolist() == list(range(7))
