@@ -265,7 +265,7 @@ class Unlisted:
     screened: int = 0
 
 
-def nothing_kept(_: PairVerdict) -> str | None:
+def nothing_kept(_: PairVerdict) -> bytes | None:
     """Where no entries of the document are known already."""
     return None
 
@@ -285,7 +285,7 @@ class MergeResult:
     verdicts: tuple[PairVerdict, ...]
     info: Mapping[str, Any] = field(default_factory=dict)
     unlisted: Unlisted | None = None
-    kept_entry: Callable[[PairVerdict], str | None] = nothing_kept
+    kept_entry: Callable[[PairVerdict], bytes | None] = nothing_kept
 
     def standings(self) -> dict[Standing, int]:
         """How many pairs, listed or not, stand how."""

@@ -13,7 +13,7 @@ from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pydantic_core import from_json
+from pydantic_core import from_json, to_json
 
 from .errors import DocumentError
 
@@ -24,21 +24,22 @@ LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
 """Names of the files that `write_atomically` fills; only a process that was killed leaves any."""
 
 
-ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-
 WRITTEN_TOGETHER = 1000
 """Entries of a long list."""
 
 
-class Json(str):
+class Json(bytes):
     """JSON text that stands for its value."""
 
     __slots__ = ()
 
 
 def encoded(value: Any) -> Json:
-    """A value as it stands in documents."""
-    return Json(ENCODER.encode(value))
+    """A value as it stands in documents; ValueError where it holds what JSON does not."""
+    text = to_json(value)
+    if b"NaN" in text or b"Infinity" in text:
+        json.dumps(value, allow_nan=False)  # which tells numbers from words
+    return Json(text)
 
 
 def read_json(path: Path) -> Any:
@@ -88,32 +89,32 @@ def write_json(path: Path, doc: Any) -> None:
     """
 
     def fill(temporary: Path) -> None:
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+        with temporary.open("wb") as file:
             file.writelines(_json(doc))
 
     write_atomically(path, fill)
 
 
-def _json(doc: Any) -> Iterator[str]:
+def _json(doc: Any) -> Iterator[bytes]:
     if isinstance(doc, dict) and any(isinstance(part, Iterator) for part in doc.values()):
-        before = "{"
+        before = b"{"
         for key, part in doc.items():
-            yield f"{before}{ENCODER.encode(key)}:"
-            yield from _listed(part) if isinstance(part, Iterator) else [ENCODER.encode(part)]
-            before = ","
-        yield "}\n"
+            yield b"%b%b:" % (before, encoded(key))
+            yield from _listed(part) if isinstance(part, Iterator) else [encoded(part)]
+            before = b","
+        yield b"}\n"
     else:
-        yield f"{ENCODER.encode(doc)}\n"
+        yield encoded(doc) + b"\n"
 
 
-def _listed(entries: Iterator[Any]) -> Iterator[str]:
-    before = "["
+def _listed(entries: Iterator[Any]) -> Iterator[bytes]:
+    before = b"["
     while some := list(islice(entries, WRITTEN_TOGETHER)):
         groups = groupby(some, key=lambda entry: isinstance(entry, Json))
-        parts = (",".join(own) if known else ENCODER.encode([*own])[1:-1] for known, own in groups)
-        yield f"{before}{','.join(parts)}"
-        before = ","
-    yield "]" if before == "," else "[]"
+        parts = (b",".join(own) if known else encoded([*own])[1:-1] for known, own in groups)
+        yield before + b",".join(parts)
+        before = b","
+    yield b"]" if before == b"," else b"[]"
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -41,7 +41,7 @@ def to_bytes(verdict: PairVerdict) -> bytes:
     both = [_numbers(verdict.best), _numbers(verdict.runner_up)]
     own = [verdict.evidence_bits, verdict.threshold_bits or 0.0, verdict.margin_bits or 0.0]
     numbers = np.concatenate([own, *both]).astype("<f8")
-    return numbers.tobytes() + encoded(entry_of(verdict)).encode()
+    return numbers.tobytes() + encoded(entry_of(verdict))
 
 
 def _numbers(alignment: Alignment | None) -> FloatArray:
@@ -52,7 +52,7 @@ def _numbers(alignment: Alignment | None) -> FloatArray:
 
 def entry_text(data: bytes) -> Json:
     """The entry of a verdict that was read."""
-    return Json(data[8 * NUMBERS :].decode())
+    return Json(data[8 * NUMBERS :])
 
 
 Ends = Annotated[list[Index], Field(min_length=1, max_length=2)]

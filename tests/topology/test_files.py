@@ -59,3 +59,11 @@ def test_entries_that_are_text_already_are_written_as_they_are(tmp_path):
     mixed = (encoded(e) if e["k"] % 3 else e for e in entries)
     write_json(tmp_path / "a.json", {"many": mixed})
     assert json.loads((tmp_path / "a.json").read_bytes()) == {"many": entries}
+
+
+def test_numbers_that_are_none_are_refused_and_words_like_them_are_not():
+    for number in (float("nan"), float("inf"), -float("inf")):
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            encoded({"x": [1.0, (number,)]})
+    words = {"run": "NaN", "Infinity": "to -Infinity, and NaN"}
+    assert json.loads(encoded(words)) == words
