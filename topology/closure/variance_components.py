@@ -4,8 +4,8 @@ Before closure little tells how much an odometry drifts (`ingest/odometry/noise.
 loops do: each variance is its squared residuals over the degrees of freedom that it left them
 (Förstner, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten, 1979; iterated, it is
 REML). A robust kernel hides part of a residual: residuals are compared with what the kernel would
-leave of normal ones (Huber's proposal 2). How the errors of an odometry divide among its random walks
-is hardly observable; their common level is.
+leave of normal ones (Huber's proposal 2). How the errors of an odometry divide among its
+random walks is hardly observable; their common level is.
 """
 
 from __future__ import annotations
