@@ -24,6 +24,7 @@ from topobatch.merge.robust import (
     conflicts,
     decide,
     match,
+    pairing,
     prepare,
     repetition,
     verdict,
@@ -131,13 +132,21 @@ def placements(kind, worlds, first):
 def leave_out(rule):
     """Take a rule out of the matcher."""
     if rule == "elsewhere":
-        conflicts._with_elsewhere = lambda a, b, match, found: found
+        none = (np.zeros(0, np.int64),) * 3
+        _replace(conflicts, "_elsewhere", lambda grown, asked, extra_b, extra_a: none)
     elif rule == "small copies":
-        verdict.Threshold.may_be_copy = lambda self, best: 0.0
+        _replace(verdict.Threshold, "may_be_copy", lambda self, best: 0.0)
     elif rule == "learned copies":
-        assessment.copy_model = lambda samples, settings: repetition.default_copies(settings)
+        for module in (assessment, pairing):
+            _replace(module, "copy_model", lambda _, settings: repetition.default_copies(settings))
     elif rule == "uniform":
-        verdict.uniformity = lambda a, b: 0.0
+        _replace(verdict, "uniformity", lambda a, b: 0.0)
+
+
+def _replace(where, name, stand_in):
+    """Raises AttributeError if there is no such part: nothing would be left out."""
+    getattr(where, name)
+    setattr(where, name, stand_in)
 
 
 def main():
