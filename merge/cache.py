@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..topology.errors import DocumentError
 from ..topology.files import opened, write_atomically
-from .packs import DamagedPackError, Key, Kind, Pack, joined, joined_count
+from .packs import RECORD, DamagedPackError, Key, Kind, Pack, Rows
 
 PACK = re.compile(r"[0-9a-f]{32}\.pack")
 """Names of the files; nothing else in the folder is touched."""
@@ -171,6 +172,58 @@ class ResultCache:
             return None
         self._packs[path] = self._pack(path)
         return path
+
+
+def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = None) -> Pack:
+    """One pack with the records of several, without damaged ones and those of maps that are not
+    wanted. Of two records for one thing the first is kept."""
+    number: dict[bytes, int] = {}
+    parts, payloads, end = [], [], 0
+    for pack in packs:
+        chosen, rows = _of_wanted(pack, number, wanted)
+        found = [pack.payload(row) for row in chosen.tolist()]
+        rows = rows[np.array([payload is not None for payload in found], np.bool_)]
+        ends = end + np.cumsum([0, *rows["size"].tolist()])
+        rows["start"] = ends[:-1]
+        payloads += [payload for payload in found if payload is not None]
+        parts.append(rows)
+        end = int(ends[-1])
+    rows, first = _firsts(parts)
+    if len(first) < len(rows):
+        payloads = [payloads[k] for k in first.tolist()]
+        rows = rows[first]
+        rows["start"] = np.cumsum([0, *rows["size"].tolist()])[:-1]
+    return Pack(era, tuple(number), rows, b"".join(payloads))
+
+
+def joined_count(packs: Sequence[Pack], wanted: frozenset[bytes]) -> int:
+    """How many records `joined` gives, were none damaged; no payload is looked at."""
+    number: dict[bytes, int] = {}
+    return len(_firsts([_of_wanted(pack, number, wanted)[1] for pack in packs])[1])
+
+
+def _of_wanted(
+    pack: Pack, number: dict[bytes, int], wanted: frozenset[bytes] | None
+) -> tuple[NDArray[np.int64], Rows]:
+    """The records of wanted maps: their rows, and they themselves by the numbers of the maps, to
+    which new ones are added."""
+    new = [
+        number.setdefault(d, len(number)) if wanted is None or d in wanted else -1
+        for d in pack.digests
+    ]
+    to = np.array(new or [-1], np.int64)
+    a, b = to[pack.rows["a"]], to[pack.rows["b"]]
+    chosen = np.flatnonzero((a >= 0) & (b >= 0))
+    rows = pack.rows[chosen].copy()
+    rows["a"], rows["b"] = a[chosen], b[chosen]
+    return chosen, rows
+
+
+def _firsts(parts: Sequence[Rows]) -> tuple[Rows, NDArray[np.int64]]:
+    """Records in a row, and which of them are the first for their thing."""
+    rows = np.concatenate(parts) if parts else np.zeros(0, RECORD)
+    keys = np.stack([rows["a"], rows["b"], rows["kind"]], axis=1)
+    return rows, np.sort(np.unique(keys, axis=0, return_index=True)[1])
 
 
 def _undamaged(records: Iterable[Record]) -> Iterator[bytes]:

@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.topomap import TopoMap
+from .digests import DIGEST, digest_of, digested
 
 MAGIC = b"TOPOPACK"
-DIGEST = 16
-"""Bytes of a digest: two contents in 2⁶⁴ share one."""
 HEAD = struct.Struct(f"<8s{DIGEST}sIIQ{DIGEST}s")
 
 RECORD = np.dtype(
@@ -77,44 +76,12 @@ class Kind(IntEnum):
         return ("pairs of maps", "maps with themselves", "mirror images")[self]
 
 
-NOT_CONTENT = frozenset({"run", "frame", "closures", "info"})
-"""What a map says about itself and matching never asks."""
-
 Rows = NDArray[np.void]
 Key = tuple[bytes, bytes]
 
 
 class DamagedPackError(ValueError):
     """Bytes that are no pack, or none that is whole."""
-
-
-def digested(*parts: bytes) -> bytes:
-    """16 bytes that are the same for the same bytes, one part after the other."""
-    return hashlib.blake2b(b"".join(parts), digest_size=DIGEST).digest()
-
-
-def digest_of(topomap: TopoMap) -> bytes:
-    """16 bytes that are the same for maps of the same content, whatever the run is called."""
-    out = hashlib.blake2b(digest_size=DIGEST)
-    for name in TopoMap.__dataclass_fields__:
-        if name not in NOT_CONTENT:
-            out.update(f"{name}:".encode())
-            _feed(out, getattr(topomap, name))
-    return out.digest()
-
-
-def _feed(out: hashlib.blake2b, value: object) -> None:
-    if isinstance(value, np.ndarray):
-        out.update(f"{value.dtype.str}{value.shape}".encode())
-        out.update(np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
-        out.update(str([len(part) for part in value]).encode())
-        out.update(np.concatenate(value).tobytes())
-    elif hasattr(value, "offsets"):
-        _feed(out, value.offsets)
-        _feed(out, np.asarray(value.values))  # type: ignore[attr-defined]
-    else:
-        out.update(repr(value).encode())
 
 
 def checksum(payload: bytes) -> int:
@@ -285,19 +252,6 @@ class Store(Protocol):
         ...
 
 
-class Digests:
-    """Digests of maps, each worked out once."""
-
-    def __init__(self) -> None:
-        self._known: dict[int, tuple[TopoMap, bytes]] = {}
-
-    def __call__(self, topomap: TopoMap) -> bytes:
-        """`digest_of`."""
-        if id(topomap) not in self._known:
-            self._known[id(topomap)] = topomap, digest_of(topomap)
-        return self._known[id(topomap)][1]
-
-
 @dataclass(frozen=True, slots=True)
 class Kept:
     """Results that are found and left one by one. digest: of a map."""
@@ -344,55 +298,3 @@ def arrays_from_bytes(data: bytes, kinds: str) -> list[NDArray[Any]] | None:
         out.append(values.astype(np.int64 if kind == "i" else np.float64))
         head += 8 * size
     return out
-
-
-def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = None) -> Pack:
-    """One pack with the records of several, without damaged ones and those of maps that are not
-    wanted. Of two records for one thing the first is kept."""
-    number: dict[bytes, int] = {}
-    parts, payloads, end = [], [], 0
-    for pack in packs:
-        chosen, rows = _of_wanted(pack, number, wanted)
-        found = [pack.payload(row) for row in chosen.tolist()]
-        rows = rows[np.array([payload is not None for payload in found], np.bool_)]
-        ends = end + np.cumsum([0, *rows["size"].tolist()])
-        rows["start"] = ends[:-1]
-        payloads += [payload for payload in found if payload is not None]
-        parts.append(rows)
-        end = int(ends[-1])
-    rows, first = _firsts(parts)
-    if len(first) < len(rows):
-        payloads = [payloads[k] for k in first.tolist()]
-        rows = rows[first]
-        rows["start"] = np.cumsum([0, *rows["size"].tolist()])[:-1]
-    return Pack(era, tuple(number), rows, b"".join(payloads))
-
-
-def joined_count(packs: Sequence[Pack], wanted: frozenset[bytes]) -> int:
-    """How many records `joined` gives, were none damaged; no payload is looked at."""
-    number: dict[bytes, int] = {}
-    return len(_firsts([_of_wanted(pack, number, wanted)[1] for pack in packs])[1])
-
-
-def _of_wanted(
-    pack: Pack, number: dict[bytes, int], wanted: frozenset[bytes] | None
-) -> tuple[NDArray[np.int64], Rows]:
-    """The records of wanted maps: their rows, and they themselves by the numbers of the maps, to
-    which new ones are added."""
-    new = [
-        number.setdefault(d, len(number)) if wanted is None or d in wanted else -1
-        for d in pack.digests
-    ]
-    to = np.array(new or [-1], np.int64)
-    a, b = to[pack.rows["a"]], to[pack.rows["b"]]
-    chosen = np.flatnonzero((a >= 0) & (b >= 0))
-    rows = pack.rows[chosen].copy()
-    rows["a"], rows["b"] = a[chosen], b[chosen]
-    return chosen, rows
-
-
-def _firsts(parts: Sequence[Rows]) -> tuple[Rows, NDArray[np.int64]]:
-    """Records in a row, and which of them are the first for their thing."""
-    rows = np.concatenate(parts) if parts else np.zeros(0, RECORD)
-    keys = np.stack([rows["a"], rows["b"], rows["kind"]], axis=1)
-    return rows, np.sort(np.unique(keys, axis=0, return_index=True)[1])

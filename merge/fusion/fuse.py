@@ -17,8 +17,9 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
+from ..digests import DIGEST
 from ..discards import Names
-from ..packs import DIGEST, Kept, Kind
+from ..packs import Kept, Kind
 from ..result import Component, FusedMap, PairVerdict, Spread
 from .component import FusedComponent, from_bytes, observations_of, to_bytes
 from .data_association import DEFAULT_COINCIDENCE, CoincidenceSettings, coincident

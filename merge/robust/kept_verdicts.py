@@ -21,8 +21,9 @@ from typing_extensions import TypedDict
 from ...topology.files import Json, encoded
 from ...topology.map_schema import Finite, Index
 from ...topology.topomap import TopoMap
+from ..digests import digested
 from ..document import EXTRA, entry_of
-from ..packs import LARGEST, Key, Kind, PackWriter, Store, digested
+from ..packs import LARGEST, Key, Kind, PackWriter, Store
 from ..result import Alignment, PairVerdict, Verdict
 from .prepare import FloatArray
 from .verdict import Threshold

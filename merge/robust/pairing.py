@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ...topology.errors import DataError
 from ...topology.files import Json
 from ...topology.topomap import TopoMap
-from ..packs import Digests, Kept, Key, Kind, Pack, Store, digested
+from ..digests import Digests, digested
+from ..packs import Kept, Key, Kind, Pack, Store
 from ..result import PairVerdict
 from ..workers import Workers
 from .alignment import Candidate

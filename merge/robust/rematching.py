@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...topology.topomap import TopoMap
-from ..packs import Kept, Key, Kind, digested
+from ..digests import digested
+from ..packs import Kept, Key, Kind
 from ..result import Alignment, Verdict, pairs_of
 from .alignment import laid_over, match
 from .components import Components

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..packs import DIGEST, Kept, Kind, arrays_from_bytes, arrays_to_bytes, digested
+from ..digests import DIGEST, digested
+from ..packs import Kept, Kind, arrays_from_bytes, arrays_to_bytes
 from ..result import pairs_of
 from .index import Corridors, Probes
 from .prepare import FloatArray, IntArray

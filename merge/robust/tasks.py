@@ -19,7 +19,8 @@ import scipy
 
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
-from ..packs import DIGEST, Kind, Pack, PackWriter, digest_of, digested
+from ..digests import DIGEST, digest_of, digested
+from ..packs import Kind, Pack, PackWriter
 from .alignment import match_all, self_matches
 from .mirror import mirrored
 from .prepare import IntArray, Prepared, prepare

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.packs import DamagedPackError, Pack, PackWriter, digest_of, joined
+from topobatch.merge.cache import joined
+from topobatch.merge.digests import digest_of
+from topobatch.merge.packs import DamagedPackError, Pack, PackWriter
 
 ERA = b"e" * 16
 A, B, C = (letter * 16 for letter in (b"a", b"b", b"c"))

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.merge.digests import digest_of
 from topobatch.merge.fusion import fuse as fusing
 from topobatch.merge.fusion.component import from_bytes, to_bytes
 from topobatch.merge.fusion.fuse import component_digest, fuse, fuse_component, fused_once
-from topobatch.merge.packs import Kept, digest_of
+from topobatch.merge.packs import Kept
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from topobatch.merge.digests import digest_of
 from topobatch.merge.document import MergedDocument, merged_to_document
 from topobatch.merge.merging import merge_maps
-from topobatch.merge.packs import Kept, digest_of
+from topobatch.merge.packs import Kept
 from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, prepare
 from topobatch.merge.robust.index import Corridors

@@ -6,8 +6,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from topobatch.merge.digests import digest_of
 from topobatch.merge.document import entry_of
-from topobatch.merge.packs import Kind, digest_of
+from topobatch.merge.packs import Kind
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST
 from topobatch.merge.robust.kept_verdicts import (
