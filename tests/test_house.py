@@ -240,6 +240,21 @@ def test_every_chosen_number_is_explained() -> None:
     assert [number for path in paths for number in unexplained(path)] == []
 
 
+def test_the_architecture_names_what_is_there() -> None:
+    """Files, and the functions and settings in which it says that decisions live."""
+    page = (ROOT / "ARCHITECTURE.md").read_text()
+    files = [path for folder in (*PACKAGES, "tests", "benchmarks") for path in modules(folder)]
+    named = re.findall(r"`([\w/]+\.py)(?:: (\w+))?`", page)
+    assert len(named) > 50
+    for name, function in named:
+        found = [path for path in files if f"/{path.relative_to(ROOT)}".endswith(f"/{name}")]
+        assert found, name
+        assert any(f"def {function}(" in path.read_text() for path in found) or not function, name
+    code = "\n".join(path.read_text() for path in files)
+    for settings in set(re.findall(r"`(\w+Settings)\b", page)):
+        assert f"class {settings}" in code, settings
+
+
 def test_nothing_else_at_the_root_is_python() -> None:
     assert [p.name for p in ROOT.glob("*.py")] == ["__init__.py"]
     folders = {p.parent.name for p in ROOT.glob("*/*.py") if not p.parent.name.startswith(".")}
