@@ -28,7 +28,8 @@ WORTH_A_PROCESS_LOGS = 8
 OdometryTopic = Annotated[
     str | None,
     typer.Option(
-        metavar="TOPIC", help="Odometry topic; default: the only one of a known type, else /odom."
+        metavar="TOPIC",
+        help="Odometry topic; default: the only one of the best known type, else /odom.",
     ),
 ]
 JunctionTopic = Annotated[

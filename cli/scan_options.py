@@ -21,8 +21,8 @@ ScanTopic = Annotated[
     str | None,
     typer.Option(
         metavar="TOPIC",
-        help="Scans, clouds or grid to find junctions in; default: all lasers, /points, /map, or "
-        "the only one of its type.",
+        help="Scans, clouds or grid to find junctions in; default: all lasers; else /points or "
+        "/map, or the topic of its type with most messages.",
     ),
 ]
 LaserPose = Annotated[
