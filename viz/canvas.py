@@ -204,12 +204,12 @@ class Canvas:
         self._axes.add_artist(artist)
 
     def finish(self, heading: Sequence[str], keys: Sequence[Sequence[Key]]) -> None:
-        """Lay out the page: heading lines above, the first one larger; a scale bar and the keys
-        below, every group of them in rows of its own."""
+        """Lay out the page: heading lines above (empty ones take no room), the first one larger; a
+        scale bar and the keys below, every group of them in rows of its own."""
         wide, high = self._size_pt
         room = self.width_pt - 2 * EDGE_PT
         lines = [fitting(text, room, HEADING_PT) for text in heading[:1]]
-        lines += [line for text in heading[1:] for line in folded(text, room, TEXT_PT)]
+        lines += [line for text in heading[1:] if text for line in folded(text, room, TEXT_PT)]
         top = LINE_PT * len(lines) + (8.0 if lines else 0.0)
         blocks = [_columns(group, room) for group in keys if group]
         bottom = 26.0 + sum(LINE_PT * block.rows + 6.0 for block in blocks)

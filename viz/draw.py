@@ -244,15 +244,19 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
             links |= _links(canvas, picture.placement, xy, both=picture.tied)
             against |= _against(canvas, picture.placement, xy)
             matched |= _ties(canvas, picture.placement.alignment, xy)
-    canvas.finish(
-        [text for text in heading if text],
-        [_pair_keys(theme, a.run, b.run, matched=matched, links=links, against=against)],
-    )
+    keys = _pair_keys(theme, a.run, b.run, matched=matched, links=links, against=against)
+    canvas.finish(heading, [keys])
     return canvas
 
 
 def _pair_keys(
-    theme: Theme, a: str, b: str, *, matched: bool, links: bool, against: bool
+    theme: Theme,
+    a: str,
+    b: str,
+    *,
+    matched: bool = False,
+    links: bool = False,
+    against: bool = False,
 ) -> list[Key]:
     keys = [Key("line", theme.run(0), a), Key("line", theme.run(1), b)]
     if matched:
@@ -299,8 +303,7 @@ def _side_by_side(
     _frames(canvas, cells, [a.run, b.run])
     for k, (m, cell) in enumerate(zip((a, b), cells, strict=True)):
         _own_map(canvas, m, cell.T_sheet_map, theme.run(k))
-    keys = _pair_keys(theme, a.run, b.run, matched=False, links=False, against=False)
-    canvas.finish([text for text in heading if text], [keys])
+    canvas.finish(heading, [_pair_keys(theme, a.run, b.run)])
     return canvas
 
 
@@ -344,15 +347,7 @@ def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatAr
         for side, ends in enumerate((t.a, t.b)):
             told = f"{t.bits:+.1f} bits: {t.told}"
             if len(ends) == 1:
-                at = xy[side][ends[0]][None]
-                canvas.dots(
-                    at,
-                    canvas.theme["against"],
-                    9.0,
-                    order=Order.CONTRADICTION,
-                    ring=True,
-                    told=told,
-                )
+                _ring(canvas, xy[side][ends[0]], told)
                 drawn = True
             elif len(ends) == 2 and t.kind != "unseen":
                 line = xy[side][list(ends)]
@@ -361,6 +356,12 @@ def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatAr
                 )
                 drawn = True
     return drawn
+
+
+def _ring(canvas: Canvas, xy: FloatArray, told: str) -> None:
+    """A ring round a place that speaks against a placement."""
+    colour, order = canvas.theme["against"], Order.CONTRADICTION
+    canvas.dots(xy[None], colour, 9.0, order=order, ring=True, told=told)
 
 
 def draw_placements(
@@ -383,12 +384,7 @@ def draw_placements(
         xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
         matched |= _ties(canvas, alignment, xy)
         for spot in contradiction_spots(alignment, *xy):
-            ink = canvas.theme["against"]
-            canvas.dots(
-                spot.xy[None], ink, 9.0, order=Order.CONTRADICTION, ring=True, told=spot.told
-            )
+            _ring(canvas, spot.xy, spot.told)
             against = True
-    canvas.finish(
-        [], [_pair_keys(theme, a.run, b.run, matched=matched, links=False, against=against)]
-    )
+    canvas.finish([], [_pair_keys(theme, a.run, b.run, matched=matched, against=against)])
     return canvas

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from html import escape
+
+from .canvas import legible
 from .theme import DARK, LIGHT, css_variables
 
 VERDICT_COLOURS = {
@@ -139,3 +142,8 @@ def style_sheet(runs: int) -> str:
 def script() -> str:
     """The script: the theme, what the matrix says when pointed at, the long lists of pairs."""
     return _SCRIPT
+
+
+def text(value: object) -> str:
+    """Anything as text of the page: on one line, and never markup."""
+    return escape(legible(" ".join(str(value).split())), quote=True)

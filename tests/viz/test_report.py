@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from topobatch.merge.result import Standing, Unlisted
-from topobatch.viz.report import STANDINGS, Report, report_page
+from topobatch.viz.report import Report, report_page
 from topobatch.viz.report_style import VERDICT_COLOURS
+from topobatch.viz.report_verdicts import STANDINGS
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None

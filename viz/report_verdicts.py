@@ -1,0 +1,181 @@
+"""The verdicts of a merge on a page: a matrix of squares, every pair with its reason."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+
+from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
+from ..topology.wording import counted
+from .canvas import legible
+from .report_style import text
+from .verdicts import strongest
+
+STANDINGS = tuple(map(str, Standing))
+TOLD_FIRST = (Standing.AMBIGUOUS, Standing.KEPT_OUT, Standing.MERGED)
+"""Pairs that have something to say; the others are told when asked for."""
+
+MOST_WRITTEN = 400
+"""Pairs of a kind written out in the page; the script shows all of them on demand."""
+
+MOST_NAMES = 60
+"""Up to this many runs their names stand beside the matrix."""
+
+SQUARE_REM = 5.0
+"""Side of a square of the matrix, as long as all find room."""
+
+MOST_NUMBERS = 14
+"""Up to this many runs the evidence stands in the matrix."""
+
+
+def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
+    """The verdict of every pair as a square in its colour; runs of one component together."""
+    if result is None or len(runs) < 2:
+        return ""
+    n, row = len(runs), {run: i for i, run in enumerate(runs)}
+    cells: dict[Standing, list[str]] = {standing: [] for standing in Standing}
+    numbers = []
+    for pair in result.verdicts:
+        i, j = sorted((row[pair.a], row[pair.b]))
+        for y, x in ((i, j), (j, i)):
+            if pair.standing is not Standing.UNRELATED:
+                cells[pair.standing].append(f"M{x} {y}h1v1h-1z")
+        if n <= MOST_NUMBERS:
+            bits = shown_bits(pair.evidence_bits)
+            kind = STANDINGS.index(str(pair.standing))
+            numbers.append(_label(j + 0.5, i + 0.6, bits, "middle", size=0.26, look=f"s{kind}"))
+    drawn = [f'<rect width="{n}" height="{n}" fill="var(--v{STANDINGS.index("unrelated")})"/>']
+    if result.unlisted is not None:  # what is not listed is joined, or unrelated
+        blocks = "".join(f"M{k} {k}h{s}v{s}h-{s}z" for k, s in _blocks(result, row))
+        drawn.append(
+            f'<path d="{blocks}" fill="var(--v{STANDINGS.index("joined through others")})"/>'
+        )
+    drawn += [
+        f'<path d="{"".join(paths)}" fill="var(--v{STANDINGS.index(str(standing))})"/>'
+        for standing, paths in cells.items()
+        if paths
+    ]
+    drawn.append(f'<path d="{"".join(f"M{k} {k}h1v1h-1z" for k in range(n))}" fill="var(--c3)"/>')
+    drawn += [_frame(k, size) for k, size in _blocks(result, row)]
+    left = 0.0
+    if n <= MOST_NAMES:
+        size = min(0.7, 0.022 * n + 0.12)
+        left = 0.6 * size * max(min(len(run), 24) for run in runs) + 0.5
+        drawn += [
+            _label(-0.2, i + 0.5 + 0.35 * size, run, "end", size=size) for i, run in enumerate(runs)
+        ]
+    # Numbers last, so that nothing covers them.
+    drawn += numbers
+    count = result.standings()
+    legend = "".join(
+        f'<span><i class="swatch" style="background:var(--v{k})"></i>{text(name)}</span>'
+        for k, name in enumerate(STANDINGS)
+        if count[Standing(name)]
+    )
+    framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
+    numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
+    return (
+        f"<h2>Verdicts</h2><p>Every pair of runs{framed}.{numbered}</p>"
+        f'<div class="legend">{legend}</div>'
+        f'<div id="matrix" style="max-width:{min(SQUARE_REM * (n + left), 48):.0f}rem">'
+        f'<svg viewBox="{-left:.2f} -0.2 {n + left + 0.2:.2f} {n + 0.4:.2f}" role="img" '
+        f'aria-label="verdict of every pair">{"".join(drawn)}'
+        '<rect id="spot" width="1" height="1" visibility="hidden"/></svg></div>'
+        '<p id="told" class="dim" aria-live="polite">Point at a square for the names and the '
+        "reason; click to keep it.</p>"
+    )
+
+
+def _blocks(result: MergeResult, row: Mapping[str, int]) -> list[tuple[int, int]]:
+    """First row and size of every component of several runs."""
+    return [
+        (min(row[run] for run in c.poses), len(c.poses))
+        for c in result.components
+        if len(c.poses) > 1
+    ]
+
+
+def _frame(k: int, size: int) -> str:
+    return f'<rect class="frame" x="{k}" y="{k}" width="{size}" height="{size}"/>'
+
+
+def _label(x: float, y: float, words: str, anchor: str, *, size: float, look: str = "") -> str:
+    short = words if len(words) <= 24 else f"{words[:12]}…{words[-11:]}"
+    place = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:.2f}" text-anchor="{anchor}"'
+    return f'<text class="{look}" {place}>{text(short)}</text>'
+
+
+def pair_lists(result: MergeResult | None) -> str:
+    """Every pair with its reason; those with something to say first, and written out."""
+    if result is None or not result.verdicts:
+        return ""
+    by: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
+    for pair in strongest(result.verdicts):
+        by[pair.standing].append(pair)
+    rest = [s for s in Standing if s not in TOLD_FIRST]
+    parts = ["<h2>Every pair and its reason</h2>"]
+    for standing in (*TOLD_FIRST, *rest):
+        if not by[standing]:
+            continue
+        many = f"{counted(len(by[standing]), 'pair')} {standing}"
+        head = f"<summary>{_swatch(standing)}{many}</summary>"
+        if standing in TOLD_FIRST and len(by[standing]) <= MOST_WRITTEN:
+            lines = "".join(
+                f"<li><b>{text(p.a)} + {text(p.b)}</b>{pair_told(p)}</li>" for p in by[standing]
+            )
+            parts.append(f'<details>{head}<ol class="pairs">{lines}</ol></details>')
+        else:
+            kind = STANDINGS.index(str(standing))
+            parts.append(
+                f'<details data-standing="{kind}">{head}<ol class="pairs"></ol>'
+                "<noscript>This list takes JavaScript; merged.json holds it as well.</noscript>"
+                "</details>"
+            )
+    unlisted = sum(result.standings().values()) - len(result.verdicts)
+    if unlisted:
+        parts.append(
+            f"<p>{counted(unlisted, 'pair')} more, joined through others or unrelated, that a "
+            "large merge only counts; <code>topobatch explain A B</code> matches one anew.</p>"
+        )
+    return "\n".join(parts)
+
+
+def _swatch(standing: Standing) -> str:
+    return f'<i class="swatch" style="background:var(--v{STANDINGS.index(str(standing))})"></i>'
+
+
+def pair_told(pair: PairVerdict) -> str:
+    """Why a pair was decided so: a paragraph for each thing there is to say."""
+    lines = [text(pair.reason)]
+    for alignment in (pair.best, pair.runner_up):
+        if alignment is not None:
+            lines += [text(f"Against it: {c}") for c in alignment.contradictions[:3]]
+    if pair.advice:
+        lines.append(f"To settle it: {text(pair.advice)}")
+    if pair.locked:
+        lines.append(f"Decided by a person: {text(pair.locked)}")
+    return "".join(f"<p>{line}</p>" for line in lines)
+
+
+def page_data(result: MergeResult | None, runs: Sequence[str]) -> str:
+    """What the script shows, as JSON in which nothing ends or opens a tag."""
+    row = {run: i for i, run in enumerate(runs)}
+    reasons: dict[str, int] = {}
+    pairs = []
+    components = () if result is None else result.components
+    home = {run: c.id for c in components for run in c.poses}
+    for p in strongest(result.verdicts) if result is not None else ():
+        i, j = sorted((row[p.a], row[p.b]))
+        k = reasons.setdefault(legible(p.reason), len(reasons))
+        bits = round(p.evidence_bits, 2) + 0.0
+        pairs.append([i, j, STANDINGS.index(str(p.standing)), bits, k])
+    doc = {
+        "runs": [legible(run) for run in runs],
+        "standings": STANDINGS,
+        "reasons": list(reasons),
+        "pairs": pairs,
+        "homes": [home.get(run) for run in runs],
+        "counted": result is not None and result.unlisted is not None,
+    }
+    raw = json.dumps(doc, separators=(",", ":"), ensure_ascii=True)
+    return raw.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
