@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .circular import AngleClusters, cluster_angles
 from .odometry import Odometry
 from .passes import NO_BRANCH, Passes
-from .polyline import join_centres, simplify, way_of, with_corners
+from .polyline import join_centres, loop_erased, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
@@ -42,6 +42,9 @@ class MapBuildingSettings:
     """Paths are thinned to polylines no farther than this from the track."""
     junction_m: float = 0.7
     """So near to a junction's centre the robot cuts its corner: there a corridor is straight."""
+    passable_m: float = 0.5
+    """Points of a track so near to each other have no wall between them: robots are about as wide,
+    and have driven on either side of it."""
     corner_m: float = 0.5
     """A turn within this to either side is a corner of the corridor, cut by the robot …"""
     corner_rad: float = 0.5
@@ -260,7 +263,8 @@ def _between_centres(
     """The way of each leg from the centre of one junction to that of the next, in the map's frame.
 
     The robot passes beside a centre, and before it where it turns: what it drove there is no part
-    of the corridor. In between the track is drawn as both junctions see it.
+    of the corridor, nor is what it drove out and back. In between the track is drawn as both
+    junctions see it.
     """
     track = draw_track(odometry, visits, xy, first, settings.path_step_m)
     out = []
@@ -269,7 +273,10 @@ def _between_centres(
         begin, end = xy[visits.vertex[visit : visit + 2]]
         path = join_centres(drawn, begin, end, settings.junction_m)
         # Where a track was joined to a centre it has an angle, but nobody cut a corner there.
-        inner = with_corners(path[1:-1], settings.corner_m, settings.corner_rad)
+        inner = path[1:-1]
+        if visits.vertex[visit] != visits.vertex[visit + 1]:  # a loop comes back, that is all it is
+            inner = loop_erased(inner, settings.passable_m)
+        inner = with_corners(inner, settings.corner_m, settings.corner_rad)
         out.append(np.concatenate([path[:1], inner, path[-1:]]))
     return out
 

@@ -56,6 +56,29 @@ def join_centres(
     return np.concatenate([begin[None], track[first:last], end[None]])
 
 
+def loop_erased(path: FloatArray, near_m: float) -> FloatArray:
+    """A path without what it drove for nothing: from where it first comes back to within `near_m`
+    of an earlier point, what lies between the two is left out.
+
+    Coming back takes three times `near_m` of way at least: a tight bend is none. The way out and
+    the last way back count. O(k log k + pairs of points so near to each other).
+    """
+    from scipy.spatial import cKDTree
+
+    way = way_of(path)
+    pairs = cKDTree(path).query_pairs(near_m, output_type="ndarray")
+    pairs = pairs[way[pairs[:, 1]] - way[pairs[:, 0]] > 3 * near_m]
+    if len(pairs) == 0:
+        return path
+    back = np.arange(len(path))
+    np.maximum.at(back, pairs[:, 0], pairs[:, 1])
+    kept, k = [], 0
+    while k < len(path):
+        kept.append(k)
+        k = int(back[k]) if back[k] > k else k + 1
+    return path[kept]
+
+
 def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArray:
     """A driven path whose tight turns are made corners: where the lines before and after meet.
 

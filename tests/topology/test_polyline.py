@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.topology.polyline import join_centres, simplify, way_of, with_corners
+from topobatch.topology.polyline import join_centres, loop_erased, simplify, way_of, with_corners
 
 
 def test_simplified_lines_stay_near():
@@ -39,3 +39,31 @@ def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
     past = np.array([[0, 0.1], [-0.3, 0.2], [0.2, 0.1], [1, 0], [4, 0], [5.4, 0], [5.0, 0.3]])
     path = join_centres(past, np.zeros(2), np.array([5.0, 0.0]), 0.7)
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [4, 0], [5, 0]])
+
+
+def walked(*corners: tuple[float, float], step_m: float = 0.1) -> np.ndarray:
+    """A track through points, sampled."""
+    line = np.array(corners)
+    way = way_of(line)
+    at = np.arange(0, way[-1], step_m)
+    return np.column_stack([np.interp(at, way, line[:, k]) for k in (0, 1)])
+
+
+def test_what_was_driven_out_and_back_is_no_part_of_a_path() -> None:
+    straight = walked((0, 0), (10, 0))
+    detour = walked((0, 0), (5, 0), (5, 3), (5.2, 3), (5.2, 0), (10, 0))
+    erased = loop_erased(detour, 0.5)
+    assert way_of(detour)[-1] == pytest.approx(16.0, abs=0.2)
+    assert way_of(erased)[-1] == pytest.approx(way_of(straight)[-1], abs=0.3)
+    assert np.abs(erased[:, 1]).max() < 0.5
+    assert (erased[[0, -1]] == detour[[0, -1]]).all()
+
+
+def test_bends_and_standing_still_are_left_alone() -> None:
+    for path in (
+        walked((0, 0), (5, 0), (5, 3), (5.8, 3), (5.8, 0), (10, 0)),  # a wall may be between
+        walked((0, 0), (3, 0), (3, 3)),
+        np.zeros((1, 2)),
+        np.zeros((0, 2)),
+    ):
+        assert loop_erased(path, 0.5) is path
