@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .circular import AngleClusters, cluster_angles
 from .odometry import Odometry
 from .passes import NO_BRANCH, Passes
-from .polyline import join_centres, loop_erased, simplify, way_of, with_corners
+from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
@@ -241,8 +241,11 @@ def _legs(
     fine = (np.diff(visits.chain) == 0) & ~loop & driven
     path = _between_centres(odometry, visits, xy, first[fine], settings)
     length = np.array([way_of(p)[-1] for p in path])
-    # Who turns about within a junction may seem to leave it by one branch and to enter by another.
-    away = (u != v)[fine] | (length > 2 * settings.junction_m)
+    # Who turns about, in a junction or on the way, may seem to leave it by one branch and to enter
+    # by another: a loop has something in its middle.
+    width = np.array([loop_width(p) for p in path])
+    ring = (length > 2 * settings.junction_m) & (width > settings.passable_m)
+    away = (u != v)[fine] | ring
     first, u, v, a, b = (x[fine][away] for x in (first, u, v, a, b))
     path, length = [p for p, some in zip(path, away.tolist(), strict=True) if some], length[away]
     # Each corridor in one direction: from the smaller (vertex, branch).

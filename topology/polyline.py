@@ -79,6 +79,14 @@ def loop_erased(path: FloatArray, near_m: float) -> FloatArray:
     return path[kept]
 
 
+def loop_width(path: FloatArray) -> float:
+    """How far apart the way there and the way back of a closed path lie, in the mean [m]: twice the
+    area between them over its length. Parts that go round the other way count against it."""
+    x, y = (path - path[0]).T
+    area = abs(float(x[:-1] @ y[1:] - x[1:] @ y[:-1])) / 2
+    return 2 * area / max(float(way_of(path)[-1]), 1e-9)
+
+
 def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArray:
     """A driven path whose tight turns are made corners: where the lines before and after meet.
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.topology.polyline import join_centres, loop_erased, simplify, way_of, with_corners
+from topobatch.topology.polyline import (
+    join_centres,
+    loop_erased,
+    loop_width,
+    simplify,
+    way_of,
+    with_corners,
+)
 
 
 def test_simplified_lines_stay_near():
@@ -67,3 +74,10 @@ def test_bends_and_standing_still_are_left_alone() -> None:
         np.zeros((0, 2)),
     ):
         assert loop_erased(path, 0.5) is path
+
+
+def test_a_loop_is_as_wide_as_what_it_goes_round() -> None:
+    ring = walked((0, 0), (10, 0), (10, 4), (0, 4), (0, 0))
+    there_and_back = walked((0, 0), (6, 0), (6, 0.2), (0, 0.2), (0, 0))
+    assert loop_width(ring) == pytest.approx(2 * 40 / 28, abs=0.1)
+    assert loop_width(there_and_back) < 0.25
