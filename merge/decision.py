@@ -1,7 +1,7 @@
-"""A verdict on two runs, with everything it rests on: the evidence term by term, the threshold.
+"""A verdict on two runs with everything that it rests on: the evidence term by term, the threshold.
 
-What `topobatch explain` shows. All bits are those of `merged.json`: the terms of a placement add up
-to its evidence, and the evidence is compared with the threshold.
+This is what `topobatch explain` shows. All bits are those of `merged.json`: the terms of a
+placement add up to its evidence, and the evidence is compared with the threshold.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """One way to lay b over a. The terms add up to `alignment.evidence_bits`. searched: were
-    contradictions looked for? Not where the rest says no more than chance."""
+    """One way to lay b over a. The terms add up to `alignment.evidence_bits`. searched: whether
+    contradictions were looked for, which is not done where the agreement is no better than
+    chance."""
 
     alignment: Alignment
     terms: tuple[Term, ...]
@@ -65,11 +66,14 @@ class Placement:
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """What merging needs. threshold_bits = log2(pairs / false_merge_rate); least_junctions: that
-    must agree; lead_bits: by which the next best placement must be behind; junction_bits: most that
-    a matched junction carries. repetition: 0 (it is surely no copy) to 1; where the
-    second question is asked, same_place_bits: what says that it is the place and not a copy of it,
-    and same_place_needed: what merging needs of that."""
+    """What merging needs.
+
+    threshold_bits: log2(pairs / false_merge_rate); least_junctions: that must agree; lead_bits: by
+    which the next best placement must be behind; junction_bits: most that a matched junction
+    counts. repetition: 0 (surely no copy) to 1; where the second question is asked,
+    same_place_bits: evidence that it is the place and not a copy of it, and same_place_needed: its
+    threshold.
+    """
 
     threshold_bits: float
     pairs: int
@@ -84,8 +88,8 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """The best hypothesis of a pair for which none grew: of `expected` junctions of b that it lays
-    where a has been, `found` lie on one of a's, where `needed` must."""
+    """The best hypothesis of a pair none of whose hypotheses grew. Of `expected` junctions of b
+    that it lays where run a has been, `found` lie on a junction of a; `needed` are asked."""
 
     found: int
     expected: int

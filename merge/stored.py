@@ -1,4 +1,4 @@
-"""A merge as its document tells it: the value that `merged.json` was written from."""
+"""A merge read from its document: the value that `merged.json` was written from."""
 
 from __future__ import annotations
 

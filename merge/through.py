@@ -1,4 +1,5 @@
-"""Runs that only others join: by which chain of accepted pairs."""
+"""Pairs of runs that are only joined through other runs: the chain of accepted pairs between
+them."""
 
 from __future__ import annotations
 

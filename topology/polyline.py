@@ -40,11 +40,12 @@ def way_of(path: FloatArray) -> FloatArray:
 def join_centres(
     track: FloatArray, begin: FloatArray, end: FloatArray, junction_m: float
 ) -> FloatArray:
-    """A track from one junction to the next as the corridor between their centres.
+    """The corridor between the centres of two junctions, from a track that led from one to the
+    other.
 
-    What the robot drives within `junction_m` of a centre (it passes beside it, cuts its corner,
-    turns round) is no part of the corridor, which is straight there. track: (k, 2); begin, end:
-    (2,). Returns (j, 2) from `begin` to `end`.
+    track: (k, 2); begin, end: (2,) centres [m]. What was driven within `junction_m` of a centre
+    (passing beside it, cutting its corner, turning round) is left out, and the corridor is straight
+    there. Returns (j, 2) from `begin` to `end`.
     """
     way = way_of(track)
     reach = min(junction_m, way[-1] / 3)

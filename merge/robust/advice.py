@@ -1,4 +1,4 @@
-"""What would settle an ambiguous pair: which corridor to record next."""
+"""What would settle an ambiguous pair: which corridor to drive next."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from .verdict import Opinion
 
 
 def advice(a: Prepared, b: Prepared, opinion: Opinion) -> str | None:
-    """A sentence: the corridor that one run drove and the other left out, where they would part.
+    """A sentence that names a corridor which one run drove and the other did not, and on which the
+    best placement and the runner-up would differ.
 
-    Such a corridor leaves a matched junction by a branch that both runs saw. Preferred are those
-    that the runner-up places where the other run says something else.
+    It leaves a matched junction by a branch that both runs saw. Preferred are corridors that the
+    runner-up places where the other run shows something else.
     """
     best = opinion.best
     if best is None:

@@ -1,4 +1,5 @@
-"""The maps of a batch matched with each other: which pairs, and what they say by themselves."""
+"""All maps of a batch matched with each other: which pairs are matched, and the verdict on each
+pair by itself."""
 
 from __future__ import annotations
 
@@ -25,12 +26,13 @@ from .verdict import Opinion, PairCount, Threshold, needed_bits, opinions
 
 @dataclass(eq=False)
 class Batch:
-    """What was found between the maps of a batch, and what the two maps of each pair say alone.
+    """What was found between the maps of a batch, and the verdicts on pairs by their two maps
+    alone.
 
-    asked: pairs that a person spoke of. opinions: of these, and of pairs that would be merged but
-    for a mirror image; joins: the verdicts on pairs that are merged by themselves; alone: on all
-    the others, which are most of a large batch. These are `worded` at once, and nothing else is
-    held.
+    asked: pairs that a lock names. opinions: the full assessments of these, of discarded pairs, and
+    of pairs that would be merged but for a mirror image; joins: the verdicts on pairs that are
+    merged by themselves; alone: those on all other pairs, which are most of a large batch. The
+    latter are put into words at once (`worded`), and nothing else of them is held.
     """
 
     matcher: Pairwise
@@ -106,8 +108,8 @@ class Batch:
             self._kept.keep(fresh)
 
     def seconded(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
-        """Of pairs of one component: which of their candidates agrees with where other runs have
-        put the two, the first that does; without those that have none."""
+        """Pairs of one component, one of whose candidates agrees with where other runs have put the
+        two: the number of the first such candidate. Pairs without one are left out."""
         full = [pair for pair in pairs if self.found[pair].full and components.together(*pair)]
         out: dict[Pair, int] = {}
         for start in range(0, len(full), MATCH.at_once):
@@ -153,7 +155,7 @@ class Batch:
         return out
 
     def undecided(self) -> list[Pair]:
-        """Pairs with a placement that chance does not offer."""
+        """Pairs with a placement better than chance, merged or not."""
         chance = MATCH.lead_bits
         known = ((pair, view.best, view.bits) for pair, view in self.opinions.items())
         held = chain(self.joins.items(), self.alone.items())

@@ -1,4 +1,4 @@
-"""Runs that belong together: joined strongest pair first, checked over cycles."""
+"""Components of runs: pairs joined in order of their evidence, with a check of every cycle."""
 
 from __future__ import annotations
 

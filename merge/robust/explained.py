@@ -1,7 +1,7 @@
-"""Why the robust method says what it says of two runs, from the documents of a workspace.
+"""Why the robust method decided on two runs as it did, from the documents of a workspace.
 
 The pair is assessed again by the functions that `decide` calls, with the settings and the number of
-pairs of the merge: what other runs and people said is taken from its document.
+pairs of the merge; what other runs and locks contribute is read from its document.
 """
 
 from __future__ import annotations

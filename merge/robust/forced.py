@@ -1,4 +1,5 @@
-"""Alignments that a person's lock asks for, however little evidence there is."""
+"""Alignments for locks: the best placement that a "same" lock allows, however little evidence it
+has."""
 
 from __future__ import annotations
 

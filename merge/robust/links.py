@@ -65,10 +65,12 @@ def windows(low: IntArray, high: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def candidate_links(a: Prepared, b: Prepared) -> Links:
-    """Corridors with the same pattern of branches at both ends, as long and as bent as each other.
+    """Corridors of two maps that are as long and as bent as each other and have the same pattern of
+    branches at both ends.
 
-    Strategy: b's corridors are sorted by (pattern, length); two bisections per corridor of a find
-    the window of compatible ones. Each corridor of a is looked up in one direction, b's in both.
+    Strategy: b's corridors are sorted by (pattern, length); two bisections for each corridor of a
+    find the window of compatible ones. Each corridor of a is looked up in one direction, b's in
+    both.
     """
     half = len(a.tail) // 2
     tolerance = MATCH.length_sigmas * np.sqrt(a.variance[:half] + b.worst_variance)

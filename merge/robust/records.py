@@ -1,7 +1,7 @@
-"""What matching two maps found, as bytes and back, number by number.
+"""What matching two maps found, as bytes and back.
 
-Read again it is the same to the last bit. What is read is checked against the two maps, so that
-no bytes whatever make a candidate that points outside of them.
+Numbers that are read again are the same to the last bit. What is read is checked against the two
+maps, so that no bytes can give a candidate that points outside of them.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Candidate alignments of two maps, best first; where none of them is beyond chance, only what
-    the best of them comes to."""
+    """Candidate alignments of two maps, best first; if none of them is better than chance, only a
+    summary of the best."""
 
     candidates: tuple[Candidate, ...] = ()
     faint: Faint | None = None

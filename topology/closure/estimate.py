@@ -1,4 +1,5 @@
-"""Where the passes and places of a walk lie, given which passes were by the same place."""
+"""The layout of a run: positions of its passes and places, by a pose graph, given which passes were
+by the same place."""
 
 from __future__ import annotations
 
