@@ -15,11 +15,11 @@ from .verdict import Opinion
 
 
 def advice(a: Prepared, b: Prepared, opinion: Opinion) -> str | None:
-    """A sentence that names a corridor which one run drove and the other did not, and on which the
-    best placement and the runner-up would differ.
+    """A sentence that names a corridor to drive: one that leaves a matched junction by a branch
+    that both runs saw, and that only one of them drove.
 
-    It leaves a matched junction by a branch that both runs saw. Preferred are corridors that the
-    runner-up places where the other run shows something else.
+    Preferred are corridors at junctions that the runner-up matches with another one, for they can
+    refute it. None without a placement.
     """
     best = opinion.best
     if best is None:
