@@ -9,7 +9,7 @@ against the two maps.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, fields
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NotRequired
@@ -103,6 +103,8 @@ _ENTRY: TypeAdapter[_Unrelated | _Placed] = TypeAdapter(
     Annotated[_Unrelated | _Placed, Field(discriminator="verdict")]
 )
 
+_PLACED: TypeAdapter[_Placed] = TypeAdapter(_Placed)
+
 
 def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
     """The verdict on two maps; None where it cannot be theirs."""
@@ -131,12 +133,38 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
         *own,
         threshold_bits=need,
         accepted_by=by,
-        best=_aligned(entry, numbers[3:6], *known[6:8]),
-        runner_up=None if second is None else _aligned(second, numbers[8:11], *known[11:]),
+        best=_Late.of(data, "best"),
+        runner_up=None if second is None else _Late.of(data, "runner_up"),
         margin_bits=margin if "margin_bits" in entry else None,
         advice=entry.get("advice"),
         extra=_extra(entry),
     )
+
+
+class _Late(Alignment):
+    """An alignment of a verdict that was kept, made of its bytes when somebody asks for anything of
+    it: of most nobody does, and the bytes take less memory."""
+
+    __slots__ = ("_data", "_which")
+
+    @classmethod
+    def of(cls, data: bytes, which: Literal["best", "runner_up"]) -> _Late:
+        """data: of the verdict, found to be one."""
+        out = object.__new__(cls)
+        object.__setattr__(out, "_data", data)
+        object.__setattr__(out, "_which", which)
+        return out
+
+    def __getattr__(self, name: str) -> Any:
+        """Called for what is not set yet."""
+        numbers = np.frombuffer(self._data, "<f8", NUMBERS)
+        entry = _PLACED.validate_json(self._data[8 * NUMBERS :])
+        best = self._which == "best"
+        part, own = (entry, numbers[3:8]) if best else (entry["runner_up"], numbers[8:])
+        made = _aligned(part, own)
+        for one in fields(Alignment):
+            object.__setattr__(self, one.name, getattr(made, one.name))
+        return object.__getattribute__(self, name)
 
 
 def _fits(part: _Aligned, sizes: tuple[int, int]) -> bool:
@@ -151,11 +179,12 @@ def _fits(part: _Aligned, sizes: tuple[int, int]) -> bool:
     )
 
 
-def _aligned(part: _Aligned, transform: FloatArray, bits: float, rmse_m: float) -> Alignment:
+def _aligned(part: _Aligned, numbers: FloatArray) -> Alignment:
+    bits, rmse_m = numbers[3:].tolist()
     where = ((tuple(sides["a"]), tuple(sides["b"])) for sides in part.get("contradicting", ()))
     matched = np.array(part["matched"], np.int64)
     told = tuple(part["contradictions"])
-    return Alignment(transform, bits, matched, rmse_m, part["corridors"], told, tuple(where))
+    return Alignment(numbers[:3], bits, matched, rmse_m, part["corridors"], told, tuple(where))
 
 
 def _extra(entry: Mapping[str, Any]) -> dict[str, float]:

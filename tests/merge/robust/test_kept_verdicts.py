@@ -160,3 +160,14 @@ def test_what_is_kept_says_where_its_entry_is(pair, new_store):
     (again,) = kept_by(shelf, pair, keys=found).find([(0, 1)]).values()
     assert found[again] == left[verdict]
     assert json.loads(entry_text(shelf.find(Kind.VERDICT, found[again])))["b"] == pair[1].run
+
+
+def test_alignments_made_late_are_alignments(pair):
+    unclear = verdicts(*pair)[1]
+    late = from_bytes(to_bytes(unclear), *pair).best
+    assert isinstance(late, Alignment)
+    changed = replace(late, corridors=99)
+    assert changed.corridors == 99
+    assert changed.matched.tolist() == unclear.best.matched.tolist()
+    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
+        _ = late.nothing_of_the_kind
