@@ -20,6 +20,7 @@ the index leaves out; they count in how sure a pair must be of not being a copy.
 from __future__ import annotations
 
 import argparse
+import gc
 import resource
 import tempfile
 import time
@@ -31,6 +32,7 @@ from pathlib import Path
 import numpy as np
 from observed import observed_map
 
+from topobatch.cli.main import GARBAGE
 from topobatch.merge.cache import ResultCache
 from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
@@ -251,6 +253,7 @@ def main():
     parser.add_argument("--beyond", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
+    gc.set_threshold(GARBAGE)  # as the command does
     if options.sizes:
         table([int(size) for size in options.sizes.split(",")], options.first)
     if options.recall:
