@@ -39,16 +39,17 @@ class Odometry:
         breaks = frozen_array(self.breaks, np.int64, (None,), "breaks")
         if np.any(time_ns[1:] <= time_ns[:-1]):
             raise ValueError("odometry times must ascend strictly")
-        if np.any(np.diff(breaks) <= 0) or np.any(breaks < 1) or np.any(breaks >= len(time_ns)):
+        if not _rows_within(breaks, len(time_ns)):
             raise ValueError("breaks must ascend and lie within the track")
         jumps = frozen_array(self.jumps, np.int64, (None,), "jumps")
-        if np.any(np.diff(jumps) <= 0) or np.any(jumps < 1) or np.any(jumps >= len(time_ns)):
+        if not _rows_within(jumps, len(time_ns)):
             raise ValueError("jumps must ascend and lie within the track")
         jump_sigma = frozen_array(self.jump_sigma, np.float64, (len(jumps), 2), "jump_sigma")
         jump_other = frozen_array(self.jump_other, np.float64, (len(jumps), 3), "jump_other")
-        for name, value in (("time_ns", time_ns), ("pose", pose), ("breaks", breaks)):
-            object.__setattr__(self, name, value)
         for name, value in (
+            ("time_ns", time_ns),
+            ("pose", pose),
+            ("breaks", breaks),
             ("jumps", jumps),
             ("jump_sigma", jump_sigma),
             ("jump_other", jump_other),
@@ -89,3 +90,10 @@ class Odometry:
         out = np.stack([np.interp(q, t, column) for column in columns], axis=-1)
         out[..., 2] = wrap(out[..., 2])
         return out
+
+
+def _rows_within(rows: NDArray[np.int64], count: int) -> bool:
+    """Whether rows ascend strictly and each has one before it among so many."""
+    if len(rows) == 0:
+        return True
+    return bool(rows[0] >= 1 and rows[-1] < count and (rows[1:] > rows[:-1]).all())

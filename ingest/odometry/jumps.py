@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, compose, inverse, wrap
+from .step_bounds import StepBounds, blocks_of_steps, reach, turned, widest_turn
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SECOND_S = 1e-9
-BLOCK_STEPS = 1 << 13
-"""So many steps are looked at together where few are expected to matter."""
 MOST_TOLD = 5
 """So many jumps are told one by one."""
 BESIDE = np.array([-2, -1, 1, 2])
@@ -140,7 +139,9 @@ def _seldom(values: Floats) -> float:
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 
 
-def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings()) -> Bools:
+def spikes(
+    time_ns: Ints, pose: Floats, bounds: StepBounds, settings: JumpSettings = JumpSettings()
+) -> Bools:
     """(n - 1,) steps that stand out of their neighbours as few others of the run do.
 
     Between two quiet steps no robot makes a large one: it has inertia. What is usual for this robot
@@ -149,15 +150,11 @@ def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings())
     over the rows that may matter.
     """
     found = np.zeros(max(len(pose) - 1, 0), bool)
-    if len(pose) <= settings.few_steps:
+    if len(pose) <= settings.few_steps or not _any_spike(pose, bounds, settings):
         return found
-    rows = _large(pose, settings)
-    if len(rows) == 0:
-        return found
+    # Smaller ones tell what is usual.
+    rows = _large(pose, settings.least_m / settings.factor, settings.least_rad / settings.factor)
     steps = _Steps.of(pose, rows)
-    way, turn = steps.beyond(steps.around, 0.0)
-    if not ((way > settings.least_m) | (turn > settings.least_rad)).any():
-        return found  # nothing that is known of times widens what they leave
     usual = _Usual.of(time_ns, pose, settings)
     way, turn = _excess(time_ns, pose, steps, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
@@ -170,28 +167,40 @@ def spikes(time_ns: Ints, pose: Floats, settings: JumpSettings = JumpSettings())
     return found
 
 
-def _large(pose: Floats, settings: JumpSettings) -> Ints:
-    """Steps that may leave the range of their neighbours by so much that it matters.
+def _any_spike(pose: Floats, bounds: StepBounds, settings: JumpSettings) -> bool:
+    """Whether any step leaves the range of its neighbours and of standing still by enough.
+
+    Nothing that is known of times widens what steps leave.
+    """
+    if bounds.within(settings.least_m, settings.least_rad):
+        return False
+    rows = _large(pose, settings.least_m, settings.least_rad)
+    if len(rows) == 0:
+        return False
+    steps = _Steps.of(pose, rows)
+    way, turn = steps.beyond(steps.around, 0.0)
+    return bool(((way > settings.least_m) | (turn > settings.least_rad)).any())
+
+
+def _large(pose: Floats, least_m: float, least_rad: float) -> Ints:
+    """Steps that may leave the range of their neighbours by more than so much.
 
     The range holds standing still and the steps before and after: what is out of it differs from
-    all three by no less, which is cheap to bound. The first and the last step lie in their own. In
-    blocks that stay in the processor's cache, so that no large array is made.
+    all three by no less, which is cheap to bound. The first and the last step lie in their own.
     """
-    share = 0.99 / settings.factor
-    least_m, least_rad = share * settings.least_m, share * settings.least_rad
+    least_m, least_rad = 0.99 * least_m, 0.99 * least_rad
     found = [np.zeros(0, np.int64)]
-    for first in range(0, len(pose) - 3, BLOCK_STEPS):
-        rows = pose[first : first + BLOCK_STEPS + 3].T.copy()
-        x, y, turn = rows[:, 1:] - rows[:, :-1]
-        size = np.abs(turn)
+    for first, (x, y, turn) in blocks_of_steps(pose, beside=1):
+        far, widest = reach(x) + reach(y), widest_turn(turn)
+        if far <= least_m and widest <= least_rad:
+            continue
         large = np.zeros(len(turn), bool)
-        k = 1 + np.flatnonzero(size[1:-1] > least_rad)
-        off = np.stack([turn[k], turn[k] - turn[k - 1], turn[k + 1] - turn[k]])
-        large[k] = (_turned(off) > least_rad).all(axis=0)
+        if widest > least_rad:
+            k = 1 + np.flatnonzero(np.abs(turn[1:-1]) > least_rad)
+            off = np.stack([turn[k], turn[k] - turn[k - 1], turn[k + 1] - turn[k]])
+            large[k] = (turned(off) > least_rad).all(axis=0)
         # What bounds all ways of a block costs a fraction of the ways.
-        far = reach(x) + reach(y)
-        turned = float((size if size.max() <= np.pi else _turned(size)).max())
-        if far > least_m and reach(x[1:] - x[:-1]) + reach(y[1:] - y[:-1]) + far * turned > least_m:
+        if far > least_m and reach(x[1:] - x[:-1]) + reach(y[1:] - y[:-1]) + far * widest > least_m:
             large[1:-1] |= _far_off(x, y, turn, least_m)
         found.append(first + np.flatnonzero(large))
     return np.concatenate(found)
@@ -201,19 +210,8 @@ def _far_off(x: Floats, y: Floats, turn: Floats, least_m: float) -> Bools:
     """(n - 2,) which steps but the first and last may differ by more from those on either side."""
     far = np.abs(x) + np.abs(y)
     # Seen from the robot, a step is turned by what the one before it turned.
-    off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * _turned(turn[:-1])
+    off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * turned(turn[:-1])
     return np.asarray((np.minimum(off[:-1], off[1:]) > least_m) & (far[1:-1] > least_m))
-
-
-def reach(values: Floats) -> float:
-    """The largest size among numbers of either sign."""
-    return max(float(values.max()), -float(values.min()))
-
-
-def _turned(turn: Floats) -> Floats:
-    """Sizes of turns: from one end of the range of angles to the other is a short one as well."""
-    size = np.abs(turn)
-    return np.minimum(size, np.abs(size - 2 * np.pi))
 
 
 def _at_rank(values: Floats, rank: int) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...topology.errors import LogError
 from ...topology.odometry import Odometry
-from .jumps import BLOCK_STEPS, reach
+from .step_bounds import StepBounds
 
 LONGEST_M = 1e6
 """Widest extent of a drive without a break, 1000 km; what is laid out along it takes memory."""
@@ -15,12 +15,15 @@ FASTEST_M_PER_S = 100.0
 """No robot on the ground usually goes faster: autonomous race cars reach 80 m/s."""
 
 
-def check_plausible(odometry: Odometry, topic: str, log: str) -> None:
-    """Raise LogError if a drive is too wide or, in half of its steps, too fast. O(n)."""
+def check_plausible(odometry: Odometry, bounds: StepBounds, topic: str, log: str) -> None:
+    """Raise LogError if a drive is too wide or, in half of its steps, too fast. O(n) at worst.
+
+    bounds: of all steps; mostly they tell enough.
+    """
     position = odometry.pose[:, :2]
     if len(position) < 2:
         return
-    if 2 * reach(odometry.pose) > LONGEST_M:
+    if bounds.way * len(position) > LONGEST_M:
         starts = np.concatenate([[0], odometry.breaks]).astype(np.int64)
         extent = np.maximum.reduceat(position, starts) - np.minimum.reduceat(position, starts)
         widest = float(extent.max())
@@ -29,7 +32,7 @@ def check_plausible(odometry: Odometry, topic: str, log: str) -> None:
                 f"{log}: {topic} spans {widest / 1000:.0f} km, more than {LONGEST_M / 1000:.0f} "
                 "km; positions are expected in metres"
             )
-    if not _any_fast(odometry):
+    if bounds.way <= 0.99e-9 * FASTEST_M_PER_S * bounds.shortest_ns:
         return
     way = np.hypot(*np.diff(position, axis=0).T)
     way[odometry.breaks - 1] = 0
@@ -41,21 +44,3 @@ def check_plausible(odometry: Odometry, topic: str, log: str) -> None:
             f"{log}: {topic} moves at {speed:.0f} m/s, more than {FASTEST_M_PER_S:.0f} m/s; "
             "positions are expected in metres"
         )
-
-
-def _any_fast(odometry: Odometry) -> bool:
-    """Whether any step may be too fast: no way is longer than the sum of its two parts.
-
-    In blocks that stay in the processor's cache, so that no large array is made.
-    """
-    most = 0.99e-9 * FASTEST_M_PER_S
-    for first in range(0, len(odometry.pose) - 1, BLOCK_STEPS):
-        pose = odometry.pose[first : first + BLOCK_STEPS + 1]
-        time_ns = odometry.time_ns[first : first + BLOCK_STEPS + 1]
-        step, duration = pose[1:] - pose[:-1], time_ns[1:] - time_ns[:-1]
-        shortest = most * float(duration.min())
-        if 2 * reach(step) <= shortest or reach(step[:, 0]) + reach(step[:, 1]) <= shortest:
-            continue
-        if (np.abs(step[:, 0]) + np.abs(step[:, 1]) > most * duration).any():
-            return True
-    return False

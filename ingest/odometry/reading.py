@@ -84,7 +84,7 @@ def driven(topic: OdometryTopic, clock: Clock, settings: ReadSettings, log: str)
     # As recorded, but drive by drive: a reset may lead anywhere.
     resets = odometry.breaks
     drives = replace(track.odometry, breaks=resets) if len(resets) else track.odometry
-    check_plausible(drives, topic.choice.topic, log)
+    check_plausible(drives, track.bounds, topic.choice.topic, log)
     return Driven(track.odometry, odometry, track.warnings)
 
 

@@ -9,16 +9,14 @@ from numpy.typing import NDArray
 
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .jumps import Jumps, measured_jumps, no_jumps, reach, spikes, times
+from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
+from .step_bounds import StepBounds
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 SECOND_NS = 10**9
 """A second in nanoseconds."""
-
-BLOCK_STEPS = 1 << 13
-"""So many steps are looked at together where few are expected to matter."""
 
 FEW_STEPS = 20
 """With fewer steps in motion than this, nothing is known about how fast the robot usually is."""
@@ -56,11 +54,12 @@ class TrackSettings:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A track in order, as recorded, its jumps (still in it), and one sentence per kind of thing
-    that had to be repaired."""
+    """A track in order, as recorded, its jumps (still in it), bounds of all its steps, and one
+    sentence per kind of thing that had to be repaired."""
 
     odometry: Odometry
     jumps: Jumps
+    bounds: StepBounds
     warnings: tuple[str, ...]
 
 
@@ -98,12 +97,12 @@ def sane_track(
     warnings: list[str] = []
     time_ns, pose = _forward(time_ns, pose, settings, warnings)
     time_ns, pose = _in_order(time_ns, pose, warnings)
-    time_ns, pose, jumps = _measured(time_ns, pose, settings, warnings)
+    time_ns, pose, jumps, bounds = _measured(time_ns, pose, settings, warnings)
     _report_gaps(time_ns, settings, warnings)
     for array in (time_ns, pose):
         array.flags.writeable = False
     unbroken = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
-    return Track(unbroken, jumps, tuple(warnings))
+    return Track(unbroken, jumps, bounds, tuple(warnings))
 
 
 def _forward(
@@ -169,31 +168,36 @@ def _in_order(time_ns: Ints, pose: Floats, warnings: list[str]) -> tuple[Ints, F
 
 def _measured(
     time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
-) -> tuple[Ints, Floats, Jumps]:
+) -> tuple[Ints, Floats, Jumps, StepBounds]:
     """Leaps: single poses off the track are dropped, others are jumps or resets."""
-    leaps = _leaps(time_ns, pose, settings)
+    bounds = StepBounds.of(time_ns, pose)
+    leaps = _leaps(time_ns, pose, bounds, settings)
     if not leaps.any():
-        return time_ns, pose, no_jumps()
+        return time_ns, pose, no_jumps(), bounds
     glitch = _glitches(time_ns, pose, leaps, settings)
     if glitch.any():
         count = int(glitch.sum())
         warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
         time_ns, pose = time_ns[~glitch], pose[~glitch]
-        leaps = _leaps(time_ns, pose, settings)
+        bounds = StepBounds.of(time_ns, pose)
+        leaps = _leaps(time_ns, pose, bounds, settings)
     if not leaps.any():
-        return time_ns, pose, no_jumps()
+        return time_ns, pose, no_jumps(), bounds
     duration = np.diff(time_ns)
     gap_ns = max(settings.gap_min_s * SECOND_NS, settings.gap_periods * float(np.median(duration)))
-    restarted = (duration > gap_ns) & _teleports(time_ns, pose, settings)
+    restarted = (duration > gap_ns) & _teleports(time_ns, pose, bounds, settings)
     jumps = measured_jumps(time_ns, pose, leaps, restarted)
     warnings += jumps.sentences(time_ns)
     keep = jumps.fresh(len(pose))
-    return time_ns[keep], pose[keep], jumps.among(keep)
+    time_ns, pose = time_ns[keep], pose[keep]
+    return time_ns, pose, jumps.among(keep), StepBounds.of(time_ns, pose)
 
 
-def _leaps(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[np.bool_]:
+def _leaps(
+    time_ns: Ints, pose: Floats, bounds: StepBounds, settings: TrackSettings
+) -> NDArray[np.bool_]:
     """(n - 1,) steps that cannot have been driven, or stand out of all others."""
-    return _teleports(time_ns, pose, settings) | spikes(time_ns, pose)
+    return _teleports(time_ns, pose, bounds, settings) | spikes(time_ns, pose, bounds)
 
 
 def _motion(time_ns: Ints, pose: Floats) -> tuple[Floats, Floats, Floats]:
@@ -203,12 +207,13 @@ def _motion(time_ns: Ints, pose: Floats) -> tuple[Floats, Floats, Floats]:
     return way, turn, np.diff(time_ns) / SECOND_NS
 
 
-def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[np.bool_]:
+def _teleports(
+    time_ns: Ints, pose: Floats, bounds: StepBounds, settings: TrackSettings
+) -> NDArray[np.bool_]:
     """(n - 1,) whether a step cannot have been driven, or falls back to the origin exactly."""
-    if len(time_ns) < 2:
-        return np.zeros(0, bool)
-    if not _any_leap(pose, settings):
-        return np.zeros(len(time_ns) - 1, bool)
+    least_m = min(settings.teleport_min_m, settings.reset_min_m)
+    if bounds.within(least_m, min(settings.teleport_min_rad, settings.reset_min_rad)):
+        return np.zeros(max(len(time_ns) - 1, 0), bool)
     way, turn, duration = _motion(time_ns, pose)
     zero = ~pose[1:].any(axis=1)
     away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)
@@ -223,27 +228,6 @@ def _teleports(time_ns: Ints, pose: Floats, settings: TrackSettings) -> NDArray[
     # Driving through the exact origin takes a step like any other; a reset takes a far longer one.
     sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
     return far | (reset & sudden)
-
-
-def _any_leap(pose: Floats, settings: TrackSettings) -> bool:
-    """Whether any step may be long, by bounds that cost a fraction of the true lengths.
-
-    A way is at most the sum of its two parts; a turn is at most the difference of the angles.
-    """
-    least_m = 0.99 * min(settings.teleport_min_m, settings.reset_min_m)
-    least_rad = 0.99 * min(settings.teleport_min_rad, settings.reset_min_rad)
-    # In blocks that stay in the processor's cache, so that no large array is made.
-    for first in range(0, len(pose) - 1, BLOCK_STEPS):
-        rows = pose[first : first + BLOCK_STEPS + 1]
-        step = rows[1:] - rows[:-1]
-        if 2 * reach(step) <= min(least_m, least_rad):
-            continue
-        x, y, turn = np.abs(step.T)
-        # From one end of the range of angles to the other is a short turn as well.
-        turned = (turn > least_rad) & (np.abs(turn - 2 * np.pi) > least_rad)
-        if turned.any() or (x + y > least_m).any():
-            return True
-    return False
 
 
 def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float) -> float:

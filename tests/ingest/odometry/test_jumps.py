@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.odometry.jumps import spikes, without_jumps
+from topobatch.ingest.odometry.step_bounds import StepBounds
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.topology.se2 import between, compose, wrap
 
@@ -130,11 +131,12 @@ def test_jumps_are_found_as_without_the_shortcut(seed, noise, leap):
     pose += rng.normal(0, noise, pose.shape) * (rng.random((len(pose), 1)) < 0.02)
     pose[:, 2] = wrap(pose[:, 2])
     pose = jumped(pose, int(rng.integers(1, 600)), (leap, rng.normal(0, 0.2), rng.normal(0, 0.2)))
-    quick = spikes(time, pose)
+    quick = spikes(time, pose, StepBounds.of(time, pose))
     with pytest.MonkeyPatch.context() as patch:
         every = np.arange(1, len(pose) - 1)
-        patch.setattr("topobatch.ingest.odometry.jumps._large", lambda pose, settings: every)
-        thorough = spikes(time, pose)
+        patch.setattr("topobatch.ingest.odometry.jumps._large", lambda *_: every)
+        patch.setattr(StepBounds, "within", lambda self, way, turn: False)
+        thorough = spikes(time, pose, StepBounds.of(time, pose))
     assert np.flatnonzero(quick).tolist() == np.flatnonzero(thorough).tolist()
 
 
