@@ -70,18 +70,22 @@ def robot_frame_sightings(
     warnings: list[str] = []
     mounted = _mounted(columns, frames, odometry, fixed)
     pose = in_plane(mounted.pose)
-    new = np.diff(columns.message, prepend=-1) != 0
-    new[1:] |= np.diff(columns.part.astype(np.int64)) != 0
-    first = np.flatnonzero(new)
-    counts = np.diff(np.append(first, len(columns.message)))
-    rows = Ragged(np.append(first, len(columns.message)).astype(np.int64), pose[:, 2])
+    message, part = columns.message, columns.part
+    new = np.ones(len(message), bool)
+    new[1:] = (message[1:] != message[:-1]) | (part[1:] != part[:-1])
+    first = new.nonzero()[0]
+    rows = Ragged(np.append(first, len(message)), pose[:, 2])
+    counts = rows.counts
     centre = _centres(pose[:, :2], first, counts, settings, warnings)
     time = time_ns[first]
-    side = np.array(mounted.sides, dtype="U8")[columns.frame[first]]
+    frame = columns.frame[first]
 
     outside = settings.outside_s * 1e9
     keep = _leave_out(
-        np.ones(len(side), bool), side != "foreign", warnings, mounted.expected(odometry, fixed)
+        np.ones(len(first), bool),
+        ~mounted.on("foreign")[frame],
+        warnings,
+        mounted.expected(odometry, fixed),
     )
     steep = np.maximum.reduceat(mounted.rise, first) if len(first) else np.zeros(0)
     keep = _leave_out(
@@ -103,7 +107,7 @@ def robot_frame_sightings(
     chosen = np.flatnonzero(keep)
     chosen = chosen[np.argsort(time[chosen], kind="stable")]
     branches, centre, time = rows.take(chosen), centre[chosen], time[chosen]
-    in_odometry = side[chosen] == "odometry"
+    in_odometry = mounted.on("odometry")[frame[chosen]]
     if in_odometry.any():
         T_odom_base = odometry.at(time)
         turned = apply(inverse(T_odom_base), centre)
@@ -125,6 +129,10 @@ class _Mounted:
     sides: tuple[Side, ...]
     rise: NDArray[np.float64]
     foreign: tuple[str, ...]
+
+    def on(self, side: Side) -> NDArray[np.bool_]:
+        """Whether a frame is on that side, by frame number."""
+        return np.array([own == side for own in self.sides], bool)
 
     def expected(self, odometry: Odometry, fixed: FixedTransforms) -> str:
         """What is wrong with frames that nothing joins to the odometry's."""

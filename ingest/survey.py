@@ -76,8 +76,8 @@ def walk(
             if on_bytes is not None:
                 on_bytes(count)
 
-        packed = sniff(file) == "zstd"
         known = index.log if index is not None else None
+        packed = known is None and sniff(file) == "zstd"
         with opened(file) if known is None else nullcontext(known) as log:
             for block in log.blocks(intake.want, findings, None if packed else progress):
                 intake.take(block)

@@ -28,7 +28,7 @@ class Ragged:
         values = frozen_array(self.values, np.float64, (None,), "values")
         if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != len(values):
             raise ValueError(f"offsets do not span the {len(values)} values")
-        if np.any(np.diff(offsets) < 0):
+        if (offsets[1:] < offsets[:-1]).any():
             raise ValueError("offsets must not descend")
         object.__setattr__(self, "offsets", offsets)
         object.__setattr__(self, "values", values)
@@ -59,7 +59,7 @@ class Ragged:
     @property
     def counts(self) -> NDArray[np.int64]:
         """(n,) number of values in each row."""
-        return np.diff(self.offsets)
+        return self.offsets[1:] - self.offsets[:-1]
 
     @property
     def owner(self) -> NDArray[np.int64]:

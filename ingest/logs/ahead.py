@@ -31,7 +31,7 @@ class Ahead(Generic[Chunk]):
     """
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(THREADS)
+        self._pool: ThreadPoolExecutor | None = None
         self._waiting: deque[tuple[Chunk, Task | None, int]] = deque()
         self._bytes = 0
 
@@ -39,10 +39,13 @@ class Ahead(Generic[Chunk]):
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
 
     def begin(self, chunk: Chunk, task: Callable[[], bytes], size: int) -> None:
         """Have a task begun on another thread; it holds `size` bytes in memory."""
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(THREADS)
         self._waiting.append((chunk, self._pool.submit(task).result, size))
         self._bytes += size
 

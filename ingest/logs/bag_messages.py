@@ -67,8 +67,8 @@ class MessageReader:
         where = bag_listed(data, offsets)
         return None if where is None else self._records(data, where)
 
-    def _regular(self, data: Bytes, offsets: Ints) -> tuple[Ints, Ints, Ints] | None:
-        """Connection, time and place of the size of messages in data that hold nothing else.
+    def _regular(self, data: Bytes, offsets: Ints) -> tuple[Ints, Ints, Ints, Ints] | None:
+        """Connection, time, size and its place, of messages in data that hold nothing else.
 
         None unless all are like the template and each ends where the next begins, from the first
         byte to the last: then a walk would have met exactly these.
@@ -82,9 +82,10 @@ class MessageReader:
         heads = gather(data, where, template.size + 8)
         if template.shape.misfits(heads) is not None:
             return None
-        size_at = where + (4 + template.size)
-        ends = size_at + 4 + column(heads, "<u4", 4 + template.size)
-        return (*template.read(heads), size_at) if seamless(where, ends, len(data)) else None
+        size, size_at = column(heads, "<u4", 4 + template.size), where + (4 + template.size)
+        if not seamless(where, size_at + 4 + size, len(data)):
+            return None
+        return (*template.read(heads), size, size_at)
 
     def _records(self, data: Bytes, where: Ints) -> Iterator[Block]:
         """The wanted messages among records; connections met are taken in."""
@@ -100,9 +101,13 @@ class MessageReader:
                     (conn, time, size_at), zip(*extra, strict=True), strict=True
                 )
             )
-        yield from self._blocks(data, conn, time, size_at)
+        yield from self._blocks(
+            data, conn, time, words(data, "<u4", size_at).astype(np.int64), size_at
+        )
 
-    def _blocks(self, data: Bytes, conn: Ints, time: Ints, size_at: Ints) -> Iterator[Block]:
+    def _blocks(
+        self, data: Bytes, conn: Ints, time: Ints, size: Ints, size_at: Ints
+    ) -> Iterator[Block]:
         """The wanted ones among messages."""
         if len(conn) == 0:
             return
@@ -111,9 +116,7 @@ class MessageReader:
         if not self.tally.all_usual(counts):
             self.tally.adopt(conn)
         for sink, rows in self.tally.met(conn, time, counts):
-            at = size_at[rows]
-            size = words(data, "<u4", at).astype(np.int64)
-            yield Block(data, sink, time[rows], at + 4, size)
+            yield Block(data, sink, time[rows], size_at[rows] + 4, size[rows])
 
     def front(self, data: Bytes) -> Iterator[Block]:
         """The messages in whole records at the front of data that were cut."""

@@ -57,18 +57,23 @@ class Described:
         self.left = max(self.left - 1, 0)
         self._looked_at[number] = True
 
-    def add(self, record: bytes, anew: bool = False) -> bool:
-        """Remember a record; whether there is room for what it says.
+    def add(self, record: bytes) -> bool:
+        """Remember a record; whether there is room for what it says."""
+        room = self.has_room(record)
+        if room:
+            self._met.add(record)
+        return room
 
-        anew: what was met so far may mean something else from here on.
-        """
-        if anew:
-            self._met.clear()
+    def has_room(self, record: bytes) -> bool:
+        """Whether there is room for what a record says; it is taken."""
         if len(record) + DEFINITION_COST > self._room:
             return False
         self._room -= len(record) + DEFINITION_COST
-        self._met.add(record)
         return True
+
+    def forget(self) -> None:
+        """What was met so far may mean something else from here on."""
+        self._met.clear()
 
 
 def short(channel: Channel) -> Channel:

@@ -104,17 +104,25 @@ def _inside(value: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(np.abs(value) <= FARTHEST)
 
 
+def _all_inside(value: NDArray[np.float64]) -> bool:
+    # The largest of numbers with a NaN is NaN.
+    return len(value) == 0 or bool(value.max() <= FARTHEST and value.min() >= -FARTHEST)
+
+
 def _turned(value: NDArray[np.float64]) -> NDArray[np.bool_]:
     # Far below any unit quaternion, far above what rounding leaves of a zero one.
     # Column by column: numpy's inner loop runs over the poses.
     x, y, z, w = value[:, 3:].T
-    return np.asarray(x * x + y * y + z * z + w * w > 1e-12)
+    flat = np.asarray(z * z + w * w > 1e-12)  # most robots do not lie on their side
+    return flat if flat.all() else np.asarray(x * x + y * y + z * z + w * w > 1e-12)
 
 
 def in_plane(value: NDArray[np.float64]) -> NDArray[np.float64]:
     """(k, 3) x, y and the heading of the x axis, of poses (k, 7) in space."""
-    x, y, _, qx, qy, qz, qw = value.T
-    return np.stack([x, y, yaw_from_quaternion(qx, qy, qz, qw)], axis=1)
+    out = np.empty((len(value), 3))
+    out[:, :2] = value[:, :2]
+    out[:, 2] = yaw_from_quaternion(*value[:, 3:].T)
+    return out
 
 
 def no_columns() -> PoseColumns:
@@ -279,9 +287,8 @@ class Sink:
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
-        inside = _inside(poses.value)
-        if not inside.all():
-            finite = np.asarray(inside.all(axis=1))
+        if not _all_inside(poses.value):
+            finite = np.asarray(_inside(poses.value).all(axis=1))
             self.not_finite += int((~finite).sum())
             poses = poses.rows(finite)
         turned = _turned(poses.value)

@@ -202,12 +202,13 @@ class _Walk:
             return end
         data = self._window.view(position, max(SLAB_BYTES, end - position))
         where, stop = mcap_records(data, NOT_IN_CHUNKS)
-        self._messages.define(data, where)
+        doubted = self._messages.define(data, where)
         if not self._heads.begins(position + stop):
             where, stop = trusted(self._heads, data, where, stop, position)
             if stop == 0:
                 return (yield from self._around_damage(position, None))
-        yield from self._messages.blocks(data[:stop])
+        if doubted or (data[where] == MESSAGE).any():
+            yield from self._messages.blocks(data[:stop])
         self._window.passed(position + stop)
         return int(position + stop)
 

@@ -111,6 +111,7 @@ class Definitions:
 
     def __init__(self) -> None:
         self._schemas: dict[int, Schema] = {}
+        self._bodies: dict[int, bytes] = {}
         self._described = Described()
         self._told: dict[tuple[int, int], bytes] = {}
         self._overruled: set[int] = set()
@@ -138,7 +139,9 @@ class Definitions:
 
     def met(self, op: int, body: bytes) -> bool:
         """Whether the same record was taken in before."""
-        return bytes([op]) + body in self._described
+        if op == SCHEMA:
+            return self._bodies.get(_number(body)) == body
+        return body in self._described
 
     @property
     def left(self) -> int:
@@ -154,17 +157,20 @@ class Definitions:
 
         Raises DamageError.
         """
-        known = bytes([op]) + body
-        if known in self._described:
+        if self.met(op, body):
             return None
         self._described.look(_number(body) + NUMBERS * (op == SCHEMA))
         cursor = Cursor(np.frombuffer(body, np.uint8))
         if op == CHANNEL:
             number, channel = channel_of(cursor, self._schemas)
-            return number, channel if self._described.add(known) else short(channel)
+            return number, channel if self._described.add(body) else short(channel)
         number, schema = schema_of(cursor)
         # A channel that names this number means another type from here on.
-        if not self._described.add(known, anew=True):
+        self._described.forget()
+        if self._described.has_room(body):
+            self._bodies[number] = body
+        else:
+            self._bodies.pop(number, None)
             schema = Schema(schema.name[:SHORT_NAMES], "", b"")
         self._schemas[number] = schema
         return None

@@ -326,7 +326,10 @@ SPLIT_OVERLAP_NS = 10**9 // 2
 
 def container(path: LogPath) -> Container:
     """The reader for one file; raises LogError if it is no log."""
-    kind = sniff(path)
+    return _container(path, sniff(path))
+
+
+def _container(path: LogPath, kind: str | None) -> Container:
     if kind == "mcap":
         return McapFile(path)
     if kind == "bag":
@@ -341,8 +344,9 @@ def opened(path: LogPath) -> Iterator[Container]:
     """The reader for one file; a file compressed as a whole is unpacked beside the system's
     temporary files for as long as it is read.
     """
-    if sniff(path) != "zstd":
-        yield container(path)
+    kind = sniff(path)
+    if kind != "zstd":
+        yield _container(path, kind)
         return
     packed = _here(path, "a file that is compressed as a whole can only be read as a whole")
     with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from .messages import Channel, DamageError
@@ -21,6 +22,10 @@ DEPTH = 32
 PARTS = 10_000
 """Most fields that a type may have with all that is nested in it, sequences counted once. The
 largest in use have some hundreds; types that double level by level have 2 to the 32."""
+
+REMEMBERED_BYTES = 1 << 14
+"""Definitions up to this size, of all the messages used here, are not parsed again with each log
+of a process: 64 of them take 1 MiB."""
 
 _TIME = ["int32", "uint32"]
 _HEADER = [*_TIME, "string"]
@@ -67,11 +72,16 @@ def as_expected(channel: Channel, kind: str) -> bool:
         return True
     if channel.schema_encoding not in ("ros2msg", "ros1msg"):
         return False
+    begins = _begins_with if len(channel.schema) <= REMEMBERED_BYTES else _begins_with.__wrapped__
+    return begins(channel.schema, kind, channel.encoding == "ros1")
+
+
+@lru_cache(64)
+def _begins_with(schema: bytes, kind: str, ros1: bool) -> bool:
     expected = list(EXPECTED[kind])
-    ros1 = channel.encoding == "ros1"
     if ros1 and not kind.startswith("foxglove"):
         expected.insert(expected.index("int32"), "uint32")
-    sections = _sections(channel.schema.decode("utf-8", "replace"))
+    sections = _sections(schema.decode("utf-8", "replace"))
     found = _primitives(sections, "", 0, itertools.count())
     try:
         return all(next(found, None) == want for want in expected)

@@ -23,8 +23,9 @@ class Tally:
         self._want = want
         self._findings = findings
         self._channels: dict[int, Channel] = {}
-        self._sink = np.full(NUMBERS, UNKNOWN, np.int64)
+        self._sink = np.full(NUMBERS, UNKNOWN, np.int32)
         self._met = np.zeros(NUMBERS, np.int64)
+        self._end = 0
         self._lost: dict[int, int] = {}
         self._adopted: set[int] = set()
         self._usual: set[int] = set()
@@ -62,10 +63,15 @@ class Tally:
 
         again: also of those that had.
         """
-        fresh = np.arange(len(number)) if again else (self._met[number] == 0).nonzero()[0]
+        fresh = np.bincount(number).nonzero()[0]
+        if not again:
+            fresh = fresh[self._met[fresh] == 0]
+        if len(fresh) == 0:
+            return []
         # The last one written of a number is the first one met.
-        place = dict(zip(number[fresh[::-1]].tolist(), fresh[::-1].tolist(), strict=True))
-        return list(place.values())
+        place = np.empty(int(number.max()) + 1, np.int64)
+        place[number[::-1]] = np.arange(len(number))[::-1]
+        return sorted(place[fresh].tolist())
 
     def adopt(self, number: NDArray[Any]) -> bool:
         """Take numbers that are described nowhere for those that they can only have been.
@@ -122,6 +128,7 @@ class Tally:
         if counts is None:
             counts = np.bincount(number)
         self._met[: len(counts)] += counts
+        self._end = max(self._end, len(counts))
         self._findings.span(int(time_ns.min()), int(time_ns.max()))
         numbers: dict[int, list[int]] = {}
         for key in counts.nonzero()[0].tolist():
@@ -139,6 +146,11 @@ class Tally:
         """Count messages of a channel that were not looked at, as nobody wants them."""
         if number < NUMBERS:
             self._met[number] += count
+            self._end = max(self._end, number + 1)
+
+    def _numbers(self) -> list[int]:
+        """The numbers of which messages were met."""
+        return self._met[: self._end].nonzero()[0].tolist()
 
     def lost(self, number: int, count: int) -> None:
         """Count messages known to be lost in a damaged place."""
@@ -147,11 +159,11 @@ class Tally:
     def _fold(self, declared: Mapping[int, int]) -> None:
         """Count what was met of a channel under a wrong number for the number that is declared."""
         own = {self._channels[n]: n for n in declared if n in self._channels}
-        for number in np.flatnonzero(self._met).tolist() if own else ():
+        for number in self._numbers() if own else ():
             channel = self._channels.get(number)
             if number not in declared and channel in own:
-                self._met[own[channel]] += self._met[number]
-                self._met[number] = 0
+                count, self._met[number] = int(self._met[number]), 0
+                self.passed(own[channel], count)
 
     def moved(self, declared: Mapping[int, int]) -> bool:
         """Whether as many messages were met as are declared, if of other channels."""
@@ -171,7 +183,7 @@ class Tally:
         """
         strange = self._undelivered
         self._fold(declared)
-        for number in np.flatnonzero(self._met).tolist():
+        for number in self._numbers():
             channel, count = self._channels.get(number), int(self._met[number])
             if channel is not None:
                 self._findings.seen(channel, count)
