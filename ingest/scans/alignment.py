@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from ...topology.columns import take
-from ...topology.se2 import between, compose, turned_axes, wrap
+from ...topology.se2 import between, compose, wrap
 from .association import Gate, Swept, pair_terms
+from .scatter import Scatter, motion_by_ends, odometry_scores, wall_scores
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -151,12 +151,10 @@ def _matched(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Poses (n, 3), their banded information (lower form, `3 n` columns), and by how much (n, 3)
-    they differ between every other offset alone and the rest alone."""
+    """Poses (n, 3), and how far off they may be."""
 
     pose: FloatArray
-    information: FloatArray
-    halves: FloatArray
+    scatter: Scatter
 
 
 def align(
@@ -184,14 +182,40 @@ def align(
             band.hold(fixed)
             pose = pose + band.solve()
             pose[:, 2] = wrap(pose[:, 2])
-    band = _equations(pose, steps, looks, settings)
+    return Aligned(pose, _scatter(scans, pose, steps, looks, fixed=fixed, settings=settings))
+
+
+def _scatter(
+    scans: Swept,
+    pose: FloatArray,
+    steps: Steps,
+    looks: _Looks,
+    *,
+    fixed: int,
+    settings: AlignmentSettings,
+) -> Scatter:
+    """What walls and odometry ask for at poses (n, 3) that all of them together agree on."""
+    pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
+    walls, curvature = wall_scores(scans, pose, pairs, gate, _worth(looks, pose, settings))
+    off, information = _odometry(pose, steps)
+    odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off))
+    band = _equations(pose, steps, looks, settings, curvature)
     band.hold(fixed)
-    half, change = Steps(steps.motion, 0.5 * steps.information), []
-    for k in range(2):
-        alone = _equations(pose, half, take(looks, looks.offset % 2 == k), settings)
-        alone.hold(fixed)
-        change.append(alone.solve())
-    return Aligned(pose, band.lower(), change[1] - change[0])
+    return Scatter(band.lower(), walls, odometry)
+
+
+def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:
+    """By how much (n - 1, 3) poses stray from every step, and its information with its weight."""
+    off = _difference(between(pose[:-1], pose[1:]), steps.motion)
+    distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)
+    return off, steps.information / (1 + distance / 9)[:, None, None]
+
+
+def _worth(looks: _Looks, pose: FloatArray, settings: AlignmentSettings) -> float:
+    """What a point's square of 1 m² counts, by how far all points are off."""
+    squares = looks.quadratic(pose)[2]
+    residual_m = float(np.sqrt(max(squares.sum(), 0.0) / max(looks.weight.sum(), 1e-9)))
+    return settings.joint_worth / max(residual_m, settings.least_residual_m) ** 2
 
 
 @dataclass(slots=True, eq=False)
@@ -248,17 +272,21 @@ def _difference(motion: FloatArray, other: FloatArray) -> FloatArray:
     return out
 
 
-def _equations(pose: FloatArray, steps: Steps, looks: _Looks, settings: AlignmentSettings) -> _Band:
+def _equations(
+    pose: FloatArray,
+    steps: Steps,
+    looks: _Looks,
+    settings: AlignmentSettings,
+    share: float = 1.0,
+) -> _Band:
+    """Of odometry and scans together; share: of their worth by which scans count."""
     first, second = looks.first, looks.second
     band = _Band.empty(len(pose), int((first - second).max(initial=1)))
-    off = _difference(between(pose[:-1], pose[1:]), steps.motion)
-    distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)
-    information = steps.information / (1 + distance / 9)[:, None, None]
+    off, information = _odometry(pose, steps)
     after = np.arange(1, len(pose))
     band.add(pose, after, after - 1, (information, np.einsum("pkl,pl->pk", information, off)))
-    information, gradient, squares = looks.quadratic(pose)
-    residual_m = float(np.sqrt(max(squares.sum(), 0.0) / max(looks.weight.sum(), 1e-9)))
-    scale = settings.joint_worth / max(residual_m, settings.least_residual_m) ** 2
+    information, gradient, _ = looks.quadratic(pose)
+    scale = share * _worth(looks, pose, settings)
     ends = np.searchsorted(looks.offset, np.arange(looks.offset.max(initial=0) + 2))
     for k in map(slice, ends[:-1], ends[1:]):
         band.add(pose, first[k], second[k], (scale * information[k], scale * gradient[k]))
@@ -286,10 +314,7 @@ class _Band:
         """Information (p, 3, 3) and gradient (p, 3) of the motion to distinct rows `first` from
         distinct rows `second` before them."""
         information, gradient = terms
-        motion = between(pose[second], pose[first])
-        by_first = turned_axes(-pose[second, 2])
-        by_second = -by_first
-        by_second[:, 0, 2], by_second[:, 1, 2] = motion[:, 1], -motion[:, 0]
+        by_first, by_second = motion_by_ends(pose, first, second)
         to_first = by_first.transpose(0, 2, 1) @ information
         to_second = by_second.transpose(0, 2, 1) @ information
         self.blocks[first, 0] += to_first @ by_first

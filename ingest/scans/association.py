@@ -79,14 +79,35 @@ def pair_terms(
     out = PairTerms(np.zeros((len(first), 4, 4)), np.zeros(len(first)), np.zeros(len(first)))
     for begin in range(0, len(first), MOST_PAIRS):
         k = slice(begin, begin + MOST_PAIRS)
-        part = _terms(scans, first[k], second[k], motion[k].astype(np.float32), gate)
+        part = _terms(scans, first[k], second[k], motion[k], gate)
         out.moments[k], out.fit[k], out.weight[k] = part
     return out
 
 
-def _terms(
-    scans: Swept, first: IntArray, second: IntArray, T: Float32Array, gate: Gate
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Points of `p` scans and what is nearest to each: (p, m). x, y: in the frame of the scan that
+    holds the surface; nx, ny: its normal; lever: derivative of the residual by the motion's turn;
+    good: within the gate; weight: 0 beyond; near: of one surface; inside: in the field of view."""
+
+    x: Float32Array
+    y: Float32Array
+    nx: Float32Array
+    ny: Float32Array
+    lever: Float32Array
+    residual: Float32Array
+    weight: Float32Array
+    good: BoolArray
+    near: BoolArray
+    inside: BoolArray
+
+
+def matches(
+    scans: Swept, first: IntArray, second: IntArray, motion: FloatArray, gate: Gate
+) -> Matches:
+    """Hold points of scans `first` (p,) against surfaces of scans `second` (p,); as `pair_terms`,
+    point by point."""
+    T = motion.astype(np.float32)
     turn = np.cos(T[:, 2:3]), np.sin(T[:, 2:3])
     valid = scans.surfaces.valid[first]
     own = scans.xy[first]
@@ -100,17 +121,23 @@ def _terms(
     step = scans.increment[second].astype(np.float32)[:, None]
     reach = NEAR_M**2 + (3 * step) ** 2 * (px * px + py * py)
     near = inside & (gap < reach) & (nx * mx + ny * my > ALIKE)
-    off = np.abs(residual)
-    good = near & (off < gate.residual_m)
-    weight = 1 / (1 + (residual / np.float32(gate.sigma_m)) ** 2) ** 2
+    good = near & (np.abs(residual) < gate.residual_m)
+    likely = 1 / (1 + (residual / np.float32(gate.sigma_m)) ** 2) ** 2
+    weight: Float32Array = np.where(good, likely, np.float32(0)).astype(np.float32, copy=False)
     # d residual / d turn = n · J R p, J (x, y) = (-y, x).
-    rows = np.stack([nx, ny, ny * rx - nx * ry, residual], axis=1)
-    rows = np.where(good[:, None], rows, np.float32(0))
-    weight = np.where(good, weight, np.float32(0))
-    moments = np.matmul(rows * weight[:, None], rows.transpose(0, 2, 1))
-    fitting = np.count_nonzero(near & (off < FIT_M), axis=1)
-    usable = np.maximum(np.count_nonzero(inside, axis=1), 1)
-    return moments, fitting / usable, weight.sum(axis=1)
+    return Matches(px, py, nx, ny, ny * rx - nx * ry, residual, weight, good, near, inside)
+
+
+def _terms(
+    scans: Swept, first: IntArray, second: IntArray, motion: FloatArray, gate: Gate
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    on = matches(scans, first, second, motion, gate)
+    rows = np.stack([on.nx, on.ny, on.lever, on.residual], axis=1)
+    rows = np.where(on.good[:, None], rows, np.float32(0))
+    moments = np.matmul(rows * on.weight[:, None], rows.transpose(0, 2, 1))
+    fitting = np.count_nonzero(on.near & (np.abs(on.residual) < FIT_M), axis=1)
+    usable = np.maximum(np.count_nonzero(on.inside, axis=1), 1)
+    return moments, fitting / usable, on.weight.sum(axis=1)
 
 
 def _turned(

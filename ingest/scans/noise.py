@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from ...topology.columns import joined
 from ...topology.digits import significant
 from ...topology.se2 import between, wrap
 from ...topology.topomap import RunNoise
@@ -21,17 +22,8 @@ IntArray = NDArray[np.int64]
 PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07, miss_rate=0.06, phantom_rate=0.03)
 """Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by
 2 to 4 degrees, and is not found again in 6 of 100 (`benchmarks/laser.py`)."""
-LEAST_HEADING = 0.0008
-"""No heading is kept better than this [rad per root metre], between walls as straight as simulated
-ones."""
-HALVES = 6.5
-"""How much farther off headings are than halves of the pairs of scans differ, which are of the same
-scans and err together: 3 to 6 in simulated buildings, 5 and 10 in two real ones
-(`benchmarks/laser.py`). Too little of it would trust what is not so."""
-USUAL_SPANS, USUAL = 4.0, 0.04
-"""Without spans that tell, halves differ by this part of the variance by the points."""
-
-
+LEAST_HEADING = 1e-4
+"""No heading is kept better than this [rad per root metre]: nothing in nature is exact."""
 ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
 """Of scans without odometry, at least: what bare corridors leave open [m, rad per root metre]."""
 
@@ -39,25 +31,18 @@ ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
 def matched_noise(
     spans: Sequence[SpanErrors], passes: ScanPasses, *, alone: bool = False
 ) -> RunNoise:
-    """Random walks that give the variances of the spans, by non-negative least squares, those of
-    headings as large as halves of the pairs say; branch faults by the share of variants that
-    disagree with their pass.
+    """Random walks that give the variances of the spans, those of headings by non-negative least
+    squares; branch faults by the share of variants that disagree with their pass.
 
     alone: there was no odometry beside the scans.
     """
-    way = np.concatenate([np.zeros(0), *(s.way for s in spans)])
-    turned = np.concatenate([np.zeros(0), *(s.turned for s in spans)])
-    variance = np.concatenate([np.zeros((0, 3)), *(s.variance for s in spans)])
     doubt = float(np.mean(1 - passes.confidence)) if len(passes) else PRIOR.branch_fault_rate
     fault = float(np.clip(doubt, PRIOR.branch_fault_rate, 0.5))
-    if len(way) == 0:
+    told = joined(spans) if spans else None
+    if told is None or len(told.way) == 0:
         return replace(PRIOR, branch_fault_rate=fault)
-    weight = 1 / np.maximum(variance[:, 2], 1e-8)
-    walk, _ = nnls(np.column_stack([way, turned]) * weight[:, None], variance[:, 2] * weight)
-    halves = np.concatenate([s.halves for s in spans])
-    told = float(halves.sum() / max(variance[:, 2].sum(), 1e-12))
-    walk *= HALVES**2 * (USUAL_SPANS * USUAL + len(way) * told) / (USUAL_SPANS + len(way))
-    along = float(np.sqrt(np.median(variance[:, 0] / np.maximum(way, 0.1))))
+    along = float(np.sqrt(np.median(told.along / np.maximum(told.way, 0.1))))
+    walk = _heading_walk(told.far, told.turned, told.heading)
     heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
     return replace(
         PRIOR,
@@ -66,6 +51,14 @@ def matched_noise(
         heading_rad_per_sqrt_rad=significant(max(float(np.sqrt(walk[1])), LEAST_HEADING)),
         branch_fault_rate=significant(fault),
     )
+
+
+def _heading_walk(way: FloatArray, turned: FloatArray, variance: FloatArray) -> FloatArray:
+    """(2,) variance of headings per metre and per radian: as much as all spans have together."""
+    terms = np.column_stack([way, turned])
+    weight = 1 / np.maximum(way, 0.1)
+    walk, _ = nnls(terms * weight[:, None], variance * weight)
+    return np.asarray(walk * variance.sum() / max(float((terms @ walk).sum()), 1e-12))
 
 
 HALF = 0.6745

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from ...topology.se2 import between, compose, inverse, wrap
 from .alignment import Aligned
@@ -126,6 +125,9 @@ def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:
     return np.asarray(out.reshape(-1, 2, 4))
 
 
+SHORT, LONG = 16, 80
+"""Keyframes over which ways are told (4 m: headings add little to them) and headings (20 m: what
+a single keyframe is off adds little)."""
 SURER_ALONG = 0.4
 """Of the variance by which `alignment` weighs scans against odometry, the part by which ways are
 off (`benchmarks/laser.py`): it takes the looks of a scan for more alike than they are."""
@@ -135,45 +137,34 @@ off (`benchmarks/laser.py`): it takes the looks of a scan for more alike than th
 class SpanErrors:
     """Stretches of corrected odometry and how well they are known by the scans' own account.
 
-    way: (q,) [m]; turned: (q,) [rad] summed up; variance: (q, 3) along, across [m²], heading, by
-    the points that were matched; halves: (q,) variance of the heading [rad²] by how much two halves
-    of the pairs of scans differ.
+    way: (q,) [m]; along: (q,) variance of the way [m²]; far: (r,) [m], turned: (r,) [rad summed up]
+    and heading: (r,) variance of the turn [rad²] of other stretches, longer where there are any.
     """
 
     way: FloatArray
+    along: FloatArray
+    far: FloatArray
     turned: FloatArray
-    variance: FloatArray
-    halves: FloatArray
+    heading: FloatArray
 
 
 def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
-    """Marginals of the motion over spans of keyframes, from the banded information of a window."""
-    pose = aligned.pose
-    n, begin = len(pose), rows.start
-    length = 16
-    first = np.arange(begin, max(rows.stop - length, begin), length)
-    if len(first) == 0:
-        return SpanErrors(np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
-    last = first + length
-    ends = np.union1d(first, last)
-    unit = np.zeros((3 * n, 3 * len(ends)))
-    index = (3 * ends[:, None] + np.arange(3)).ravel()
-    unit[index, np.arange(len(index))] = 1.0
-    joint = solveh_banded(aligned.information, unit, lower=True)[index]
-    a, b = np.searchsorted(ends, first), np.searchsorted(ends, last)
-    motion = between(pose[first], pose[last])
-    variance = np.zeros((len(first), 3))
-    for k in range(len(first)):
-        c, s = np.cos(pose[first[k], 2]), np.sin(pose[first[k], 2])
-        J = np.zeros((3, 6))
-        J[:, 3:] = [[c, s, 0], [-s, c, 0], [0, 0, 1]]
-        J[:, :3] = -J[:, 3:]
-        J[:2, 2] = motion[k, 1], -motion[k, 0]
-        pick = np.concatenate([3 * a[k] + np.arange(3), 3 * b[k] + np.arange(3)])
-        variance[k] = np.diag(J @ joint[np.ix_(pick, pick)] @ J.T)
+    """Of spans among the rows of a window."""
+    pose, scatter = aligned.pose, aligned.scatter
+    first, last = _spans(rows, SHORT)
+    begin, end = _spans(rows, min(LONG, max(rows.stop - rows.start - 1, SHORT)))
     step = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
-    variance[:, :2] *= SURER_ALONG
-    # Of two estimates of equal worth, the mean's variance is a quarter of their difference's.
-    halves = 0.25 * (aligned.halves[last, 2] - aligned.halves[first, 2]) ** 2
-    return SpanErrors(step[last] - step[first], turn[last] - turn[first], variance, halves)
+    return SpanErrors(
+        step[last] - step[first],
+        SURER_ALONG * scatter.ways(pose, first, last),
+        step[end] - step[begin],
+        turn[end] - turn[begin],
+        scatter.headings(pose, begin, end),
+    )
+
+
+def _spans(rows: slice, length: int) -> tuple[IntArray, IntArray]:
+    """First and last rows of spans that overlap, `SHORT` keyframes apart."""
+    first = np.arange(rows.start, max(rows.stop - length, rows.start), SHORT)
+    return first, first + length

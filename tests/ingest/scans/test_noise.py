@@ -52,10 +52,10 @@ def test_a_run_too_short_tells_none() -> None:
     assert np.isnan(recorded_drift(pose, pose, way, 20.0))
 
 
-def test_headings_are_as_uncertain_as_halves_of_the_pairs_differ() -> None:
+def test_a_walk_is_as_uncertain_as_its_spans() -> None:
     rng = np.random.default_rng(2)
-    way, turned = rng.uniform(2, 5, 300), rng.uniform(0, 1, 300)
-    variance = np.column_stack([4e-4 * way, 4e-4 * way, 1e-5 * way + 2e-5 * turned])
+    way = rng.uniform(2, 5, 300)
+    far, around = rng.uniform(15, 20, 300), rng.uniform(0, 9, 300)
     no_time, no_rows = np.zeros(0, np.int64), Ragged.from_rows([])
     none = ScanPasses(
         time_ns=no_time,
@@ -69,13 +69,12 @@ def test_headings_are_as_uncertain_as_halves_of_the_pairs_differ() -> None:
         clearance_m=np.zeros(0),
     )
 
-    def noise(part: float) -> RunNoise:
-        halves = part * variance[:, 2] * rng.chisquare(1, 300)
-        return matched_noise([SpanErrors(way, turned, variance, halves)], none)
+    def noise(loud: float) -> RunNoise:
+        heading = loud**2 * (2e-6 * far + 4e-6 * around) * rng.chisquare(20, 300) / 20
+        return matched_noise([SpanErrors(way, 4e-4 * way, far, around, heading)], none)
 
-    quiet, loud = noise(0.02), noise(0.08)
-    assert loud.heading_rad_per_sqrt_m == pytest.approx(2 * quiet.heading_rad_per_sqrt_m, rel=0.15)
-    assert loud.heading_rad_per_sqrt_m**2 == pytest.approx(
-        loud.heading_rad_per_sqrt_rad**2 / 2, rel=0.05
-    )
+    quiet, loud = noise(1.0), noise(2.0)
+    assert quiet.heading_rad_per_sqrt_m**2 == pytest.approx(2e-6, rel=0.2)
+    assert quiet.heading_rad_per_sqrt_rad**2 == pytest.approx(4e-6, rel=0.2)
+    assert loud.heading_rad_per_sqrt_m == pytest.approx(2 * quiet.heading_rad_per_sqrt_m, rel=0.1)
     assert loud.along_m_per_sqrt_m == quiet.along_m_per_sqrt_m == pytest.approx(0.02, rel=0.01)
