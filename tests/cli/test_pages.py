@@ -11,10 +11,11 @@ import typer.main
 from topobatch.cli.main import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [*sorted(ROOT.glob("*.md")), *DOCS, *sorted(ROOT.glob("[a-z]*/README.md"))]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_commands_and_their_options_exist(page) -> None:
     commands = typer.main.get_command(app).commands
     calls = re.findall(r"^    topobatch (.*)$", page.read_text(), re.MULTILINE)
@@ -29,12 +30,24 @@ def test_commands_and_their_options_exist(page) -> None:
         assert options <= known, call
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page) -> None:
     for link in re.findall(r"(?<!\])\[[^\]]+\]\((?!https?:)([^)# ]+\.\w+)", page.read_text()):
         assert (page.parent / link).exists(), link
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_options_of_scripts_exist(page) -> None:
+    """Those of benchmarks, and of the attack."""
+    scripts = {
+        p.name: p for folder in ("benchmarks", "tests/hostile") for p in ROOT.glob(f"{folder}/*.py")
+    }
+    text = " ".join(page.read_text().split())
+    for name, call in re.findall(r"`(?:python )?(?:[\w/]+/)?([a-z]\w+\.py)( --[^`]*)`", text):
+        for option in re.findall(r"--[a-z][a-z-]*", call):
+            assert f'"{option}"' in scripts[name].read_text(), f"{name}{call}"
+
+
 def test_the_readme_lists_every_page() -> None:
     readme = (ROOT / "README.md").read_text()
-    assert [p.name for p in PAGES[1:] if f"docs/{p.name})" not in readme] == []
+    assert [p.name for p in DOCS if f"docs/{p.name})" not in readme] == []
