@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -25,7 +25,8 @@ class Candidate:
 
     transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a of each as
     unit numbers; support, conflicts: what speaks for it and what against; tested_bits: log2 of the
-    hypotheses tested; bits: log2 odds against chance, the first less the other two.
+    hypotheses tested; bits: log2 odds against chance, the first less the other two; rival: of a
+    hypothesis that is not to be merged (`Seed`).
     """
 
     transform: FloatArray
@@ -37,6 +38,7 @@ class Candidate:
     tested_bits: float
     bits: float
     rmse_m: float
+    rival: bool = False
 
     def __len__(self) -> int:
         return len(self.a)
@@ -82,7 +84,10 @@ def match_all(
 
 def _hypotheses(a: Prepared, b: Prepared, settings: RobustSettings) -> Hypothesised:
     links = candidate_links(a, b)
-    return a, b, seeds(a, b, links, settings.hypotheses), len(links)
+    # Where copies abound, many are beyond chance before they are grown. Each is a rival, but one
+    # chosen among so many looks the same too easily to be merged.
+    beyond = float(np.log2(len(links) + 1.0)) + MATCH.lead_bits
+    return a, b, seeds(a, b, links, settings.hypotheses, beyond), len(links)
 
 
 def best_of(
@@ -117,25 +122,29 @@ def _best_of_some(
 ) -> Iterator[tuple[Candidate, ...]]:
     found: list[list[Candidate]] = [[] for _ in cases]
     if any(case[2] for case in cases):
-        grown = grow(_lanes(cases), [seed for case in cases for seed in case[2]], settings)
+        sown = [seed for case in cases for seed in case[2]]
+        grown = grow(_lanes(cases), sown, settings)
         of = np.arange(len(cases)).repeat([len(case[2]) for case in cases])
         tested_bits = np.log2(np.array([case[3] for case in cases]) + 1.0)
-        for case, candidate in zip(of.tolist(), _judged(grown, tested_bits[of]), strict=True):
+        judged = _judged(grown, tested_bits[of])
+        for case, seed, candidate in zip(of.tolist(), sown, judged, strict=True):
             if candidate is not None:
-                found[case].append(candidate)
+                found[case].append(replace(candidate, rival=seed.rival))
     for (_, b, _, _), several in zip(cases, found, strict=True):
         yield _apart(several, b)
 
 
 def _apart(found: list[Candidate], b: Prepared) -> tuple[Candidate, ...]:
-    """The best first, and of versions of one placement that one alone."""
+    """The best first, and of versions of one placement the best one alone, a rival last."""
     kept: list[Candidate] = []
-    for candidate in sorted(
-        found, key=lambda c: (-round(c.bits, MATCH.ranked_decimals), c.transform.tolist())
-    ):
+    for candidate in sorted(found, key=lambda c: (c.rival, _rank(c))):
         if not any(same_placement(candidate, other, b) for other in kept):
             kept.append(candidate)
-    return tuple(kept)
+    return tuple(sorted(kept, key=_rank))
+
+
+def _rank(c: Candidate) -> tuple[float, list[float]]:
+    return -round(c.bits, MATCH.ranked_decimals), c.transform.tolist()
 
 
 def _lanes(cases: Sequence[Hypothesised]) -> Lanes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import cmath
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isqrt
 
 import numpy as np
@@ -42,13 +42,15 @@ class Links:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seed:
-    """A hypothesis before growth: (k,) vertices of a and of b, rotation, position shift, bits."""
+    """A hypothesis before growth: (k,) vertices of a and of b, rotation, position shift, bits;
+    rival: grown to see what else fits, and not to be merged."""
 
     a: IntArray
     b: IntArray
     theta: float
     shift: complex
     bits: float
+    rival: bool = False
 
     @property
     def unit(self) -> complex:
@@ -97,8 +99,11 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
     return Links(i, j, theta, np.minimum(bits, MATCH.most_bits) + 0.5 * ends)
 
 
-def seeds(a: Prepared, b: Prepared, links: Links, most: int) -> list[Seed]:
-    """The best `most` connected components of the association graph, as seeds of growth.
+def seeds(
+    a: Prepared, b: Prepared, links: Links, most: int, rival_bits: float = np.inf
+) -> list[Seed]:
+    """The best `most` connected components of the association graph, as seeds of growth; and of
+    those with more than `rival_bits` as many, as rivals, as are grown at once.
 
     Its nodes are (vertex a, vertex b, rotation), its edges the links (§2.3). Inside a component
     the transforms of its links vote, so that one false link does not spoil a correct match.
@@ -107,17 +112,18 @@ def seeds(a: Prepared, b: Prepared, links: Links, most: int) -> list[Seed]:
         return []
     label = _components(a, b, links)
     total = np.bincount(label, weights=links.bits)
-    best = (-total).argsort(kind="stable")[:most]
+    rivals = min(np.count_nonzero(total > rival_bits), MATCH.at_once // len(b))
+    best = (-total).argsort(kind="stable")[: max(most, rivals)]
     best = best[total[best] > MATCH.weak_share * total[best[0]]]
     crowd = np.bincount(label)[label] > 1
     mid_a, mid_b = a.middle[links.a_row], b.middle[links.b_row]
     found: list[Seed] = []
-    for component in best.tolist():
+    for place, component in enumerate(best.tolist()):
         mine = label == component
         rows, turn = _agreeing(links, mid_a, mid_b, mine.nonzero()[0])
         seed = _seed(a, b, links, mid_a, mid_b, rows=rows, turn=turn, others=crowd & ~mine)
         if all(_differ(seed, other) for other in found):
-            found.append(seed)
+            found.append(replace(seed, rival=place >= most))
     found.sort(key=lambda s: -s.bits)
     return found
 

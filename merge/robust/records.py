@@ -23,9 +23,9 @@ from .verdict import Faint, beyond_chance_bits, faint_of
 Number = TypeVar("Number", np.float64, np.int64)
 
 
-SCALARS = len(("x", "y", "theta", "tested", "bits", "rmse", "support", "elsewhere"))
+SCALARS = len(("x", "y", "theta", "tested", "bits", "rmse", "support", "elsewhere", "rival"))
 """Numbers of a candidate that are no arrays: its transform, log2 of the hypotheses, bits, error,
-bits of its support and of a corridor that leads elsewhere."""
+bits of its support and of a corridor that leads elsewhere, whether it is a rival."""
 
 SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere"))
 """Arrays of different lengths."""
@@ -47,10 +47,9 @@ class Found:
 
 
 def in_short(candidates: tuple[Candidate, ...], settings: RobustSettings) -> Found:
-    """What is kept of the candidates of a pair: all, or next to nothing."""
-    if any(c.bits > MATCH.lead_bits for c in candidates):
-        return Found(candidates)
-    return Found(faint=faint_of(candidates, settings))
+    """What is kept of the candidates of a pair: those beyond chance, or next to nothing."""
+    odd = tuple(c for c in candidates if c.bits > MATCH.lead_bits)
+    return Found(odd) if odd else Found(faint=faint_of(candidates, settings))
 
 
 def to_bytes(candidates: tuple[Candidate, ...]) -> bytes:
@@ -65,7 +64,7 @@ def _candidate_bytes(c: Candidate) -> bytes:
     floats = np.concatenate(
         [
             c.transform,
-            [c.tested_bits, c.bits, c.rmse_m, s.bits, x.elsewhere_bits],
+            [c.tested_bits, c.bits, c.rmse_m, s.bits, x.elsewhere_bits, c.rival],
             np.ascontiguousarray(c.turn).view(np.float64),
             s.links,
             s.branches,
@@ -125,6 +124,7 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
         tested_bits=float(f[3]),
         bits=float(f[4]),
         rmse_m=float(f[5]),
+        rival=bool(f[8]),
     )
     return candidate, end
 

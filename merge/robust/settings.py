@@ -34,8 +34,9 @@ class RobustSettings:
     are not of one place. Of 310 right pairs of simulated runs the most is 2.3 (the scales are
     stated with caution); of the same with one map 3 % larger 58 to 78 % have more."""
     hypotheses: int = 3
-    """Candidate alignments grown per pair: the best, its rival, and one more in case that one of
-    them grows into nothing. With two a pair takes 8 % less time, and a few offices are lost."""
+    """Candidate alignments grown per pair that may be merged: the best, its rival, and one more in
+    case that one of them grows into nothing. With two a pair takes 8 % less time, and a few offices
+    are lost; with as many as are beyond chance two runs of rows are merged wrongly."""
     growth_rounds: int = 6
     """Rounds of predict, match, refit, at most. Tried: with 4 and 9 the same pairs are told."""
     copy_variation: float = 0.02

@@ -312,6 +312,8 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
         return MAYBE_COPY
     if answers.carried < threshold.need_bits:
         return "chance offers as much too often"
+    if best.rival:
+        return MAYBE_COPY
     if len(best) < threshold.settings.min_matches:
         return f"{threshold.settings.min_matches} junctions at least must agree"
     if margin is not None and margin < MATCH.lead_bits:

@@ -10,7 +10,7 @@ from topobatch.merge.robust.links import candidate_links
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.records import to_bytes
 
-from .plans import EDGES, POINTS, SETTINGS
+from .plans import EDGES, POINTS, SETTINGS, rows_of_a_field
 
 
 def test_pairs_are_matched_together_as_each_would_be_alone(halves, drawn):
@@ -64,3 +64,22 @@ def test_evidence_pays_for_the_links_it_was_chosen_from_and_for_contradictions(d
     assert found.tested_bits == pytest.approx(np.log2(len(candidate_links(a, b)) + 1))
     assert found.conflicts.extra_b.tolist() == [8]
     assert found.bits < found.support.bits - found.tested_bits - 3
+
+
+def test_where_copies_abound_those_of_fewer_corridors_are_rivals(drawn):
+    """One row off more corridors lie over each other than where the aisle ends as it does."""
+    (here, ours), (there, theirs) = (rows_of_a_field(r, 6) for r in (range(9), range(4, 14)))
+    found = match(prepare(drawn("a", here, ours)), prepare(drawn("b", there, theirs)), SETTINGS)
+    right = [not (np.array(here)[c.a] - np.array(there)[c.b]).any() for c in found]
+    (at,) = np.flatnonzero(right)
+    assert found[at].rival
+    assert (len(found[at]), len(found[at].conflicts)) == (12, 0)
+    assert 0 < sum(not c.rival for c in found) <= SETTINGS.hypotheses
+
+
+def test_a_placement_is_no_rival_if_a_version_of_it_is_none(drawn):
+    a, b = (prepare(drawn(name, POINTS, EDGES)) for name in "ab")
+    best = match(a, b, SETTINGS)[0]
+    more = replace(best, bits=best.bits + 1, rival=True)
+    assert _apart([more, best], b) == (best,)
+    assert _apart([more], b) == (more,)

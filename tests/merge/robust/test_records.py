@@ -1,5 +1,7 @@
 """Candidates as bytes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,7 @@ def flat(value):
 def test_candidates_are_the_same_to_the_last_bit(pair):
     found = match(*pair, DEFAULT_ROBUST)
     assert found
+    found = (*found, replace(found[0], rival=True))
     again = from_bytes(to_bytes(found), *extents(pair))
     assert len(again) == len(found)
     for before, after in zip(found, again, strict=True):

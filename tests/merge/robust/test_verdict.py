@@ -10,6 +10,7 @@ from topobatch.merge.robust.alignment import match, same_placement
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
 from topobatch.merge.robust.verdict import (
+    MAYBE_COPY,
     PairCount,
     _missing,
     counted_bits,
@@ -102,3 +103,12 @@ def test_pairs_are_counted_in_steps_and_never_too_few():
     steps = {in_steps(n * (n - 1) // 2) for n in range(1400, 1440)}
     assert len(steps) == 2
     assert needed_bits(16, SETTINGS) < needed_bits(17, SETTINGS) == needed_bits(18, SETTINGS)
+
+
+def test_a_rival_is_not_merged(halves):
+    a, b = (prepare(m) for m in halves)
+    best = match(a, b, SETTINGS)[0]
+    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    assert opinion(a, b, [best], threshold).verdict is Verdict.MERGED
+    view = opinion(a, b, [replace(best, rival=True)], threshold)
+    assert (view.verdict, view.why) == (Verdict.AMBIGUOUS, MAYBE_COPY)
