@@ -21,6 +21,8 @@ from topobatch.merge.robust import Means
 from topobatch.merge.robust.screening import ScreeningSettings
 from topobatch.merge.workers import Workers
 
+from ..viz.readback import Readback
+
 
 @pytest.fixture(scope="session")
 def fleet(tmp_path_factory, fleet_maps):
@@ -49,6 +51,23 @@ def test_jobs(topobatch, workspace, fleet, jobs):
         assert done.code == 0, done
         assert same(workspace, fleet)
     assert "merged" in done.out
+
+
+def test_a_run_that_comes_late(topobatch, workspace, fleet, tmp_path):
+    """Beside what is kept its merge is that from scratch: document and recording."""
+    late = sorted(workspace.glob("maps/*.json"))[7]
+    late.rename(tmp_path / late.name)
+    topobatch("merge", "--all", "-j", 1, "-w", workspace)
+    assert not same(workspace, fleet)
+    (tmp_path / late.name).rename(late)
+    found = []
+    for _ in range(2):
+        done = topobatch("merge", "--all", "-j", 1, "-w", workspace)
+        assert done.code == 0, done
+        assert same(workspace, fleet)
+        found.append(Readback(workspace / "merged.rrd").content())
+        shutil.rmtree(workspace / "cache")
+    assert found[0] == found[1]
 
 
 def test_shares(topobatch, workspace, fleet):
