@@ -58,8 +58,7 @@ def write_fused_layers(
         own_steps.setdefault(step.component, []).append((number, step))
     _ribbons(recording, result.fused, parts, colours, pen=pen, first=first)
     _agreement(recording, result.fused, parts, pen)
-    for root in (AGREEMENT, FUSED):
-        _junctions(recording, root, result.fused, parts, pen)
+    _junctions(recording, result.fused, parts, pen)
     for part in parts:
         own = own_steps.get(part.component.id, ())
         _junctions_in_time(recording, result.fused, part, own, first)
@@ -243,36 +242,31 @@ def _corridor_info(fused: FusedMap, edges: NDArray[np.int64]) -> rr.AnyValues:
     )
 
 
-def _junctions(
-    recording: Recording, root: str, fused: FusedMap, parts: list[Part], pen: float
-) -> None:
+def _junctions(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
+    """The junctions of the map, which get their colours step by step, and of the agreement."""
     rows = np.concatenate([np.zeros(0, np.int64), *(part.vertices for part in parts)])
     if len(rows) == 0:
         return
     runs = np.array([len(fused.members[i]) for i in rows.tolist()])
-    shared = runs > 1
-    # Those of the map get their colours step by step.
-    colours = palette.by_count(runs) if root == AGREEMENT else None
-    recording.static_each(
-        [(root, part.name, "junctions") for part in parts],
-        [len(part.vertices) for part in parts],
-        rr.Points2D.from_fields(
+    told = rr.AnyValues(
+        vertex=rows,
+        kind=[fused.kind[i] for i in rows.tolist()],
+        branches=fused.branches.counts[rows],
+        runs=runs,
+        fused_from=[_members_told(fused.members[i]) for i in rows.tolist()],
+        passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
+    )
+    for root, colours in ((AGREEMENT, palette.by_count(runs)), (FUSED, None)):
+        points = rr.Points2D.from_fields(
             positions=fused.xy[rows],
-            radii=pen * np.where(shared, 2.4, 1.4),
+            radii=pen * np.where(runs > 1, 2.4, 1.4),
             colors=colours,
             labels=list(map(str, rows.tolist())),
             show_labels=False,
             draw_order=palette.Order.JUNCTION,
-        ),
-        rr.AnyValues(
-            vertex=rows,
-            kind=[fused.kind[i] for i in rows.tolist()],
-            branches=fused.branches.counts[rows],
-            runs=runs,
-            fused_from=[_members_told(fused.members[i]) for i in rows.tolist()],
-            passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
-        ),
-    )
+        )
+        paths = [(root, part.name, "junctions") for part in parts]
+        recording.static_each(paths, [len(part.vertices) for part in parts], points, told)
 
 
 def _junctions_in_time(
