@@ -30,7 +30,7 @@ LaserPose = Annotated[
     typer.Option(
         metavar="X,Y,YAW",
         help="Where the laser is on the robot, in metres and radians; default: as /tf_static or "
-        "/tf tell, else at the robot's middle, looking ahead.",
+        "/tf tell, else at the robot's middle, looking as its scans show, or ahead.",
     ),
 ]
 ScanStamp = Annotated[
