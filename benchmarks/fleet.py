@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 from observed import observed_map
 
-from topobatch.cli.main import GARBAGE
+from topobatch.cli.merge import GARBAGE
 from topobatch.merge.cache import ResultCache
 from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps

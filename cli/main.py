@@ -6,7 +6,6 @@ Exit codes: 0 all went well; 1 the data is at fault (some or all of it); 2 the c
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 from collections.abc import Callable
@@ -43,11 +42,6 @@ EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Matrices are small here: threads of the linear algebra spin more than they help, and their number
 would show in the last bits of results. Several cores are used by several processes."""
-
-GARBAGE = 50_000
-"""New objects after which cycles are looked for. Documents and results are objects by the hundred
-thousand that live as long as the command; looking through them after every 700, as usual, takes a
-tenth of a merge of 200 maps, and finds 2 MB."""
 
 # Plain help: rich's boxes would double the time that `--help` takes.
 app = typer.Typer(
@@ -116,7 +110,6 @@ def _say_what_is_wrong(error: TyperException) -> None:
 
 def main() -> None:
     """Run the command line; the one place that turns errors into messages and exit codes."""
-    gc.set_threshold(GARBAGE)
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     for stream in (sys.stdout, sys.stderr):
