@@ -142,7 +142,7 @@ def described(found: LogInfo) -> list[str]:
     ]
     lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
     uses = {topic.use for topic in found.topics}
-    if "scans" in uses and "odometry" not in uses:
+    if uses & {"scans", "clouds"} and "odometry" not in uses:
         lines.append("  no odometry: each scan will be matched to the one before")
     if not rows:
         lines = [head, f"  {counted(0, 'topic')}"]

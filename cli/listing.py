@@ -102,7 +102,6 @@ def _listed(
             _utc(made_ns), tuple(old),
         )  # fmt: skip
     times = m.observation_time_ns
-    first = int(times.min()) if len(times) else 0
     warnings = m.info.get("warnings")
     told = len(warnings) if isinstance(warnings, list) else 0
     return Listed(
@@ -113,7 +112,7 @@ def _listed(
         health=counted(told, "warning") if told else "ok",
         component=component,
         runs=runs,
-        recorded=_utc(first) if first > 0 else None,
+        recorded=_utc(int(times.min())) if len(times) else None,
         ingested=_utc(made_ns),
         stale=(*old, *_log_changes(place, run)),
     )

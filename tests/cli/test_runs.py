@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import pytest
@@ -54,6 +55,10 @@ def test_list(topobatch, merged):
     home = {run: c["id"] for c in document(merged)["graph"]["components"] for run in c["runs"]}
     assert {row["run"]: row["component"] for row in told} == home
     assert all(row["health"] == "ok" and row["stale"] == [] for row in told)
+    for row in told:
+        passes = json.loads((merged / "maps" / f"{row['run']}.json").read_text())["nodes"]
+        first = min(o["time_ns"] for node in passes for o in node["observations"])
+        assert row["recorded"] == datetime.fromtimestamp(first // 10**9, UTC).isoformat()
 
 
 def test_list_tells_what_is_stale(topobatch, merged):

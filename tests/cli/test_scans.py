@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from topobatch.cli.info import described
 from topobatch.cli.scan_options import numbers, source_told
+from topobatch.ingest.inspection import inspect_log
 from topobatch.topology.errors import UsageError
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
@@ -19,6 +22,15 @@ OFFICE = SAMPLES / "office-1.mcap"
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     return tmp_path_factory.mktemp("scans") / "ws"
+
+
+@pytest.mark.parametrize("guided", [True, False])
+def test_info_says_that_scans_stand_in_for_odometry(guided):
+    found = inspect_log(OFFICE)
+    kept = tuple(t for t in found.topics if guided or t.use != "odometry")
+    assert len(kept) == len(found.topics) - (not guided)
+    told = [line for line in described(replace(found, topics=kept)) if "no odometry" in line]
+    assert len(told) == (not guided)
 
 
 def test_simulated_lasers(topobatch, tmp_path):

@@ -101,6 +101,29 @@ def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
     assert "@import" not in html
 
 
+def test_what_was_wrong_with_a_run_stands_below_it_as_wide_as_the_table(merge_of) -> None:
+    result, maps = merge_of([["a", "b"]])
+    maps = [
+        replace(maps[0], info={}),
+        replace(maps[1], info={"warnings": ["drifts", "jumps"]}),
+    ]
+    html = page_of(result, maps)
+    table = html[html.index("<h2>Runs</h2>") :]
+    table = table[: table.index("</table>")]
+    assert table.count("<tr>") == 1 + len(maps) + 1
+    assert f'<td class="told" colspan="{table.count("<th>")}">drifts<br>jumps</td>' in table
+    assert table.index("<td>b</td>") < table.index("drifts")
+
+
+def test_few_runs_have_a_small_matrix(merge_of) -> None:
+    def width(runs: list[str]) -> float:
+        found = re.search(r'id="matrix" style="max-width:(\d+)rem"', page_of(*merge_of([runs])))
+        assert found is not None
+        return float(found[1])
+
+    assert width(["a", "b"]) < width(["a", "b", "c", "d"]) < width([f"run{k}" for k in range(30)])
+
+
 def test_runs_that_were_not_merged_yet_are_told(make_map, empty_map) -> None:
     html = page_of(None, [make_map("a"), empty_map])
     assert "topobatch: 2 runs, not merged yet" in html
