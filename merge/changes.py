@@ -267,7 +267,6 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
             at[node].append(e)
     for node, members in enumerate(seen.nodes):
         missing = []
-        unseen = max(_unseen_share(seen.maps[run], ids) for run, ids in members.items())
         for run, topomap in seen.maps.items():
             if run in members:
                 continue
@@ -277,6 +276,7 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
                 continue
             asked += 1
             witness = _drove(seen, run, through)
+            unseen = max(_unseen_share(seen.maps[r], ids) for r, ids in members.items())
             rate = _fault_rate(max(topomap.measured.miss_rate, unseen), settings)
             floor = _fault_rate(topomap.measured.branch_fault_rate, settings) ** 2
             missing.append((witness, max(rate ** max(witness.passes, 1), floor)))
