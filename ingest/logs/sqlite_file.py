@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -63,6 +63,9 @@ STEPS_PER_BYTE = 4
 """What the library may do for one connection, in steps of its virtual machine: a row takes some
 ten and at least as many bytes. A second's worth is free."""
 
+MOST_PROBED = 100
+"""So many topics that do not show up at once are looked for one after the other."""
+
 STEPS_AT_ONCE = 10_000
 """Steps of the database between two looks at the clock."""
 
@@ -79,8 +82,6 @@ _BLOB = "typeof(data) = 'blob'"
 
 class SqliteFile:
     """One `.db3` file."""
-
-    format = "sqlite3"
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -207,8 +208,9 @@ class _Reader:
             if len(rows.number):
                 # A recorder numbers its rows from 1 on, one after the other.
                 step = np.diff(rows.number, prepend=last)
-                gaps += int((step != 1).sum())
-                missing += _missing(rows.number, last)
+                odd = int((step != 1).sum())
+                gaps += odd
+                missing += _missing(rows.number, last) if odd else 0
                 last = int(rows.number[-1])
             yield from self._columns(rows)
             yield from self._large(rows)
@@ -223,11 +225,9 @@ class _Reader:
         """All rows of described topics on any page that looks like a leaf."""
         for data in pages.batches(np.arange(1, pages.count + 1)):
             rows = pages.rows(data)
-            known = self._sink[np.clip(rows.topic, 0, _TOPICS - 1)] != _UNKNOWN
-            yield from self._columns(rows.only(known))
-            known = rows.elsewhere_topic >= 0
-            known &= self._sink[np.clip(rows.elsewhere_topic, 0, _TOPICS - 1)] >= 0
-            self._findings.broken_rows += int(known.sum())
+            yield from self._columns(rows.only(self._sinks(rows.topic) != _UNKNOWN))
+            wanted = (rows.elsewhere_topic >= 0) & (self._sinks(rows.elsewhere_topic) >= 0)
+            self._findings.broken_rows += int(wanted.sum())
 
     def _columns(self, rows: Rows) -> Iterator[Block]:
         """The wanted ones of rows that lie in pages; all are counted."""
@@ -237,7 +237,7 @@ class _Reader:
 
     def _by_sink(self, topic: Ints) -> Iterator[tuple[int, Ints]]:
         """The wanted sinks among rows, each with its rows."""
-        sink = self._sink[np.clip(topic, 0, _TOPICS - 1)]
+        sink = self._sinks(topic)
         for number in self._wanted:
             rows = (sink == number).nonzero()[0]
             if len(rows):
@@ -246,8 +246,7 @@ class _Reader:
     def _large(self, rows: Rows) -> Iterator[Block]:
         """Rows that go on in other pages: the unwanted ones are counted, the others fetched."""
         topic = rows.elsewhere_topic
-        sink = self._sink[np.clip(topic, 0, _TOPICS - 1)]
-        unwanted = (topic >= 0) & (sink == UNWANTED)
+        unwanted = (topic >= 0) & (self._sinks(topic) == UNWANTED)
         self._count(topic[unwanted], np.zeros(0, np.int64))
         wanted = rows.elsewhere[~unwanted].tolist()
         for first in range(0, len(wanted), 500):
@@ -280,6 +279,10 @@ class _Reader:
             size = np.fromiter(map(len, payloads), np.int64, len(payloads))
             data = np.frombuffer(b"".join(payloads), np.uint8)
             yield Block(data, sink, time_ns[kept], np.cumsum(size) - size, size)
+
+    def _sinks(self, topic: Ints) -> Ints:
+        """The sink of each topic, UNWANTED or _UNKNOWN."""
+        return np.asarray(self._sink[np.clip(topic, 0, _TOPICS - 1)])
 
     def _is_wanted(self, topic: int) -> bool:
         return 0 <= topic < _TOPICS and self._sink[topic] >= 0
@@ -354,11 +357,8 @@ def _opened(uri: str, path: Path) -> sqlite3.Connection:
         return left < 0
 
     base.set_progress_handler(spent, STEPS_AT_ONCE)
-    try:
+    with suppress(*_ERRORS):  # what is wrong with the file shows when it is asked for something
         base.execute("PRAGMA trusted_schema = OFF")
-    except _ERRORS:
-        # What is wrong with the file shows when it is asked for something.
-        return base
     return base
 
 
@@ -430,11 +430,21 @@ def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
     """Topics that have any message; most show up among the first rows."""
     early = base.execute("SELECT DISTINCT topic_id FROM (SELECT topic_id FROM messages LIMIT 5000)")
     present = {key for (key,) in early}
-    for key in keys:
-        if key not in present:
-            probe = "SELECT 1 FROM messages WHERE topic_id = ? LIMIT 1"
-            if base.execute(probe, (key,)).fetchone():
-                present.add(key)
+    left, row = set(keys) - present, -(1 << 63)
+    if len(left) > MOST_PROBED:
+        present.update(key for (key,) in base.execute("SELECT DISTINCT topic_id FROM messages"))
+        left.clear()
+    while left:
+        # Each search goes on where the one before ended: all topics without messages take one pass.
+        marks = ",".join("?" * len(left))
+        probe = f"rowid >= ? AND topic_id IN ({marks}) ORDER BY rowid LIMIT 1"
+        query = f"SELECT rowid, topic_id FROM messages WHERE {probe}"
+        found = base.execute(query, (row, *left)).fetchone()
+        if found is None or found[1] not in left:
+            break
+        row = found[0]
+        present.add(found[1])
+        left.remove(found[1])
     return dict.fromkeys(present, 1)
 
 

@@ -158,10 +158,9 @@ class Pages:
         pointer = _big(data, page + 8 + 2 * number, 2)
         short = self._short(data, base, cells, pointer)
         at = page + np.minimum(pointer, self.size - 4)
-        # A wrong bit in a page's list, or in its length, may name a place of it twice.
-        once = np.unique(at, return_index=True)[1]
-        if len(once) < len(at):
-            once.sort()
+        if not ((at[1:] < at[:-1]) | (page[1:] > page[:-1])).all():
+            # Rows fill a page from its end. A wrong bit in its list may name a place twice.
+            once = np.sort(np.unique(at, return_index=True)[1])
             page, at = page[once], at[once]
         payload, at = _varint(data, at)
         row, at = _varint(data, at)
@@ -176,8 +175,10 @@ class Pages:
         regular &= payload == start + size - head
         whole = regular & (start + size <= page + self.usable) & (payload <= self.usable - 35)
         time_ns = _big(data, np.minimum(start, len(data)) - _REAL, 8)
-        # The same row twice, once by a place that is none: the library would give it again.
-        other = ~whole & ~np.isin(row, row[whole])
+        other = ~whole
+        if other.any():
+            # The same row twice, once by a place that is none: the library would give it again.
+            other[other] = ~np.isin(row[other], row[whole])
         return Rows(
             data,
             topic[whole],
