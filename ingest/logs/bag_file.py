@@ -27,7 +27,7 @@ from .bag_wire import (
     op_of,
     read_index,
 )
-from .chunk_index import ChunkIndex, passed_over
+from .chunk_index import ChunkIndex, next_listed, passed_over
 from .chunked_file import ChunkedFile
 from .inflate import keep_freed_memory
 from .messages import (
@@ -44,15 +44,10 @@ from .split import RECORD_BYTES
 from .tally import Tally
 from .windows import SLAB_BYTES, Window, window_on
 
-TRIED_STARTS = 64
-"""So many chunks of an index are looked for before the index is given up: damage takes a few in a
-row, and of another file's index none is there."""
-
 
 class BagFile(ChunkedFile):
     """One ROS 1 bag of format 2.0, uncompressed, bz2 or lz4."""
 
-    format = "bag"
     BEHIND = HEAD_BYTES
 
     @cached_property
@@ -214,14 +209,15 @@ class _Walk:
     def _next_record(self, position: int) -> int | None:
         """Place of the next believable record at or after `position`, None if there is none."""
         if self._index is not None:
-            starts = self._index.chunk_starts
-            for start in starts[np.searchsorted(starts, position) :][:TRIED_STARTS].tolist():
-                record = self._heads.record(start)
-                if record is not None and record.op == CHUNK:
-                    return int(start)
-            if len(starts) and starts[-1] < position <= self._index.start:
-                return self._index.start
+            starts, stop = self._index.chunk_starts, self._index.start
+            listed = next_listed(starts, stop, position, self._is_chunk)
+            if listed is not None:
+                return listed
         return self._heads.following(position, self._messages.packed)
+
+    def _is_chunk(self, position: int) -> bool:
+        record = self._heads.record(position)
+        return record is not None and record.op == CHUNK
 
     def _closed(self, record: Record) -> None:
         """Report a bag without index; one whose header names its place was closed and had one."""

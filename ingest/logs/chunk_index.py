@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,11 @@ from .tally import Tally
 
 Wanted = NDArray[np.bool_]
 """By channel number: whether anybody wants its messages, or it is not described."""
+
+
+TRIED_STARTS = 64
+"""So many chunks of an index are looked for before the index is given up: damage takes a few in a
+row, and of another file's index none is there."""
 
 
 class ChunkIndex(NamedTuple):
@@ -75,3 +80,17 @@ def passed_over(index: ChunkIndex, tally: Tally, findings: Findings) -> NDArray[
     if span is not None:
         findings.span(*span)
     return needed
+
+
+def next_listed(
+    starts: Ints, stop: int, position: int, is_chunk: Callable[[int], bool]
+) -> int | None:
+    """The next place at or after `position` at which a listed chunk is, or the index begins.
+
+    starts: (c,) where the index says that chunks are, ascending; stop: where it begins itself;
+    is_chunk: whether one is there. None if what follows is not known.
+    """
+    for start in starts[np.searchsorted(starts, position) :][:TRIED_STARTS].tolist():
+        if is_chunk(start):
+            return int(start)
+    return stop if len(starts) and starts[-1] < position <= stop else None

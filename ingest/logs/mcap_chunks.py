@@ -14,9 +14,9 @@ from .checksum import agrees
 from .chunk_reader import Chunk, ChunkHead, ChunkReader, WrongChecksumError
 from .columns import words
 from .inflate import WHOLE_BYTES
-from .mcap_heads import IN_CHUNKS
+from .mcap_heads import IN_CHUNKS, NOT_IN_CHUNKS
 from .mcap_mend import mended
-from .mcap_messages import NOT_IN_CHUNKS, MessageReader
+from .mcap_messages import MessageReader
 from .mcap_small import joined, small_chunks
 from .mcap_summary import McapSummary
 from .mcap_wire import MESSAGE, MESSAGE_HEAD, MESSAGE_INDEX, RECORD_HEAD
@@ -180,7 +180,8 @@ class McapChunks(ChunkReader):
         if head.compression:
             # What a broken stream gives may end early, or be wrong where heads of records are.
             self._findings.lost_at_least = True
-        found = mended(data, self._messages.heads.within(data), self._messages.define_more)
+        define = functools.partial(self._messages.define, more=True)
+        found = mended(data, self._messages.heads.within(data), define)
         where = found.where[found.data[found.where] == MESSAGE]
         first = self._tally.first(words(found.data, "<u2", where + RECORD_HEAD))
         size = words(found.data, "<i8", where + 1) - MESSAGE_HEAD

@@ -12,14 +12,22 @@ from functools import cached_property
 import numpy as np
 
 from .checksum import agrees, crc32
-from .chunk_index import ChunkIndex, passed_over
+from .chunk_index import ChunkIndex, next_listed, passed_over
 from .chunked_file import ChunkedFile
 from .inflate import WHOLE_BYTES, keep_freed_memory
 from .mcap_chunks import McapChunks
-from .mcap_heads import HEAD_BYTES, IN_CHUNKS, OUTSIDE, Heads, chunk_head
+from .mcap_heads import (
+    HEAD_BYTES,
+    IN_CHUNKS,
+    NOT_IN_CHUNKS,
+    OUTSIDE,
+    PRIVATE,
+    Heads,
+    chunk_head,
+)
 from .mcap_index import chunk_index
 from .mcap_mend import trusted
-from .mcap_messages import NOT_IN_CHUNKS, MessageReader
+from .mcap_messages import MessageReader
 from .mcap_summary import McapSummary, read_summary
 from .mcap_wire import (
     CHUNK,
@@ -52,18 +60,9 @@ _HEAD = struct.Struct("<BQ").unpack_from
 LARGEST_MESSAGE = 1 << 32
 """A message that claims more is taken for damage: lengths in ROS messages have 32 bits."""
 
-PRIVATE = 0x80
-"""Kinds of records from here on are anybody's (https://mcap.dev/spec)."""
-
-TRIED_STARTS = 64
-"""So many chunks of an index are looked for before the index is given up: damage takes a few in a
-row, and of another file's index none is there."""
-
 
 class McapFile(ChunkedFile):
     """One MCAP file, chunked or not, with or without summary, of any profile."""
-
-    format = "mcap"
 
     @cached_property
     def summary(self) -> McapSummary | None:
@@ -285,12 +284,10 @@ class _Walk:
     def _next_record(self, position: int) -> int | None:
         """Place of the next believable record at or after `position`, None if there is none."""
         if self._summary is not None:
-            starts = self._summary.chunk_starts
-            for start in starts[np.searchsorted(starts, position) :][:TRIED_STARTS].tolist():
-                if self._heads.sound(start) is not None:
-                    return int(start)
-            if len(starts) and starts[-1] < position <= self._summary.start:
-                return self._summary.start
+            starts, stop = self._summary.chunk_starts, self._summary.start
+            listed = next_listed(starts, stop, position, lambda at: bool(self._heads.sound(at)))
+            if listed is not None:
+                return listed
         return self._heads.following(position, self._messages.packed)
 
 

@@ -72,7 +72,11 @@ _LAYOUTS: dict[int, tuple[int | str, ...]] = {
 COMPRESSIONS = frozenset({b"", b"zstd", b"lz4"})
 
 IN_CHUNKS = frozenset({SCHEMA, CHANNEL, MESSAGE})
+NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
 OUTSIDE = frozenset({*_LAYOUTS, MESSAGE})
+
+PRIVATE = 0x80
+"""From this kind on the format leaves records to applications (https://mcap.dev/spec)."""
 
 
 def chunk_head(head: bytes, position: int) -> ChunkHead:

@@ -10,15 +10,12 @@ import numpy as np
 
 from .chunk_index import ChunkIndex
 from .columns import words
-from .mcap_summary import McapSummary
+from .mcap_summary import OFFSETS_AT, PLACE_AT, McapSummary
 from .mcap_wire import RECORD_HEAD
 from .messages import Ints
 
-_FIRST_AT, _LAST_AT, _PLACE_AT, _LENGTH_AT, _OFFSETS_AT = (
-    RECORD_HEAD + at for at in (0, 8, 16, 24, 36)
-)
-"""In a chunk index: first and last log time, place and length of the chunk, and the list of its
-channels, each with the place of its message index."""
+_FIRST_AT, _LAST_AT, _LENGTH_AT = RECORD_HEAD, RECORD_HEAD + 8, RECORD_HEAD + 24
+"""In a chunk index: first and last log time of the chunk, and its length."""
 
 INDEX_HEAD, INDEX_ENTRY = RECORD_HEAD + 6, 16
 """Bytes of a message index: what is in front of its entries, and of an entry."""
@@ -38,7 +35,7 @@ def chunk_index(summary: McapSummary | None) -> ChunkIndex | str:
         return "its index lists no chunks or counts no messages"
     if not summary.describes_all:
         return "its index does not describe all channels"
-    begin = words(data, "<i8", where + _PLACE_AT)
+    begin = words(data, "<i8", where + PLACE_AT)
     end = begin + words(data, "<i8", where + _LENGTH_AT)
     if (end <= begin).any() or end.max() > summary.start or (begin[1:] < end[:-1]).any():
         return "its index contradicts itself"
@@ -64,9 +61,9 @@ def _counts(summary: McapSummary, end: Ints, listed: Ints, chunk: Ints) -> Ints:
     """(k,) messages of a channel in a chunk; nonsense where the places make none."""
     data, where = summary.listing
     within = np.arange(len(chunk)) - summary.chunk_first[chunk]
-    at = words(data, "<i8", where[chunk] + _OFFSETS_AT + 10 * within + 2)
+    at = words(data, "<i8", where[chunk] + OFFSETS_AT + 10 * within + 2)
     # Behind the list stands how long all message indexes of the chunk are together.
-    stop = end + words(data, "<i8", where + _OFFSETS_AT + 10 * listed)
+    stop = end + words(data, "<i8", where + OFFSETS_AT + 10 * listed)
     order = np.lexsort((at, chunk))
     behind = np.append(at[order][1:], 0)
     last = np.append(chunk[1:] != chunk[:-1], True)

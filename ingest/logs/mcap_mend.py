@@ -12,15 +12,11 @@ from collections.abc import Callable
 import numpy as np
 
 from .columns import words
-from .mcap_heads import IN_CHUNKS, Heads
+from .mcap_heads import NOT_IN_CHUNKS, PRIVATE, Heads
 from .mcap_wire import MESSAGE, RECORD_HEAD
 from .mended import Mended
 from .messages import Bytes, Ints
 from .walk import mcap_records
-
-_NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
-_PRIVATE = 0x80
-"""From this code on the format leaves records to applications (https://mcap.dev/spec)."""
 
 
 def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], list[int]]) -> Mended:
@@ -35,7 +31,7 @@ def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], list[int]]
     lost: list[int] = []
     position = unreadable = repaired = 0
     while position < len(data):
-        where, stop = mcap_records(data[position:], _NOT_IN_CHUNKS)
+        where, stop = mcap_records(data[position:], NOT_IN_CHUNKS)
         messages = define(data[position:], where)
         data[position:][messages] = MESSAGE
         repaired += len(messages)
@@ -72,7 +68,7 @@ def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], list[int]]
 
 def _private_end(data: Bytes, position: int) -> int:
     """Where a record of a private kind ends, 0 if there is none, or if not in the data."""
-    if position + RECORD_HEAD > len(data) or data[position] < _PRIVATE:
+    if position + RECORD_HEAD > len(data) or data[position] < PRIVATE:
         return 0
     end = position + RECORD_HEAD + int(words(data, "<u8", np.array([position + 1]))[0])
     return end if end <= len(data) else 0

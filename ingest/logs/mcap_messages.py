@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .columns import MANY, column, gather, without_repeats, words
 from .described import TOO_MANY
-from .mcap_heads import IN_CHUNKS, Heads
+from .mcap_heads import NOT_IN_CHUNKS, Heads
 from .mcap_mend import mended
 from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
 from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
@@ -18,8 +18,6 @@ from .tally import Tally
 from .walk import inside, mcap_listed, mcap_records, seamless
 
 _HEAD = struct.Struct("<BQ").unpack_from
-
-NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
 
 LOG_TIME_AT = 15
 """Place of the log time in a message record; the channel's number stands behind the head."""
@@ -152,13 +150,10 @@ class MessageReader:
         self.findings.unreadable_bytes += RECORD_HEAD * int((~fits).sum())
         return where[fits]
 
-    def define_more(self, data: Bytes, where: Ints) -> list[int]:
-        """Take in channels that no sound bytes described so far."""
-        return self.define(data, where, more=True)
-
     def define(self, data: Bytes, where: Ints, more: bool = False) -> list[int]:
-        """Take in the schemas and channels among records; more: only new ones.
+        """Take in the schemas and channels among records.
 
+        more: only channels that no sound bytes described so far.
         Returns the places of those that are messages but for one bit.
         """
         op = data[where]

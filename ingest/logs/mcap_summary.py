@@ -135,8 +135,9 @@ def _parse(data: Bytes, start: int, checked: bool) -> McapSummary:
     )
 
 
-_PLACE_AT, _OFFSETS_AT = RECORD_HEAD + 16, RECORD_HEAD + 36
-"""In a chunk index: the place of the chunk, and the places of its message indexes."""
+PLACE_AT, OFFSETS_AT = RECORD_HEAD + 16, RECORD_HEAD + 36
+"""In a chunk index: the place of the chunk, and the list of its channels, each with the place of
+its message index."""
 
 
 def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
@@ -146,8 +147,8 @@ def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
     length = words(data, "<i8", where + 1)
     if length.min() < 36 + 28:
         raise DamageError("a chunk index is cut")
-    place = words(data, "<i8", where + _PLACE_AT)
-    size = words(data, "<u4", where + _OFFSETS_AT - 4).astype(np.int64)
+    place = words(data, "<i8", where + PLACE_AT)
+    size = words(data, "<u4", where + OFFSETS_AT - 4).astype(np.int64)
     if (size % 10).any() or (size > length - (36 + 28)).any() or place.min() < 0:
         raise DamageError("a chunk index contradicts itself")
     order = np.argsort(place, kind="stable")
@@ -155,7 +156,7 @@ def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
     count = size // 10
     first = np.concatenate([[0], np.cumsum(count)])
     within = np.arange(first[-1]) - np.repeat(first[:-1], count)
-    at = np.repeat(where + _OFFSETS_AT, count) + 10 * within
+    at = np.repeat(where + OFFSETS_AT, count) + 10 * within
     return place, first, words(data, "<u2", at).astype(np.int64), where
 
 

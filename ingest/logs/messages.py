@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.errors import LogError
-from ..remote.path import LogPath
 from .checksum import crc32
 
 Bytes = NDArray[np.uint8]
@@ -213,12 +212,6 @@ class Findings:
 
 class Container(Protocol):
     """One log file, whatever its format."""
-
-    @property
-    def path(self) -> LogPath:
-        """Where it lies."""
-
-    format: str
 
     def survey(self, exact: bool = False) -> Survey | None:
         """What the index says, or None where there is none that can be believed.

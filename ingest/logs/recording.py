@@ -239,9 +239,8 @@ def _listed(folder: LogPath) -> tuple[list[LogPath], list[LogPath]]:
 
 def _entries(folder: LogPath) -> list[LogPath]:
     """What lies in a folder and is not hidden, by name."""
-    if isinstance(folder, Path):
-        return [*sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))]
-    return [*sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))]
+    shown = (entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    return sorted(shown, key=lambda entry: entry.name)
 
 
 def _is_bag_folder(folder: LogPath) -> bool:
