@@ -7,6 +7,7 @@ every pillar there. The axes are seen further out, if the branches are corridors
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -53,6 +54,32 @@ def crossing(
     order = np.argsort(headings, kind="stable")
     ends = tuple(node.ends[k] for k in order)
     return Crossing(xy, node.clearance_m, ends, headings[order])
+
+
+def crossings(
+    graph: SkeletonGraph,
+    numbers: Sequence[int],
+    clearance_m: NDArray[np.float32] | FloatArray,
+    cell_m: float,
+    settings: SkeletonSettings,
+) -> list[Crossing]:
+    """Nodes `numbers` of a graph as places. Two ends of one way whose axes cross at one place are
+    one: a skeleton may take a crossing of many branches for two forks farther apart than
+    `join_m`, their centres lie nearer."""
+    found = {k: crossing(graph, graph.nodes[k], clearance_m, cell_m, settings) for k in numbers}
+    for way, edge in enumerate(graph.edges):
+        a, b = edge.nodes
+        if a == b or a not in found or b not in found:
+            continue
+        one, other = found[a], found[b]
+        apart = float(np.hypot(*(one.xy - other.xy)))
+        if apart >= settings.join_m or edge.length_m >= 2 * settings.join_m:
+            continue
+        ends = tuple(k for k in (*one.ends, *other.ends) if k != way)
+        amid = Node(0.5 * (one.xy + other.xy), max(one.clearance_m, other.clearance_m), ends)
+        found[a] = crossing(graph, amid, clearance_m, cell_m, settings)
+        del found[b]
+    return list(found.values())
 
 
 class _Branch(NamedTuple):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.se2 import compose, inverse
-from .crossing import Crossing, crossing
+from .crossing import Crossing, crossings
 from .grid import GridSettings, Looks, free_space, gather, looks
 from .keyframes import Keyframes
 from .matching import Matched
@@ -205,11 +205,13 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
     border[:side, [0, side - 1]] = True
     for k, variant in enumerate(variants):
         graph = trace(stacked[k], clearance[k], cell, variant.skeleton, border)
-        for node in graph.nodes:
-            reach = settings.near_m + node.clearance_m
-            if len(node.ends) < 3 or _passed(node.xy + middles, span, reach) is None:
-                continue
-            place = crossing(graph, node, clearance[k], cell, variant.skeleton)
+        nodes = [
+            number
+            for number, node in enumerate(graph.nodes)
+            if len(node.ends) >= 3
+            and _passed(node.xy + middles, span, settings.near_m + node.clearance_m) is not None
+        ]
+        for place in crossings(graph, nodes, clearance[k], cell, variant.skeleton):
             xy = place.xy + middles
             found = _passed(xy, span, settings.near_m)
             if found is not None:

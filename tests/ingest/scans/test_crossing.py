@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from topobatch.ingest.scans.crossing import Crossing, aside, crossing
+from topobatch.ingest.scans.crossing import Crossing, aside, crossing, crossings
 from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, trace
 from topobatch.topology.se2 import wrap
 
@@ -71,3 +71,30 @@ def test_cells_as_large_as_an_axis_have_none() -> None:
         assert np.array_equal(found.xy, node.xy)
         assert np.isfinite(found.headings).all()
     assert graph.nodes
+
+
+def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
+    """Nodes of the skeleton of a grid, and what places they are."""
+    clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
+    settings = SkeletonSettings()
+    graph = trace(thin(clearance > settings.clearance_m), clearance, CELL, settings)
+    numbers = range(len(graph.nodes))
+    return len(numbers), crossings(graph, numbers, clearance, CELL, settings)
+
+
+@pytest.mark.parametrize("sharp", [44, 47, 50])
+def test_two_forks_whose_axes_cross_at_one_place_are_one(sharp: float) -> None:
+    forks, found = places(corridors(0, 180, sharp, sharp + 180))
+    assert forks == 2
+    (one,) = found
+    assert np.hypot(*(one.xy - MIDDLE)) < 0.25
+    wanted = np.radians([0, 180, sharp, sharp + 180])
+    assert len(one.headings) == 4
+    assert np.abs(wrap(one.headings[:, None] - wanted)).min(axis=0).max() < 0.2
+
+
+def test_corridors_that_leave_farther_apart_are_two_places() -> None:
+    side = np.roll(corridors(-90), 16, axis=1)
+    forks, found = places(corridors(0, 180, 90) | side)
+    assert forks == len(found) == 2
+    assert all(len(place.headings) == 3 for place in found)
