@@ -159,7 +159,7 @@ LEAST_CURVATURE = 0.1
 
 
 def _by_patch(on: Matches, pose: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Row of a pair, number of a patch, and the sum of its points' gradients there (e, 3)."""
+    """Row of a pair, number of a patch, and the sum of gradients of points there (e, 3)."""
     row, beam = np.nonzero(on.good)
     at = apply(pose[row], np.stack([on.x[row, beam], on.y[row, beam]], axis=1).astype(np.float64))
     nx, ny = on.nx[row, beam], on.ny[row, beam]
@@ -168,12 +168,13 @@ def _by_patch(on: Matches, pose: FloatArray) -> tuple[IntArray, IntArray, FloatA
     faces = np.floor(bearing / (0.5 * np.pi) + 0.5).astype(np.int64) % 4
     x, y = np.floor(at / PATCH_M).astype(np.int64).T
     patch = ((x % SPREAD) * SPREAD + y % SPREAD) * 4 + faces
-    entry, own = np.unique(row * (4 * SPREAD**2) + patch, return_inverse=True)
-    asks = (on.weight * on.residual)[row, beam]
-    levers = nx, ny, on.lever[row, beam]
-    gradient = np.stack([np.bincount(own.ravel(), asks * a, len(entry)) for a in levers], axis=1)
-    pair, patch = np.divmod(entry, 4 * SPREAD**2)
-    return np.asarray(pair), np.asarray(patch), np.asarray(gradient)
+    # Beams come in order: those of one patch, one after the other.
+    entry = row * (4 * SPREAD**2) + patch
+    begins = np.flatnonzero(np.diff(entry, prepend=-1))
+    asks = (on.weight * on.residual)[row, beam].astype(np.float64)
+    levers = np.stack([nx, ny, on.lever[row, beam]], axis=1)
+    gradient = np.add.reduceat(asks[:, None] * levers, begins, axis=0)
+    return row[begins], patch[begins], gradient
 
 
 SPREAD = 1 << 14
