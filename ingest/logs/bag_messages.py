@@ -95,15 +95,10 @@ class MessageReader:
             conn, time, size_at, others = self.columns(data, where)
         extra = self.one_by_one(data, others)
         if extra:
-            conn, time, size_at = (
-                np.concatenate([column, np.array(more, np.int64)])
-                for column, more in zip(
-                    (conn, time, size_at), zip(*extra, strict=True), strict=True
-                )
-            )
-        yield from self._blocks(
-            data, conn, time, words(data, "<u4", size_at).astype(np.int64), size_at
-        )
+            columns = np.stack([conn, time, size_at])
+            conn, time, size_at = np.hstack([columns, np.array(extra, np.int64).T])
+        size = words(data, "<u4", size_at).astype(np.int64)
+        yield from self._blocks(data, conn, time, size, size_at)
 
     def _blocks(
         self, data: Bytes, conn: Ints, time: Ints, size: Ints, size_at: Ints

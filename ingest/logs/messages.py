@@ -229,7 +229,21 @@ class DamageError(Exception):
     """A part of a log cannot be read; its text says why. Never leaves `ingest.logs`."""
 
 
-class FileWindow:
+class Passed:
+    """Tells how much of a file is dealt with, every byte once."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self._told = 0
+
+    def passed(self, offset: int) -> None:
+        """Everything before `offset` is dealt with."""
+        if self._progress is not None and offset > self._told:
+            self._progress(offset - self._told)
+            self._told = offset
+
+
+class FileWindow(Passed):
     """Bounded look at a file: bytes of any place, from one buffer that is used again and again.
 
     Reusing the buffer matters: fresh memory costs a page fault per 4 KiB, more than the copy.
@@ -243,6 +257,7 @@ class FileWindow:
     reading and checking take 10 % longer where whole chunks are read first)."""
 
     def __init__(self, path: Path, progress: Progress | None = None) -> None:
+        super().__init__(progress)
         try:
             self._file = path.open("rb", buffering=0)
             self._second = path.open("rb")
@@ -254,8 +269,6 @@ class FileWindow:
         self._buffer = np.empty(2 * self.STEP, np.uint8)
         self._base = 0
         self._fill = 0
-        self._progress = progress
-        self._told = 0
 
     def __enter__(self) -> FileWindow:
         return self
@@ -312,12 +325,6 @@ class FileWindow:
                 done += got
         except OSError as error:
             raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
-
-    def passed(self, offset: int) -> None:
-        """Tell the progress that everything before `offset` is dealt with."""
-        if self._progress is not None and offset > self._told:
-            self._progress(offset - self._told)
-            self._told = offset
 
     def _shorter(self) -> LogError:
         return LogError(f"{self._path}: became shorter while it was read; read it again")

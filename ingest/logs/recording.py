@@ -89,9 +89,7 @@ def sniff(path: LogPath) -> str | None:
 def run_name(path: LogPath) -> str:
     """Name of the run that a log holds: folder name, or file name without its log suffixes."""
     path = log_path(path)
-    name = (
-        (path.name or path.resolve().name) if path.name not in ("", "..") else path.resolve().name
-    )
+    name = path.name if path.name not in ("", "..") else path.resolve().name
     return name if path.is_dir() else _SUFFIX.sub("", name) or name
 
 

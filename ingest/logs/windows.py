@@ -12,7 +12,7 @@ from ..remote.path import LogPath, RemotePath
 from ..remote.source import ReadAhead
 from .checksum import crc32
 from .chunk_index import ChunkIndex, Wanted
-from .messages import Bytes, FileWindow, Ints, Progress
+from .messages import Bytes, FileWindow, Ints, Passed, Progress
 
 SLAB_BYTES = 1 << 20
 """How much is taken at a time of what is walked record by record."""
@@ -20,15 +20,14 @@ SLAB_BYTES = 1 << 20
 ALLOW_SCAN = "--allow-scan"
 
 
-class RemoteWindow:
+class RemoteWindow(Passed):
     """A `FileWindow` on an object elsewhere. LogError where the server fails."""
 
     def __init__(self, path: RemotePath, progress: Progress | None = None) -> None:
+        super().__init__(progress)
         self.path = path
         self.size = path.file.size
         self._ahead: ReadAhead | None = None
-        self._progress = progress
-        self._told = 0
 
     def __enter__(self) -> RemoteWindow:
         return self
@@ -79,12 +78,6 @@ class RemoteWindow:
     def fill(self, target: Bytes, offset: int) -> None:
         """Read into all of `target`."""
         target[:] = self.view(offset, len(target))
-
-    def passed(self, offset: int) -> None:
-        """Tell the progress that everything before `offset` is dealt with."""
-        if self._progress is not None and offset > self._told:
-            self._progress(offset - self._told)
-            self._told = offset
 
 
 Window = FileWindow | RemoteWindow
