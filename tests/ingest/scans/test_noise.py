@@ -77,4 +77,6 @@ def test_a_walk_is_as_uncertain_as_its_spans() -> None:
     assert quiet.heading_rad_per_sqrt_m**2 == pytest.approx(2e-6, rel=0.2)
     assert quiet.heading_rad_per_sqrt_rad**2 == pytest.approx(4e-6, rel=0.2)
     assert loud.heading_rad_per_sqrt_m == pytest.approx(2 * quiet.heading_rad_per_sqrt_m, rel=0.1)
+    few = matched_noise([SpanErrors(*(np.array([x]) for x in (4.0, 1e-4, 4.0, 0.1, 1e-12)))], none)
+    assert few.heading_rad_per_sqrt_m > 8e-4
     assert loud.along_m_per_sqrt_m == quiet.along_m_per_sqrt_m == pytest.approx(0.02, rel=0.01)
