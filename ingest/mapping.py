@@ -172,12 +172,17 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
 
 
 def _require_motion(run: Run, reach_m: float) -> None:
-    """DataError if the robot never got out of the one junction that it may have stood at."""
-    xy = run.odometry.pose[:, :2]
-    if len(xy) > 0 and np.hypot(*np.ptp(xy, axis=0)) < reach_m:
+    """DataError if the robot never got out of the one junction that it may have stood at: a reset
+    of its odometry is no drive."""
+    xy, first = run.odometry.pose[:, :2], [0, *run.odometry.breaks.tolist()]
+    if len(xy) == 0:
+        return
+    reached = np.maximum.reduceat(xy, first) - np.minimum.reduceat(xy, first)
+    if np.hypot(*reached.T).max() < reach_m:
+        resets = " between its resets" if len(first) > 1 else ""
         raise DataError(
-            f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m; "
-            "nothing can be mapped"
+            f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m"
+            f"{resets}; nothing can be mapped"
         )
 
 

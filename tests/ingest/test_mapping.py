@@ -198,6 +198,16 @@ def test_a_parked_robot_is_told_that_it_does_not_move():
         build_map(Run("parked", still, seen))
 
 
+def test_a_reset_is_no_drive():
+    pose = np.repeat([[8.0, 0.0, 1.6], [0.0, 0.0, 0.0]], 50, axis=0)
+    seen = Detections(
+        np.arange(20) * 10**8 + 10**9, np.zeros((20, 2)), Ragged.from_rows([[0.0, 2.0]] * 20)
+    )
+    parked = Odometry(np.arange(100) * 10**8, pose, np.array([50]))
+    with pytest.raises(DataError, match=r"does not move: .* m between its resets; nothing"):
+        build_map(Run("parked", parked, seen))
+
+
 def test_a_robot_that_stands_most_of_the_time():
     """Most of its legs have no length at all: two junctions come into view in turn."""
     pose = np.zeros((200, 3))
