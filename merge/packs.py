@@ -69,12 +69,21 @@ class Kind(IntEnum):
     """How copies of places differ, by some maps; its key is twice the digest of theirs."""
     VERDICT = 5
     """What two maps say by themselves; its key is of both maps and of what they must reach."""
+    RIVALS = 8
+    """Two maps, as far as they are matched, with all other hypotheses beyond chance."""
 
     @property
     def told(self) -> str:
         """What is matched, in words."""
-        return ("pairs of maps", "maps with themselves", "mirror images")[self]
+        return _TOLD[self]
 
+
+_TOLD = {
+    Kind.PAIR: "pairs of maps",
+    Kind.ITSELF: "maps with themselves",
+    Kind.IMAGE: "mirror images",
+    Kind.RIVALS: "rival placements",
+}
 
 Rows = NDArray[np.void]
 Key = tuple[bytes, bytes]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -66,28 +66,46 @@ Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
 """Two maps, hypotheses on how they lie, and of how many links these were chosen."""
 
 
-def match(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
+def match(
+    a: Prepared, b: Prepared, settings: RobustSettings, *, rivals: bool = False
+) -> tuple[Candidate, ...]:
     """Candidate alignments of two maps, best first; versions of one placement appear once. Pure.
 
     The steps of the paper with its certainties replaced by odds: compatible corridors (§2.1),
     connected hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
+
+    Where copies abound, many hypotheses are beyond chance before they are grown. The best few are
+    grown; the others are rivals, which cost time: they are looked at where the best few come to
+    nothing, and where somebody asks (`rivals`), as before two maps are merged.
     """
-    return next(match_all([(a, b)], settings))
+    return next(match_all([(a, b)], settings, rivals=rivals))
 
 
 def match_all(
-    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings
+    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, rivals: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
     """The same of many pairs, each as if it were alone."""
-    return best_of_all((_hypotheses(a, b, settings) for a, b in pairs), settings)
+    every = list(pairs)
+    found = list(best_of_all((_hypotheses(a, b, settings) for a, b in every), settings))
+    wanted = [rivals or not any(c.bits > MATCH.lead_bits for c in own) for own in found]
+    asked = (_rivals(a, b, settings) for a, b in compress(every, wanted))
+    others = best_of_all(asked, settings)
+    for (_, b), own, more in zip(every, found, wanted, strict=True):
+        yield _apart([*own, *next(others)], b) if more else own
 
 
 def _hypotheses(a: Prepared, b: Prepared, settings: RobustSettings) -> Hypothesised:
     links = candidate_links(a, b)
-    # Where copies abound, many are beyond chance before they are grown. Each is a rival, but one
-    # chosen among so many looks the same too easily to be merged.
+    return a, b, seeds(a, b, links, settings.hypotheses), len(links)
+
+
+def _rivals(a: Prepared, b: Prepared, settings: RobustSettings) -> Hypothesised:
+    """The other hypotheses beyond chance. One chosen among so many looks the same too easily to be
+    merged."""
+    links = candidate_links(a, b)
     beyond = float(np.log2(len(links) + 1.0)) + MATCH.lead_bits
-    return a, b, seeds(a, b, links, settings.hypotheses, beyond), len(links)
+    every = seeds(a, b, links, settings.hypotheses, beyond)
+    return a, b, [seed for seed in every if seed.rival], len(links)
 
 
 def best_of(

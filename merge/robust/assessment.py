@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from ...topology.topomap import TopoMap
-from ..result import Alignment, PairVerdict
+from ..result import Alignment, PairVerdict, Verdict
 from .alignment import Candidate, match, self_matches
 from .entries import Case, alignment_of
 from .mirror import doubt_mirrored, mirrored
@@ -91,6 +91,9 @@ def assess(
     threshold = thresholds(prepared, settings)(pair, count)
     found = match(prepared[i], prepared[j], settings)
     view = opinion(prepared[i], prepared[j], found, threshold)
+    if view.verdict is Verdict.MERGED:
+        found = match(prepared[i], prepared[j], settings, rivals=True)
+        view = opinion(prepared[i], prepared[j], found, threshold)
 
     def image_bits(pairs: list[Pair]) -> dict[Pair, float]:
         best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}

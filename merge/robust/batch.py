@@ -30,9 +30,9 @@ class Batch:
     alone.
 
     asked: pairs that a lock names. opinions: the full assessments of these, of discarded pairs, and
-    of pairs that would be merged but for a mirror image; joins: the verdicts on pairs that are
-    merged by themselves; alone: those on all other pairs, which are most of a large batch. The
-    latter are put into words at once (`worded`), and nothing else of them is held.
+    of pairs that would be merged but for a rival or a mirror image; joins: the verdicts on pairs
+    that are merged by themselves; alone: those on all other pairs, which are most of a large batch.
+    The latter are put into words at once (`worded`), and nothing else of them is held.
     """
 
     matcher: Pairwise
@@ -91,6 +91,7 @@ class Batch:
                     fresh[pair] = self.worded(pair, view)
             self._keep(fresh)
         fresh = {}
+        likely |= self.beside_rivals(likely)
         for pair, view in doubt_mirrored(likely, self._image_bits).items():
             if view.verdict is Verdict.MERGED and pair not in self.asked:
                 fresh[pair] = self.worded(pair, view)
@@ -153,6 +154,18 @@ class Batch:
             faint = found[pair].faint
             out[pair] = (view if faint is None else replace(view, faint=faint)), told
         return out
+
+    def beside_rivals(self, views: Mapping[Pair, Opinion]) -> dict[Pair, Opinion]:
+        """What the two maps say alone of the pairs that would be merged, once all hypotheses beyond
+        chance were looked at."""
+        pairs = [pair for pair, view in views.items() if view.verdict is Verdict.MERGED]
+        found = self.matcher.beside_rivals(np.array(pairs, np.int64).reshape(-1, 2))
+        prepared = self.matcher.prepared
+        cases = [
+            (prepared[i], prepared[j], candidates, self.threshold((i, j)))
+            for (i, j), candidates in zip(pairs, found, strict=True)
+        ]
+        return dict(zip(pairs, opinions(cases), strict=True))
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""

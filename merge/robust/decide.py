@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
@@ -39,8 +39,8 @@ def decide(
     1. Every map is prepared, and matched with itself: how much does the building repeat itself?
     2. Every pair with a chance is matched: candidate alignments with evidence against chance and
        for sameness.
-    3. Each pair by itself is merged, ambiguous or unrelated; "merged" must fit better than its
-       mirror image.
+    3. Each pair by itself is merged, ambiguous or unrelated; "merged" must lead every rival
+       placement and the mirror image.
     4. Merged pairs are joined, strongest first, locks honoured, cycles checked.
     5. The merged maps of components are matched again: evidence adds up over their runs, and fewer
        pairs are left that may be merged wrongly. They, too, must fit better than their mirror
@@ -168,6 +168,8 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
     kept = batch.known_seconded({pair: n for pair, n in second.items() if pair in held})
     held = {pair: v for pair, v in held.items() if pair not in second} | kept
     again = batch.views([pair for pair in pairs if pair not in held])
+    likely = {pair: view for pair, (view, _) in again.items() if pair in batch.joins}
+    views = batch.opinions | batch.beside_rivals(likely)
     fresh = {}
     for pair in pairs:
         if pair in held:
@@ -175,13 +177,10 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
             continue
         i, j = pair
         view, candidates = again[pair]
-        known = batch.opinions.get(pair)
-        if known is not None:
-            view = _as_known(view, known)
         case = Case(
             prepared[i],
             prepared[j],
-            view,
+            views.get(pair, view),
             forced=said.forced.get(pair),
             lock=said.locked.get(pair),
             refused=said.refused.get(pair),
@@ -194,8 +193,3 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
             fresh[pair] = told
         yield told
     batch.keep_seconded(fresh, second)
-
-
-def _as_known(view: Opinion, known: Opinion) -> Opinion:
-    """What two maps say again, with what their mirror images and a person had to add."""
-    return replace(view, verdict=known.verdict, why=known.why, discarded=known.discarded)

@@ -133,7 +133,8 @@ class MergedMaps:
             return ()
         found = None if data is None else from_bytes(data, one.extent, two.extent)
         if found is None:
-            found = in_short(match(one.prepared, two.prepared, settings), settings).candidates
+            every = match(one.prepared, two.prepared, settings, rivals=True)
+            found = in_short(every, settings).candidates
             self._keep(Kind.PAIR, one, two, to_bytes(found))
         return found
 

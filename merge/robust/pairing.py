@@ -165,6 +165,10 @@ class Pairwise:
         """What it found, in full; nothing where that is all that chance would not offer."""
         return self._all(Kind.PAIR, wanted, self._candidates)
 
+    def beside_rivals(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
+        """The same with all other hypotheses beyond chance."""
+        return self._all(Kind.RIVALS, wanted, self._candidates, said=True)
+
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
         """Matches of every map with other parts of itself."""
         rows = np.arange(len(self.maps)).repeat(2).reshape(-1, 2)

@@ -183,7 +183,7 @@ def view_of_components(
     accepted: the alignments by which each was joined."""
     merged = MergedMaps(maps)
     one, two = (merged.of(runs, accepted) for runs in sides)
-    candidates = match(one.prepared, two.prepared, settings)
+    candidates = match(one.prepared, two.prepared, settings, rivals=True)
     return one, two, opinion(one.prepared, two.prepared, candidates, threshold)
 
 

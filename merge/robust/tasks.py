@@ -138,7 +138,8 @@ def match_task(task: MatchTask, ready: Ready) -> Pack:
         return out.pack()
     image = task.kind is Kind.IMAGE
     both = ((ready(a, False), ready(b, image)) for a, b in pairs)
-    for pair, found in zip(pairs, match_all(both, task.settings), strict=True):
+    every = match_all(both, task.settings, rivals=task.kind is Kind.RIVALS)
+    for pair, found in zip(pairs, every, strict=True):
         kept = in_short(found, task.settings)
         if image:
             kept = Found(faint=Faint(len(found[0]), found[0].bits) if found else None)

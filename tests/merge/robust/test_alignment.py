@@ -69,7 +69,8 @@ def test_evidence_pays_for_the_links_it_was_chosen_from_and_for_contradictions(d
 def test_where_copies_abound_those_of_fewer_corridors_are_rivals(drawn):
     """One row off more corridors lie over each other than where the aisle ends as it does."""
     (here, ours), (there, theirs) = (rows_of_a_field(r, 6) for r in (range(9), range(4, 14)))
-    found = match(prepare(drawn("a", here, ours)), prepare(drawn("b", there, theirs)), SETTINGS)
+    a, b = prepare(drawn("a", here, ours)), prepare(drawn("b", there, theirs))
+    found = match(a, b, SETTINGS, rivals=True)
     right = [not (np.array(here)[c.a] - np.array(there)[c.b]).any() for c in found]
     (at,) = np.flatnonzero(right)
     assert found[at].rival
