@@ -21,6 +21,7 @@ from .foxglove import (
     protobuf_time,
     sequence,
     stamp_of,
+    unit_quaternion,
 )
 from .messages import DamageError, text
 from .wire import WireParser
@@ -189,10 +190,9 @@ def _placed(
     if pose is not None and any(pose):
         if not np.isfinite(pose).all():
             raise DamageError("a pose holds numbers that are not finite")
-        x, y, z, w = pose[3:] if any(pose[3:]) else (0.0, 0.0, 0.0, 1.0)
+        x, y, z, w = unit_quaternion(pose[3:])
         # v + 2 w (u × v) + 2 u × (u × v), u the vector part of the unit quaternion.
-        length = float(np.sqrt(x * x + y * y + z * z + w * w))
-        u, w = np.array([x, y, z]) / length, w / length
+        u = np.array([x, y, z])
         with np.errstate(invalid="ignore", over="ignore"):
             aside = np.cross(u, xyz)
             xyz = xyz + 2 * (w * aside + np.cross(u, aside)) + np.array(pose[:3])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Iterator
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,19 @@ def protobuf_pose(raw: bytes) -> tuple[float, ...]:
     """The seven numbers of a foxglove.Pose; raises DamageError."""
     parts = {n: v for n, v in protobuf_fields(raw) if isinstance(v, bytes)}
     return _doubles(parts.get(1, b""), 3) + _doubles(parts.get(2, b""), 4)
+
+
+def unit_quaternion(turn: tuple[float, ...]) -> tuple[float, ...]:
+    """x, y, z, w of a pose at unit length; zeros, as protobuf leaves them out, are no turn.
+
+    Raises DamageError where they are no recorded orientation: a million times off unit length.
+    """
+    if not any(turn):
+        return 0.0, 0.0, 0.0, 1.0
+    length = hypot(*turn)
+    if not 1e-6 < length < 1e6:
+        raise DamageError("a pose holds a quaternion of implausible length")
+    return tuple(q / length for q in turn)
 
 
 def _doubles(raw: bytes, count: int) -> tuple[float, ...]:

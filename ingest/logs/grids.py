@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.errors import LogError
 from ...topology.run import Grid
 from ...topology.se2 import yaw_from_quaternion
-from .foxglove import as_text, get, integer, load_json, real, vector
+from .foxglove import as_text, get, integer, load_json, real, unit_quaternion, vector
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import Channel, DamageError, Findings
 from .recording import Recording, opened
@@ -105,8 +105,7 @@ def _checked(
     height, width = shape
     if data.ndim != 1 or min(shape) < 0 or len(data) != width * height:
         raise DamageError(f"a grid of {width} x {height} cells holds {data.size} numbers")
-    turn = pose[3:] if any(pose[3:]) else (0.0, 0.0, 0.0, 1.0)
-    yaw = float(yaw_from_quaternion(*(np.float64(q) for q in turn)))
+    yaw = float(yaw_from_quaternion(*unit_quaternion(pose[3:])))
     cells = data.reshape(height, width)
     free = (cells >= 0) & (cells < FREE)
     known_frame = frame.lstrip("/") or "map"

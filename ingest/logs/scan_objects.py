@@ -17,6 +17,7 @@ from .foxglove import (
     protobuf_time,
     real,
     stamp_of,
+    unit_quaternion,
 )
 from .messages import Bytes, DamageError, Ints, text
 from .one_by_one import OneByOne
@@ -103,9 +104,7 @@ def _in_plane(pose: tuple[float, ...]) -> tuple[float, float, float]:
     x, y, _, *turn = pose
     if not np.isfinite(pose).all():
         raise DamageError("a pose holds numbers that are not finite")
-    if not any(turn):
-        return x, y, 0.0
-    return x, y, float(yaw_from_quaternion(*(np.array(q) for q in turn)))
+    return x, y, float(yaw_from_quaternion(*unit_quaternion(tuple(turn))))
 
 
 def _between(

@@ -14,6 +14,9 @@ from ..logs.scan_rows import Geometry, RawScans
 
 FloatArray = NDArray[np.float64]
 
+FARTHEST_M = 1000.0
+"""Ranges beyond that are broken numbers: the longest scanners measure some hundred metres."""
+
 BEAMS = 360
 """Directions of a slice, 1 degree each: as coarse as the beams of the laser scanners in use."""
 
@@ -80,7 +83,7 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
     low, high = settings.band(float(place[2]))
     for first in range(0, len(cloud.xyz), PIECE):
         xyz = cloud.xyz[first : first + PIECE]
-        xyz = level.apply(xyz[np.isfinite(xyz).all(axis=1)])
+        xyz = level.apply(xyz[(np.abs(xyz) < FARTHEST_M).all(axis=1)])
         height = xyz[:, 2] + place[2]
         x, y = xyz[(height >= low) & (height <= high), :2].T
         way = np.hypot(x, y)

@@ -18,14 +18,11 @@ from ..logs.recording import Recording, opened, sniff
 from ..logs.scan_intake import ScanIntake, TimedScans
 from ..logs.scan_rows import Geometry, RawScans
 from .scan import ScanBatch
-from .slicing import DEFAULT_SLICES, SliceSettings, sliced
+from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Stamp = Literal["begin", "middle", "end"]
-
-FARTHEST_M = 1000.0
-"""Ranges beyond that are broken numbers: the longest scanners measure some hundred metres."""
 
 MOST_FREE_M = 50.0
 """As far as a beam without an echo is believed to be free."""
