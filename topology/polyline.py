@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 def simplify(path: FloatArray, tolerance: float) -> FloatArray:
@@ -62,22 +63,42 @@ def loop_erased(path: FloatArray, near_m: float) -> FloatArray:
     of an earlier point, what lies between the two is left out.
 
     Coming back takes three times `near_m` of way at least: a tight bend is none. The way out and
-    the last way back count. O(k log k + pairs of points so near to each other).
+    the last way back count. O(k log k), however often the path comes back.
     """
     from scipy.spatial import cKDTree
 
-    way = way_of(path)
-    pairs = cKDTree(path).query_pairs(near_m, output_type="ndarray")
-    pairs = pairs[way[pairs[:, 1]] - way[pairs[:, 0]] > 3 * near_m]
-    if len(pairs) == 0:
+    if len(path) < 2:
         return path
-    back = np.arange(len(path))
-    np.maximum.at(back, pairs[:, 0], pairs[:, 1])
+    way = way_of(path)
+    may_come_back = way[_last_about(path, near_m)] - way > 3 * near_m
+    if not may_come_back.any():
+        return path
+    tree = cKDTree(path)
     kept, k = [], 0
     while k < len(path):
         kept.append(k)
-        k = int(back[k]) if back[k] > k else k + 1
-    return path[kept]
+        near = np.array(tree.query_ball_point(path[k], near_m) if may_come_back[k] else [k])
+        back = int(near[way[near] - way[k] > 3 * near_m].max(initial=k))
+        k = back if back > k else k + 1
+    return path if len(kept) == len(path) else path[kept]
+
+
+def _last_about(path: FloatArray, near_m: float) -> IntArray:
+    """(k,) row of a point than which none within `near_m` comes later: the last one in the squares
+    of this size about each."""
+    x, y = np.floor((path - path.min(axis=0)) / near_m).astype(np.int64).T
+    width = int(y.max()) + 3
+    square = x * width + y
+    last = dict(zip(square.tolist(), range(len(path)), strict=True))
+    keys = np.array(sorted(last))
+    rows = np.array([last[key] for key in keys.tolist()])
+    out = np.arange(len(path))
+    for aside in (-width, 0, width):
+        for step in (-1, 0, 1):
+            wanted = square + aside + step
+            at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            out = np.maximum(out, np.where(keys[at] == wanted, rows[at], 0))
+    return out
 
 
 def loop_width(path: FloatArray) -> float:

@@ -81,3 +81,26 @@ def test_a_loop_is_as_wide_as_what_it_goes_round() -> None:
     there_and_back = walked((0, 0), (6, 0), (6, 0.2), (0, 0.2), (0, 0))
     assert loop_width(ring) == pytest.approx(2 * 40 / 28, abs=0.1)
     assert loop_width(there_and_back) < 0.25
+
+
+def test_of_ways_back_to_many_earlier_points_the_last_counts():
+    """As by all pairs of points, on wandering paths that cross themselves again and again."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        turn = np.cumsum(rng.normal(0, rng.choice([0.1, 0.3, 1.0]), 300))
+        path = np.cumsum(0.1 * np.column_stack([np.cos(turn), np.sin(turn)]), axis=0)
+        way = way_of(path)
+        off = np.hypot(*(path[:, None] - path).transpose(2, 0, 1))
+        comes_back = (off <= 0.5) & (way - way[:, None] > 1.5)
+        kept, k = [], 0
+        while k < len(path):
+            kept.append(k)
+            k = int(np.flatnonzero(comes_back[k])[-1]) if comes_back[k].any() else k + 1
+        assert loop_erased(path, 0.5).tolist() == path[kept].tolist()
+
+
+def test_hours_of_circling_on_the_spot_are_left_out_at_once():
+    turn = np.linspace(0.0, 2e4 * np.pi, 200_000)
+    circles = 0.4 * np.column_stack([np.cos(turn), np.sin(turn)])
+    path = np.concatenate([[[-5.0, 0.0]], circles, [[5.0, 0.0]]])
+    assert len(loop_erased(path, 0.5)) < 50
