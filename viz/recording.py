@@ -55,8 +55,8 @@ class Recording:
     """A recording being written: paths are given in parts, so that any run name may stand in one.
 
     Nothing is stamped with the time of writing, and chunks end only where the recording does: the
-    same results give the same content in the same order, by `rerun rrd compare`. The bytes differ:
-    rerun gives rows, chunks and blueprints ids of its own.
+    same results give the same content, by `rerun rrd compare --unordered`. The bytes differ: rerun
+    gives rows, chunks and blueprints ids of its own, and orders the chunks of large recordings.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:

@@ -170,7 +170,7 @@ def test_rerun_finds_no_difference_however_long_it_took_to_write(
     tmp_path: Path, make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def differ(one: str, other: str) -> bool:
-        command = [sys.executable, "-m", "rerun", "rrd", "compare", one, other]
+        command = [sys.executable, "-m", "rerun", "rrd", "compare", "--unordered", one, other]
         return (
             subprocess.run(command, capture_output=True, check=False, cwd=tmp_path).returncode != 0
         )
