@@ -184,7 +184,7 @@ def _plan(
             planned.append(IngestOutcome(path, path.name, "failed", text))
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
-    names: dict[str, LogPath] = {}
+    named: dict[str, dict[LogPath, LogPath]] = {}
     for log in logs:
         try:
             run = checked_run_name(name if name is not None else run_name(log))
@@ -193,17 +193,20 @@ def _plan(
             text = f"{log}: {error}; give it another by --name"
             planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))
             continue
-        if run in names and names[run].resolve() == log.resolve():
-            continue  # the same log by another way
-        if run in names:
-            raise UsageError(
-                f"{names[run]} and {log} would both become run {run!r}; "
+        named.setdefault(run, {}).setdefault(log.resolve(), log)  # or the same by another way
+    for run, of_it in named.items():
+        first, *others = of_it.values()
+        for log, other in zip(of_it.values(), [*others, first] if others else [], strict=False):
+            text = (
+                f"{log}: {other} would become run {run!r} as well; "
                 "rename one, or ingest it alone with --name"
             )
-        names[run] = log
+            planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))
+        if others:
+            continue
         planned.append(
             IngestJob(
-                log=log,
+                log=first,
                 run=run,
                 place=place,
                 read=read,

@@ -212,15 +212,22 @@ def test_a_truncated_log_is_salvaged_and_said(topobatch, logs, tmp_path):
     assert topobatch("ingest", log, "-w", tmp_path / "ws", "--strict").code == 1
 
 
-def test_two_logs_of_one_name(topobatch, logs, tmp_path):
+def test_logs_of_one_name_cost_no_other(topobatch, logs, tmp_path):
     (tmp_path / "a").mkdir()
     shutil.copy(logs["mcap"], tmp_path / "a" / "run.mcap")
     shutil.copy(logs["other"], tmp_path / "run.mcap")
     call = ("ingest", tmp_path, "-w", tmp_path / "ws")
-    error = topobatch(*call).error(2)
-    assert "'run'" in error
-    assert "--name" in error
+    alone = topobatch(*call)
+    assert alone.code == 2
     assert not (tmp_path / "ws").exists()
+    shutil.copy(logs["other"], tmp_path / "sound.mcap")
+    beside = topobatch(*call)
+    assert beside.code == 2
+    assert [p.name for p in (tmp_path / "ws" / "maps").glob("*.json")] == ["sound.json"]
+    for done in (alone, beside):
+        told = [line for line in done.err.splitlines() if "would become run 'run' as well" in line]
+        assert len(told) == 2
+        assert all("--name" in line for line in told)
 
 
 def test_a_run_of_another_log_is_not_overwritten(topobatch, logs, tmp_path):
