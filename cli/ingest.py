@@ -193,7 +193,7 @@ def _plan(
             text = f"{log}: {error}; give it another by --name"
             planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))
             continue
-        named.setdefault(run, {}).setdefault(log.resolve(), log)  # or the same by another way
+        named.setdefault(run, {}).setdefault(_at(log), log)  # or the same by another way
     for run, of_it in named.items():
         first, *others = of_it.values()
         for log, other in zip(of_it.values(), [*others, first] if others else [], strict=False):
@@ -215,6 +215,14 @@ def _plan(
             )
         )
     return planned
+
+
+def _at(log: LogPath) -> LogPath:
+    """Where a log is, whatever links lead there."""
+    try:
+        return log.resolve()
+    except (OSError, RuntimeError):  # links in a circle, of which reading will tell
+        return log
 
 
 def _workers(asked: int, logs: int, total_bytes: int) -> int:

@@ -221,8 +221,10 @@ def test_logs_of_one_name_cost_no_other(topobatch, logs, tmp_path):
     assert alone.code == 2
     assert not (tmp_path / "ws").exists()
     shutil.copy(logs["other"], tmp_path / "sound.mcap")
+    (tmp_path / "circle.mcap").symlink_to("circle.mcap")
     beside = topobatch(*call)
-    assert beside.code == 2
+    assert beside.code == 1
+    assert "circle.mcap" in beside.err
     assert [p.name for p in (tmp_path / "ws" / "maps").glob("*.json")] == ["sound.json"]
     for done in (alone, beside):
         told = [line for line in done.err.splitlines() if "would become run 'run' as well" in line]
