@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -44,36 +45,30 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     frames = set().union(*(laser.frames for laser in lasers))
     recorded = way.recorded if way else None
 
-    def yaw_of(frame: str) -> MountYaw | None:
-        if recorded is None or first.frames != {frame}:
-            return None
-        unturned = ScanStream(
+    def scans_of(
+        laser: _First, mounts: Mounting, on_bytes: Callable[[int], None] | None = None
+    ) -> ScanStream:
+        return ScanStream(
             read.recording,
-            first.topic,
-            ANYWHERE,
+            laser.topic,
+            mounts,
             clock=clock,
             stamp=read.settings.scan_stamp,
             slices=read.settings.slices,
+            on_bytes=on_bytes,
         )
-        return mount_yaw(recorded, unturned)
+
+    def yaw_of(frame: str) -> MountYaw | None:
+        if recorded is None or first.frames != {frame}:
+            return None
+        return mount_yaw(recorded, scans_of(first, ANYWHERE))
 
     mounts, told = mounting(read.recording, frames, recorded, read.settings, yaw_of)
     warnings += [*(way.warnings if way else ()), *told]
     used = [laser for laser in lasers if laser is first or laser.frames <= set(mounts.known)]
+    # Every laser's stream walks through all of the log: one tells how far it is.
     stream = InterleavedScans(
-        [
-            ScanStream(
-                read.recording,
-                laser.topic,
-                mounts,
-                clock=clock,
-                stamp=read.settings.scan_stamp,
-                slices=read.settings.slices,
-                # Every laser's stream walks through all of the log.
-                on_bytes=read.progress if laser is first else None,
-            )
-            for laser in used
-        ]
+        [scans_of(laser, mounts, read.progress if laser is first else None) for laser in used]
     )
     try:
         found = detect(way.odometry if way else None, stream)
