@@ -143,15 +143,12 @@ class Batch:
     def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Opinion, tuple[Candidate, ...]]]:
         """What the two maps of each of some pairs say alone, but for mirror images, and the
         candidates that they say it by."""
-        prepared, found = self.matcher.prepared, self.found
-        candidates = self._candidates(pairs)
-        cases = [
-            (prepared[i], prepared[j], candidates.get((i, j), ()), self.threshold((i, j)))
-            for i, j in pairs
-        ]
+        known = self._candidates(pairs)
+        candidates = [known.get(pair, ()) for pair in pairs]
         out = {}
-        for pair, (_, _, told, _), view in zip(pairs, cases, opinions(cases), strict=True):
-            faint = found[pair].faint
+        views = self._opinions(pairs, candidates)
+        for pair, told, view in zip(pairs, candidates, views, strict=True):
+            faint = self.found[pair].faint
             out[pair] = (view if faint is None else replace(view, faint=faint)), told
         return out
 
@@ -160,12 +157,17 @@ class Batch:
         chance were looked at."""
         pairs = [pair for pair, view in views.items() if view.verdict is Verdict.MERGED]
         found = self.matcher.beside_rivals(np.array(pairs, np.int64).reshape(-1, 2))
+        return dict(zip(pairs, self._opinions(pairs, found), strict=True))
+
+    def _opinions(
+        self, pairs: Sequence[Pair], candidates: Sequence[tuple[Candidate, ...]]
+    ) -> list[Opinion]:
+        """What the two maps of each pair say by these candidates."""
         prepared = self.matcher.prepared
-        cases = [
-            (prepared[i], prepared[j], candidates, self.threshold((i, j)))
-            for (i, j), candidates in zip(pairs, found, strict=True)
-        ]
-        return dict(zip(pairs, opinions(cases), strict=True))
+        told = zip(pairs, candidates, strict=True)
+        return opinions(
+            [(prepared[i], prepared[j], c, self.threshold((i, j))) for (i, j), c in told]
+        )
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""
