@@ -29,7 +29,7 @@ from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
 from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import true_vertex_of_passes
 from topobatch.topology.closure import candidates, growth, incremental, joint_compatibility
-from topobatch.topology.closure.dead_reckoning import Walk
+from topobatch.topology.closure.dead_reckoning import DeadReckoning
 from topobatch.topology.closure.incremental import RoundSettings, full_closure
 from topobatch.topology.closure.missed_detections import DrivenBySettings, correct_detections
 from topobatch.topology.odometry import Odometry
@@ -62,7 +62,7 @@ OUT = {
     "growth: discount": {"candidates.growth.discount": 1.0},
     "growth: known gaps": {"candidates.growth.line_m": 0.0},
     "measured rates": {"rates.prior_passes": ALWAYS},
-    "grid kernel": {"layout.grid_kernel": ALWAYS},
+    "grid kernel": {"estimate.grid_kernel": ALWAYS},
     "phantoms": {"driven_by.least_odds": ALWAYS},
     "phantoms: straight": {"driven_by.straight_gain": 0.0},
     "phantoms: least miss rate": {"driven_by.least_miss_rate": 1e-6},
@@ -71,13 +71,13 @@ OUT = {
 """Mechanisms, and what takes each out: fields of RoundSettings (`driven_by`: DrivenBySettings)."""
 
 
-def _no_growth(scene, a, *args):
+def _no_growth(state, a, *args):
     """What corridors around tell, if nobody looks at them."""
     return growth.Support(np.zeros(len(a)), np.zeros(len(a)), np.zeros(len(a), np.int64))
 
 
-def _one_hop(scene, a, b, aligned, settings):
-    return growth.grow(scene, a, b, aligned, replace(settings, hops=1))
+def _one_hop(state, a, b, aligned, settings):
+    return growth.grow(state, a, b, aligned, replace(settings, hops=1))
 
 
 REPLACED = {
@@ -96,19 +96,19 @@ REPLACED = {
 
 
 class Case(NamedTuple):
-    """A walk, and the true junction of each of its passes (p,), negative for none."""
+    """Dead reckoning, and the true junction of each of its passes (p,), negative for none."""
 
     kind: str
-    walk: Walk
+    reckoning: DeadReckoning
     odometry: Odometry
     truth: np.ndarray
 
 
 def case(kind, truth, run):
-    """The walk that `build_map` closes."""
-    odometry, walk, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
-    times = walk.passes.time_ns
-    return Case(kind, walk, odometry, true_vertex_of_passes(truth, run.name, times))
+    """Dead reckoning that `build_map` closes."""
+    odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    times = reckoning.passes.time_ns
+    return Case(kind, reckoning, odometry, true_vertex_of_passes(truth, run.name, times))
 
 
 def cases(worlds, seeds, first, junctions, real):
@@ -155,12 +155,14 @@ def replaced(name):
 
 def closed(one, rounds, driven_by):
     """(p,) place of every pass, negative for phantoms."""
-    found = full_closure(one.walk, rounds)
-    return correct_detections(found.walk, one.odometry, found.place, found.layout, driven_by).place
+    found = full_closure(one.reckoning, rounds)
+    return correct_detections(
+        found.reckoning, one.odometry, found.place, found.estimate, driven_by
+    ).place
 
 
 def judged(one, place):
-    """Counts of one closed walk."""
+    """Counts of one closed run."""
     real = (one.truth >= 0) & (place >= 0)
     homes = Counter(zip(one.truth[real].tolist(), place[real].tolist(), strict=True))
     most = {p: max(k for (_, q), k in homes.items() if q == p) for _, p in homes}

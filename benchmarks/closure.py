@@ -41,7 +41,7 @@ from topobatch.simulation import (
     true_vertex_of_passes,
 )
 from topobatch.simulation.drift import DRIFTS
-from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.incremental import full_closure
 from topobatch.topology.closure.missed_detections import correct_detections
 from topobatch.topology.se2 import apply, between, compose, fit_rigid
@@ -373,10 +373,10 @@ def growth(first):
         passes = fuse_passes(odometry, run.detections)
         noise = estimate_noise(odometry, run.detections, passes)
         clock.append(time.process_time())
-        walk = make_walk(odometry, passes, noise)
-        closed = full_closure(walk)
+        reckoning = dead_reckoning(odometry, passes, noise)
+        closed = full_closure(reckoning)
         clock.append(time.process_time())
-        corrected = correct_detections(walk, odometry, closed.place, closed.layout)
+        corrected = correct_detections(reckoning, odometry, closed.place, closed.estimate)
         clock.append(time.process_time())
         print(
             f"{len(passes):>7} {len(corrected.xy):>7} "

@@ -17,7 +17,7 @@ from paper import cpu_ms, pair_of_maps, right
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import PairCount, opinion, threshold_for
+from topobatch.merge.robust.verdict import PairCount, assess, threshold_for
 
 SIZES = (50, 126, 300, 800)
 CELL_M = 0.5
@@ -48,7 +48,7 @@ def hough(xy_a, xy_b):
 
 def verdict(a, b, threshold):
     """What `decide` does for one pair, preparation and self-match aside."""
-    return opinion(a, b, match(a, b, DEFAULT_ROBUST), threshold)
+    return assess(a, b, match(a, b, DEFAULT_ROBUST), threshold)
 
 
 def rows(pairs, overlap):

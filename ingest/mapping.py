@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors
-from ..topology.closure.dead_reckoning import SystematicErrors, Walk, make_walk
-from ..topology.closure.estimate import lay_out
+from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
+from ..topology.closure.estimate import optimise
 from ..topology.closure.incremental import (
     Closed,
     closure_without_grid,
@@ -67,31 +67,33 @@ def build_map_with_errors(
     """`build_map`, and how far off its vertices may be, together: what its sigmas come from."""
     step = on_step or (lambda name: None)
     source = pass_source(run, settings)
-    odometry, walk, calibration = dead_reckoned(run, source, settings, step)
+    odometry, reckoning, calibration = dead_reckoned(run, source, settings, step)
     step("loop closure")
     if len(odometry.jumps) and settings.closure == "full":
-        odometry, walk = _with_jumps_measured(odometry, walk, source, settings)
-    closed = _closed(walk, settings)
+        odometry, reckoning = _with_jumps_measured(odometry, reckoning, source, settings)
+    closed = _closed(reckoning, settings)
     step("map")
-    fit = fitted_noise(walk, odometry, closed.place, closed.layout, grid=closed.grid)
-    layout = set_apart(walk, closed.place, fit.layout)
+    fit = fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
+    estimate = set_apart(reckoning, closed.place, fit.estimate)
     corrected = correct_detections(
-        closed.walk,
+        closed.reckoning,
         odometry,
         closed.place,
-        layout,
+        estimate,
         settings.driven_by,
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
-    scale = refine_scale(odometry, run.detections, walk.passes, fit.walk.noise, settings.noise)
-    measured = replace(fit.walk, noise=replace(fit.walk.noise, scale=scale))
-    errors = place_errors(measured, fit.layout, closed.place, corrected.kept, fit.grid)
+    scale = refine_scale(
+        odometry, run.detections, reckoning.passes, fit.reckoning.noise, settings.noise
+    )
+    measured = replace(fit.reckoning, noise=replace(fit.reckoning.noise, scale=scale))
+    errors = place_errors(measured, fit.estimate, closed.place, corrected.kept, fit.grid)
 
     def refined(prior: RunNoise) -> RunNoise:
         return refine_noise(
-            walk.passes,
+            reckoning.passes,
             corrected.place,
-            layout.pose[:, 2],
+            estimate.pose[:, 2],
             prior,
             drive_bys=int(np.sum(~corrected.visits.seen)),
             settings=source.expected(),
@@ -100,19 +102,19 @@ def build_map_with_errors(
     topomap = build_topomap(
         run.name,
         odometry,
-        walk.passes,
+        reckoning.passes,
         xy=corrected.xy,
         visits=corrected.visits,
         pass_vertex=corrected.place,
         pass_fair=corrected.fair,
-        pass_turn=layout.pose[:, 2],
-        noise=refined(closed.walk.noise),
-        fitted_noise=refined(replace(measured.noise, branch_rad=walk.noise.branch_rad)),
+        pass_turn=estimate.pose[:, 2],
+        noise=refined(closed.reckoning.noise),
+        fitted_noise=refined(replace(measured.noise, branch_rad=reckoning.noise.branch_rad)),
         errors=errors,
-        closures=_closures(closed, corrected, walk.passes),
+        closures=_closures(closed, corrected, reckoning.passes),
         settings=settings.drawing,
     )
-    info = _info(run, settings, calibration, walk, odometry)
+    info = _info(run, settings, calibration, reckoning, odometry)
     return replace(topomap, info=info, shows_bends=source.shows_bends), errors
 
 
@@ -121,7 +123,7 @@ def dead_reckoned(
     source: PassSource,
     settings: MappingSettings = DEFAULT_MAPPING,
     step: Callable[[str], None] = lambda name: None,
-) -> tuple[Odometry, Walk, Calibration]:
+) -> tuple[Odometry, DeadReckoning, Calibration]:
     """The calibrated odometry of a run, and its passes with all that is known of their noise."""
     step("calibration")
     calibration = source.calibration()
@@ -134,30 +136,30 @@ def dead_reckoned(
     _require_motion(run, settings.passes.reach_m)
     step("noise")
     noise = source.noise(odometry, passes)
-    walk = make_walk(odometry, passes, noise, _systematic(calibration, settings))
-    return odometry, walk, calibration
+    reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))
+    return odometry, reckoning, calibration
 
 
 def _with_jumps_measured(
-    odometry: Odometry, walk: Walk, source: PassSource, settings: MappingSettings
-) -> tuple[Odometry, Walk]:
+    odometry: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
+) -> tuple[Odometry, DeadReckoning]:
     """Both, once the places seen before and after every jump told how far it went."""
 
-    def walk_of(track: Odometry) -> Walk:
-        return make_walk(track, source.passes(track), walk.noise, walk.systematic)
+    def reckoning_of(track: Odometry) -> DeadReckoning:
+        return dead_reckoning(track, source.passes(track), reckoning.noise, reckoning.systematic)
 
-    odometry = bridged(odometry, walk_of, lambda w: closure_without_grid(w, settings.rounds))
-    return odometry, walk_of(odometry)
+    odometry = bridged(odometry, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
+    return odometry, reckoning_of(odometry)
 
 
-def _closed(walk: Walk, settings: MappingSettings) -> Closed:
+def _closed(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:
     """The places of the passes, by as much of loop closure as is asked for."""
     if settings.closure == "full":
-        return full_closure(walk, settings.rounds)
+        return full_closure(reckoning, settings.rounds)
     if settings.closure == "gated":
-        return gated_closure(walk, settings.rounds)
-    place = np.arange(len(walk), dtype=np.int64)
-    return Closed(walk, place, lay_out(walk, place), asked=[], grid=None)
+        return gated_closure(reckoning, settings.rounds)
+    place = np.arange(len(reckoning), dtype=np.int64)
+    return Closed(reckoning, place, optimise(reckoning, place), asked=[], grid=None)
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
@@ -219,11 +221,11 @@ def _info(
     run: Run,
     settings: MappingSettings,
     calibration: Calibration,
-    walk: Walk,
+    reckoning: DeadReckoning,
     odometry: Odometry,
 ) -> dict[str, Any]:
     """What the document says about the making of the map."""
-    pieces = len(np.unique(walk.chain))
+    pieces = len(np.unique(reckoning.chain))
     return {
         "source": dict(run.source),
         "settings": asdict(settings),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...topology.closure.dead_reckoning import Walk
-from ...topology.closure.estimate import Layout
+from ...topology.closure.dead_reckoning import DeadReckoning
+from ...topology.closure.estimate import Estimate
 from ...topology.closure.incremental import Closed
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, compose, inverse, wrap
@@ -31,28 +31,28 @@ LEAST_PLACES = 2
 
 def bridged(
     odometry: Odometry,
-    walk_of: Callable[[Odometry], Walk],
-    close: Callable[[Walk], Closed],
+    reckoning_of: Callable[[Odometry], DeadReckoning],
+    close: Callable[[DeadReckoning], Closed],
 ) -> Odometry:
     """The odometry with every jump of known size, or broken there.
 
-    walk_of: the passes of an odometry; close: identifies them, without a grid of the building,
+    reckoning_of: the passes of an odometry; close: identifies them, without a grid of the building,
     whose right angles fit every quarter turn. A jump that is small beside what tells places and
     branches apart is left as it is, with its uncertainty. A larger one is measured, once as if the
     robot had driven on and once as if it had gone where the odometry says (`Odometry.jump_other`):
     places seen on both sides tell the step. If they do not, or say this in one case and that in the
     other, the chain is broken. Closes the loops twice, if there are such jumps.
     """
-    walk = walk_of(odometry)
-    leg = _legs(odometry, walk)
-    open_ = _unclear(odometry, walk, leg)
+    reckoning = reckoning_of(odometry)
+    leg = _legs(odometry, reckoning)
+    open_ = _unclear(odometry, reckoning, leg)
     if not open_.any():
         return odometry
     # Between the two cases lies the whole jump: each answers for half of it (1 sigma).
     sigma = np.where(open_[:, None], 0.5 * odometry.jump_sigma, odometry.jump_sigma)
     driven_on = replace(odometry, jump_sigma=sigma)
     moved = _driven(driven_on, open_, odometry.jump_other[open_])
-    found = [_steps(case, walk_of, close, open_) for case in (driven_on, moved)]
+    found = [_steps(case, reckoning_of, close, open_) for case in (driven_on, moved)]
     told = {row: step for row in {*found[0], *found[1]} if (step := _agreed(found, row))}
     rows = np.array(sorted(told), np.int64)
     known = np.isin(odometry.jumps, rows) if len(rows) else np.zeros(len(open_), bool)
@@ -61,7 +61,7 @@ def bridged(
     # What the closure says is believed only as far as it takes to go on: the identifications that
     # it stands on are made again.
     same_leg = np.isin(leg, leg[known])
-    clear = np.minimum(odometry.jump_sigma, [_clear_m(walk), CLEAR_RAD])
+    clear = np.minimum(odometry.jump_sigma, [_clear_m(reckoning), CLEAR_RAD])
     sigma = np.where(same_leg[:, None], clear, odometry.jump_sigma)
     breaks = np.union1d(odometry.breaks, odometry.jumps[open_ & ~same_leg])
     return replace(bridged, jump_sigma=sigma, breaks=breaks)
@@ -105,22 +105,24 @@ def _split(odometry: Odometry) -> Bools:
     return np.isin(odometry.jumps, odometry.breaks)
 
 
-def _legs(odometry: Odometry, walk: Walk) -> IntArray:
+def _legs(odometry: Odometry, reckoning: DeadReckoning) -> IntArray:
     """(j,) the leg that each jump falls in: from that pass to the next; -1 if there is none."""
-    leg = np.searchsorted(walk.passes.time_ns, odometry.time_ns[odometry.jumps]) - 1
-    inside = (leg >= 0) & (leg < len(walk) - 1)
-    inside &= np.append(np.diff(walk.chain) == 0, False)[leg]
+    leg = np.searchsorted(reckoning.passes.time_ns, odometry.time_ns[odometry.jumps]) - 1
+    inside = (leg >= 0) & (leg < len(reckoning) - 1)
+    inside &= np.append(np.diff(reckoning.chain) == 0, False)[leg]
     return np.where(inside, leg, -1)
 
 
-def _unclear(odometry: Odometry, walk: Walk, leg: IntArray) -> Bools:
+def _unclear(odometry: Odometry, reckoning: DeadReckoning, leg: IntArray) -> Bools:
     """(j,) jumps beyond which places may be taken for others."""
     sigma = odometry.jump_sigma
-    return np.asarray((leg >= 0) & ((sigma[:, 0] > _clear_m(walk)) | (sigma[:, 1] > CLEAR_RAD)))
+    return np.asarray(
+        (leg >= 0) & ((sigma[:, 0] > _clear_m(reckoning)) | (sigma[:, 1] > CLEAR_RAD))
+    )
 
 
-def _clear_m(walk: Walk) -> float:
-    known = walk.leg[np.isfinite(walk.leg)]
+def _clear_m(reckoning: DeadReckoning) -> float:
+    known = reckoning.leg[np.isfinite(reckoning.leg)]
     return CLEAR_LEGS * float(np.median(known)) if len(known) else 0.0
 
 
@@ -142,25 +144,26 @@ class _Step:
 
 def _steps(
     case: Odometry,
-    walk_of: Callable[[Odometry], Walk],
-    close: Callable[[Walk], Closed],
+    reckoning_of: Callable[[Odometry], DeadReckoning],
+    close: Callable[[DeadReckoning], Closed],
     open_: Bools,
 ) -> dict[int, _Step]:
     """What places tell of the open jumps, by row: of the first one in every leg."""
-    walk = walk_of(case)
-    leg = _legs(case, walk)
-    closed = close(walk)
-    clear = np.array([_clear_m(walk), CLEAR_RAD])
+    reckoning = reckoning_of(case)
+    leg = _legs(case, reckoning)
+    closed = close(reckoning)
+    clear = np.array([_clear_m(reckoning), CLEAR_RAD])
     out = {}
     legs = np.unique(leg[open_ & (leg >= 0)])
-    cov = closed.layout.relative_covariance(legs, legs + 1)
+    cov = closed.estimate.relative_covariance(legs, legs + 1)
     for k, c in zip(legs.tolist(), cov, strict=True):
         jump = int(np.flatnonzero(leg == k)[0])
         row = int(case.jumps[jump])
         sigma = np.sqrt(np.array([0.5 * (c[0, 0] + c[1, 1]), c[2, 2]]))
         places = _shared(closed.place, k)
         T_before_after = compose(
-            inverse(_frame(walk, closed.layout, k)), _frame(walk, closed.layout, k + 1)
+            inverse(_frame(reckoning, closed.estimate, k)),
+            _frame(reckoning, closed.estimate, k + 1),
         )
         moved = between(case.pose[row - 1], compose(T_before_after, case.pose[row]))
         found = _Step(moved, sigma, places)
@@ -185,10 +188,10 @@ def _shared(place: IntArray, leg: int) -> int:
     return len(np.intersect1d(place[: leg + 1], place[leg + 1 :]))
 
 
-def _frame(walk: Walk, layout: Layout, i: int) -> FloatArray:
+def _frame(reckoning: DeadReckoning, estimate: Estimate, i: int) -> FloatArray:
     """T_map_odom as pass i sees it."""
-    x, y = walk.passes.centre[i]
-    return compose(layout.pose[i], [-x, -y, 0.0])
+    x, y = reckoning.passes.centre[i]
+    return compose(estimate.pose[i], [-x, -y, 0.0])
 
 
 def _driven(odometry: Odometry, chosen: Bools, step: FloatArray) -> Odometry:

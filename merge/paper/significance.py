@@ -115,10 +115,10 @@ def match_bits(
     reached = len(growth.nodes) - vertices
     agreed = growth.agreed.sum() - growth.agreed - reached + sum(x.agreed for x in alike)
     tested = growth.tested.sum() - growth.tested - reached + sum(x.tested for x in alike)
-    surprise = -np.log2((agreed + 1) / (tested + 2))
+    self_information = -np.log2((agreed + 1) / (tested + 2))
     starts = np.maximum(rest, share * max(x.links for x in alike)) + 1
-    beyond_chance = (vertices - 2) * surprise - np.log2(starts)
-    beyond_copies = (vertices - max(x.largest for x in alike)) * surprise
+    beyond_chance = (vertices - 2) * self_information - np.log2(starts)
+    beyond_copies = (vertices - max(x.largest for x in alike)) * self_information
     bits = np.minimum(beyond_chance, beyond_copies)
     if not growth.rectilinear:
         return np.asarray(bits)
@@ -131,7 +131,9 @@ def match_bits(
     # bdtrc(k, n, r) is the probability of more than k.
     chance = bdtrc(equal - 3, vertices - 2, max(x.equal for x in alike))
     of_equal = np.where(equal > 2, -np.log2(np.maximum(chance, 2.0**-64)), 0.0)
-    beyond_slides = across * surprise + branches_only * of_branches + of_equal - np.log2(starts)
+    beyond_slides = (
+        across * self_information + branches_only * of_branches + of_equal - np.log2(starts)
+    )
     return np.asarray(np.minimum(bits, beyond_slides))
 
 

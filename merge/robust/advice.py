@@ -11,17 +11,17 @@ from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from .alignment import Candidate
 from .prepare import IntArray, Prepared
-from .verdict import Opinion
+from .verdict import Assessment
 
 
-def advice(a: Prepared, b: Prepared, opinion: Opinion) -> str | None:
+def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
     """A sentence that names a corridor to drive: one that leaves a matched junction by a branch
     that both runs saw, and that only one of them drove.
 
     Preferred are corridors at junctions that the runner-up matches with another one, for they can
     refute it. None without a placement.
     """
-    best = opinion.best
+    best = assessment.best
     if best is None:
         return None
     options = [
@@ -33,7 +33,7 @@ def advice(a: Prepared, b: Prepared, opinion: Opinion) -> str | None:
             f"record {a.run} or {b.run} again, further along the edge of what both have seen: "
             "every corridor they share has been driven by both"
         )
-    blind = _partners_of(opinion.runner_up)
+    blind = _partners_of(assessment.runner_up)
     known, length, end, other, vertex, known_vertex = max(
         options, key=lambda o: (_telling(o, blind, a), o[1], -o[4])
     )

@@ -17,7 +17,7 @@ from .pairing import Pair, Samples
 from .prepare import Prepared, prepare
 from .repetition import CopyModel, copy_model
 from .settings import MATCH, RobustSettings
-from .verdict import Opinion, PairCount, Threshold, opinion, threshold_for
+from .verdict import Assessment, PairCount, Threshold, assess, threshold_for
 
 
 def thresholds(
@@ -63,14 +63,14 @@ def _copied(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Assessment:
+class AssessedPair:
     """What two maps of a batch say by themselves, and what they must reach."""
 
     a: Prepared
     b: Prepared
     candidates: tuple[Candidate, ...]
     threshold: Threshold
-    view: Opinion
+    view: Assessment
 
     def alone(self) -> PairVerdict:
         """The verdict on the pair, were there no locks and no other runs to say more."""
@@ -81,23 +81,23 @@ class Assessment:
         return alignment_of(chosen, self.a, self.b, bits)
 
 
-def assess(
+def assess_pair(
     maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, count: PairCount
-) -> Assessment:
+) -> AssessedPair:
     """Steps 1 to 3 of `decide` for one pair of a batch of so many pairs; `maps` are those of the
     batch, sorted by run, `pair` two of their indices, i < j."""
     prepared = [prepare(m) for m in maps]
     i, j = pair
     threshold = thresholds(prepared, settings)(pair, count)
     found = match(prepared[i], prepared[j], settings)
-    view = opinion(prepared[i], prepared[j], found, threshold)
+    view = assess(prepared[i], prepared[j], found, threshold)
     if view.verdict is Verdict.MERGED:
         found = match(prepared[i], prepared[j], settings, rivals=True)
-        view = opinion(prepared[i], prepared[j], found, threshold)
+        view = assess(prepared[i], prepared[j], found, threshold)
 
     def image_bits(pairs: list[Pair]) -> dict[Pair, float]:
         best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}
         return {p: c[0].bits if c else -np.inf for p, c in best.items()}
 
     view = doubt_mirrored({pair: view}, image_bits)[pair]
-    return Assessment(prepared[i], prepared[j], found, threshold, view)
+    return AssessedPair(prepared[i], prepared[j], found, threshold, view)

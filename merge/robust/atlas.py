@@ -19,9 +19,9 @@ from .prepare import ComplexArray, FloatArray, IntArray, Prepared
 OF_VERTICES = (
     "z",
     "count",
-    "looks",
+    "observations",
     "fault_rate",
-    "traits",
+    "descriptor",
     "confidence",
     "near_m",
     "near_rarity",
@@ -29,7 +29,7 @@ OF_VERTICES = (
     "crossing_unit",
     "crossing_rarity",
 )
-OF_CORRIDORS = ("length", "sag", "variance", "traversals", "rarity")
+OF_CORRIDORS = ("length", "sagitta", "variance", "traversals", "rarity")
 OF_ROADS = ("road", "road_dir", "road_share", "road_end")
 """Arrays of `Prepared` that name no row: of vertices, directed corridors, points of corridors."""
 
@@ -105,7 +105,7 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
         "half": moved("half", vertex),
         "tail": tail,
         "head": head,
-        "twin": moved("twin", corridor),
+        "reverse": moved("reverse", corridor),
         "pair_key": tail[row] * len(joined["z"]) + head[row],
         "pair_row": row,
         "road_edge": moved("road_edge", corridor),
@@ -199,8 +199,8 @@ class Lanes:
         for k, (stop, number) in enumerate(zip(stops, self.of_a.tolist(), strict=True)):
             if stop > start:
                 topomap = self.a.maps[number]
-                sites = topomap.road_sites if roads else topomap.sites
-                gap[start:stop], index = sites.nearest(where[start:stop], bounds[k])
+                points = topomap.nearest_road if roads else topomap.nearest_junction
+                gap[start:stop], index = points.nearest(where[start:stop], bounds[k])
                 np.add(index, base[k], out=found[start:stop])
             start = stop
         return gap, found

@@ -21,7 +21,7 @@ from .prepare import FloatArray, IntArray
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
 from .tasks import in_tiles
-from .verdict import Opinion, PairCount, Threshold, needed_bits, opinions
+from .verdict import Assessment, PairCount, Threshold, assess_all, needed_bits
 
 
 @dataclass(eq=False)
@@ -29,18 +29,18 @@ class Batch:
     """What was found between the maps of a batch, and the verdicts on pairs by their two maps
     alone.
 
-    asked: pairs that a lock names. opinions: the full assessments of these, of discarded pairs, and
-    of pairs that would be merged but for a rival or a mirror image; joins: the verdicts on pairs
-    that are merged by themselves; alone: those on all other pairs, which are most of a large batch.
-    The latter are put into words at once (`worded`), and nothing else of them is held.
+    asked: pairs that a lock names. assessments: the full assessments of these, of discarded pairs,
+    and of pairs that would be merged but for a rival or a mirror image; joins: the verdicts on
+    pairs that are merged by themselves; alone: those on all other pairs, which are most of a large
+    batch. The latter are put into words at once (`worded`), and nothing else of them is held.
     """
 
     matcher: Pairwise
     threshold_of: Callable[[Sequence[int], PairCount], Threshold]
-    worded: Callable[[Pair, Opinion], PairVerdict]
+    worded: Callable[[Pair, Assessment], PairVerdict]
     asked: Collection[Pair] = ()
     found: dict[Pair, Told] = field(default_factory=dict)
-    opinions: dict[Pair, Opinion] = field(default_factory=dict)
+    assessments: dict[Pair, Assessment] = field(default_factory=dict)
     joins: dict[Pair, PairVerdict] = field(default_factory=dict)
     alone: dict[Pair, PairVerdict] = field(default_factory=dict)
     _count: dict[int, PairCount] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class Batch:
             if view.verdict is Verdict.MERGED and pair not in self.asked:
                 fresh[pair] = self.worded(pair, view)
             else:
-                self.opinions[pair] = view
+                self.assessments[pair] = view
         self._keep(fresh)
 
     def _hold(self, verdicts: Mapping[Pair, PairVerdict]) -> None:
@@ -108,7 +108,7 @@ class Batch:
         if self._kept:
             self._kept.keep(fresh)
 
-    def seconded(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
+    def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
         """Pairs of one component, one of whose candidates agrees with where other runs have put the
         two: the number of the first such candidate. Pairs without one are left out."""
         full = [pair for pair in pairs if self.found[pair].full and components.together(*pair)]
@@ -140,39 +140,39 @@ class Batch:
         rows = np.array(full, np.int64).reshape(-1, 2)
         return dict(zip(full, self.matcher.candidates(rows), strict=True))
 
-    def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Opinion, tuple[Candidate, ...]]]:
+    def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Assessment, tuple[Candidate, ...]]]:
         """What the two maps of each of some pairs say alone, but for mirror images, and the
         candidates that they say it by."""
         known = self._candidates(pairs)
         candidates = [known.get(pair, ()) for pair in pairs]
         out = {}
-        views = self._opinions(pairs, candidates)
+        views = self._assessments(pairs, candidates)
         for pair, told, view in zip(pairs, candidates, views, strict=True):
             faint = self.found[pair].faint
             out[pair] = (view if faint is None else replace(view, faint=faint)), told
         return out
 
-    def beside_rivals(self, views: Mapping[Pair, Opinion]) -> dict[Pair, Opinion]:
+    def beside_rivals(self, views: Mapping[Pair, Assessment]) -> dict[Pair, Assessment]:
         """What the two maps say alone of the pairs that would be merged, once all hypotheses beyond
         chance were looked at."""
         pairs = [pair for pair, view in views.items() if view.verdict is Verdict.MERGED]
         found = self.matcher.beside_rivals(np.array(pairs, np.int64).reshape(-1, 2))
-        return dict(zip(pairs, self._opinions(pairs, found), strict=True))
+        return dict(zip(pairs, self._assessments(pairs, found), strict=True))
 
-    def _opinions(
+    def _assessments(
         self, pairs: Sequence[Pair], candidates: Sequence[tuple[Candidate, ...]]
-    ) -> list[Opinion]:
+    ) -> list[Assessment]:
         """What the two maps of each pair say by these candidates."""
         prepared = self.matcher.prepared
         told = zip(pairs, candidates, strict=True)
-        return opinions(
+        return assess_all(
             [(prepared[i], prepared[j], c, self.threshold((i, j))) for (i, j), c in told]
         )
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""
         chance = MATCH.lead_bits
-        known = ((pair, view.best, view.bits) for pair, view in self.opinions.items())
+        known = ((pair, view.best, view.bits) for pair, view in self.assessments.items())
         held = chain(self.joins.items(), self.alone.items())
         worded = ((pair, told.best, told.evidence_bits) for pair, told in held)
         both = chain(known, worded)

@@ -29,46 +29,46 @@ def branch_bits(
             pair = (whole, take(of_b, rows)) if crossing_of_a else (take(of_a, rows), whole)
             better = _nats(*pair, turn[rows]) + np.log(m.fault_rate[v[rows]])
             told[rows] = np.maximum(told[rows], better)
-    return doubted(told, of_a.traits[:, 4] + of_b.traits[:, 4]) / BIT
+    return doubted(told, of_a.descriptor[:, 4] + of_b.descriptor[:, 4]) / BIT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Looks:
-    """Branches of k junctions: (k, d) unit numbers and rarity, (k, 5) traits."""
+    """Branches of k junctions: (k, d) unit numbers and rarity, (k, 5) descriptor."""
 
     unit: ComplexArray
     rarity: FloatArray
-    traits: FloatArray
+    descriptor: FloatArray
 
     @classmethod
     def of(cls, m: Prepared, v: IntArray) -> _Looks:
-        traits = m.traits.take(v, axis=0)
-        return cls(m.branch_unit.take(v, axis=0), m.turn_rarity.take(v, axis=0), traits)
+        descriptor = m.descriptor.take(v, axis=0)
+        return cls(m.branch_unit.take(v, axis=0), m.turn_rarity.take(v, axis=0), descriptor)
 
     @classmethod
     def of_crossings(cls, m: Prepared, v: IntArray) -> _Looks:
-        traits = m.traits.take(v, axis=0)
-        traits[:, 0] = 4
-        return cls(m.crossing_unit.take(v, axis=0), m.crossing_rarity.take(v, axis=0), traits)
+        descriptor = m.descriptor.take(v, axis=0)
+        descriptor[:, 0] = 4
+        return cls(m.crossing_unit.take(v, axis=0), m.crossing_rarity.take(v, axis=0), descriptor)
 
 
 def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:
     """(k,) log odds, whatever the confidence.
 
-    Chance is how common such junctions are in both maps (`surprise`); each branch that only one
-    side has costs what a fault costs in that run, an agreeing one tells the more, the more freely
-    branches point in these maps (`turn_rarity`).
+    Chance is how common such junctions are in both maps (`self_information`); each branch that only
+    one side has costs what a fault costs in that run, an agreeing one tells the more, the more
+    freely branches point in these maps (`turn_rarity`).
     """
     pairs = mutual_nearest(a.unit, b.unit * turn[:, None])
     agree = np.add.reduce(pairs.paired, axis=1)
-    branches, variance, faults = (a.traits + b.traits).T[:3]
+    branches, variance, faults = (a.descriptor + b.descriptor).T[:3]
     lonely = branches - 2 * agree
     row = np.arange(len(turn))[:, None]
     free = np.minimum(a.rarity, b.rarity[row, pairs.nearest])
     angle = agreeing(pairs, variance, free, LIKELIHOOD.most / 2)
     # One branch of each junction is taken up by the alignment itself.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
-    chance = np.minimum(a.traits[:, 3], b.traits[:, 3]) * BIT
+    chance = np.minimum(a.descriptor[:, 3], b.descriptor[:, 3]) * BIT
     return np.asarray(np.minimum(chance + angle + lonely * np.log(faults), LIKELIHOOD.most))
 
 

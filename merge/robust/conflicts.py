@@ -162,9 +162,12 @@ def _elsewhere(
         return np.isin(lane * most + asked_for, told_lane * most + what)
 
     vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
-    either_a, either_b = np.minimum(leave_a, a.twin[leave_a]), np.minimum(leave_b, b.twin[leave_b])
+    either_a, either_b = (
+        np.minimum(leave_a, a.reverse[leave_a]),
+        np.minimum(leave_b, b.reverse[leave_b]),
+    )
     passed_a, passed_b = (
-        np.minimum(m.twin[row], row) for m, row in ((a, extra_b.edge), (b, extra_a.edge))
+        np.minimum(m.reverse[row], row) for m, row in ((a, extra_b.edge), (b, extra_a.edge))
     )
     explained = told(extra_b.lane, passed_a, either_a, corridors)
     explained |= told(extra_a.lane, extra_a.vertex, far_a, vertices)
@@ -208,7 +211,7 @@ def _weight(
     the map of it in each case."""
     blind, seeing = missing[0], extra[0]
     miss, invent = blind.miss_rate[missing[1]], seeing.phantom_rate[extra[1]]
-    driven, seen = blind.whole.traversals[edge], seeing.whole.looks[vertex]
+    driven, seen = blind.whole.traversals[edge], seeing.whole.observations[vertex]
     missed = (miss + MATCH.fault_floor) ** np.minimum(driven, 3)
     invented = (invent + MATCH.fault_floor) ** np.minimum(seen, 3)
     told = np.maximum(np.log(np.minimum(missed + invented, 1.0)), -LIKELIHOOD.most)

@@ -20,7 +20,7 @@ from .pairing import Means, Pair, Pairwise
 from .prepare import Prepared
 from .rematching import Rematcher, Reunion
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import Opinion
+from .verdict import Assessment
 
 
 def decide(
@@ -57,7 +57,7 @@ def decide(
     locked = _locked_pairs(maps, locks)
     gone = _taken_back(maps, discarded)
 
-    def alone(pair: Pair, view: Opinion) -> PairVerdict:
+    def alone(pair: Pair, view: Assessment) -> PairVerdict:
         i, j = pair
         return Case(prepared[i], prepared[j], view).verdict()
 
@@ -139,7 +139,7 @@ def _strongest_first(
     best = {pair: v.best for pair, v in batch.joins.items() if v.best is not None}
     bits = {pair: batch.joins[pair].evidence_bits for pair in best}
     best |= {pair: as_alignment(c) for pair, c in forced.items()}
-    bits |= {pair: batch.opinions[pair].bits for pair in forced}
+    bits |= {pair: batch.assessments[pair].bits for pair in forced}
     order = sorted(best, key=lambda p: (p not in forced, -bits[p], p))
     return best, order
 
@@ -164,12 +164,12 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
     pairs = sorted(batch.found)
     held = {pair: v for pair, v in (batch.joins | batch.alone).items() if not said.of(pair)}
     asked = [pair for pair in pairs if pair not in batch.joins or pair not in held]
-    second = batch.seconded(asked, components)
+    second = batch.corroborated(asked, components)
     kept = batch.known_seconded({pair: n for pair, n in second.items() if pair in held})
     held = {pair: v for pair, v in held.items() if pair not in second} | kept
     again = batch.views([pair for pair in pairs if pair not in held])
     likely = {pair: view for pair, (view, _) in again.items() if pair in batch.joins}
-    views = batch.opinions | batch.beside_rivals(likely)
+    views = batch.assessments | batch.beside_rivals(likely)
     fresh = {}
     for pair in pairs:
         if pair in held:
@@ -185,7 +185,7 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
             lock=said.locked.get(pair),
             refused=said.refused.get(pair),
             reunion=said.reunions.get(pair),
-            seconded=candidates[second[pair]] if pair in second else None,
+            corroborated=candidates[second[pair]] if pair in second else None,
             together=components.together(i, j),
         )
         told = case.verdict()

@@ -16,7 +16,7 @@ from .alignment import Candidate, same_placement
 from .components import Refusal
 from .prepare import Prepared
 from .rematching import Reunion
-from .verdict import Opinion, counted_bits
+from .verdict import Assessment, counted_bits
 from .wording import contradictions, nothing, summary
 
 
@@ -26,12 +26,12 @@ class Case:
 
     a: Prepared
     b: Prepared
-    view: Opinion
+    view: Assessment
     forced: Candidate | None = None
     lock: Lock | None = None
     refused: Refusal | None = None
     reunion: Reunion | None = None
-    seconded: Candidate | None = None
+    corroborated: Candidate | None = None
     together: bool = False
 
     def verdict(self) -> PairVerdict:
@@ -85,9 +85,9 @@ class Case:
             said = self.reunion
             found = (said.alignment, None, said.margin)
             return self._joined(said.reason, found, by="components")
-        if self.seconded is not None:
+        if self.corroborated is not None:
             told = "{}; other runs place the two in the same way"
-            return self._accepted(self.seconded, by="runs", reason=told)
+            return self._accepted(self.corroborated, by="runs", reason=told)
         says = self._says()
         return self._not_joined(view.verdict, f"{says}; {view.why}" if view.why else says)
 

@@ -23,7 +23,7 @@ from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
 from ..wording import told_bits
 from .alignment import Candidate, best_seed, same_placement
-from .assessment import Assessment, assess, thresholds
+from .assessment import AssessedPair, assess_pair, thresholds
 from .conflicts import one_by_one
 from .forced import forced_alignment
 from .growth import given_up
@@ -76,7 +76,7 @@ class Batch:
 def explain(batch: Batch, a: str, b: str) -> Decision:
     """Why two runs a < b were merged or not. Raises KeyError if the map of one is missing."""
     pair = (a, b)
-    own = assess(batch.maps, (batch.row[a], batch.row[b]), batch.settings, count=batch.count())
+    own = assess_pair(batch.maps, (batch.row[a], batch.row[b]), batch.settings, count=batch.count())
     alone = own.alone()
     unlisted = batch.unlisted(a, b)
     told = _unlisted(batch, alone) if unlisted else batch.said.get(pair, alone)
@@ -133,7 +133,7 @@ def _by_others(batch: Batch, told: PairVerdict) -> FloatArray | None:
 Shown = tuple[Placement, Answers]
 
 
-def _shown(batch: Batch, own: Assessment, told: PairVerdict) -> tuple[list[Shown], Start | None]:
+def _shown(batch: Batch, own: AssessedPair, told: PairVerdict) -> tuple[list[Shown], Start | None]:
     """The placement that the verdict speaks of and the next best one, or the best hypothesis."""
     if told.accepted_by == "components" and told.together is not None:
         return _of_components(batch, told, told.together), None
@@ -146,7 +146,7 @@ def _shown(batch: Batch, own: Assessment, told: PairVerdict) -> tuple[list[Shown
     return [_placement_of(own, c) for c in found], None
 
 
-def _chosen(batch: Batch, own: Assessment, told: PairVerdict) -> Candidate | None:
+def _chosen(batch: Batch, own: AssessedPair, told: PairVerdict) -> Candidate | None:
     """The candidate that the verdict speaks of: the one that the document shows, else the best."""
     known = [*(c for c, _ in own.view.ranked), *own.candidates]
     for lock in batch.locks:
@@ -161,7 +161,7 @@ def _chosen(batch: Batch, own: Assessment, told: PairVerdict) -> Candidate | Non
     return next(iter(known), None)
 
 
-def _placement_of(own: Assessment, c: Candidate) -> Shown:
+def _placement_of(own: AssessedPair, c: Candidate) -> Shown:
     view = own.view
     asked = zip(view.ranked, view.answers, strict=True)
     answers = next(
@@ -173,7 +173,7 @@ def _placement_of(own: Assessment, c: Candidate) -> Shown:
     return Placement(own.alignment(c, answers.bits), terms, searched), answers
 
 
-def _of_seed(own: Assessment, settings: RobustSettings) -> tuple[list[Shown], Start | None]:
+def _of_seed(own: AssessedPair, settings: RobustSettings) -> tuple[list[Shown], Start | None]:
     """The best hypothesis where none grew, if there was one."""
     best = best_seed(own.a, own.b, settings)
     if best is None:

@@ -35,10 +35,10 @@ class Probes:
     probe_key: FloatArray
     length: FloatArray
     variance: FloatArray
-    sag: FloatArray
+    sagitta: FloatArray
     angle: FloatArray
     rarity: FloatArray
-    end_surprise: FloatArray
+    end_information: FloatArray
 
     @classmethod
     def of(cls, a: Prepared) -> Probes:
@@ -86,10 +86,10 @@ class Corridors:
     head: IntArray
     length: FloatArray
     variance: FloatArray
-    sag: FloatArray
+    sagitta: FloatArray
     angle: FloatArray
     rarity: FloatArray
-    surprise: FloatArray
+    self_information: FloatArray
     length_step: FloatArray
     worst: FloatArray
 
@@ -117,10 +117,10 @@ class Corridors:
             head=first[owner] + gathered("head").astype(np.int64),
             length=length,
             variance=variance,
-            sag=gathered("sag"),
+            sagitta=gathered("sagitta"),
             angle=gathered("angle"),
             rarity=gathered("rarity"),
-            surprise=gathered("end_surprise"),
+            self_information=gathered("end_information"),
             length_step=length[by_length],
             worst=np.maximum.accumulate(variance[by_length]),
         )
@@ -143,7 +143,7 @@ class Corridors:
         d = a.length[row] - self.length[other]
         bits = length_bits(d, a.variance[row] + self.variance[other])
         bits += np.minimum(a.rarity[row], self.rarity[other])
-        ends = np.minimum(a.end_surprise[row], self.surprise[other])
+        ends = np.minimum(a.end_information[row], self.self_information[other])
         bits = np.minimum(bits, MATCH.most_bits) + 0.5 * ends
         owner = self.owner[other]
         choice = np.log2(np.bincount(owner, minlength=self.maps) + 1.0)
@@ -169,7 +169,7 @@ class Corridors:
         row, other = row[late], other[late]
         d = a.length[row] - self.length[other]
         fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[other])
-        ok = np.flatnonzero(fits & (np.abs(a.sag[row] - self.sag[other]) < MATCH.gate_m))
+        ok = np.flatnonzero(fits & (np.abs(a.sagitta[row] - self.sagitta[other]) < MATCH.gate_m))
         return row[ok], other[ok]
 
     def _hanging_together(

@@ -89,13 +89,13 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
     variance = a.variance[i] + b.variance[j]
     d = a.length[i] - b.length[j]
     fits = (d * d < MATCH.length_sigmas**2 * variance) & (
-        np.abs(a.sag[i] - b.sag[j]) < MATCH.gate_m
+        np.abs(a.sagitta[i] - b.sagitta[j]) < MATCH.gate_m
     )
     ok = fits.nonzero()[0]
     i, j = i[ok], j[ok]
     theta = np.asarray(wrap(a.angle[i] - b.angle[j]))
     bits = length_bits(d[ok], variance[ok]) + np.minimum(a.rarity[i], b.rarity[j])
-    ends = np.minimum(a.end_surprise[i], b.end_surprise[j])
+    ends = np.minimum(a.end_information[i], b.end_information[j])
     return Links(i, j, theta, np.minimum(bits, MATCH.most_bits) + 0.5 * ends)
 
 

@@ -176,14 +176,14 @@ def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
 
 def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
     """A fused map as the map of one run that saw everything; its noise that of the worst run."""
-    looks = np.array([len(seen) for seen in fused.observations])
-    times = np.arange(int(looks.sum()), dtype=np.int64)
+    observations = np.array([len(seen) for seen in fused.observations])
+    times = np.arange(int(observations.sum()), dtype=np.int64)
     fields = RunNoise.__dataclass_fields__
     noise = RunNoise(**{name: max(getattr(m.noise, name) for m in own) for name in fields})
     return TopoMap(
         run="+".join(m.run for m in own),
         frame="component",
-        observation_vertex=np.repeat(np.arange(len(looks)), looks),
+        observation_vertex=np.repeat(np.arange(len(observations)), observations),
         observation_time_ns=times,
         noise=noise,
         shows_bends=any(m.shows_bends for m in own),

@@ -20,7 +20,7 @@ from ..result import Verdict
 from .alignment import Candidate
 from .prepare import IntArray
 from .settings import MATCH
-from .verdict import Opinion
+from .verdict import Assessment
 
 Pair = tuple[int, int]
 
@@ -50,18 +50,18 @@ def mirrored(m: TopoMap) -> TopoMap:
 
 
 def doubt_mirrored(
-    opinions: Mapping[Pair, Opinion],
+    assessments: Mapping[Pair, Assessment],
     image_bits: Callable[[list[Pair]], Mapping[Pair, float]],
-) -> dict[Pair, Opinion]:
-    """The opinions, with "merged" made "ambiguous" where the mirror image of the second map fits
+) -> dict[Pair, Assessment]:
+    """The assessments, with "merged" made "ambiguous" where the mirror image of the second map fits
     the first nearly as well as the map itself does, or better.
 
     image_bits: the evidence of the best alignment with the mirror image, of some pairs.
     """
-    merged = [pair for pair, view in opinions.items() if view.verdict is Verdict.MERGED]
-    out = dict(opinions)
+    merged = [pair for pair, view in assessments.items() if view.verdict is Verdict.MERGED]
+    out = dict(assessments)
     for pair, bits in image_bits(merged).items():
-        view = opinions[pair]
+        view = assessments[pair]
         if view.best is not None and fits_as_well(bits, view.best):
             out[pair] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
     return out

@@ -16,8 +16,8 @@ from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
 from .halves import halves
+from .nearest_neighbours import NearestNeighbours
 from .settings import MATCH
-from .sites import Sites
 
 ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
@@ -53,32 +53,29 @@ class Prepared:
     """A map of n junctions and k directed corridors (both directions of each, loops left out).
 
     z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NaN behind the last;
-    count: (n,) branches; looks: (n,) passes that saw the junction; surprise: (n,) bits that the
-    branches of this junction tell, by how common such a pattern is in this map; turn_rarity:
-    (n, d) -ln density [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d)
-    headings as unit numbers, 0 behind the last; fault_rate: (n,) chance of a branch too many or too
-    few. traits: (n, 5) count, variance of one heading [rad²], fault_rate, surprise and ln
-    confidence side by side. confidence: (n,) chance that a look at the junction shows just these
-    branches.
-    neighbour: (n, q) the nearest junctions, itself first; near_m: (n, q) their distances, infinite
-    where there are no more;
-    near_rarity: (n, q) -log2 density [1/m] of neighbours this far;
-    near_weight: (n, q) what their matches weigh in predicting this one.
-    tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction [rad]; leave: (k,)
-    row-local branch used at the tail, NO_BRANCH where unknown; by_branch: (n, d) row of a corridor
-    that leaves by this branch, -1 where none is known; sag: (k,) [m] signed offset of the mid of
-    the path from the chord; twin: (k,) row of the reverse; variance: (k,)
+    count: (n,) branches; observations: (n,) passes that saw the junction; self_information: (n,)
+    bits that the branches of this junction tell, by how common such a pattern is in this map;
+    turn_rarity: (n, d) -ln density [1/rad] of finding a branch at its angle to the others.
+    branch_unit: (n, d) headings as unit numbers, 0 behind the last; fault_rate: (n,) chance of a
+    branch too many or too few. descriptor: (n, 5) count, variance of one heading [rad²],
+    fault_rate, self_information and ln confidence side by side. confidence: (n,) chance that a look
+    at the junction shows just these branches. neighbour: (n, q) the nearest junctions, itself
+    first; near_m: (n, q) their distances, infinite where there are no more; near_rarity: (n, q)
+    -log2 density [1/m] of neighbours this far; near_weight: (n, q) what their matches weigh in
+    predicting this one. tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction
+    [rad]; leave: (k,) row-local branch used at the tail, NO_BRANCH where unknown; by_branch: (n, d)
+    row of a corridor that leaves by this branch, -1 where none is known; sagitta: (k,) [m] signed
+    offset of the mid of the path from the chord; reverse: (k,) row of the reverse; variance: (k,)
     [m²] of the length; traversals: (k,); rarity: (k,) -log2 density [1/m] of corridors this long.
-    pair_key, pair_row: directed corridors sorted by tail * n + head.
-    probe_*: for every directed corridor its sort keys (pattern, length), sorted.
-    middle: (k,) half way between the ends (x + iy); end_surprise: (k,) bits of the branches at
-    both ends; worst_variance: the largest of `variance`.
-    alike, alike_pairs: how often two different corridors are equally long (`density_of_equals`).
-    road: points inside the corridors (x + iy), road_dir: unit tangents, road_edge: row of the
-    directed corridor (one of the first k / 2), road_tail, road_head: its ends, road_share: 0 at
-    its tail … 1 at its head, road_end: distance [m] to the nearer end.
-    half, crossing_unit, crossing_rarity: as in `Halves`.
-    sites, road_sites: `z` and `road`, to be asked for the nearest.
+    pair_key, pair_row: directed corridors sorted by tail * n + head. probe_*: for every directed
+    corridor its sort keys (pattern, length), sorted. middle: (k,) half way between the ends (x +
+    iy); end_information: (k,) bits of the branches at both ends; worst_variance: the largest of
+    `variance`. alike, alike_pairs: how often two different corridors are equally long
+    (`density_of_equals`). road: points inside the corridors (x + iy), road_dir: unit tangents,
+    road_edge: row of the directed corridor (one of the first k / 2), road_tail, road_head: its
+    ends, road_share: 0 at its tail … 1 at its head, road_end: distance [m] to the nearer end. half,
+    crossing_unit, crossing_rarity: as in `Halves`. nearest_junction, nearest_road: `z` and `road`,
+    to be asked for the nearest.
     """
 
     run: str
@@ -87,12 +84,12 @@ class Prepared:
     z: ComplexArray
     heading: FloatArray
     count: IntArray
-    looks: IntArray
-    surprise: FloatArray
+    observations: IntArray
+    self_information: FloatArray
     turn_rarity: FloatArray
     branch_unit: ComplexArray
     fault_rate: FloatArray
-    traits: FloatArray
+    descriptor: FloatArray
     confidence: FloatArray
     neighbour: IntArray
     near_m: FloatArray
@@ -104,8 +101,8 @@ class Prepared:
     angle: FloatArray
     leave: IntArray
     by_branch: IntArray
-    sag: FloatArray
-    twin: IntArray
+    sagitta: FloatArray
+    reverse: IntArray
     variance: FloatArray
     traversals: IntArray
     rarity: FloatArray
@@ -115,7 +112,7 @@ class Prepared:
     probe_key: FloatArray
     probe_row: IntArray
     middle: ComplexArray
-    end_surprise: FloatArray
+    end_information: FloatArray
     worst_variance: float
     alike: float
     alike_pairs: float
@@ -129,8 +126,8 @@ class Prepared:
     half: IntArray
     crossing_unit: ComplexArray
     crossing_rarity: FloatArray
-    sites: Sites
-    road_sites: Sites
+    nearest_junction: NearestNeighbours
+    nearest_road: NearestNeighbours
 
     def __len__(self) -> int:
         return len(self.z)
@@ -142,7 +139,7 @@ class Prepared:
 
 
 def _corridors(m: TopoMap, z: ComplexArray) -> IntArray:
-    """Rows of the corridors that matching looks at: no loops, and none without a length."""
+    """Rows of the corridors that matching observations at: no loops, and none without a length."""
     long = np.abs(z[m.source] - z[m.target]) > LEAST_M
     return np.flatnonzero((m.source != m.target) & long)
 
@@ -156,30 +153,32 @@ def prepare(topomap: TopoMap) -> Prepared:
     m = topomap
     z = m.xy[:, 0] + 1j * m.xy[:, 1]
     heading, count = padded_branches(m), m.branches.counts
-    looks = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(np.int64)
+    observations = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(
+        np.int64
+    )
     rows = _corridors(m, z)
     tail = np.concatenate([m.source[rows], m.target[rows]])
     head = np.concatenate([m.target[rows], m.source[rows]])
     leave = np.concatenate([m.source_branch[rows], m.target_branch[rows]])
-    twin = np.roll(np.arange(2 * len(rows)), len(rows))
+    reverse = np.roll(np.arange(2 * len(rows)), len(rows))
     chord = z[head] - z[tail]
     length, angle = np.abs(chord), np.angle(chord)
     traversals = np.tile(np.maximum(m.traversals[rows], 1), 2)
-    variance = _length_variance(m.noise, length, traversals, looks[tail], looks[head])
-    sag, road, road_dir, road_edge = _corridor_shapes(m, rows, z)
+    variance = _length_variance(m.noise, length, traversals, observations[tail], observations[head])
+    sagitta, road, road_dir, road_edge = _corridor_shapes(m, rows, z)
     road_tail, road_head = tail[road_edge], head[road_edge]
     offset = _offsets(heading, count, tail, leave, angle)
     near_masks = _masks(offset)
     mask = near_masks[0]
-    pattern = mask * 16 + mask[twin]
-    surprise, turn_rarity = _pattern_bits(heading, count)
-    branch_variance = m.noise.branch_rad**2 * (0.5 + 1 / looks) + MATCH.floor_rad**2
-    fault_rate = _fault_rate(m.noise, looks)
+    pattern = mask * 16 + mask[reverse]
+    self_information, turn_rarity = _pattern_bits(heading, count)
+    branch_variance = m.noise.branch_rad**2 * (0.5 + 1 / observations) + MATCH.floor_rad**2
+    fault_rate = _fault_rate(m.noise, observations)
     alike, alike_pairs = density_of_equals(length)
-    probe_key, probe_row = _probes(near_masks[1], twin, length)
+    probe_key, probe_row = _probes(near_masks[1], reverse, length)
     order = np.argsort(tail * len(z) + head, kind="stable")
-    sites = Sites.of(z)
-    neighbour, near_m = _neighbours(sites)
+    nearest_junction = NearestNeighbours.of(z)
+    neighbour, near_m = _neighbours(nearest_junction)
     unit = unit_headings(heading)
     two_forks = halves(z, unit, turn_rarity, (tail, head), shows_bends=m.shows_bends)
     return Prepared(
@@ -189,13 +188,13 @@ def prepare(topomap: TopoMap) -> Prepared:
         z=z,
         heading=heading,
         count=count,
-        looks=looks,
-        surprise=surprise,
+        observations=observations,
+        self_information=self_information,
         turn_rarity=turn_rarity,
         branch_unit=unit,
         fault_rate=fault_rate,
-        traits=np.column_stack(
-            [count, branch_variance, fault_rate, surprise, np.log(m.confidence)]
+        descriptor=np.column_stack(
+            [count, branch_variance, fault_rate, self_information, np.log(m.confidence)]
         ),
         confidence=m.confidence,
         neighbour=neighbour,
@@ -208,8 +207,8 @@ def prepare(topomap: TopoMap) -> Prepared:
         angle=angle,
         leave=leave,
         by_branch=_by_branch(heading.shape, tail, leave),
-        sag=sag,
-        twin=twin,
+        sagitta=sagitta,
+        reverse=reverse,
         variance=variance,
         traversals=traversals,
         rarity=rarity(length) / BIT,
@@ -219,7 +218,7 @@ def prepare(topomap: TopoMap) -> Prepared:
         probe_key=probe_key,
         probe_row=probe_row,
         middle=(z[tail] + z[head]) / 2,
-        end_surprise=surprise[tail] + surprise[head],
+        end_information=self_information[tail] + self_information[head],
         worst_variance=float(variance.max(initial=0.0)),
         alike=alike,
         alike_pairs=alike_pairs,
@@ -233,8 +232,8 @@ def prepare(topomap: TopoMap) -> Prepared:
         half=two_forks.half,
         crossing_unit=two_forks.unit,
         crossing_rarity=two_forks.rarity,
-        sites=sites,
-        road_sites=Sites.of(road),
+        nearest_junction=nearest_junction,
+        nearest_road=NearestNeighbours.of(road),
     )
 
 
@@ -246,9 +245,9 @@ def _by_branch(shape: tuple[int, ...], tail: IntArray, leave: IntArray) -> IntAr
     return out
 
 
-def _fault_rate(noise: RunNoise, looks: IntArray) -> FloatArray:
+def _fault_rate(noise: RunNoise, observations: IntArray) -> FloatArray:
     """Doors that stood otherwise all the run, and what single looks get wrong."""
-    return np.asarray(MATCH.fault_floor + noise.branch_fault_rate / np.minimum(looks, 3))
+    return np.asarray(MATCH.fault_floor + noise.branch_fault_rate / np.minimum(observations, 3))
 
 
 def _length_variance(
@@ -353,11 +352,13 @@ def _mask_of(sector: IntArray, there: BoolArray) -> IntArray:
     return bits
 
 
-def _probes(variants: IntArray, twin: IntArray, length: FloatArray) -> tuple[FloatArray, IntArray]:
+def _probes(
+    variants: IntArray, reverse: IntArray, length: FloatArray
+) -> tuple[FloatArray, IntArray]:
     """Sorted keys pattern * LENGTH_SCALE + length of every variant of every directed corridor."""
     if len(length) == 0:
         return np.zeros(0), np.zeros(0, np.int64)
-    here, there = variants[:, :, None], variants[twin][:, None, :]
+    here, there = variants[:, :, None], variants[reverse][:, None, :]
     pattern = np.where((here >= 0) & (there >= 0), here * 16 + there, -1).reshape(len(length), -1)
     row, column = np.nonzero(pattern >= 0)
     key = pattern[row, column] * LENGTH_SCALE + np.minimum(length[row], LENGTH_SCALE / 2)
@@ -381,7 +382,7 @@ def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Flo
     seen = np.bincount(mask[used], minlength=16) + 0.5
     frequency = (seen / seen.sum())[mask].reshape(n, d)
     mean = (frequency * there).sum(axis=1) / np.maximum(count, 1)
-    surprise = np.where(count > 0, -np.log2(np.where(count > 0, mean, 1.0)), 0.0)
+    self_information = np.where(count > 0, -np.log2(np.where(count > 0, mean, 1.0)), 0.0)
     bins = 24
     fold = (offset / SECTOR_RAD - np.round(offset / SECTOR_RAD) + 0.5) * bins
     cell = np.clip(fold.astype(np.int64), 0, bins - 1)
@@ -390,7 +391,7 @@ def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Flo
     density = density / density.sum() * bins / SECTOR_RAD
     gain = np.where(other, -np.log(density)[cell], 0.0)
     turn_rarity = gain.sum(axis=1) / np.maximum(other.sum(axis=1), 1)
-    return surprise, turn_rarity
+    return self_information, turn_rarity
 
 
 def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
@@ -398,15 +399,15 @@ def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
     return length_log_density(difference, variance) / BIT
 
 
-def _neighbours(sites: Sites) -> tuple[IntArray, FloatArray]:
+def _neighbours(points: NearestNeighbours) -> tuple[IntArray, FloatArray]:
     """As many of each junction as `MATCH.neighbours`; where there are fewer, it stands for itself
     at no distance that counts."""
-    neighbour = np.arange(len(sites)).repeat(MATCH.neighbours).reshape(-1, MATCH.neighbours)
+    neighbour = np.arange(len(points)).repeat(MATCH.neighbours).reshape(-1, MATCH.neighbours)
     near_m = np.full(neighbour.shape, np.inf)
-    if sites.tree is not None:
-        most = min(MATCH.neighbours, len(sites))
-        near_m[:, :most], neighbour[:, :most] = sites.tree.query(
-            sites.across.T, k=np.arange(1, most + 1)
+    if points.tree is not None:
+        most = min(MATCH.neighbours, len(points))
+        near_m[:, :most], neighbour[:, :most] = points.tree.query(
+            points.across.T, k=np.arange(1, most + 1)
         )
     return neighbour, near_m
 

@@ -26,7 +26,7 @@ from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
 from .settings import RobustSettings
-from .verdict import Opinion, Threshold, opinion, opinions
+from .verdict import Assessment, Threshold, assess, assess_all
 from .wording import summary
 
 Pair = tuple[int, int]
@@ -53,7 +53,7 @@ Asked = tuple[MergedMap, MergedMap]
 NOT_JOINED = b"not joined"
 """What is kept of two components that say too little together."""
 
-Said = tuple[MergedMap, MergedMap, Opinion]
+Said = tuple[MergedMap, MergedMap, Assessment]
 
 
 @dataclass(slots=True, eq=False)
@@ -136,7 +136,7 @@ class Rematcher:
                 pairs.append((one, two, threshold))
                 cases.append((one.prepared, two.prepared, candidates, threshold))
         out = []
-        for (one, two, threshold), view in zip(pairs, opinions(cases), strict=True):
+        for (one, two, threshold), view in zip(pairs, assess_all(cases), strict=True):
             if self._joins(one, two, view):
                 out.append((one, two, view))
             elif self.kept is not None:
@@ -155,7 +155,7 @@ class Rematcher:
             return True
         return any((min(i, j), max(i, j)) in self.discarded for i in x for j in y)
 
-    def _joins(self, one: MergedMap, two: MergedMap, view: Opinion) -> bool:
+    def _joins(self, one: MergedMap, two: MergedMap, view: Assessment) -> bool:
         if view.verdict is not Verdict.MERGED or view.best is None or not _links(one, two, view):
             return False
         image = self._merged.image_bits(one, two, self.settings)
@@ -178,16 +178,16 @@ def view_of_components(
     accepted: Mapping[Pair, Alignment],
     threshold: Threshold,
     settings: RobustSettings,
-) -> tuple[MergedMap, MergedMap, Opinion]:
+) -> tuple[MergedMap, MergedMap, Assessment]:
     """What the merged maps of two components say of each other. sides: the runs of each, sorted;
     accepted: the alignments by which each was joined."""
     merged = MergedMaps(maps)
     one, two = (merged.of(runs, accepted) for runs in sides)
     candidates = match(one.prepared, two.prepared, settings, rivals=True)
-    return one, two, opinion(one.prepared, two.prepared, candidates, threshold)
+    return one, two, assess(one.prepared, two.prepared, candidates, threshold)
 
 
-def _links(one: MergedMap, two: MergedMap, view: Opinion) -> dict[Pair, Alignment]:
+def _links(one: MergedMap, two: MergedMap, view: Assessment) -> dict[Pair, Alignment]:
     """What a match of two fused maps says of pairs of their runs, the strongest pair first.
 
     A pair is linked by the matched places that both its runs saw; of pairs with fewer than three
@@ -216,7 +216,7 @@ def _links(one: MergedMap, two: MergedMap, view: Opinion) -> dict[Pair, Alignmen
 
 
 def _reason(
-    pair: Pair, one: MergedMap, two: MergedMap, view: Opinion, maps: Sequence[TopoMap]
+    pair: Pair, one: MergedMap, two: MergedMap, view: Assessment, maps: Sequence[TopoMap]
 ) -> str:
     assert view.best is not None
     names = sorted(maps[i].run for i in (*one.runs, *two.runs) if i not in pair)

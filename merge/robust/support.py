@@ -103,7 +103,7 @@ def _corridor_links(
     the match they join, the corridors as each map numbers them, and bits."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     lane, rows = lanes.rows_of(lanes.b.corridor)
-    forth = (rows < b.twin[rows]).nonzero()[0]
+    forth = (rows < b.reverse[rows]).nonzero()[0]
     lane, rows = lane[forth], rows[forth]
     shift = lanes.shift[lane]
     i, j = order[b.tail[rows] + shift], order[b.head[rows] + shift]
@@ -114,7 +114,7 @@ def _corridor_links(
     key = grown.a[i] * len(a) + grown.a[j]
     at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
     row_a = a.pair_row[at]
-    bent_alike = np.abs(a.sag[row_a] - b.sag[rows]) < MATCH.gate_m
+    bent_alike = np.abs(a.sagitta[row_a] - b.sagitta[rows]) < MATCH.gate_m
     same = ((a.pair_key[at] == key) & bent_alike).nonzero()[0]
     i, j, row_a, rows, lane = i[same], j[same], row_a[same], rows[same], lane[same]
     d = a.length[row_a] - b.length[rows]

@@ -106,7 +106,7 @@ def faint_of(candidates: Sequence[Candidate], settings: RobustSettings) -> Faint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Opinion:
+class Assessment:
     """The assessment of two maps by themselves, without locks and other runs.
 
     need_bits: the threshold. ranked: placements better than chance, best first, each with its
@@ -224,14 +224,14 @@ Found = tuple[Prepared, Prepared, Sequence[Candidate], Threshold]
 """Two maps, their candidate alignments, and what they must reach."""
 
 
-def opinion(
+def assess(
     a: Prepared, b: Prepared, candidates: Sequence[Candidate], threshold: Threshold
-) -> Opinion:
+) -> Assessment:
     """The verdict on a pair from its candidate alignments."""
-    return opinions([(a, b, candidates, threshold)])[0]
+    return assess_all([(a, b, candidates, threshold)])[0]
 
 
-def opinions(pairs: Sequence[Found]) -> list[Opinion]:
+def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
     """Verdicts on pairs of one batch from their candidate alignments.
 
     merged: enough evidence against chance, the place itself rather than a copy, and a lead over
@@ -251,7 +251,7 @@ def opinions(pairs: Sequence[Found]) -> list[Opinion]:
     ]
     same = sameness_of(cases, pairs[0][3].copies) if cases else iter(())
     told = zip(pairs, shown, shares, strict=True)
-    return [_opinion(pair, odd, share, same) for pair, odd, share in told]
+    return [_assess(pair, odd, share, same) for pair, odd, share in told]
 
 
 def _repetitions(
@@ -262,17 +262,17 @@ def _repetitions(
     return [max(uniform, threshold.may_be_copy(c)) for c in odd]
 
 
-def _opinion(
+def _assess(
     pair: Found,
     odd: Sequence[Candidate],
     shares: Sequence[float],
     same: Iterator[Sameness],
-) -> Opinion:
+) -> Assessment:
     """The verdict on a pair. odd: alignments beyond chance; shares: how far the second question is
     asked of each; same: what it yields, if any asks it."""
     a, b, candidates, threshold = pair
     if not odd:
-        return Opinion(
+        return Assessment(
             Verdict.UNRELATED, threshold.need_bits, faint=faint_of(candidates, threshold.settings)
         )
     asked = max(shares) > 0
@@ -288,7 +288,7 @@ def _opinion(
     why = _missing(odd[ranking[0]], answers[ranking[0]], margin, threshold)
     if not why and size_sigmas(a, b, odd[ranking[0]].corridors) > threshold.settings.size_sigmas:
         why = OTHER_SIZE
-    return Opinion(
+    return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,
         ranked=ranked,

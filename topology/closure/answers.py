@@ -24,7 +24,7 @@ class Identification:
     """Passes `first` and `second` were asked to be one place.
 
     turn_rad: by how much the branches around `second` had to be turned to meet those around
-    `first`, on top of the layout at that time. round: in which the answer was given, from 1 on; 0
+    `first`, on top of the estimate at that time. round: in which the answer was given, from 1 on; 0
     if not by rounds. accepted_round: in which it had been accepted, if this takes it back.
     """
 

@@ -15,7 +15,7 @@ from ..matching.likelihood import LIKELIHOOD
 from ..se2 import turned_axes
 from .branches import align
 from .dead_reckoning import dead_reckoning_covariance
-from .estimate import Layout
+from .estimate import Estimate
 from .evidence import (
     Background,
     EvidenceSettings,
@@ -23,7 +23,7 @@ from .evidence import (
     best_position_odds,
     position_odds,
 )
-from .growth import GrowthSettings, Scene, grow
+from .growth import GrowthSettings, MapState, grow
 from .places import NOWHERE, Places
 
 FloatArray = NDArray[np.float64]
@@ -100,9 +100,9 @@ class _Apart:
 
 
 def candidates(
-    scene: Scene,
+    state: MapState,
     place: IntArray,
-    layout: Layout,
+    estimate: Estimate,
     settings: CandidateSettings = CandidateSettings(),
     *,
     exact: bool,
@@ -113,16 +113,16 @@ def candidates(
     corridors could add at the best position. Only the pairs that are left need covariances of the
     solved graph, and get them if `exact`; otherwise the bounds stand in for these.
     """
-    common = scene.common
-    pairs = _known_apart(scene, place, layout, settings)
-    null_pairs = _null_pairs(scene, pairs, settings)
+    common = state.common
+    pairs = _known_apart(state, place, estimate, settings)
+    null_pairs = _null_pairs(state, pairs, settings)
     spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
     pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * spread)
-    pairs = _nearest(pairs, settings.most_pairs * len(scene.places))
+    pairs = _nearest(pairs, settings.most_pairs * len(state.places))
     if exact:
         best = best_position_odds(common, pairs.shift)
-        pairs = take(pairs, best + _surroundings(scene, pairs, settings).sum() > 0.0)
-        pairs = replace(pairs, cov=_exact_covariance(layout, pairs.a, pairs.b))
+        pairs = take(pairs, best + _surroundings(state, pairs, settings).sum() > 0.0)
+        pairs = replace(pairs, cov=_exact_covariance(estimate, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common)
     # First what is plain: the rest is easier once that is settled.
     least = -np.inf if exact else 0.0
@@ -130,7 +130,7 @@ def candidates(
     pairs = take(pairs, fine)
     odds = among_neighbours(common, odds[fine], pairs.shift, pairs.noisy(common))
     pairs, odds = take(pairs, odds > least), odds[odds > least]
-    found = _surroundings(scene, pairs, settings)
+    found = _surroundings(state, pairs, settings)
     alike = found.sum()
     slack = settings.evidence.lead if common.lattice.repeats else 0.0
     aliasing_penalty = np.maximum(alike - calibrated_odds(alike, null_pairs, slack), 0.0)
@@ -147,43 +147,43 @@ def candidates(
 
 
 def _known_apart(
-    scene: Scene, place: IntArray, layout: Layout, settings: CandidateSettings
+    state: MapState, place: IntArray, estimate: Estimate, settings: CandidateSettings
 ) -> _Apart:
     """Pairs of places within reach, in one piece of odometry, with bounds on their covariance.
 
     What dead reckoning alone excludes stays excluded: closures only make it more certain.
     """
-    walk, places = scene.walk, scene.places
-    reach_m = settings.growth.hops * scene.common.leg_m
-    a, b = _pairs_within(layout.xy, reach_m, settings.most_tabled).T
+    reckoning, places = state.reckoning, state.places
+    reach_m = settings.growth.hops * state.common.leg_m
+    a, b = _pairs_within(estimate.xy, reach_m, settings.most_tabled).T
     i, j = _nearest_in_time(places, place, a, b)
-    same = walk.chain[i] == walk.chain[j]
+    same = reckoning.chain[i] == reckoning.chain[j]
     a, b = a[same], b[same]
     i, j = i[same], j[same]
-    turn = 0.5 * (layout.pose[i, 2] + layout.pose[j, 2])
-    cov = _turned(dead_reckoning_covariance(walk, i, j), turn)
-    bounds = known_way_variance(scene, a, b, _telling_way(scene, reach_m, settings), settings)
+    turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])
+    cov = _turned(dead_reckoning_covariance(reckoning, i, j), turn)
+    bounds = known_way_variance(state, a, b, _telling_way(state, reach_m, settings), settings)
     cov = _tighter(cov, *bounds)
-    return _Apart(a, b, layout.xy[a] - layout.xy[b], cov)
+    return _Apart(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
 
-def _null_pairs(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
+def _null_pairs(state: MapState, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
     """(m,) ascending: likeness (log odds of branches and corridors) of null pairs, certainly two
     places.
 
     In rows of corridors of equal length, two places look alike more often than independent lengths
     would make them: this measures how often in this run.
     """
-    _, d2 = pairs.odds(scene.common)
-    apart = np.hypot(*pairs.shift.T) > scene.common.core_m
+    _, d2 = pairs.odds(state.common)
+    apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
-    aside = scene.common.lattice.is_step(pairs.shift[rows])
+    aside = state.common.lattice.is_step(pairs.shift[rows])
     if aside.sum() >= np.exp(settings.evidence.lead):
         # What a place could be taken for is one step of the lattice off: so many of these tell as
         # much as `lead` asks.
         rows = rows[aside]
     rows = rows[:: -(-len(rows) // settings.most_strangers) or 1]
-    return np.sort(_surroundings(scene, take(pairs, rows), settings).sum())
+    return np.sort(_surroundings(state, take(pairs, rows), settings).sum())
 
 
 def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
@@ -237,11 +237,11 @@ class _Surroundings:
         return out
 
 
-def _surroundings(scene: Scene, pairs: _Apart, settings: CandidateSettings) -> _Surroundings:
+def _surroundings(state: MapState, pairs: _Apart, settings: CandidateSettings) -> _Surroundings:
     a, b = pairs.a, pairs.b
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
-    aligned = align(scene.branches, a, b, turn_sigma=turn_sigma)
-    grown = grow(scene, a, b, aligned, settings.growth)
+    aligned = align(state.branches, a, b, turn_sigma=turn_sigma)
+    grown = grow(state, a, b, aligned, settings.growth)
     # Legs side by side are not independent: every hop tells two answers apart, and no more.
     cap = settings.growth.hops * settings.evidence.lead
     gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
@@ -258,16 +258,16 @@ def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatAr
     return out
 
 
-def _telling_way(scene: Scene, reach_m: float, settings: CandidateSettings) -> float:
+def _telling_way(state: MapState, reach_m: float, settings: CandidateSettings) -> float:
     """A way [m] at whose end places may lie anywhere within reach: it excludes nothing."""
     way = np.array(reach_m)
-    while LIKELIHOOD.gate_chi2(2) * _way_variance(scene, way)[0] < reach_m**2:
+    while LIKELIHOOD.gate_chi2(2) * _way_variance(state, way)[0] < reach_m**2:
         way = 2.0 * way
     return float(way)
 
 
 def known_way_variance(
-    scene: Scene, a: IntArray, b: IntArray, far_m: float, settings: CandidateSettings
+    state: MapState, a: IntArray, b: IntArray, far_m: float, settings: CandidateSettings
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) upper bounds on the squared error [m²] and turn [rad²] of place b seen from place a.
 
@@ -275,10 +275,10 @@ def known_way_variance(
     solved graph, and costs one Dijkstra search per place, in strips. Ways longer than `far_m` [m]
     give no bound (inf).
     """
-    places = scene.places
+    places = state.places
     source, slot = np.nonzero(places.next_place != NOWHERE)
     n = len(places)
-    way = np.maximum(places.length[source, slot], scene.common.centre_sigma)
+    way = np.maximum(places.length[source, slot], state.common.centre_sigma)
     graph = csr_matrix((way, (source, places.next_place[source, slot])), shape=(n, n))
     length = np.full(len(a), np.inf)
     order = np.argsort(a, kind="stable")
@@ -290,14 +290,14 @@ def known_way_variance(
         rows = order[cuts[begin] : cuts[end]]
         reach = dijkstra(graph, directed=False, indices=heads[begin:end], limit=far_m)
         length[rows] = reach[np.searchsorted(heads[begin:end], a[rows]), b[rows]]
-    return _way_variance(scene, length)
+    return _way_variance(state, length)
 
 
-def _way_variance(scene: Scene, length: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _way_variance(state: MapState, length: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Squared error [m²] and turn [rad²] at the end of ways of that length [m]."""
-    noise, extra = scene.walk.noise, scene.walk.systematic
+    noise, extra = state.reckoning.noise, state.reckoning.systematic
     # As if every metre of the way lay as far off as the middle of it, with a corner after each leg.
-    corners = np.pi / 2 * (1.0 + length / scene.common.leg_m)
+    corners = np.pi / 2 * (1.0 + length / state.common.leg_m)
     turn = noise.heading_rad_per_sqrt_m**2 * length + noise.heading_rad_per_sqrt_rad**2 * corners
     turn = turn + (extra.turn_rad_per_m * length) ** 2 + (extra.turn_rad_per_rad * corners) ** 2
     position = 2 * noise.along_m_per_sqrt_m**2 * length + turn * (0.5 * length) ** 2
@@ -316,13 +316,13 @@ def _nearest_in_time(
     return i, j
 
 
-def _exact_covariance(layout: Layout, a: IntArray, b: IntArray) -> FloatArray:
+def _exact_covariance(estimate: Estimate, a: IntArray, b: IntArray) -> FloatArray:
     """(k, 3, 3) of place b seen from place a, in map axes, from the solved graph."""
     if len(a) == 0:
         return np.zeros((0, 3, 3))
-    na, nb = layout.node[a], layout.node[b]
-    cov = layout.relative_covariance(na, nb)
-    return _turned(cov, layout.solution.pose[na, 2])
+    na, nb = estimate.node[a], estimate.node[b]
+    cov = estimate.relative_covariance(na, nb)
+    return _turned(cov, estimate.solution.pose[na, 2])
 
 
 def _turned(cov: FloatArray, turn: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""How sure the places of a closed layout are: samples of all their errors together."""
+"""How sure the places of a closed estimate are: samples of all their errors together."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scipy.sparse import csr_array
 
 from ..posegraph.samples import SampledMarginals
 from ..vertex_errors import VertexErrors
-from .dead_reckoning import Walk
-from .estimate import Layout
+from .dead_reckoning import DeadReckoning
+from .estimate import Estimate
 from .manhattan import GridHeadings
 
 FloatArray = NDArray[np.float64]
@@ -27,38 +27,38 @@ class CertaintySettings:
 
 
 def place_errors(
-    walk: Walk,
-    layout: Layout,
+    reckoning: DeadReckoning,
+    estimate: Estimate,
     place: IntArray,
     kept: IntArray,
     grid: GridHeadings | None = None,
     *,
     settings: CertaintySettings = CertaintySettings(),
 ) -> VertexErrors:
-    """Errors of the places `kept` of a layout, by the noise that it was optimised with.
+    """Errors of the places `kept` of an estimate, by the noise that it was optimised with.
 
     Sampled from the posterior of the pose graph, with the two errors that the graph does not hold:
     a place with a single pass is off by the error of its detection, and all lengths share the error
     of the odometry's scale.
     """
     count = settings.samples
-    sampled = SampledMarginals.of(layout.graph, layout.solution.with_full_weights(), count)
-    node = layout.node[kept]
+    sampled = SampledMarginals.of(estimate.graph, estimate.solution.with_full_weights(), count)
+    node = estimate.node[kept]
     error = sampled.error[node]
-    error[:, 2] = _mean_turns(sampled.error[: len(walk), 2], place, kept)
+    error[:, 2] = _mean_turns(sampled.error[: len(reckoning), 2], place, kept)
     rng = np.random.default_rng(20052)
-    alone = node < len(walk)
-    error[alone, :2] += walk.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, count))
+    alone = node < len(reckoning)
+    error[alone, :2] += reckoning.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, count))
     position = sampled.pose[node, :2]
-    scale = walk.noise.scale * rng.standard_normal(count)
+    scale = reckoning.noise.scale * rng.standard_normal(count)
     if len(kept):
         error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
     own = np.zeros(len(kept))
     if grid is not None:
         # The grid tells a pass its turn by the mean of its branches, to how well these were read
         # and how well corridors keep to the grid.
-        branches = np.maximum(walk.passes.branches.counts, 1)
-        read = walk.noise.branch_rad**2 / np.mean(branches)
+        branches = np.maximum(reckoning.passes.branches.counts, 1)
+        read = reckoning.noise.branch_rad**2 / np.mean(branches)
         own[:] = read / (read + grid.spread_rad**2)
     return VertexErrors(error, own)
 

@@ -17,7 +17,7 @@ IntArray = NDArray[np.int64]
 
 
 RANDOM = slice(7)
-"""Columns of `Walk.sums` that are variances."""
+"""Columns of `DeadReckoning.sums` that are variances."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class SystematicErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Walk:
+class DeadReckoning:
     """The passes of a run and what the odometry says about the way between them.
 
     chain: (p,) unbroken piece of odometry of each pass. way: (p,) way driven so far [m].
@@ -61,19 +61,19 @@ class Walk:
         return len(self.passes)
 
 
-def make_walk(
+def dead_reckoning(
     odometry: Odometry,
     passes: Passes,
     noise: RunNoise,
     systematic: SystematicErrors = SystematicErrors(),
-) -> Walk:
-    """The walk of a run. O(n + p log n) for n odometry rows and p passes."""
+) -> DeadReckoning:
+    """Dead reckoning of a run. O(n + p log n) for n odometry rows and p passes."""
     way = way_at(odometry, passes.time_ns)
     chain = chain_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
     origin = odometry.pose[:, :2].mean(axis=0)
-    return Walk(
+    return DeadReckoning(
         passes=passes,
         noise=noise,
         systematic=systematic,
@@ -88,10 +88,10 @@ def make_walk(
     )
 
 
-def scale_noise(walk: Walk, factor: float) -> Walk:
-    """The walk with its random errors (1 sigma) multiplied by `factor`; those of jumps stay as
-    stated."""
-    n = walk.noise
+def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
+    """Dead reckoning with its random errors (1 sigma) multiplied by `factor`; those of jumps stay
+    as stated."""
+    n = reckoning.noise
     noise = replace(
         n,
         along_m_per_sqrt_m=factor * n.along_m_per_sqrt_m,
@@ -100,9 +100,9 @@ def scale_noise(walk: Walk, factor: float) -> Walk:
         centre_m=factor * n.centre_m,
         branch_rad=factor * n.branch_rad,
     )
-    sums = walk.sums.copy()
+    sums = reckoning.sums.copy()
     sums[:, RANDOM] *= factor**2
-    return replace(walk, noise=noise, sums=sums)
+    return replace(reckoning, noise=noise, sums=sums)
 
 
 def _prefix_sums(
@@ -144,7 +144,7 @@ def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray])
     return np.stack([np.interp(query, times, column) for column in total.T], axis=1)
 
 
-def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
+def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
     """(k, 3, 3) covariance of pass `second`'s x, y, theta as dead reckoned from pass `first`.
 
     The random walk and the jumps; `systematic_modes` holds the rest. Axes are those of the odometry
@@ -152,8 +152,8 @@ def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatA
     with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second pass, C_θθ = S0,
     C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    d = _between(walk.sums[:, RANDOM] + walk.jumps, first, second)
-    c = walk.passes.centre[second] - walk.origin
+    d = _between(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
+    c = reckoning.passes.centre[second] - reckoning.origin
     s0, s1x, s1y, s2xx, s2xy, s2yy, along = d.T
     x, y = c.T
     mxx = s0 * x * x - 2 * s1x * x + s2xx
@@ -170,14 +170,14 @@ def relative_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatA
     return out
 
 
-def systematic_modes(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
+def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
     """(k, 3, 2) derivatives of pass `second`'s x, y, theta, seen from `first`, by constant errors.
 
     Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the
     odometry rows, for first <= second.
     """
-    d = _between(walk.sums, first, second)
-    c = walk.passes.centre[second] - walk.origin
+    d = _between(reckoning.sums, first, second)
+    c = reckoning.passes.centre[second] - reckoning.origin
     out = np.zeros((len(d), 3, 2))
     for mode, at in ((0, 7), (1, 10)):
         l0, l1x, l1y = d[:, at], d[:, at + 1], d[:, at + 2]
@@ -187,12 +187,16 @@ def systematic_modes(walk: Walk, first: IntArray, second: IntArray) -> FloatArra
     return out
 
 
-def dead_reckoning_covariance(walk: Walk, first: IntArray, second: IntArray) -> FloatArray:
+def dead_reckoning_covariance(
+    reckoning: DeadReckoning, first: IntArray, second: IntArray
+) -> FloatArray:
     """(k, 3, 3) `relative_covariance` with the systematic errors in it."""
-    modes = systematic_modes(walk, first, second)
-    s = walk.systematic
+    modes = systematic_modes(reckoning, first, second)
+    s = reckoning.systematic
     modes = modes * np.array([s.turn_rad_per_m, s.turn_rad_per_rad])
-    out: FloatArray = relative_covariance(walk, first, second) + modes @ modes.transpose(0, 2, 1)
+    out: FloatArray = relative_covariance(reckoning, first, second) + modes @ modes.transpose(
+        0, 2, 1
+    )
     return out
 
 

@@ -1,5 +1,5 @@
-"""The layout of a run: positions of its passes and places, by a pose graph, given which passes were
-by the same place."""
+"""The estimate of a run: positions of its passes and places, by a pose graph, given which passes
+were by the same place."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..posegraph.solve import (
     solve,
 )
 from ..se2 import wrap
-from .dead_reckoning import Walk, relative_covariance, systematic_modes
+from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
 from .manhattan import GridCorridors, GridHeadings
 from .places import ONE_WAY_RAD
 
@@ -30,8 +30,8 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class LayoutSettings:
-    """How identifications and grid headings pull at the layout."""
+class EstimateSettings:
+    """How identifications and grid headings pull at the estimate."""
 
     slot_gap_rad: float = ONE_WAY_RAD
     """Branch readings of several passes farther apart than this belong to different branches."""
@@ -47,14 +47,14 @@ class LayoutSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
-    """The solved pose graph of a walk.
+class Estimate:
+    """The solved pose graph of a run.
 
     pose: (p, 3) of every pass in the map frame: its centre, and the turn from odometry to map.
     xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: a vertex of its own
     if it has several passes, else its pass. sighting: (k,) pass of each sighting edge;
-    sighting_chi2: (k,) its squared error in sigmas. misfit: mean squared error in sigmas per
-    degree of freedom, 1 if the noise of the walk is right; freedom: how many degrees tell it.
+    sighting_chi2: (k,) its squared error in sigmas. reduced_chi2: mean squared error in sigmas per
+    degree of freedom, 1 if the noise of the run is right; freedom: how many degrees tell it.
     samples: of covariances.
     """
 
@@ -63,7 +63,7 @@ class Layout:
     node: IntArray
     sighting: IntArray
     sighting_chi2: FloatArray
-    misfit: float
+    reduced_chi2: float
     freedom: int
     graph: PoseGraph
     solution: Solution
@@ -82,16 +82,16 @@ class Layout:
         return float(1.0 + np.sqrt(0.5 / samples)) * sampled
 
 
-def lay_out(
-    walk: Walk,
+def optimise(
+    reckoning: DeadReckoning,
     place: IntArray,
     start: FloatArray | None = None,
     *,
     turn: FloatArray | None = None,
     grid: GridHeadings | None = None,
     corridors: GridCorridors | None = None,
-    settings: LayoutSettings = LayoutSettings(),
-) -> Layout:
+    settings: EstimateSettings = EstimateSettings(),
+) -> Estimate:
     """Most likely poses of passes and places, from odometry and identifications.
 
     place: (p,) place of each pass, numbered from 0; negative: none. start: (p, 3) poses to begin
@@ -103,9 +103,9 @@ def lay_out(
     errors of the odometry are variables shared by all legs. A corridor of the grid is a node, too,
     a line that its passes lie on.
     """
-    count = len(walk)
+    count = len(reckoning)
     if start is None:
-        start = _dead_reckoned(walk, grid)
+        start = _dead_reckoned(reckoning, grid)
     places = int(place.max(initial=-1)) + 1
     visits = np.bincount(place[place >= 0], minlength=places)
     several = np.flatnonzero(visits > 1)
@@ -114,8 +114,8 @@ def lay_out(
     node[place[alone]] = alone
     node[several] = count + np.arange(len(several))
     legs, shared = (
-        _legs(walk),
-        _sightings(walk, place, visits, start[:, 2] if turn is None else turn, settings),
+        _legs(reckoning),
+        _sightings(reckoning, place, visits, start[:, 2] if turn is None else turn, settings),
     )
     guess = np.zeros((len(several), 3))
     for k in (0, 1):
@@ -126,10 +126,10 @@ def lay_out(
     row, sighting = len(legs.row), slice(len(legs.row), len(legs.row) + len(shared.row))
     edges = sighting.stop + len(lines.row)
     sensitivity = np.zeros((edges, 3, 2))
-    sensitivity[:row] = systematic_modes(walk, legs.row, legs.row + 1)
+    sensitivity[:row] = systematic_modes(reckoning, legs.row, legs.row + 1)
     kernel = np.full(edges, np.inf)
     kernel[sighting.stop :] = settings.grid_kernel
-    s = walk.systematic
+    s = reckoning.systematic
     graph = PoseGraph(
         pose=np.vstack([start, guess, pose]),
         source=np.concatenate([legs.row, shared.row, count + len(several) + line]),
@@ -142,13 +142,13 @@ def lay_out(
     )
     graph, solution, chi2 = _solved(graph, sighting, settings)
     freedom = 3 * (len(shared.row) - len(several)) + len(lines.row) - len(pose)
-    return Layout(
+    return Estimate(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
         node=node,
         sighting=shared.row,
         sighting_chi2=solution.edge_chi2[sighting],
-        misfit=_misfit(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
+        reduced_chi2=_reduced_chi2(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
         freedom=freedom,
         graph=graph,
         solution=solution,
@@ -156,18 +156,18 @@ def lay_out(
     )
 
 
-def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
+def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> FloatArray:
     """(p, 3) poses by odometry, its legs turned as the grid of the building says.
 
     Hundreds of corridors later the headings of the odometry may be anywhere, and from there no
     solver finds the way back.
     """
-    centre = walk.passes.centre
+    centre = reckoning.passes.centre
     if grid is None:
         return np.column_stack([centre, np.zeros(len(centre))])
-    turn, piece = np.zeros(len(centre)), walk.chain[grid.row]
+    turn, piece = np.zeros(len(centre)), reckoning.chain[grid.row]
     for k in np.unique(piece).tolist():
-        mine, known = np.flatnonzero(walk.chain == k), piece == k
+        mine, known = np.flatnonzero(reckoning.chain == k), piece == k
         turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
     half = 0.5 * (turn[1:] + turn[:-1])
     step = np.diff(centre, axis=0)
@@ -178,7 +178,7 @@ def _dead_reckoned(walk: Walk, grid: GridHeadings | None) -> FloatArray:
 
 
 def _solved(
-    graph: PoseGraph, sighting: slice, settings: LayoutSettings
+    graph: PoseGraph, sighting: slice, settings: EstimateSettings
 ) -> tuple[PoseGraph, Solution, FloatArray]:
     """Believe every sighting at first: a new identification may pull places together from afar,
     where a robust kernel would let go of it. Then let go of those that do not fit."""
@@ -195,7 +195,7 @@ def _solved(
     return robust, solve(robust, given), solution.edge_chi2
 
 
-def _misfit(chi2: FloatArray, freedom: int, gate: float) -> float:
+def _reduced_chi2(chi2: FloatArray, freedom: int, gate: float) -> float:
     """Σ χ² per degree of freedom, edges beyond the gate counted as on it; 1 if nothing tells."""
     if freedom == 0:
         return 1.0
@@ -206,7 +206,10 @@ def _misfit(chi2: FloatArray, freedom: int, gate: float) -> float:
 
 
 def _priors(
-    grid: GridHeadings | None, corridors: GridCorridors | None, line: int, settings: LayoutSettings
+    grid: GridHeadings | None,
+    corridors: GridCorridors | None,
+    line: int,
+    settings: EstimateSettings,
 ) -> Priors:
     """Headings of passes and of lines, the nodes from `line` on."""
     if grid is None:
@@ -231,10 +234,10 @@ class _Factors:
     information: FloatArray
 
 
-def _legs(walk: Walk) -> _Factors:
-    row = np.flatnonzero(np.diff(walk.chain) == 0)
-    cov = relative_covariance(walk, row, row + 1) + np.diag([1e-6, 1e-6, 1e-8])
-    shift = np.diff(walk.passes.centre, axis=0)[row]
+def _legs(reckoning: DeadReckoning) -> _Factors:
+    row = np.flatnonzero(np.diff(reckoning.chain) == 0)
+    cov = relative_covariance(reckoning, row, row + 1) + np.diag([1e-6, 1e-6, 1e-8])
+    shift = np.diff(reckoning.passes.centre, axis=0)[row]
     return _Factors(row, np.column_stack([shift, np.zeros(len(row))]), _information(cov))
 
 
@@ -256,23 +259,27 @@ def _information(cov: FloatArray) -> FloatArray:
 
 
 def _sightings(
-    walk: Walk, place: IntArray, visits: IntArray, turn: FloatArray, settings: LayoutSettings
+    reckoning: DeadReckoning,
+    place: IntArray,
+    visits: IntArray,
+    turn: FloatArray,
+    settings: EstimateSettings,
 ) -> _Factors:
     """Passes of places with several: the centre coincides, the branches fix the direction."""
     row = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] > 1))
-    branches = walk.passes.branches
-    home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(walk)), place)
+    branches = reckoning.passes.branches
+    home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(reckoning)), place)
     slots = cluster_angles(
         branches.values + turn[branches.owner], home[branches.owner], settings.slot_gap_rad
     )
     # How each pass would have to be turned for its branches to meet the places' mean branches.
     off = wrap(slots.mean[slots.of] - branches.values - turn[branches.owner])
     counts = np.maximum(branches.counts, 1)
-    turn = turn + np.bincount(branches.owner, off, minlength=len(walk)) / counts
+    turn = turn + np.bincount(branches.owner, off, minlength=len(reckoning)) / counts
     measurement = np.column_stack([np.zeros((len(row), 2)), wrap(-turn[row])])
     information = np.zeros((len(row), 3, 3))
-    information[:, 0, 0] = information[:, 1, 1] = walk.noise.centre_m**-2
-    information[:, 2, 2] = counts[row] * walk.noise.branch_rad**-2
+    information[:, 0, 0] = information[:, 1, 1] = reckoning.noise.centre_m**-2
+    information[:, 2, 2] = counts[row] * reckoning.noise.branch_rad**-2
     return _Factors(row, measurement, information)
 
 

@@ -15,7 +15,7 @@ from scipy.special import chndtr
 
 from ..matching.likelihood import LIKELIHOOD, Lengths, length_log_density
 from ..topomap import RunNoise
-from .dead_reckoning import Walk
+from .dead_reckoning import DeadReckoning
 from .lattice import Lattice, LatticeSettings, lattice_of, no_lattice, squared_mahalanobis
 from .places import Places
 
@@ -72,14 +72,14 @@ class Background:
 
 
 def background(
-    walk: Walk, noise: RunNoise, settings: EvidenceSettings = EvidenceSettings()
+    reckoning: DeadReckoning, noise: RunNoise, settings: EvidenceSettings = EvidenceSettings()
 ) -> Background:
     """Statistics of a run that evidence is measured against. noise: as far as the run has shown
     it."""
-    legs = walk.leg[np.isfinite(walk.leg)]
+    legs = reckoning.leg[np.isfinite(reckoning.leg)]
     # Chords: a leg that turns back or winds says nothing about how close junctions lie.
-    chord = np.hypot(*np.diff(walk.passes.centre, axis=0).T)
-    chord = chord[np.isfinite(walk.leg)]
+    chord = np.hypot(*np.diff(reckoning.passes.centre, axis=0).T)
+    chord = chord[np.isfinite(reckoning.leg)]
     # A robot that stands has legs, too: of no length but for the noise of the two centres.
     centre_sigma = settings.inflation * noise.centre_m
     moved = chord[chord > LIKELIHOOD.gate_sigmas * np.sqrt(2) * centre_sigma]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
 from .branches import Alignment, Branches, align
-from .dead_reckoning import Walk
+from .dead_reckoning import DeadReckoning
 from .evidence import Background, length_odds
 from .places import NOWHERE, ONE_WAY_RAD, Places
 
@@ -44,11 +44,11 @@ class GrowthSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class MapState:
     """The state of the map: places, their positions (n, 2) [m] and branches, and the run's
     statistics."""
 
-    walk: Walk
+    reckoning: DeadReckoning
     places: Places
     xy: FloatArray
     common: Background
@@ -95,38 +95,38 @@ class _Reached:
 
 
 def grow(
-    scene: Scene,
+    state: MapState,
     a: IntArray,
     b: IntArray,
     aligned: Alignment,
     settings: GrowthSettings = GrowthSettings(),
 ) -> Support:
     """Support of the hypotheses "place a[k] is place b[k]", grown `settings.hops` corridors far."""
-    places, common = scene.places, scene.common
+    places, common = state.places, state.common
     k = len(a)
     gain, loss, legs = np.zeros(k), np.zeros(k), np.zeros(k, np.int64)
     front = _Front(np.arange(k), a, b, aligned.turn, aligned.partner)
     seen = _keys(front.hypothesis, a, b, len(places))
     gaps = _Gaps(k, settings)
     weight, miss = 1.0, float(np.log(common.miss_rate))
-    turn_sigma = float(np.sqrt(scene.branches.variance))
+    turn_sigma = float(np.sqrt(state.branches.variance))
     for _ in range(settings.hops):
         pairs = _leave(places, front)
         if len(pairs.row) == 0:
             break
-        reached, torn = _compare(scene, front, pairs, settings)
+        reached, torn = _compare(state, front, pairs, settings)
         loss += weight * -miss * np.bincount(front.hypothesis[torn], minlength=k)
         h = front.hypothesis[reached.row]
-        var = _leg_variance(scene, reached.la, reached.lb, settings)
+        var = _leg_variance(state, reached.la, reached.lb, settings)
         odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, settings.leg_cap)
-        odds[gaps.known(h, scene.xy[front.a[reached.row]], scene.xy[reached.qa])] = 0.0
+        odds[gaps.known(h, state.xy[front.a[reached.row]], state.xy[reached.qa])] = 0.0
         odds = odds + miss * reached.missed
         same = reached.qa == reached.qb
         # Both corridors end at one place: by one branch it is one corridor, by two it is none.
         odds = np.where(same, np.where(reached.ea == reached.eb, odds - miss, miss), odds)
         further = np.flatnonzero(~same)
         ends = align(
-            scene.branches,
+            state.branches,
             reached.qa[further],
             reached.qb[further],
             turn_sigma=np.full(len(further), turn_sigma),
@@ -219,12 +219,12 @@ def _leave(places: Places, front: _Front) -> _Reached:
 
 
 def _compare(
-    scene: Scene, front: _Front, pairs: _Reached, settings: GrowthSettings
+    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
 ) -> tuple[_Reached, IntArray]:
     """Pairs of legs that agree, also past one missed junction; rows of the front for the others."""
-    agree = _agree(scene, front, pairs, settings)
+    agree = _agree(state, front, pairs, settings)
     rest = np.flatnonzero(~agree)
-    through = _past_missed(scene, front, take(pairs, rest), settings)
+    through = _past_missed(state, front, take(pairs, rest), settings)
     found = np.zeros(len(rest), bool)
     found[through[1]] = True
     torn = pairs.row[rest[~found]]
@@ -232,23 +232,23 @@ def _compare(
 
 
 def _agree(
-    scene: Scene, front: _Front, pairs: _Reached, settings: GrowthSettings
+    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
 ) -> NDArray[np.bool_]:
     """Equal lengths, and ends that coincide once the two places do."""
-    var = _leg_variance(scene, pairs.la, pairs.lb, settings)
+    var = _leg_variance(state, pairs.la, pairs.lb, settings)
     near = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(var)
-    da = scene.xy[pairs.qa] - scene.xy[front.a[pairs.row]]
-    db = scene.xy[pairs.qb] - scene.xy[front.b[pairs.row]]
+    da = state.xy[pairs.qa] - state.xy[front.a[pairs.row]]
+    db = state.xy[pairs.qb] - state.xy[front.b[pairs.row]]
     c, s = np.cos(front.turn[pairs.row]), np.sin(front.turn[pairs.row])
     x = da[:, 0] - (c * db[:, 0] - s * db[:, 1])
     y = da[:, 1] - (s * db[:, 0] + c * db[:, 1])
-    room = LIKELIHOOD.gate_sigmas * np.sqrt(var + scene.branches.variance * pairs.la**2)
+    room = LIKELIHOOD.gate_sigmas * np.sqrt(var + state.branches.variance * pairs.la**2)
     result: NDArray[np.bool_] = near & (np.hypot(x, y) < room)
     return result
 
 
 def _past_missed(
-    scene: Scene, front: _Front, pairs: _Reached, settings: GrowthSettings
+    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
 ) -> tuple[_Reached, IntArray]:
     """Where the shorter leg, driven on past its end, meets the end of the longer.
 
@@ -256,12 +256,12 @@ def _past_missed(
     """
     short_a = pairs.la < pairs.lb
     middle, entry = np.where(short_a, pairs.qa, pairs.qb), np.where(short_a, pairs.ea, pairs.eb)
-    index, slot = np.nonzero(scene.places.next_place[middle] != NOWHERE)
+    index, slot = np.nonzero(state.places.next_place[middle] != NOWHERE)
     keep = slot != entry[index]
     index, slot = index[keep], slot[keep]
     m, first = middle[index], short_a[index]
-    on, onto = scene.places.next_place[m, slot], scene.places.next_slot[m, slot]
-    more = scene.places.length[m, slot]
+    on, onto = state.places.next_place[m, slot], state.places.next_slot[m, slot]
+    more = state.places.length[m, slot]
     tried = _Reached(
         row=pairs.row[index],
         qa=np.where(first, on, pairs.qa[index]),
@@ -272,7 +272,7 @@ def _past_missed(
         lb=pairs.lb[index] + np.where(first, 0.0, more),
         missed=np.ones(len(index), np.int64),
     )
-    fine = np.flatnonzero(_agree(scene, front, tried, settings))
+    fine = np.flatnonzero(_agree(state, front, tried, settings))
     # One continuation per pair: the one nearest in length.
     off = np.abs(tried.la[fine] - tried.lb[fine])
     order = fine[np.lexsort((off, index[fine]))]
@@ -281,9 +281,9 @@ def _past_missed(
 
 
 def _leg_variance(
-    scene: Scene, la: FloatArray, lb: FloatArray, settings: GrowthSettings
+    state: MapState, la: FloatArray, lb: FloatArray, settings: GrowthSettings
 ) -> FloatArray:
-    along = scene.walk.noise.along_m_per_sqrt_m**2 * (la + lb)
-    fixed = 2 * settings.wobble_m**2 + 4 * scene.common.centre_sigma**2
+    along = state.reckoning.noise.along_m_per_sqrt_m**2 * (la + lb)
+    fixed = 2 * settings.wobble_m**2 + 4 * state.common.centre_sigma**2
     out: FloatArray = fixed + along
     return out

@@ -1,8 +1,8 @@
 """The full closure: in rounds, the identifications that are certain enough.
 
 A run is available as a whole, so it is not closed pass by pass. Each round makes the
-identifications that are certain by now, optimises the layout again, and gives the next round its
-smaller uncertainty.
+identifications that are certain by now, optimises the pose graph again, and gives the next round
+its smaller uncertainty.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from .answers import (
 )
 from .branches import branches_of
 from .candidates import Candidates, CandidateSettings, candidates
-from .dead_reckoning import Walk, scale_noise
+from .dead_reckoning import DeadReckoning, scale_noise
 from .detector_faults import RateSettings, measured_rates
-from .estimate import Layout, LayoutSettings, lay_out
+from .estimate import Estimate, EstimateSettings, optimise
 from .evidence import background, with_lattice
-from .growth import Scene
+from .growth import MapState
 from .joint_compatibility import JointSettings, agreeing
 from .manhattan import (
     GridCorridors,
@@ -72,7 +72,7 @@ class RoundSettings:
     to a quarter."""
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
     rates: RateSettings = field(default_factory=RateSettings)
-    layout: LayoutSettings = field(default_factory=LayoutSettings)
+    estimate: EstimateSettings = field(default_factory=EstimateSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     grid: RectilinearSettings = field(default_factory=RectilinearSettings)
 
@@ -86,35 +86,37 @@ class RoundSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Closed:
-    """A closed walk.
+    """A run, closed.
 
-    place: (p,) place of each pass, numbered by first visit; layout: the optimised positions of
+    place: (p,) place of each pass, numbered by first visit; estimate: the optimised positions of
     these places; asked: evidence of every identification made, and of the refused ones that had
-    some; walk: the one given, its noise raised by `caution` and by what the layout showed; grid:
-    the headings of the building's grid that held the layout, if any; revised: answers of earlier
-    rounds that a later round changed.
+    some; reckoning: the one given, its noise raised by `caution` and by what the estimate showed;
+    grid: the headings of the building's grid that held the estimate, if any; revised: answers of
+    earlier rounds that a later round changed.
     """
 
-    walk: Walk
+    reckoning: DeadReckoning
     place: IntArray
-    layout: Layout
+    estimate: Estimate
     asked: list[Identification]
     grid: GridHeadings | None
     revised: list[Identification] = field(default_factory=list)
 
 
-def full_closure(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
-    """Identify the passes of a walk, held straight by the grid of its building if it has one."""
-    return _closed(walk, grid_headings(walk, settings.grid), settings)
+def full_closure(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
+    """Identify the passes of a run, held straight by the grid of its building if it has one."""
+    return _closed(reckoning, grid_headings(reckoning, settings.grid), settings)
 
 
-def closure_without_grid(walk: Walk, settings: RoundSettings = RoundSettings()) -> Closed:
-    """Identify the passes of a walk whose headings are known up to quarter turns only."""
-    return _closed(walk, None, settings)
+def closure_without_grid(
+    reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()
+) -> Closed:
+    """Identify the passes of a run whose headings are known up to quarter turns only."""
+    return _closed(reckoning, None, settings)
 
 
-def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
-    under_way = _Closure(walk, grid, settings)
+def _closed(reckoning: DeadReckoning, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
+    under_way = _Closure(reckoning, grid, settings)
     # Every round but the first identifies what was not, or is the last: what is taken back, is so
     # for good.
     for number in count(1):
@@ -129,35 +131,37 @@ def _closed(walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> C
 
 
 class _Closure:
-    """A closure under way: what is identified, how the walk lies by that, and what was answered."""
+    """A closure under way: what is identified, how the run lies by that, and what was answered."""
 
-    def __init__(self, walk: Walk, grid: GridHeadings | None, settings: RoundSettings) -> None:
+    def __init__(
+        self, reckoning: DeadReckoning, grid: GridHeadings | None, settings: RoundSettings
+    ) -> None:
         self._settings, self._grid = settings, grid
-        self._walk = self._unscaled = scale_noise(walk, settings.caution)
+        self._reckoning = self._unscaled = scale_noise(reckoning, settings.caution)
         self._scale = 1.0
         self._corridors: GridCorridors | None = None
         self._links: list[Identification] = []
         self._blocked: set[tuple[int, int]] = set()
         self._doubts: dict[tuple[int, int], Identification] = {}
         self._answers: dict[Answer, Identification] = {}
-        self._place = np.arange(len(walk), dtype=np.int64)
-        self._layout = self._laid_out(None)
+        self._place = np.arange(len(reckoning), dtype=np.int64)
+        self._estimate = self._optimised(None)
 
     def certain(self, number: int) -> list[Identification]:
-        """The identifications that are certain by the present layout: one by one or, failing that,
-        jointly.
+        """The identifications that are certain by the present estimate: one by one or, failing
+        that, jointly.
 
         The first round bounds positions cheaply and makes only what is plain by these bounds, which
         eases the rest.
         """
         exact, settings = number > 1, self._settings
-        scene = self._scene()
-        found = candidates(scene, self._place, self._layout, settings.candidates, exact=exact)
+        state = self._scene()
+        found = candidates(state, self._place, self._estimate, settings.candidates, exact=exact)
         found = take(found, ~_blocked(found, self._blocked, self._place))
-        new = _certain(scene.places, found, settings.least_odds(len(self._walk)))
-        self._doubts = _doubted(self._doubts, scene.places, found, settings, number)
+        new = _certain(state.places, found, settings.least_odds(len(self._reckoning)))
+        self._doubts = _doubted(self._doubts, state.places, found, settings, number)
         if not new and exact:
-            new, reasons = _together(scene, found, self._layout, settings)
+            new, reasons = _together(state, found, self._estimate, settings)
             self._doubts |= explained(self._doubts, reasons)
         new = [replace(q, round=number) for q in new]
         made = {(q.first, q.second) for q in new}
@@ -166,22 +170,22 @@ class _Closure:
         return new
 
     def identify(self, new: list[Identification]) -> None:
-        """Join the places of these passes, and optimise the layout again."""
+        """Join the places of these passes, and optimise the pose graph again."""
         self._links += new
-        turn = self._layout.pose[:, 2] + _turns(self._place, new)
-        self._place = _partition(len(self._walk), self._links)
-        self._layout = self._laid_out(self._layout.pose, turn)
+        turn = self._estimate.pose[:, 2] + _turns(self._place, new)
+        self._place = _partition(len(self._reckoning), self._links)
+        self._estimate = self._optimised(self._estimate.pose, turn)
 
     def fit_noise(self) -> None:
-        """Raise the noise where the residuals of the layout are larger than it explains."""
-        scale = _fitting_scale(self._scale, self._layout)
+        """Raise the noise where the residuals of the estimate are larger than it explains."""
+        scale = _fitting_scale(self._scale, self._estimate)
         if scale != self._scale:
-            self._scale, self._walk = scale, scale_noise(self._unscaled, scale)
-            self._layout = self._laid_out(self._layout.pose)
+            self._scale, self._reckoning = scale, scale_noise(self._unscaled, scale)
+            self._estimate = self._optimised(self._estimate.pose)
 
     def take_back_outliers(self, number: int) -> None:
-        """Undo for good the identifications that the layout contradicts."""
-        bad = _outliers(self._place, self._layout, self._links)
+        """Undo for good the identifications that the estimate contradicts."""
+        bad = _outliers(self._place, self._estimate, self._links)
         if not bad:
             return
         self._blocked |= {(q.first, q.second) for q in bad}
@@ -189,63 +193,65 @@ class _Closure:
         self._doubts |= back
         note(self._answers, back.values())
         self._links = [q for q in self._links if q not in bad]
-        self._place = _partition(len(self._walk), self._links)
-        self._layout = self._laid_out(self._layout.pose)
+        self._place = _partition(len(self._reckoning), self._links)
+        self._estimate = self._optimised(self._estimate.pose)
 
     def closed(self) -> Closed:
         """The result, when nothing more is certain."""
         if self._corridors is not None:
             # They were to tell places apart: the map shows corridors as they were measured.
             self._corridors = None
-            self._layout = self._laid_out(self._layout.pose)
+            self._estimate = self._optimised(self._estimate.pose)
         asked = self._links + standing_doubts(self._place, self._doubts)
         revised = revised_answers(self._place, self._answers.values(), asked)
-        return Closed(self._walk, self._place, self._layout, asked, self._grid, revised)
+        return Closed(self._reckoning, self._place, self._estimate, asked, self._grid, revised)
 
-    def _scene(self) -> Scene:
-        """What the walk shows as it lies; laid out straighter first where its map repeats, for
-        there likeness tells little, and the layout is to tell more."""
-        scene = _scene(self._walk, self._place, self._layout, self._settings)
-        if self._grid is None or not scene.common.lattice.repeats:
-            return scene
-        self._corridors = _straight(self._corridors, self._grid, scene, self._layout)
-        self._layout = self._laid_out(self._layout.pose)
-        return _scene(self._walk, self._place, self._layout, self._settings)
+    def _scene(self) -> MapState:
+        """What the run shows as it lies; laid out straighter first where its map repeats, for
+        there likeness tells little, and the estimate is to tell more."""
+        state = _scene(self._reckoning, self._place, self._estimate, self._settings)
+        if self._grid is None or not state.common.lattice.repeats:
+            return state
+        self._corridors = _straight(self._corridors, self._grid, state, self._estimate)
+        self._estimate = self._optimised(self._estimate.pose)
+        return _scene(self._reckoning, self._place, self._estimate, self._settings)
 
-    def _laid_out(self, start: FloatArray | None, turn: FloatArray | None = None) -> Layout:
-        return lay_out(
-            self._walk,
+    def _optimised(self, start: FloatArray | None, turn: FloatArray | None = None) -> Estimate:
+        return optimise(
+            self._reckoning,
             self._place,
             start,
             turn=turn,
             grid=self._grid,
             corridors=self._corridors,
-            settings=self._settings.layout,
+            settings=self._settings.estimate,
         )
 
 
 def _straight(
-    corridors: GridCorridors | None, grid: GridHeadings, scene: Scene, layout: Layout
+    corridors: GridCorridors | None, grid: GridHeadings, state: MapState, estimate: Estimate
 ) -> GridCorridors:
-    """Corridors along the grid; those that were known, as the layout by them shows them."""
+    """Corridors along the grid; those that were known, as the estimate by them shows them."""
     if corridors is None:
-        return grid_corridors(scene.walk, grid, layout.pose[:, 2], scene.common.core_m)
-    return with_shown_spread(corridors, layout, grid)
+        return grid_corridors(state.reckoning, grid, estimate.pose[:, 2], state.common.core_m)
+    return with_shown_spread(corridors, estimate, grid)
 
 
-def _scene(walk: Walk, place: IntArray, layout: Layout, settings: RoundSettings) -> Scene:
-    places = tabulate(walk, place, layout.pose[:, 2], settings.layout.slot_gap_rad)
+def _scene(
+    reckoning: DeadReckoning, place: IntArray, estimate: Estimate, settings: RoundSettings
+) -> MapState:
+    places = tabulate(reckoning, place, estimate.pose[:, 2], settings.estimate.slot_gap_rad)
     evidence = settings.candidates.evidence
-    noise = measured_rates(places, walk.noise, settings.rates)
-    common = background(walk, noise, evidence)
-    common = with_lattice(common, places, layout.xy, evidence)
-    return Scene(walk, places, layout.xy, common, branches_of(places, common, evidence))
+    noise = measured_rates(places, reckoning.noise, settings.rates)
+    common = background(reckoning, noise, evidence)
+    common = with_lattice(common, places, estimate.xy, evidence)
+    return MapState(reckoning, places, estimate.xy, common, branches_of(places, common, evidence))
 
 
-def _fitting_scale(now: float, layout: Layout) -> float:
+def _fitting_scale(now: float, estimate: Estimate) -> float:
     """Factor on the estimated noise, raised to fit where errors as large are no chance."""
-    if layout.misfit * layout.freedom > LIKELIHOOD.gate_chi2(layout.freedom):
-        return now * float(np.sqrt(layout.misfit))
+    if estimate.reduced_chi2 * estimate.freedom > LIKELIHOOD.gate_chi2(estimate.freedom):
+        return now * float(np.sqrt(estimate.reduced_chi2))
     return now
 
 
@@ -341,21 +347,21 @@ def _rivals(
 
 
 def _together(
-    scene: Scene, found: Candidates, layout: Layout, settings: RoundSettings
+    state: MapState, found: Candidates, estimate: Estimate, settings: RoundSettings
 ) -> tuple[list[Identification], dict[tuple[int, int], str]]:
     """The candidates that are sure only together; by their passes, why those were refused."""
     evidence = settings.candidates.evidence
-    least = settings.least_odds(len(scene.walk))
+    least = settings.least_odds(len(state.reckoning))
     agreed = agreeing(
-        layout, found, scene.common, evidence, least_odds=least, settings=settings.joint
+        estimate, found, state.common, evidence, least_odds=least, settings=settings.joint
     )
     rows = agreed.rows.tolist()
     if agreed.reason:
-        firsts = scene.places.first
+        firsts = state.places.first
         ends = [(int(firsts[found.a[k]]), int(firsts[found.b[k]])) for k in rows]
         return [], {(min(pair), max(pair)): agreed.reason for pair in ends}
     answers = [
-        _answer(scene.places, found, row, value, reason=TOGETHER, accepted=True)
+        _answer(state.places, found, row, value, reason=TOGETHER, accepted=True)
         for row, value in zip(rows, agreed.odds.tolist(), strict=True)
     ]
     return answers, {}
@@ -372,10 +378,12 @@ def _answer(
     return Identification(i, j, accepted, odds / BIT, reason, turn)
 
 
-def _outliers(place: IntArray, layout: Layout, links: list[Identification]) -> list[Identification]:
-    """The links to remove: of each place with a pass whose observation the layout rejects (χ²
+def _outliers(
+    place: IntArray, estimate: Estimate, links: list[Identification]
+) -> list[Identification]:
+    """The links to remove: of each place with a pass whose observation the estimate rejects (χ²
     gate), the weakest links that split it in two."""
-    bad = set(place[layout.sighting[layout.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist())
+    bad = set(place[estimate.sighting[estimate.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist())
     of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
     for q in links:
         if int(place[q.first]) in bad:
@@ -409,7 +417,7 @@ def _doubted(
 ) -> dict[tuple[int, int], Identification]:
     """Doubtful identifications by their passes: those of before, and the candidates of this round.
 
-    What was doubted before and is no candidate any more was excluded by the layout.
+    What was doubted before and is no candidate any more was excluded by the estimate.
     """
     out = {
         pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)

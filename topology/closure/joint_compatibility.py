@@ -18,7 +18,7 @@ from scipy.spatial.distance import squareform
 
 from ..posegraph.solve import Marginals
 from .candidates import Candidates
-from .estimate import Layout
+from .estimate import Estimate
 from .evidence import Background, EvidenceSettings, among_neighbours, position_odds
 from .places import ONE_WAY_RAD
 
@@ -88,7 +88,7 @@ class _Beliefs:
 
 
 def agreeing(
-    layout: Layout,
+    estimate: Estimate,
     found: Candidates,
     common: Background,
     evidence: EvidenceSettings,
@@ -105,7 +105,7 @@ def agreeing(
     if len(rows) < 2:
         return _NOBODY
     a, b = found.a[rows], found.b[rows]
-    start = _Beliefs(*_shifts(layout, a, b), found.alike[rows], common, evidence)
+    start = _Beliefs(*_shifts(estimate, a, b), found.alike[rows], common, evidence)
     shared, excluded = _sharing(a, b)
     # Candidates that share a place say in part the same; one of them is enough for now.
     sets = [_grown(start, found.support[rows], seed, shared) for seed in range(len(rows))]
@@ -184,11 +184,11 @@ def _sharing(a: IntArray, b: IntArray) -> tuple[NDArray[np.bool_], NDArray[np.bo
     return shared, excluded
 
 
-def _shifts(layout: Layout, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
+def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
     """(2 k,) positions of places a less those of b, and their joint covariance (2 k, 2 k)."""
-    nodes, at = np.unique(layout.node[np.concatenate([a, b])], return_inverse=True)
+    nodes, at = np.unique(estimate.node[np.concatenate([a, b])], return_inverse=True)
     n, k = len(nodes), len(a)
-    marginals = Marginals.of(layout.graph, layout.solution)
+    marginals = Marginals.of(estimate.graph, estimate.solution)
     first, second = np.divmod(np.arange(n * n), n)
     _, _, cross = marginals.joint(nodes[first], nodes[second])
     full = cross[:, :2, :2].reshape(n, n, 2, 2).transpose(0, 2, 1, 3).reshape(2 * n, 2 * n)
@@ -196,7 +196,7 @@ def _shifts(layout: Layout, a: IntArray, b: IntArray) -> tuple[FloatArray, Float
     for axis in (0, 1):
         difference[2 * np.arange(k) + axis, 2 * at[:k] + axis] = 1.0
         difference[2 * np.arange(k) + axis, 2 * at[k:] + axis] -= 1.0
-    return (layout.xy[a] - layout.xy[b]).ravel(), difference @ full @ difference.T
+    return (estimate.xy[a] - estimate.xy[b]).ravel(), difference @ full @ difference.T
 
 
 def _grown(

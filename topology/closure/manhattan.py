@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import Passes
 from ..se2 import wrap
-from .dead_reckoning import Walk, dead_reckoning_covariance
+from .dead_reckoning import DeadReckoning, dead_reckoning_covariance
 from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
@@ -57,22 +57,22 @@ class GridHeadings:
 
 
 def grid_headings(
-    walk: Walk, settings: RectilinearSettings = RectilinearSettings()
+    reckoning: DeadReckoning, settings: RectilinearSettings = RectilinearSettings()
 ) -> GridHeadings | None:
     """Headings of the passes by the building's grid; None if the building is not rectilinear."""
-    branches = walk.passes.branches
+    branches = reckoning.passes.branches
     owner = branches.owner
     # Angles between neighbouring branches of a pass, as distance from the next quarter turn.
     same = owner[1:] == owner[:-1]
     off = from_quarter(np.diff(branches.values)[same])
     # Noise of the sensor alone must not make a grid look crooked.
-    one = walk.noise.branch_rad**2 + settings.spread_rad**2
+    one = reckoning.noise.branch_rad**2 + settings.spread_rad**2
     tolerance = LIKELIHOOD.gate_sigmas * np.sqrt(2.0 * one)
     near = np.count_nonzero(np.abs(off) < tolerance)
     if tolerance > 0.5 or (near + 1) / (len(off) + 2) < settings.least_share:
         return None
     # Direction of the grid as each pass sees it: mean on the circle of quarter turns.
-    count = len(walk)
+    count = len(reckoning)
     z = np.bincount(owner, np.cos(4 * branches.values), count) + 1j * np.bincount(
         owner, np.sin(4 * branches.values), count
     )
@@ -83,10 +83,10 @@ def grid_headings(
     grid = np.angle(z[row]) / 4
     # The grid seems to turn as the odometry drifts; between two passes by little.
     step = from_quarter(np.diff(grid))
-    sigma = np.sqrt(walk.noise.branch_rad**2 / n[row] + settings.spread_rad**2)
-    drift = dead_reckoning_covariance(walk, row[:-1], row[1:])[:, 2, 2]
+    sigma = np.sqrt(reckoning.noise.branch_rad**2 / n[row] + settings.spread_rad**2)
+    drift = dead_reckoning_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
     excess = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
-    joined = walk.chain[row[:-1]] == walk.chain[row[1:]]
+    joined = reckoning.chain[row[:-1]] == reckoning.chain[row[1:]]
     wander = float(excess[joined].mean()) if joined.any() else 0.0
     if wander > settings.most_wander:
         return None
@@ -118,7 +118,7 @@ class GridCorridors:
 
 
 def grid_corridors(
-    walk: Walk, grid: GridHeadings, turn: FloatArray, apart_m: float
+    reckoning: DeadReckoning, grid: GridHeadings, turn: FloatArray, apart_m: float
 ) -> GridCorridors:
     """Straight corridors of a rectilinear building: they tell positions across, not headings alone.
 
@@ -130,10 +130,13 @@ def grid_corridors(
     round one corner, where a junction was missed; chord c and way a + b give both its parts by a² +
     b² = c². On such legs an error of the heading displaces no pass sideways.
     """
-    piece = walk.chain[grid.row]
-    first = np.minimum(np.searchsorted(piece, walk.chain[:-1]), len(piece) - 1)
-    axis, step = grid.axis[first], np.diff(walk.passes.centre, axis=0)
-    chord, leg = np.hypot(*step.T), np.where(piece[first] == walk.chain[:-1], walk.leg, np.nan)
+    piece = reckoning.chain[grid.row]
+    first = np.minimum(np.searchsorted(piece, reckoning.chain[:-1]), len(piece) - 1)
+    axis, step = grid.axis[first], np.diff(reckoning.passes.centre, axis=0)
+    chord, leg = (
+        np.hypot(*step.T),
+        np.where(piece[first] == reckoning.chain[:-1], reckoning.leg, np.nan),
+    )
     half = np.sqrt(np.maximum(2 * chord**2 - leg**2, 0.0)) / 2
     course = np.arctan2(*step.T[::-1]) + 0.5 * (turn[:-1] + turn[1:]) - axis
     quarter = np.round(course / (np.pi / 2))
@@ -143,8 +146,8 @@ def grid_corridors(
         away = heading - axis - quarter * (np.pi / 2)
         return np.asarray(np.round(wrap(away) / (np.pi / 2)))
 
-    out = turned(walk.leaving[:-1] + turn[:-1])
-    back = turned(walk.arriving[1:] + turn[1:] + np.pi)
+    out = turned(reckoning.leaving[:-1] + turn[:-1])
+    back = turned(reckoning.arriving[1:] + turn[1:] + np.pi)
     off = course - quarter * (np.pi / 2)
     straight = (out == 0) & (back == 0) & (leg - chord < 0.5 * apart_m)
     straight &= (np.abs(off) < ONE_WAY_RAD) & (chord > LIKELIHOOD.gate_m)
@@ -168,7 +171,9 @@ def grid_corridors(
         corridor=corridor,
         row=passed,
         aside=np.where((along > 0) & corner[passed - 1], aside[passed - 1], 0.0),
-        sigma_m=float(np.hypot(walk.noise.centre_m, LIKELIHOOD.gate_m / LIKELIHOOD.gate_sigmas)),
+        sigma_m=float(
+            np.hypot(reckoning.noise.centre_m, LIKELIHOOD.gate_m / LIKELIHOOD.gate_sigmas)
+        ),
     )
 
 

@@ -18,8 +18,8 @@ from ..se2 import wrap
 from ..track import way_along
 from ..visits import DrawnTrack, Visits, draw_track
 from .answers import Identification
-from .dead_reckoning import Walk
-from .estimate import Layout, LayoutSettings
+from .dead_reckoning import DeadReckoning
+from .estimate import Estimate, EstimateSettings
 from .places import NOWHERE, ONE_WAY_RAD, Places, tabulate
 from .resolution import blurred, one_drive_by
 
@@ -64,10 +64,10 @@ class CorrectedPlaces:
 
 
 def correct_detections(
-    walk: Walk,
+    reckoning: DeadReckoning,
     odometry: Odometry,
     place: IntArray,
-    layout: Layout,
+    estimate: Estimate,
     settings: DrivenBySettings = DrivenBySettings(),
     *,
     resolution_m: float = 0.0,
@@ -77,22 +77,24 @@ def correct_detections(
 
     place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector.
     """
-    gap = LayoutSettings().slot_gap_rad
-    one = blurred(walk, place, layout, resolution_m)
+    gap = EstimateSettings().slot_gap_rad
+    one = blurred(reckoning, place, estimate, resolution_m)
     fair = one.place[place] == place
-    kept, number = _renumbered(one.place == np.arange(len(layout.xy)))
+    kept, number = _renumbered(one.place == np.arange(len(estimate.xy)))
     place, xy = number[one.place[place]], one.xy[kept]
     # One drive-by is one visit.
     again = np.zeros(len(place), bool)
-    again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(walk, resolution_m)
+    again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
     place = np.where(again, NOWHERE, place)
-    places = tabulate(walk, np.where(fair, place, NOWHERE), layout.pose[:, 2], gap)
-    found = driven_by(odometry, visits_of(walk, place, fair, layout, xy), xy, places, settings)
+    places = tabulate(reckoning, np.where(fair, place, NOWHERE), estimate.pose[:, 2], gap)
+    found = driven_by(
+        odometry, visits_of(reckoning, place, fair, estimate, xy), xy, places, settings
+    )
     unseen = np.bincount(found.place, minlength=len(places))
-    real, number = _renumbered(~phantoms(walk, places, unseen, settings))
+    real, number = _renumbered(~phantoms(reckoning, places, unseen, settings))
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
-    places = tabulate(walk, np.where(fair, place, NOWHERE), layout.pose[:, 2], gap)
-    visits = visits_of(walk, place, fair, layout, xy)
+    places = tabulate(reckoning, np.where(fair, place, NOWHERE), estimate.pose[:, 2], gap)
+    visits = visits_of(reckoning, place, fair, estimate, xy)
     found = driven_by(odometry, visits, xy, places, settings)
     visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
     return CorrectedPlaces(place, fair, xy, visits, kept[real], one.asked)
@@ -190,13 +192,16 @@ def _along_branches(
 
 
 def phantoms(
-    walk: Walk, places: Places, unseen: IntArray, settings: DrivenBySettings = DrivenBySettings()
+    reckoning: DeadReckoning,
+    places: Places,
+    unseen: IntArray,
+    settings: DrivenBySettings = DrivenBySettings(),
 ) -> NDArray[np.bool_]:
     """(n,) places that are more likely invented than missed each time they were driven by unseen.
 
     unseen: (n,) times each place was driven by without a detection.
     """
-    noise = walk.noise
+    noise = reckoning.noise
     miss = max(2 * noise.miss_rate, settings.least_miss_rate)
     invented = max(noise.phantom_rate, settings.least_phantom_rate)
     odds = places.visits * np.log(invented) - unseen * np.log(miss)
@@ -232,21 +237,25 @@ def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: Float
 
 
 def visits_of(
-    walk: Walk, place: IntArray, fair: NDArray[np.bool_], layout: Layout, xy: FloatArray
+    reckoning: DeadReckoning,
+    place: IntArray,
+    fair: NDArray[np.bool_],
+    estimate: Estimate,
+    xy: FloatArray,
 ) -> Visits:
     """The visits that passes tell. A pass that does not show its place as it is, not (p,) `fair`,
     was by where the place is, and not where it seemed."""
     row = np.flatnonzero(place >= 0)
-    pose, centre = layout.pose[row].copy(), walk.passes.centre[row].copy()
+    pose, centre = estimate.pose[row].copy(), reckoning.passes.centre[row].copy()
     off = np.where(fair[row, None], 0.0, xy[place[row]] - pose[:, :2])
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     pose[:, :2] += off
     centre += np.column_stack([c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0]])
     return Visits(
-        time_ns=walk.passes.time_ns[row],
+        time_ns=reckoning.passes.time_ns[row],
         vertex=place[row],
         seen=np.ones(len(row), bool),
         pose=pose,
         centre=centre,
-        chain=walk.chain[row],
+        chain=reckoning.chain[row],
     )

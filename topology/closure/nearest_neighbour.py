@@ -1,7 +1,7 @@
 """Nearest-neighbour gating: each pass joins the one known place within the error of dead reckoning.
 
-One pass at a time, in order, without optimising the layout. It needs the same log odds as the full
-closure, but does not look at the corridors around, and finds little once the drift exceeds the
+One pass at a time, in order, without optimising the pose graph. It needs the same log odds as the
+full closure, but does not look at the corridors around, and finds little once the drift exceeds the
 distance between junctions. For comparison (`--closure gated`).
 """
 
@@ -14,10 +14,10 @@ from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
 from .branches import align, branches_of
 from .candidates import CandidateSettings
-from .dead_reckoning import Walk, dead_reckoning_covariance, scale_noise
-from .estimate import lay_out
+from .dead_reckoning import DeadReckoning, dead_reckoning_covariance, scale_noise
+from .estimate import optimise
 from .evidence import background, position_odds
-from .growth import Scene
+from .growth import MapState
 from .incremental import Closed, RoundSettings
 from .places import tabulate
 
@@ -25,14 +25,14 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def gated_closure(walk: Walk, settings: RoundSettings) -> Closed:
+def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:
     """(p,) place of each pass, numbered by first visit, and every identification that was
     considered.
 
     O(p · places), vectorised over the places.
     """
-    count = len(walk)
-    scene = _scene(scale_noise(walk, settings.caution), settings)
+    count = len(reckoning)
+    state = _scene(scale_noise(reckoning, settings.caution), settings)
     least = settings.least_odds(count)
     place = np.full(count, -1, np.int64)
     latest = np.zeros(count, np.int64)  # last pass by each place
@@ -40,8 +40,8 @@ def gated_closure(walk: Walk, settings: RoundSettings) -> Closed:
     places = 0
     for i in range(count):
         known = latest[:places]
-        known = known[walk.chain[known] == walk.chain[i]]
-        odds = _odds(scene, known, i, settings.candidates)
+        known = known[reckoning.chain[known] == reckoning.chain[i]]
+        odds = _odds(state, known, i, settings.candidates)
         order = np.argsort(-odds, kind="stable")
         if len(order) and odds[order[0]] > 0:
             best, first = int(known[order[0]]), float(odds[order[0]])
@@ -57,28 +57,28 @@ def gated_closure(walk: Walk, settings: RoundSettings) -> Closed:
             place[i] = places
             places += 1
         latest[place[i]] = i
-    return Closed(walk, place, lay_out(walk, place), asked, None)
+    return Closed(reckoning, place, optimise(reckoning, place), asked, None)
 
 
-def _scene(walk: Walk, settings: RoundSettings) -> Scene:
+def _scene(reckoning: DeadReckoning, settings: RoundSettings) -> MapState:
     """Every pass as a place of its own."""
-    count, evidence = len(walk), settings.candidates.evidence
-    places = tabulate(walk, np.arange(count), np.zeros(count), settings.layout.slot_gap_rad)
-    common = background(walk, walk.noise, evidence)
+    count, evidence = len(reckoning), settings.candidates.evidence
+    places = tabulate(reckoning, np.arange(count), np.zeros(count), settings.estimate.slot_gap_rad)
+    common = background(reckoning, reckoning.noise, evidence)
     branches = branches_of(places, common, evidence)
-    return Scene(walk, places, walk.passes.centre, common, branches)
+    return MapState(reckoning, places, reckoning.passes.centre, common, branches)
 
 
-def _odds(scene: Scene, known: IntArray, i: int, settings: CandidateSettings) -> FloatArray:
+def _odds(state: MapState, known: IntArray, i: int, settings: CandidateSettings) -> FloatArray:
     """(k,) log odds that pass i was by the place of each known pass, by position and branches."""
-    common = scene.common
+    common = state.common
     here = np.full(len(known), i, np.int64)
-    cov = dead_reckoning_covariance(scene.walk, known, here)
+    cov = dead_reckoning_covariance(state.reckoning, known, here)
     spread = cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
-    odds, d2 = position_odds(common, scene.xy[known] - scene.xy[i], spread)
+    odds, d2 = position_odds(common, state.xy[known] - state.xy[i], spread)
     near = np.flatnonzero(d2 < LIKELIHOOD.gate_chi2(2))
     turn_sigma = np.sqrt(cov[near, 2, 2])
     out = np.full(len(known), -np.inf)
-    fit = align(scene.branches, known[near], here[near], turn_sigma=turn_sigma)
+    fit = align(state.branches, known[near], here[near], turn_sigma=turn_sigma)
     out[near] = odds[near] + fit.odds
     return out

@@ -8,31 +8,33 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .dead_reckoning import Walk
-from .estimate import Layout
+from .dead_reckoning import DeadReckoning
+from .estimate import Estimate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def set_apart(walk: Walk, place: IntArray, layout: Layout, gap_m: float = 20.0) -> Layout:
-    """The layout with the pieces side by side along x, so that none lies upon another.
+def set_apart(
+    reckoning: DeadReckoning, place: IntArray, estimate: Estimate, gap_m: float = 20.0
+) -> Estimate:
+    """The estimate with the pieces side by side along x, so that none lies upon another.
 
     place: (p,) of each pass, numbered from 0. Passes of one unbroken stretch of odometry make a
     piece. Only `pose` and `xy` of the result are moved.
     """
-    pieces = np.unique(walk.chain)
+    pieces = np.unique(reckoning.chain)
     if len(pieces) < 2:
-        return layout
-    pose, xy = layout.pose.copy(), layout.xy.copy()
+        return estimate
+    pose, xy = estimate.pose.copy(), estimate.xy.copy()
     piece_of = np.zeros(len(xy), np.int64)
-    piece_of[place[place >= 0]] = walk.chain[place >= 0]
+    piece_of[place[place >= 0]] = reckoning.chain[place >= 0]
     edge = None
     for piece in pieces.tolist():
-        mine = walk.chain == piece
+        mine = reckoning.chain == piece
         low, high = pose[mine, 0].min(), pose[mine, 0].max()
         shift = 0.0 if edge is None else edge + gap_m - low
         pose[mine, 0] += shift
         xy[piece_of == piece, 0] += shift
         edge = high + shift
-    return replace(layout, pose=pose, xy=xy)
+    return replace(estimate, pose=pose, xy=xy)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..circular import cluster_angles
 from ..passes import NO_BRANCH
-from .dead_reckoning import Walk
+from .dead_reckoning import DeadReckoning
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -60,22 +60,25 @@ class Places:
         return len(self.visits)
 
 
-def tabulate(walk: Walk, place: IntArray, turn: FloatArray, gap_rad: float) -> Places:
+def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray, gap_rad: float) -> Places:
     """The places of a partition of the passes.
 
     place: (p,) numbered from 0, every number in use; negative: none. turn: (p,) from the
     odometry's frame to the map's [rad]. All places at once: one clustering of all readings, then
     tables by fancy indexing.
     """
-    branches = walk.passes.branches
+    branches = reckoning.passes.branches
     owner = branches.owner
-    passes = walk.passes
-    rows = np.arange(len(walk))
+    passes = reckoning.passes
+    rows = np.arange(len(reckoning))
     # The track tells branches that the detector did not report.
-    came = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(walk.arriving))
-    went = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(walk.leaving))
+    came = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(reckoning.arriving))
+    went = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(reckoning.leaving))
     by = np.concatenate([owner, came, went])
-    angle = np.concatenate([branches.values, walk.arriving[came], walk.leaving[went]]) + turn[by]
+    angle = (
+        np.concatenate([branches.values, reckoning.arriving[came], reckoning.leaving[went]])
+        + turn[by]
+    )
     told = np.arange(len(by)) < len(owner)
     home = place[by]
     inside = home >= 0
@@ -93,31 +96,35 @@ def tabulate(walk: Walk, place: IntArray, turn: FloatArray, gap_rad: float) -> P
     unique = np.unique(np.stack([home[votes], slot[votes], by[votes]]), axis=1)
     np.add.at(share, (unique[0], unique[1]), 1.0)
     share /= np.maximum(visits, 1)[:, None]
-    entry, exit_ = np.full(len(walk), NO_BRANCH), np.full(len(walk), NO_BRANCH)
+    entry, exit_ = np.full(len(reckoning), NO_BRANCH), np.full(len(reckoning), NO_BRANCH)
     for ends, local_branch, extra in ((entry, passes.entry, 0), (exit_, passes.exit, len(came))):
         has = np.flatnonzero(local_branch != NO_BRANCH)
         ends[has] = slot[branches.offsets[has] + local_branch[has]]
         missing = came if extra == 0 else went
         ends[missing] = slot[len(owner) + extra + np.arange(len(missing))]
-    first, last = np.full(n, len(walk), np.int64), np.full(n, -1, np.int64)
+    first, last = np.full(n, len(reckoning), np.int64), np.full(n, -1, np.int64)
     member = rows[place >= 0]
     np.minimum.at(first, place[member], member)
     np.maximum.at(last, place[member], member)
-    ways = _ways(walk, place, entry, exit_, (n, width))
+    ways = _ways(reckoning, place, entry, exit_, (n, width))
     sure = np.bincount(place[member], passes.confidence[member], n) / np.maximum(visits, 1)
     return Places(heading, share, visits, sure, first, last, *ways, entry, exit_)
 
 
 def _ways(
-    walk: Walk, place: IntArray, entry: IntArray, exit_: IntArray, shape: tuple[int, int]
+    reckoning: DeadReckoning,
+    place: IntArray,
+    entry: IntArray,
+    exit_: IntArray,
+    shape: tuple[int, int],
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, IntArray]:
     """Where each slot leads: of several ends the one reached most often, then the nearest."""
     n, width = shape
-    legs = np.flatnonzero(np.isfinite(walk.leg))
+    legs = np.flatnonzero(np.isfinite(reckoning.leg))
     p, q = place[legs], place[legs + 1]
     a, b = exit_[legs], entry[legs + 1]
     fine = (p >= 0) & (q >= 0) & (a >= 0) & (b >= 0) & ~((p == q) & (a == b))
-    p, q, a, b, leg = p[fine], q[fine], a[fine], b[fine], walk.leg[legs[fine]]
+    p, q, a, b, leg = p[fine], q[fine], a[fine], b[fine], reckoning.leg[legs[fine]]
     here = np.concatenate([p * width + a, q * width + b])
     there = np.concatenate([q * width + b, p * width + a])
     far = np.concatenate([leg, leg])

@@ -18,8 +18,8 @@ from scipy.special import log_ndtr
 
 from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
-from .dead_reckoning import Walk
-from .estimate import Layout
+from .dead_reckoning import DeadReckoning
+from .estimate import Estimate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,40 +38,42 @@ class Blurred:
     asked: list[Identification] = field(default_factory=list)
 
 
-def blurred(walk: Walk, place: IntArray, layout: Layout, resolution_m: float) -> Blurred:
-    """The places of a layout that are one. place: (p,) of each pass, none negative.
+def blurred(
+    reckoning: DeadReckoning, place: IntArray, estimate: Estimate, resolution_m: float
+) -> Blurred:
+    """The places of an estimate that are one. place: (p,) of each pass, none negative.
 
     resolution_m: junctions nearer than this show as one; 0 for detectors that tell all apart.
     """
-    of = np.arange(len(layout.xy), dtype=np.int64)
+    of = np.arange(len(estimate.xy), dtype=np.int64)
     if resolution_m <= 0 or len(of) < 2:
-        return Blurred(of, layout.xy)
-    near = cKDTree(layout.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
-    told = _told_apart(walk, place, resolution_m)
+        return Blurred(of, estimate.xy)
+    near = cKDTree(estimate.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
+    told = _told_apart(reckoning, place, resolution_m)
     open_ = [k for k, pair in enumerate(near.tolist()) if frozenset(pair) not in told]
     a, b = near[open_].T
     if len(a) == 0:
-        return Blurred(of, layout.xy)
+        return Blurred(of, estimate.xy)
     # Of each pair the one seen better first, and the pairs of the best first; ties by number.
-    windows = walk.passes.messages * walk.passes.confidence
+    windows = reckoning.passes.messages * reckoning.passes.confidence
     seen = np.asarray(np.bincount(place, windows, len(of)), np.float64)
     swap = seen[b] > seen[a]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     order = np.lexsort((b, a, -seen[b], -seen[a]))
     a, b = a[order], b[order]
-    sigmas = _sigmas_within(walk, layout, a, b, resolution_m)
+    sigmas = _sigmas_within(reckoning, estimate, a, b, resolution_m)
     asked = []
     for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
         if sure > LIKELIHOOD.gate_sigmas and of[u] == u and of[v] == v:
             of[v] = u
-            asked.append(_identified(walk, place, (u, v), sure))
+            asked.append(_identified(reckoning, place, (u, v), sure))
     # What a drive-by showed beside a part of a crossing is the other part of it.
     for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
         parts = np.flatnonzero(of == u).tolist()
         if of[u] == u and of[v] == v and any({v, part} in told for part in parts if part != u):
             of[v] = u
-            asked.append(_identified(walk, place, (u, v), sure))
-    return Blurred(of, _amid(layout.xy, of, seen), asked)
+            asked.append(_identified(reckoning, place, (u, v), sure))
+    return Blurred(of, _amid(estimate.xy, of, seen), asked)
 
 
 def _amid(xy: FloatArray, of: IntArray, seen: FloatArray) -> FloatArray:
@@ -83,34 +85,36 @@ def _amid(xy: FloatArray, of: IntArray, seen: FloatArray) -> FloatArray:
     return out
 
 
-def _told_apart(walk: Walk, place: IntArray, resolution_m: float) -> set[frozenset[int]]:
+def _told_apart(
+    reckoning: DeadReckoning, place: IntArray, resolution_m: float
+) -> set[frozenset[int]]:
     """Pairs of places that one drive-by showed both."""
-    both = np.stack([place[:-1], place[1:]], axis=1)[one_drive_by(walk, resolution_m)]
+    both = np.stack([place[:-1], place[1:]], axis=1)[one_drive_by(reckoning, resolution_m)]
     return {frozenset(pair) for pair in both.tolist()}
 
 
 def _sigmas_within(
-    walk: Walk, layout: Layout, a: IntArray, b: IntArray, resolution_m: float
+    reckoning: DeadReckoning, estimate: Estimate, a: IntArray, b: IntArray, resolution_m: float
 ) -> FloatArray:
     """(k,) by how many standard deviations places are nearer to each other than the resolution."""
-    cov = layout.relative_covariance(layout.node[a], layout.node[b])[:, :2, :2]
-    variance = np.linalg.eigvalsh(cov)[:, 1] + 2 * walk.noise.centre_m**2
-    distance = np.hypot(*(layout.xy[a] - layout.xy[b]).T)
+    cov = estimate.relative_covariance(estimate.node[a], estimate.node[b])[:, :2, :2]
+    variance = np.linalg.eigvalsh(cov)[:, 1] + 2 * reckoning.noise.centre_m**2
+    distance = np.hypot(*(estimate.xy[a] - estimate.xy[b]).T)
     return np.asarray((resolution_m - distance) / np.sqrt(variance))
 
 
 def _identified(
-    walk: Walk, place: IntArray, pair: tuple[int, int], sigmas: float
+    reckoning: DeadReckoning, place: IntArray, pair: tuple[int, int], sigmas: float
 ) -> Identification:
     """Else they are not so near, or each pass by the one missed the other."""
     first = [int(np.flatnonzero(place == v)[0]) for v in pair]
-    missed = int(np.isin(place, pair).sum()) * float(np.log(walk.noise.miss_rate))
+    missed = int(np.isin(place, pair).sum()) * float(np.log(reckoning.noise.miss_rate))
     bits = -max(float(log_ndtr(-sigmas)), missed) / BIT
     return Identification(min(first), max(first), True, bits, REASON)
 
 
-def one_drive_by(walk: Walk, resolution_m: float) -> NDArray[np.bool_]:
+def one_drive_by(reckoning: DeadReckoning, resolution_m: float) -> NDArray[np.bool_]:
     """(p - 1,) whether a pass and the next are of one drive-by: no more way between them than to
     drive by a place of that size."""
-    way: NDArray[np.bool_] = walk.leg < 2 * resolution_m
+    way: NDArray[np.bool_] = reckoning.leg < 2 * resolution_m
     return way

@@ -1,4 +1,4 @@
-"""The noise of a run from its own closed layout: variance components of the pose graph.
+"""The noise of a run from its own closed estimate: variance components of the pose graph.
 
 Before closure little tells how much an odometry drifts (`ingest/odometry/noise.py`). Residuals of
 loops do: each variance is its squared residuals over the degrees of freedom that it left them
@@ -20,8 +20,8 @@ from ..posegraph.graph import edge_errors, prior_errors, squared
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
-from .dead_reckoning import RANDOM, Walk, make_walk, relative_covariance
-from .estimate import Layout, lay_out
+from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning, relative_covariance
+from .estimate import Estimate, optimise
 from .manhattan import GridCorridors, GridHeadings, with_spread
 
 FloatArray = NDArray[np.float64]
@@ -34,8 +34,8 @@ COMPONENTS = (
     "centre_m",
     "branch_rad",
 )
-"""Fields of RunNoise that a layout tells, in this order; the last component is how far corridors
-stray from the grid of their building, where a grid holds the layout."""
+"""Fields of RunNoise that an estimate tells, in this order; the last component is how far corridors
+stray from the grid of their building, where a grid holds the estimate."""
 
 _WALKS, _BRANCH, _GRID = 3, 4, 5
 """How many components are random walks of the odometry, and where two others stand."""
@@ -63,63 +63,64 @@ class ComponentSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """walk: with its most likely noise; layout: by that; grid: with its own spread."""
+    """reckoning: with its most likely noise; estimate: by that; grid: with its own spread."""
 
-    walk: Walk
-    layout: Layout
+    reckoning: DeadReckoning
+    estimate: Estimate
     grid: GridHeadings | None
 
 
 def fitted_noise(
-    walk: Walk,
+    reckoning: DeadReckoning,
     odometry: Odometry,
     place: IntArray,
-    layout: Layout,
+    estimate: Estimate,
     *,
     grid: GridHeadings | None = None,
     settings: ComponentSettings = ComponentSettings(),
 ) -> Fitted:
-    """The walk with its most likely noise, and its layout by that.
+    """Dead reckoning with its most likely noise, and its estimate by that.
 
-    walk: with the noise that the run showed before closure, which stays the prior; odometry: that
-    of the walk; layout: one of the places, to begin with; grid: headings that hold it. Each round:
-    one layout, and the trace of every component's share in the posterior from samples.
+    reckoning: with the noise that the run showed before closure, which stays the prior; odometry:
+    that of the reckoning; estimate: one of the places, to begin with; grid: headings that hold it.
+    Each round: one estimate, and the trace of every component's share in the posterior from
+    samples.
     """
-    before = walk
-    prior = np.array([getattr(walk.noise, name) for name in COMPONENTS]) ** 2
+    before = reckoning
+    prior = np.array([getattr(reckoning.noise, name) for name in COMPONENTS]) ** 2
     if grid is not None:
         prior = np.append(prior, grid.spread_rad**2)
-    units = _unit_walks(walk, odometry)
-    legs = _leg_covariances(walk, units)
+    units = _unit_walks(reckoning, odometry)
+    legs = _leg_covariances(reckoning, units)
     variance = prior
-    layout = lay_out(walk, place, layout.pose, grid=grid)
+    estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     for left in reversed(range(settings.rounds)):
-        energy, freedom = _told(layout, legs, variance, grid, settings.samples)
+        energy, freedom = _told(estimate, legs, variance, grid, settings.samples)
         step = _step(energy, freedom, variance / prior, settings.prior_freedom, 2 if left else 1)
         variance = variance * step
-        walk = _with_variances(walk, units, variance)
+        reckoning = _with_variances(reckoning, units, variance)
         if grid is not None:
             spread_rad = float(np.sqrt(variance[_GRID]))
-            grid = with_spread(grid, walk.passes, walk.noise.branch_rad, spread_rad)
-        layout = lay_out(walk, place, layout.pose, grid=grid)
+            grid = with_spread(grid, reckoning.passes, reckoning.noise.branch_rad, spread_rad)
+        estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     if grid is not None and grid.spread_rad > settings.most_spread_rad:
-        return fitted_noise(before, odometry, place, layout, settings=settings)
-    return Fitted(walk, layout, grid)
+        return fitted_noise(before, odometry, place, estimate, settings=settings)
+    return Fitted(reckoning, estimate, grid)
 
 
 def with_shown_spread(
     corridors: GridCorridors,
-    layout: Layout,
+    estimate: Estimate,
     grid: GridHeadings,
     settings: ComponentSettings = ComponentSettings(),
 ) -> GridCorridors:
-    """The corridors with their directions as far off the grid as the layout shows, separately for
+    """The corridors with their directions as far off the grid as the estimate shows, separately for
     the two axes of the grid.
 
-    layout: optimised with these corridors; grid: that they run along. One step of the variance
+    estimate: optimised with these corridors; grid: that they run along. One step of the variance
     component estimate, with the prior of the grid.
     """
-    graph, solution = layout.graph, layout.solution
+    graph, solution = estimate.graph, estimate.solution
     lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
     off = prior_errors(graph, solution.pose)[lines, 2]
     # Some stand for all: of a long run, the rest would take long. Samples depend on the frame.
@@ -166,29 +167,33 @@ def _odometry_level(ratio: FloatArray, told: float) -> float:
     return float(b + np.sqrt(b * b + 4 * told * h * (told * k + 1))) / (2 * told * h)
 
 
-def _unit_walks(walk: Walk, odometry: Odometry) -> list[Walk]:
-    """The walk as if there were one random walk of the odometry only, of 1 sigma of 1."""
+def _unit_walks(reckoning: DeadReckoning, odometry: Odometry) -> list[DeadReckoning]:
+    """Dead reckoning as if there were one random walk of the odometry only, of 1 sigma of 1."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:_WALKS]]
-    units = (make_walk(odometry, walk.passes, noise, walk.systematic) for noise in noises)
+    units = (
+        dead_reckoning(odometry, reckoning.passes, noise, reckoning.systematic) for noise in noises
+    )
     # What a jump adds is no noise: it would be counted once for every component.
     return [replace(unit, jumps=np.zeros_like(unit.jumps)) for unit in units]
 
 
-def _leg_covariances(walk: Walk, units: list[Walk]) -> FloatArray:
+def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> FloatArray:
     """(3, k, 3, 3) covariance of every leg by each random walk of 1 sigma of 1."""
-    row = np.flatnonzero(np.diff(walk.chain) == 0)
+    row = np.flatnonzero(np.diff(reckoning.chain) == 0)
     return np.stack([relative_covariance(unit, row, row + 1) for unit in units])
 
 
-def _with_variances(walk: Walk, units: list[Walk], variance: FloatArray) -> Walk:
-    """The walk with other variances of its components; its sums are linear in them."""
+def _with_variances(
+    reckoning: DeadReckoning, units: list[DeadReckoning], variance: FloatArray
+) -> DeadReckoning:
+    """Dead reckoning with other variances of its components; its sums are linear in them."""
     sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=False))
-    sums = walk.sums.copy()
+    sums = reckoning.sums.copy()
     sums[:, RANDOM] = sum(
         float(v) * unit.sums[:, RANDOM] for v, unit in zip(variance[:_WALKS], units, strict=True)
     )
-    return replace(walk, noise=replace(walk.noise, **sigma), sums=sums)
+    return replace(reckoning, noise=replace(reckoning.noise, **sigma), sums=sums)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,14 +239,14 @@ class _Edges:
 
 
 def _told(
-    layout: Layout,
+    estimate: Estimate,
     units: FloatArray,
     variance: FloatArray,
     grid: GridHeadings | None,
     samples: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Of each component: squared errors in units of its variance, degrees of freedom."""
-    legs, sightings, headings = _sorts(layout, units.shape[1], samples)
+    legs, sightings, headings = _sorts(estimate, units.shape[1], samples)
     told = [legs.told(variance[k] * units[k]) for k in range(_WALKS)]
     for axes in ((0, 1), (2,)):
         part = np.zeros_like(sightings.information)
@@ -259,9 +264,9 @@ def _told(
     return energy, freedom
 
 
-def _sorts(layout: Layout, legs: int, samples: int) -> tuple[_Edges, _Edges, _Edges]:
-    """The edges of a layout: `legs` of odometry, sightings, and headings known from the grid."""
-    graph, solution = layout.graph, layout.solution
+def _sorts(estimate: Estimate, legs: int, samples: int) -> tuple[_Edges, _Edges, _Edges]:
+    """The edges of an estimate: `legs` of odometry, sightings, and headings known from the grid."""
+    graph, solution = estimate.graph, estimate.solution
     error = edge_errors(graph, solution.pose, solution.shared)
     row = slice(0, legs), slice(legs, len(error))
     off = prior_errors(graph, solution.pose)

@@ -16,7 +16,7 @@ MOVED = {
     "head": "vertex",
     "road_tail": "vertex",
     "road_head": "vertex",
-    "twin": "corridor",
+    "reverse": "corridor",
     "pair_row": "corridor",
     "road_edge": "corridor",
 }

@@ -8,7 +8,7 @@ from topobatch.merge.result import Verdict
 from topobatch.merge.robust.assessment import thresholds
 from topobatch.merge.robust.batch import Batch
 from topobatch.merge.robust.pairing import Pairwise
-from topobatch.merge.robust.verdict import opinion
+from topobatch.merge.robust.verdict import assess
 
 from .plans import EDGES, POINTS, SETTINGS
 
@@ -21,7 +21,7 @@ def test_what_would_be_merged_is_held_against_every_rival(drawn):
     matcher = Pairwise([drawn("a", points, edges), drawn("b", POINTS, EDGES)], two)
     batch = Batch(matcher, thresholds(matcher.prepared, two), lambda *_: None)
     (found,) = matcher.candidates(np.array([pair]))
-    view = opinion(*matcher.prepared, found, batch.threshold(pair))
+    view = assess(*matcher.prepared, found, batch.threshold(pair))
     assert [(len(c), c.rival) for c, _ in view.ranked] == 2 * [(n, False)]
     beside = batch.beside_rivals({pair: replace(view, verdict=Verdict.MERGED), (1, 1): view})
     assert list(beside) == [pair]

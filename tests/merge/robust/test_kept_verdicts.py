@@ -53,8 +53,8 @@ def verdicts(a, b):
         unclear, verdict=Verdict.MERGED, accepted=True, accepted_by="pair", advice=None,
         runner_up=None, margin_bits=None, extra={"against_chance_bits": 12.34},
     )  # fmt: skip
-    seconded = replace(merged, accepted_by="runs", runner_up=second, margin_bits=-3.25)
-    return [nothing, unclear, merged, seconded]
+    corroborated = replace(merged, accepted_by="runs", runner_up=second, margin_bits=-3.25)
+    return [nothing, unclear, merged, corroborated]
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_a_verdict_is_known_by_all_that_it_hangs_on(pair, new_store):
         assert kept_by(shelf, [a, replace(b, run="x")]).find([(0, 1)]) == {}
         other = replace(b, xy=b.xy + 1.0)
         assert kept_by(shelf, [a, other]).find([(0, 1)]) == {}
-        assert kept_by(shelf, pair).find([(0, 1)], {(0, 1): 0}) == {}  # seconded by a candidate
+        assert kept_by(shelf, pair).find([(0, 1)], {(0, 1): 0}) == {}  # corroborated by a candidate
     # What copies look like matters only to those that were asked.
     for verdict, matters in ((nothing, False), (unclear, True)):
         shelf = new_store()

@@ -25,7 +25,7 @@ def test_candidate_links_are_those_of_brute_force(halves):
             if (
                 a.pattern[i] == b.pattern[j]
                 and abs(a.length[i] - b.length[j]) < MATCH.length_sigmas * sigma
-                and abs(a.sag[i] - b.sag[j]) < MATCH.gate_m
+                and abs(a.sagitta[i] - b.sagitta[j]) < MATCH.gate_m
             ):
                 expected.add((i, j))
     # Branches near the border of two sectors are looked up in both: more may be found, none fewer.

@@ -7,7 +7,7 @@ from topobatch.merge.robust.alignment import match
 from topobatch.merge.robust.mirror import WHY, doubt_mirrored, mirrored
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
-from topobatch.merge.robust.verdict import PairCount, opinion, threshold_for
+from topobatch.merge.robust.verdict import PairCount, assess, threshold_for
 
 from .plans import COPIES, EDGES, POINTS, SETTINGS
 
@@ -27,7 +27,7 @@ def test_a_mirror_image_is_the_other_way_round_and_twice_mirrored_the_same(drawn
 def test_only_what_leads_its_mirror_image_stays_merged(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     found = match(a, b, SETTINGS)
-    view = opinion(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
+    view = assess(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
     assert view.verdict is Verdict.MERGED
     asked = []
 

@@ -13,10 +13,10 @@ from topobatch.merge.robust.verdict import (
     MAYBE_COPY,
     PairCount,
     _missing,
+    assess,
     counted_bits,
     in_steps,
     needed_bits,
-    opinion,
     threshold_for,
     uniformity,
 )
@@ -54,8 +54,8 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
     counts = (PairCount(n, n) for n in (1, 10**6))
     alone, among_many = (threshold_for(c, COPIES, SETTINGS, copied=len(told)) for c in counts)
-    assert opinion(a, b, [told], alone).verdict is Verdict.MERGED
-    view = opinion(a, b, [told], among_many)
+    assert assess(a, b, [told], alone).verdict is Verdict.MERGED
+    view = assess(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
     (answers,) = view.answers
     assert answers.carried == MATCH.junction_bits * len(told)
@@ -87,7 +87,7 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
     found = match(a, b, SETTINGS)
     assert len(found) >= 2
     assert not same_placement(found[0], found[1], b)
-    view = opinion(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
+    view = assess(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
     assert view.verdict == "ambiguous"
     assert view.runner_up is not None
     assert view.margin < MATCH.lead_bits
@@ -109,6 +109,6 @@ def test_a_rival_is_not_merged(halves):
     a, b = (prepare(m) for m in halves)
     best = match(a, b, SETTINGS)[0]
     threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
-    assert opinion(a, b, [best], threshold).verdict is Verdict.MERGED
-    view = opinion(a, b, [replace(best, rival=True)], threshold)
+    assert assess(a, b, [best], threshold).verdict is Verdict.MERGED
+    view = assess(a, b, [replace(best, rival=True)], threshold)
     assert (view.verdict, view.why) == (Verdict.AMBIGUOUS, MAYBE_COPY)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from topobatch.topology.closure.candidates import calibrated_odds, candidates
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.matching.likelihood import LIKELIHOOD
 from topobatch.topology.se2 import compose, turned_axes
 
@@ -22,9 +22,11 @@ def test_streets_of_one_length_make_likeness_common():
     for world in ((xy, beside), (crooked, beside)):
         rng = np.random.default_rng(22)
         odometry, passes, _ = record(world, wander(world[1], 120, rng), rng)
-        walk = make_walk(odometry, passes, NOISE)
-        start = lay_out(walk, np.arange(len(walk)))
-        found = candidates(scene_of(walk, start), np.arange(len(walk)), start, exact=False)
+        reckoning = dead_reckoning(odometry, passes, NOISE)
+        start = optimise(reckoning, np.arange(len(reckoning)))
+        found = candidates(
+            scene_of(reckoning, start), np.arange(len(reckoning)), start, exact=False
+        )
         assert len(found) > 20
         assert np.all(found.aliasing_penalty >= 0)
         taken_off.append(float(np.median(found.aliasing_penalty)))
@@ -63,11 +65,13 @@ def test_what_dead_reckoning_excludes_is_judged_in_the_axes_of_the_map():
     rng = np.random.default_rng(3)
     world = grid_world(5, 5, rng)
     odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
-    walk = make_walk(odometry, passes, NOISE)
-    each = np.arange(len(walk))
-    layout = lay_out(walk, each)
-    turned = lay_out(walk, each, compose(np.array([2.0, 1.0, 0.7]), layout.pose))
-    found, again = (candidates(scene_of(walk, x), each, x, exact=False) for x in (layout, turned))
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    each = np.arange(len(reckoning))
+    estimate = optimise(reckoning, each)
+    turned = optimise(reckoning, each, compose(np.array([2.0, 1.0, 0.7]), estimate.pose))
+    found, again = (
+        candidates(scene_of(reckoning, x), each, x, exact=False) for x in (estimate, turned)
+    )
     assert len(found) > 20
     assert list(zip(found.a, found.b, strict=True)) == list(zip(again.a, again.b, strict=True))
     np.testing.assert_allclose(again.position, found.position, atol=1e-3)
@@ -77,15 +81,15 @@ def test_what_position_excludes_is_no_candidate():
     rng = np.random.default_rng(22)
     world = grid_world(6, 6)
     odometry, passes, _ = record(world, wander(world[1], 120, rng), rng)
-    walk, each = make_walk(odometry, passes, NOISE), np.arange(len(passes))
-    layout = lay_out(walk, each)
-    scene = scene_of(walk, layout)
-    found = candidates(scene, each, layout, exact=True)
-    a, b = layout.node[found.a], layout.node[found.b]
-    R = turned_axes(layout.solution.pose[a, 2])
-    cov = (R @ layout.relative_covariance(a, b) @ R.transpose(0, 2, 1))[:, :2, :2]
-    cov += 2 * scene.common.centre_sigma**2 * np.eye(2)
-    shift = layout.xy[found.a] - layout.xy[found.b]
+    reckoning, each = dead_reckoning(odometry, passes, NOISE), np.arange(len(passes))
+    estimate = optimise(reckoning, each)
+    state = scene_of(reckoning, estimate)
+    found = candidates(state, each, estimate, exact=True)
+    a, b = estimate.node[found.a], estimate.node[found.b]
+    R = turned_axes(estimate.solution.pose[a, 2])
+    cov = (R @ estimate.relative_covariance(a, b) @ R.transpose(0, 2, 1))[:, :2, :2]
+    cov += 2 * state.common.centre_sigma**2 * np.eye(2)
+    shift = estimate.xy[found.a] - estimate.xy[found.b]
     d2 = np.einsum("ki,kij,kj->k", shift, np.linalg.inv(cov), shift)
     assert len(found) > 20
     assert d2.max() < LIKELIHOOD.gate_chi2(2)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from topobatch.topology.closure.certainty import place_errors
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.topomap import RunNoise
 
 from .walks import EXACT, noisy_square
@@ -15,9 +15,9 @@ from .walks import EXACT, noisy_square
 def test_places_seen_once_are_as_far_off_as_their_detection() -> None:
     exact = RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.05, 0.02)
     odometry, passes, place = noisy_square(1, exact, 2)
-    walk = make_walk(odometry, passes, exact, EXACT)
+    reckoning = dead_reckoning(odometry, passes, exact, EXACT)
     alone = np.arange(len(place))
-    errors = place_errors(walk, lay_out(walk, alone), alone, alone)
+    errors = place_errors(reckoning, optimise(reckoning, alone), alone, alone)
     sigma = errors.distance_sigma(passes.centre, np.array([0, 1]), np.array([4, 3]))
     np.testing.assert_allclose(sigma, 0.05 * np.sqrt(2), rtol=0.15)
 
@@ -25,7 +25,7 @@ def test_places_seen_once_are_as_far_off_as_their_detection() -> None:
 def test_readings_turn_no_place_that_the_odometry_holds() -> None:
     exact = RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.02, 0.03)
     odometry, passes, place = noisy_square(2, exact, 3)
-    walk = make_walk(odometry, passes, exact, EXACT)
-    errors = place_errors(walk, lay_out(walk, place), place, np.arange(8))
+    reckoning = dead_reckoning(odometry, passes, exact, EXACT)
+    errors = place_errors(reckoning, optimise(reckoning, place), place, np.arange(8))
     xy = np.stack([passes.centre[place == k].mean(axis=0) for k in range(8)])
     assert errors.as_a_whole(xy, np.zeros(8, int)).turn_sigma().max() < 0.1 * 0.03

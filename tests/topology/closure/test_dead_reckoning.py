@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from topobatch.topology.closure.dead_reckoning import (
+    dead_reckoning,
     dead_reckoning_covariance,
-    make_walk,
     relative_covariance,
     scale_noise,
 )
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.estimate import optimise
 
 from .walks import NOISE, grid_world, record
 
@@ -26,9 +26,9 @@ def test_dead_reckoning_covariance_is_that_of_many_drives():
         _, passes, _ = record(world, route, rng, noise=replace(NOISE, centre_m=0.0))
         ends.append(passes.centre[-1] - passes.centre[0])
     odometry, passes, _ = record(world, route)
-    quiet = make_walk(odometry, passes, NOISE)
+    quiet = dead_reckoning(odometry, passes, NOISE)
     expected = relative_covariance(quiet, np.array([0]), np.array([5]))[0]
-    # The model lets positions walk sideways as much as along; the drive does not.
+    # The model lets positions reckoning sideways as much as along; the drive does not.
     slack = NOISE.along_m_per_sqrt_m**2 * quiet.way[-1]
     found = np.cov(np.array(ends).T)
     assert np.all(np.abs(found - expected[:2, :2]) < 0.25 * np.trace(expected[:2, :2]) + slack)
@@ -47,9 +47,12 @@ def test_a_jump_adds_its_own_uncertainty_and_keeps_it():
         jump_sigma=np.array([[0.4, 0.3]]),
         jump_other=np.zeros((1, 3)),
     )
-    quiet, walk = make_walk(odometry, passes, NOISE), make_walk(jumping, passes, NOISE)
+    quiet, reckoning = (
+        dead_reckoning(odometry, passes, NOISE),
+        dead_reckoning(jumping, passes, NOISE),
+    )
     first, second = np.array([0, 0, 3]), np.array([2, 5, 5])
-    more = relative_covariance(walk, first, second) - relative_covariance(quiet, first, second)
+    more = relative_covariance(reckoning, first, second) - relative_covariance(quiet, first, second)
     np.testing.assert_allclose(more[[0, 2]], 0.0, atol=1e-12)
     arm = passes.centre[5] - odometry.pose[row, :2]
     turned = np.array([-arm[1], arm[0], 1.0])
@@ -58,10 +61,12 @@ def test_a_jump_adds_its_own_uncertainty_and_keeps_it():
     )
     # However loud the rest is taken to be, the jump is as large as it is.
     for factor in (0.35, 4.0):
-        again = relative_covariance(scale_noise(walk, factor), first, second)
+        again = relative_covariance(scale_noise(reckoning, factor), first, second)
         again -= relative_covariance(scale_noise(quiet, factor), first, second)
         np.testing.assert_allclose(again, more, atol=1e-12)
-    assert np.flatnonzero(np.isnan(walk.leg)).tolist() == [2]  # no corridor is known by its length
-    layout = lay_out(walk, np.arange(len(walk)))
-    found = layout.relative_covariance(np.array([2]), np.array([3]))[0]
-    np.testing.assert_allclose(found, relative_covariance(walk, [2], [3])[0], atol=1e-3)
+    assert np.flatnonzero(np.isnan(reckoning.leg)).tolist() == [
+        2
+    ]  # no corridor is known by its length
+    estimate = optimise(reckoning, np.arange(len(reckoning)))
+    found = estimate.relative_covariance(np.array([2]), np.array([3]))[0]
+    np.testing.assert_allclose(found, relative_covariance(reckoning, [2], [3])[0], atol=1e-3)

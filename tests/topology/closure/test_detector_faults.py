@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.detector_faults import RateSettings, measured_rates
 from topobatch.topology.closure.places import tabulate
 
@@ -17,8 +17,10 @@ from .walks import NOISE, grid_world, partition, record
 def test_without_faults_the_rate_of_missed_junctions_falls_below_its_prior():
     route = [(0, 0), (0, 1), (0, 0), (0, 1), (1, 1)]
     odometry, passes, truth = record(grid_world(2, 2), route)
-    walk = make_walk(odometry, passes, NOISE)
-    rates = measured_rates(tabulate(walk, partition(truth), np.zeros(len(passes)), 0.35), NOISE)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    rates = measured_rates(
+        tabulate(reckoning, partition(truth), np.zeros(len(passes)), 0.35), NOISE
+    )
     assert rates.miss_rate < NOISE.miss_rate
     # No place was visited three times: nothing tells of its branches.
     assert rates.branch_fault_rate == pytest.approx(NOISE.branch_fault_rate)

@@ -1,4 +1,4 @@
-"""Layout by the pose graph: what its factors are made of."""
+"""Estimate by the pose graph: what its factors are made of."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import _information, lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import _information, optimise
 from topobatch.topology.closure.manhattan import grid_headings
 from topobatch.topology.se2 import wrap
 
@@ -35,12 +35,12 @@ def test_layout_begins_with_the_headings_of_the_grid():
     world = grid_world(8, 8, rng)
     loud = replace(NOISE, heading_rad_per_sqrt_m=0.03)
     odometry, passes, truth = record(world, wander(world[1], 700, rng), rng, noise=loud, bias=0.004)
-    walk = make_walk(odometry, passes, loud)
-    layout = lay_out(walk, np.arange(len(walk)), grid=grid_headings(walk))
-    assert layout.solution.converged
-    assert layout.solution.iterations < 10
+    reckoning = dead_reckoning(odometry, passes, loud)
+    estimate = optimise(reckoning, np.arange(len(reckoning)), grid=grid_headings(reckoning))
+    assert estimate.solution.converged
+    assert estimate.solution.iterations < 10
     true = np.array([world[0][v] for v in truth])
-    step, there = np.diff(layout.pose[:, :2], axis=0), np.diff(true, axis=0)
+    step, there = np.diff(estimate.pose[:, :2], axis=0), np.diff(true, axis=0)
     turn = np.arctan2(*step.T[::-1]) - np.arctan2(*there.T[::-1])
     assert np.quantile(np.abs(wrap(turn - np.median(turn))), 0.99) < 0.2
 
@@ -49,10 +49,10 @@ def test_layout_of_a_square_spreads_the_error():
     world = grid_world(2, 2)
     odometry, passes, _ = record(world, [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0)])
     bent = replace(passes, centre=passes.centre + np.linspace(0, 1, 5)[:, None] * [0.4, 0.0])
-    walk = make_walk(odometry, bent, NOISE)
-    layout = lay_out(walk, np.array([0, 1, 2, 3, 0]))
-    apart = np.hypot(*(layout.pose[4, :2] - layout.pose[0, :2]))
+    reckoning = dead_reckoning(odometry, bent, NOISE)
+    estimate = optimise(reckoning, np.array([0, 1, 2, 3, 0]))
+    apart = np.hypot(*(estimate.pose[4, :2] - estimate.pose[0, :2]))
     assert apart < 0.15
-    assert len(layout.xy) == 4
-    side = np.hypot(*np.diff(layout.xy[[0, 1, 2, 3, 0]], axis=0).T)
+    assert len(estimate.xy) == 4
+    side = np.hypot(*np.diff(estimate.xy[[0, 1, 2, 3, 0]], axis=0).T)
     assert np.all(np.abs(side - 5.0) < 0.3)

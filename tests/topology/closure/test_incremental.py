@@ -12,8 +12,8 @@ from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
 from topobatch.topology.closure.answers import Identification
 from topobatch.topology.closure.candidates import Candidates, candidates
-from topobatch.topology.closure.dead_reckoning import SystematicErrors, make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import SystematicErrors, dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.incremental import (
     RoundSettings,
     _certain,
@@ -38,10 +38,10 @@ def test_a_perfect_walk_is_closed_completely():
     world = grid_world(3, 3)
     route = [(0, 0), (0, 1), (0, 2), (1, 2), (1, 1), (0, 1), (0, 0), (1, 0), (1, 1), (1, 2)]
     odometry, passes, truth = record(world, route)
-    closed = full_closure(make_walk(odometry, passes, NOISE))
+    closed = full_closure(dead_reckoning(odometry, passes, NOISE))
     assert closed.place.tolist() == partition(truth).tolist()
     xy = np.array([world[0][v] for v in dict.fromkeys(truth)])
-    np.testing.assert_allclose(closed.layout.xy, xy, atol=1e-6)
+    np.testing.assert_allclose(closed.estimate.xy, xy, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -50,15 +50,15 @@ def test_drifting_walks_are_closed_without_a_false_identification(seed):
     world = grid_world(5, 5, rng)
     route = wander(world[1], 90, rng)
     odometry, passes, truth = record(world, route, rng)
-    closed = full_closure(make_walk(odometry, passes, NOISE))
+    closed = full_closure(dead_reckoning(odometry, passes, NOISE))
     names = list(dict.fromkeys(truth))
     assert closed.place.tolist() == partition(truth).tolist()
     there = np.array([world[0][v] for v in names])
-    off = apply(fit_rigid(there, closed.layout.xy), closed.layout.xy) - there
+    off = apply(fit_rigid(there, closed.estimate.xy), closed.estimate.xy) - there
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.25
     # The odometry alone ends far off.
     raw = np.hypot(*(passes.centre[-1] - world[0][truth[-1]]))
-    assert np.hypot(*(closed.layout.pose[-1, :2] - closed.layout.xy[closed.place[-1]])) < 0.3
+    assert np.hypot(*(closed.estimate.pose[-1, :2] - closed.estimate.xy[closed.place[-1]])) < 0.3
     assert raw > 0.3
 
 
@@ -83,19 +83,19 @@ def test_the_result_does_not_depend_on_the_frame_of_the_odometry():
         exit=renumbered(passes.exit),
     )
     there = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
-    a = full_closure(make_walk(odometry, passes, NOISE))
-    b = full_closure(make_walk(there, moved, NOISE))
+    a = full_closure(dead_reckoning(odometry, passes, NOISE))
+    b = full_closure(dead_reckoning(there, moved, NOISE))
     assert a.place.tolist() == b.place.tolist()
-    # The layout is solved until steps are small against its errors of centimetres, no further.
-    np.testing.assert_allclose(apply(T, a.layout.xy), b.layout.xy, atol=1e-3)
+    # The estimate is solved until steps are small against its errors of centimetres, no further.
+    np.testing.assert_allclose(apply(T, a.estimate.xy), b.estimate.xy, atol=1e-3)
 
 
 def test_twice_the_same_gives_the_same():
     rng = np.random.default_rng(8)
     world = grid_world(4, 4, rng)
     odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
-    a, b = (full_closure(make_walk(odometry, passes, NOISE)) for _ in range(2))
-    assert a.layout.xy.tobytes() == b.layout.xy.tobytes()
+    a, b = (full_closure(dead_reckoning(odometry, passes, NOISE)) for _ in range(2))
+    assert a.estimate.xy.tobytes() == b.estimate.xy.tobytes()
     assert [astuple(q) for q in a.asked] == [astuple(q) for q in b.asked]
 
 
@@ -106,7 +106,7 @@ def test_a_wrong_noise_costs_recall_at_most():
     for factor in (0.4, 2.5):
         names = NOISE.__dataclass_fields__
         wrong = replace(NOISE, **{name: getattr(NOISE, name) * factor for name in names})
-        closed = full_closure(make_walk(odometry, passes, wrong))
+        closed = full_closure(dead_reckoning(odometry, passes, wrong))
         count = int(closed.place.max()) + 1
         for place in range(count):
             members = {truth[i] for i in np.flatnonzero(closed.place == place)}
@@ -118,7 +118,7 @@ def test_every_identification_keeps_its_evidence():
     rng = np.random.default_rng(10)
     world = grid_world(4, 4, rng)
     odometry, passes, truth = record(world, wander(world[1], 50, rng), rng)
-    closed = full_closure(make_walk(odometry, passes, NOISE))
+    closed = full_closure(dead_reckoning(odometry, passes, NOISE))
     made = [q for q in closed.asked if q.accepted]
     # A tree of links joins the passes of every place.
     assert len(made) >= len(truth) - (closed.place.max() + 1)
@@ -132,12 +132,12 @@ def test_a_second_lap_closes_that_position_alone_speaks_against():
     lap = [(0, c) for c in range(5)] + [(r, 4) for r in range(1, 5)]
     lap += [(4, c) for c in range(3, -1, -1)] + [(r, 0) for r in range(3, 0, -1)]
     odometry, passes, truth = record(world, lap + lap[:9], rng, bias=0.02)
-    walk = make_walk(odometry, passes, NOISE, SystematicErrors(turn_rad_per_m=0.04))
-    start = lay_out(walk, np.arange(len(walk)))
-    scene = scene_of(walk, start)
-    plain = candidates(scene, np.arange(len(walk)), start, exact=False)
+    reckoning = dead_reckoning(odometry, passes, NOISE, SystematicErrors(turn_rad_per_m=0.04))
+    start = optimise(reckoning, np.arange(len(reckoning)))
+    state = scene_of(reckoning, start)
+    plain = candidates(state, np.arange(len(reckoning)), start, exact=False)
     assert len(plain) == 0  # nothing is plain by position
-    closed = full_closure(walk)
+    closed = full_closure(reckoning)
     assert closed.place.tolist() == partition(truth).tolist()
 
 
@@ -168,7 +168,7 @@ def test_what_was_put_off_keeps_the_round_and_the_reason():
     world = grid_world(7, 7)
     loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
     odometry, passes, _ = record(world, wander(world[1], 40, rng), rng, noise=loud)
-    closed = full_closure(make_walk(odometry, passes, loud))
+    closed = full_closure(dead_reckoning(odometry, passes, loud))
     made, refused, revised = revisions(closed)
     assert revised
     joined = {(q.first, q.second): q.round for q in made}
@@ -185,7 +185,7 @@ def test_what_is_taken_back_is_kept_with_both_rounds(monkeypatch):
     odometry, passes, _ = record(world, wander(world[1], 50, rng), rng)
     tight = replace(LIKELIHOOD, gate_sigmas=0.67)
     monkeypatch.setattr("topobatch.topology.closure.incremental.LIKELIHOOD", tight)
-    closed = full_closure(make_walk(odometry, passes, NOISE))
+    closed = full_closure(dead_reckoning(odometry, passes, NOISE))
     _, refused, revised = revisions(closed)
     back = [q for q in refused + revised if q.accepted_round is not None]
     assert back
@@ -215,7 +215,7 @@ def test_equal_rows_side_by_side_are_not_taken_for_each_other(heading_noise, see
     world = aisles(14)
     noise = replace(NOISE, heading_rad_per_sqrt_m=heading_noise)
     odometry, passes, truth = record(world, wander(world[1], 160, rng), rng, noise=noise)
-    place = full_closure(make_walk(odometry, passes, noise)).place
+    place = full_closure(dead_reckoning(odometry, passes, noise)).place
     homes = {}
     for p, v in zip(place.tolist(), truth, strict=True):
         homes.setdefault(p, set()).add(v)
@@ -245,7 +245,7 @@ def test_doubts_are_kept_with_what_became_of_them(seed, steps):
     world = grid_world(7, 7)  # regular: much looks alike
     loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
     odometry, passes, _ = record(world, wander(world[1], steps, rng), rng, noise=loud)
-    closed = closure_without_grid(make_walk(odometry, passes, loud))
+    closed = closure_without_grid(dead_reckoning(odometry, passes, loud))
     doubts = [q for q in closed.asked if not q.accepted]
     assert doubts
     pairs = [tuple(sorted((closed.place[q.first], closed.place[q.second]))) for q in doubts]
@@ -268,7 +268,7 @@ def test_doubts_are_kept_with_what_became_of_them(seed, steps):
 )
 def test_tiny_walks(route):
     odometry, passes, truth = record(grid_world(2, 2), route)
-    closed = full_closure(make_walk(odometry, passes, NOISE))
+    closed = full_closure(dead_reckoning(odometry, passes, NOISE))
     assert closed.place.tolist() == partition(truth).tolist()
 
 
@@ -281,11 +281,11 @@ def test_a_loop_of_one_junction_to_itself():
     }
     beside = {"a": ["p", "r"], "p": ["a", "q"], "q": ["p", "r"], "r": ["q", "a"]}
     odometry, passes, truth = record((xy, beside), ["a", "p", "q", "r", "a"], unseen=(1, 2, 3))
-    walk = make_walk(odometry, passes, NOISE)
-    closed = full_closure(walk)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    closed = full_closure(reckoning)
     assert truth == ["a", "a"]
     assert closed.place.tolist() == [0, 0]
-    places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
+    places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2], 0.35)
     assert places.next_place[0][:2].tolist() == [0, 0]
 
 
@@ -293,15 +293,15 @@ def test_settings_are_the_gate_keeper():
     rng = np.random.default_rng(14)
     world = grid_world(4, 4, rng)
     odometry, passes, truth = record(world, wander(world[1], 40, rng), rng)
-    walk = make_walk(odometry, passes, NOISE)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
     strict = RoundSettings(wrong_share=1e-300)
-    closed = full_closure(walk, strict)
+    closed = full_closure(reckoning, strict)
     assert closed.place.tolist() == list(range(len(truth)))
     assert any(not q.accepted and q.bits > 0 for q in closed.asked)
 
 
 def test_a_grid_that_bends_on_its_way_is_found_out():
-    """Streets that meet at right angles and bend between: the walk closes, held by no grid."""
+    """Streets that meet at right angles and bend between: the run closes, held by no grid."""
     rng = np.random.default_rng(31)
     xy, beside = grid_world(6, 6, rng)
     flat = {v: complex(*p) - complex(*xy[3, 3]) for v, p in xy.items()}
@@ -313,9 +313,9 @@ def test_a_grid_that_bends_on_its_way_is_found_out():
     lax = RectilinearSettings(least_share=0.5)
     for world, found in (((xy, beside), True), ((bent, beside), False)):
         odometry, passes, truth = record(world, route, np.random.default_rng(31))
-        closed = full_closure(make_walk(odometry, passes, NOISE), RoundSettings(grid=lax))
+        closed = full_closure(dead_reckoning(odometry, passes, NOISE), RoundSettings(grid=lax))
         assert (closed.grid is not None) == found
-        assert len(closed.layout.xy) == len(set(truth))
+        assert len(closed.estimate.xy) == len(set(truth))
 
 
 @pytest.mark.parametrize(("third", "accepted"), [(False, []), (True, [(0, 1), (0, 2)])])
@@ -335,8 +335,8 @@ def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, accepte
 
 
 def test_noise_is_raised_where_errors_as_large_are_no_chance():
-    fine, loud = (SimpleNamespace(misfit=m, freedom=100) for m in (1.2, 4.0))
+    fine, loud = (SimpleNamespace(reduced_chi2=m, freedom=100) for m in (1.2, 4.0))
     assert _fitting_scale(1.5, fine) == 1.5
     assert _fitting_scale(1.5, loud) == 3.0
-    # Of few residuals such a misfit is chance.
-    assert _fitting_scale(1.5, SimpleNamespace(misfit=4.0, freedom=2)) == 1.5
+    # Of few residuals such a sum is chance.
+    assert _fitting_scale(1.5, SimpleNamespace(reduced_chi2=4.0, freedom=2)) == 1.5

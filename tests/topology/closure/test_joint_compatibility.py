@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from topobatch.topology.closure.candidates import Candidates
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.evidence import EvidenceSettings, background
 from topobatch.topology.closure.joint_compatibility import agreeing
 from topobatch.topology.odometry import Odometry
@@ -41,8 +41,8 @@ def _ends_of_a_long_way(offsets, street=(0, 7, 13, 22)):
         entry=np.full(count, NO_BRANCH), exit=np.full(count, NO_BRANCH),
         messages=np.full(count, 9), confidence=np.ones(count),
     )  # fmt: skip
-    walk = make_walk(odometry, passes, replace(NOISE, heading_rad_per_sqrt_m=0.012))
-    return walk, lay_out(walk, np.arange(count))
+    reckoning = dead_reckoning(odometry, passes, replace(NOISE, heading_rad_per_sqrt_m=0.012))
+    return reckoning, optimise(reckoning, np.arange(count))
 
 
 def _asked(a, b, position, alike):
@@ -61,13 +61,13 @@ def _asked(a, b, position, alike):
     ],
 )
 def test_identifications_that_agree_on_one_position_are_sure_together(offsets, together):
-    walk, layout = _ends_of_a_long_way(offsets)
+    reckoning, estimate = _ends_of_a_long_way(offsets)
     k = len(offsets)
-    common = background(walk, walk.noise)
+    common = background(reckoning, reckoning.noise)
     a, b = np.arange(k), 8 + np.arange(k)
     position = np.full(k, -2.0)
     found = _asked(a, b, position, np.full(k, 4.0))
-    rows, odds, reason = agreeing(layout, found, common, EvidenceSettings(), least_odds=9.0)
+    rows, odds, reason = agreeing(estimate, found, common, EvidenceSettings(), least_odds=9.0)
     assert (rows.tolist() == list(range(k))) is together
     assert (np.all(odds > 4.5), reason) == (True, "")
 
@@ -75,11 +75,11 @@ def test_identifications_that_agree_on_one_position_are_sure_together(offsets, t
 @pytest.mark.parametrize(("off", "expected"), [(3.0, []), (0.4, [0, 1, 2])])
 def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
     """Junctions 6 m apart, passed again: by these, or each by the next one?"""
-    walk, layout = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
+    reckoning, estimate = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
     a, b = np.array([0, 1, 2, 1, 2, 3]), np.array([8, 9, 10, 8, 9, 10])
     found = _asked(a, b, np.full(6, -2.0), np.full(6, 5.0))
     agreed = agreeing(
-        layout, found, background(walk, walk.noise), EvidenceSettings(), least_odds=9.0
+        estimate, found, background(reckoning, reckoning.noise), EvidenceSettings(), least_odds=9.0
     )
     accepted = [] if agreed.reason else agreed.rows.tolist()
     assert accepted == expected
@@ -88,11 +88,11 @@ def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
 
 
 def test_what_agrees_is_as_sure_as_is_asked_or_not_believed():
-    walk, layout = _ends_of_a_long_way([[2.0, 1.5]] * 4)
+    reckoning, estimate = _ends_of_a_long_way([[2.0, 1.5]] * 4)
     found = _asked(np.arange(4), 8 + np.arange(4), np.full(4, -2.0), np.full(4, 4.0))
-    common = background(walk, walk.noise)
+    common = background(reckoning, reckoning.noise)
     accepted = [
-        len(agreeing(layout, found, common, EvidenceSettings(), least_odds=least).rows)
+        len(agreeing(estimate, found, common, EvidenceSettings(), least_odds=least).rows)
         for least in (9.0, 1000.0)
     ]
     assert accepted == [4, 0]

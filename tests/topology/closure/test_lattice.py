@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.lattice import lattice_of
 from topobatch.topology.closure.places import tabulate
 
@@ -15,11 +15,11 @@ from .walks import NOISE, aisles, partition, record
 
 def test_a_lattice_is_found_by_its_steps():
     odometry, passes, truth = record(aisles(8), [(0, c) for c in range(8)] + [(1, 7), (1, 6)])
-    walk = make_walk(odometry, passes, NOISE)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
     place = partition(truth)
-    layout = lay_out(walk, place)
-    places = tabulate(walk, place, layout.pose[:, 2], 0.35)
-    lattice = lattice_of(places, layout.xy, core_m=2.0, typical_m=3.0)
+    estimate = optimise(reckoning, place)
+    places = tabulate(reckoning, place, estimate.pose[:, 2], 0.35)
+    lattice = lattice_of(places, estimate.xy, core_m=2.0, typical_m=3.0)
     order = np.argsort(lattice.steps[:, 0])
     found = [-9.0, -6.0, -3.0, 3.0, 6.0, 9.0]
     np.testing.assert_allclose(lattice.steps[order, 0], found, atol=0.1)
@@ -40,10 +40,10 @@ def test_each_piece_of_a_broken_odometry_has_steps_of_its_own():
     """Three pieces in frames turned against each other: together no step leads from most places."""
     row = [(0, c) for c in range(72)]
     odometry, passes, truth = record(aisles(72), row, breaks_before=(24, 48))
-    walk = make_walk(odometry, passes, NOISE)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
     place = np.arange(len(truth))
-    layout = lay_out(walk, place)
-    places = tabulate(walk, place, layout.pose[:, 2], 0.35)
+    estimate = optimise(reckoning, place)
+    places = tabulate(reckoning, place, estimate.pose[:, 2], 0.35)
     turn = np.repeat([0.0, 0.7, 1.4], 24)
     at = 3.0 * np.tile(np.arange(24), 3)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     lattice = lattice_of(places, at, core_m=2.0, typical_m=3.0)
@@ -53,9 +53,9 @@ def test_each_piece_of_a_broken_odometry_has_steps_of_its_own():
 
 def test_a_map_of_one_place_has_no_lattice():
     odometry, passes, truth = record(aisles(2), [(0, 0)])
-    walk = make_walk(odometry, passes, NOISE)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
     place = partition(truth)
-    places = tabulate(walk, place, np.zeros(1), 0.35)
+    places = tabulate(reckoning, place, np.zeros(1), 0.35)
     lattice = lattice_of(places, np.zeros((1, 2)), core_m=2.0, typical_m=3.0)
     assert len(lattice.steps) == 0
     assert lattice.density(np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1))).tolist() == [0, 0]

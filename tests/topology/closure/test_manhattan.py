@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.manhattan import grid_corridors, grid_headings
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, fit_rigid, wrap
@@ -19,8 +19,8 @@ def test_grid_headings_follow_the_drift():
     rng = np.random.default_rng(13)
     world = grid_world(5, 5, rng)
     odometry, passes, junctions = record(world, wander(world[1], 60, rng), rng)
-    walk = make_walk(odometry, passes, NOISE)
-    grid = grid_headings(walk)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    grid = grid_headings(reckoning)
     assert grid is not None
     seen = [passes.branches[i] for i in range(len(passes))]
     aligned = [wrap(4 * (seen[i] + t)) / 4 for i, t in zip(grid.row, grid.turn, strict=True)]
@@ -35,21 +35,21 @@ def test_grid_headings_follow_the_drift():
         entry=np.zeros(len(passes), int),
         exit=np.ones(len(passes), int),
     )
-    assert grid_headings(replace(walk, passes=bent)) is None
+    assert grid_headings(replace(reckoning, passes=bent)) is None
     # Nor are streets that cross at right angles, each crossing turned by itself.
     own = {v: rng.uniform(-0.4, 0.4) for v in world[0]}
     turned = np.array([own[v] for v in junctions])[passes.branches.owner]
     branches = Ragged(passes.branches.offsets, passes.branches.values + turned)
-    assert grid_headings(replace(walk, passes=replace(passes, branches=branches))) is None
+    assert grid_headings(replace(reckoning, passes=replace(passes, branches=branches))) is None
 
 
 def test_corridors_of_a_grid_go_straight_or_round_one_corner():
     route = [(0, 0), (0, 1), (0, 2), (1, 2), (1, 3), (0, 3), (0, 4), (0, 3)]
     odometry, passes, _ = record(aisles(5, 30.0), route, unseen=(3,))
-    walk = make_walk(odometry, passes, NOISE)
-    grid = grid_headings(walk)
-    turn = np.zeros(len(walk))
-    found = grid_corridors(walk, grid, turn, 3.0)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    grid = grid_headings(reckoning)
+    turn = np.zeros(len(reckoning))
+    found = grid_corridors(reckoning, grid, turn, 3.0)
     # Back the same way is another corridor; nobody saw where the third one bent.
     assert found.corridor.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
     assert found.row.tolist() == [0, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6]
@@ -57,22 +57,24 @@ def test_corridors_of_a_grid_go_straight_or_round_one_corner():
     ahead = np.array([0, 1, -1, 0, 2]) * np.pi / 2
     np.testing.assert_allclose(wrap(found.direction - ahead), 0.0, atol=1e-6)
     # Who might have come out on a corridor beside it says nothing.
-    assert len(grid_corridors(replace(walk, leg=walk.leg + 3.0), grid, turn, 3.0).row) == 0
+    assert (
+        len(grid_corridors(replace(reckoning, leg=reckoning.leg + 3.0), grid, turn, 3.0).row) == 0
+    )
 
 
 def test_along_straight_corridors_nobody_drifts_aside():
     rng = np.random.default_rng(31)
     world = aisles(12)
     odometry, passes, truth = record(world, to_and_fro(12), rng)
-    walk, place = make_walk(odometry, passes, NOISE), np.arange(len(passes))
-    grid = grid_headings(walk)
-    plain = lay_out(walk, place, grid=grid)
-    corridors = grid_corridors(walk, grid, plain.pose[:, 2], 3.0)
-    straight = lay_out(walk, place, grid=grid, corridors=corridors)
+    reckoning, place = dead_reckoning(odometry, passes, NOISE), np.arange(len(passes))
+    grid = grid_headings(reckoning)
+    plain = optimise(reckoning, place, grid=grid)
+    corridors = grid_corridors(reckoning, grid, plain.pose[:, 2], 3.0)
+    straight = optimise(reckoning, place, grid=grid, corridors=corridors)
     ends = np.array([0]), np.array([len(place) - 1])
     before, after = (
-        np.linalg.eigvalsh(layout.relative_covariance(*ends)[0][:2, :2])[-1]
-        for layout in (plain, straight)
+        np.linalg.eigvalsh(estimate.relative_covariance(*ends)[0][:2, :2])[-1]
+        for estimate in (plain, straight)
     )
     assert after < 0.5 * before
     true = np.array([world[0][v] for v in truth])
@@ -84,10 +86,10 @@ def test_every_piece_of_a_broken_odometry_follows_the_grid_in_its_own_frame():
     rng = np.random.default_rng(14)
     world = grid_world(5, 5, rng)
     odometry, passes, _ = record(world, wander(world[1], 60, rng), rng, breaks_before=(20, 45))
-    walk = make_walk(odometry, passes, NOISE)
-    grid = grid_headings(walk)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    grid = grid_headings(reckoning)
     assert grid is not None
-    pieces = [walk.chain[grid.row] == k for k in range(3)]
+    pieces = [reckoning.chain[grid.row] == k for k in range(3)]
     for piece in pieces:
         aligned = [
             passes.branches[i] + t for i, t in zip(grid.row[piece], grid.turn[piece], strict=True)
@@ -97,11 +99,11 @@ def test_every_piece_of_a_broken_odometry_follows_the_grid_in_its_own_frame():
         assert np.abs(spread).max() < 0.2
         assert grid.turn[piece][0] == 0.0
     # Laid out, every piece is as straight as the grid.
-    layout = lay_out(walk, np.arange(len(walk)), grid=grid)
-    start = lay_out(walk, np.arange(len(walk)))
+    estimate = optimise(reckoning, np.arange(len(reckoning)), grid=grid)
+    start = optimise(reckoning, np.arange(len(reckoning)))
     for k in range(3):
-        rows = np.flatnonzero(walk.chain == k)
-        along = np.diff(layout.xy[rows], axis=0)
+        rows = np.flatnonzero(reckoning.chain == k)
+        along = np.diff(estimate.xy[rows], axis=0)
         plain = np.diff(start.xy[rows], axis=0)
         heading, bent = (np.exp(4j * np.arctan2(d[:, 1], d[:, 0])) for d in (along, plain))
         assert abs(heading.mean()) > max(0.99, abs(bent.mean()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.incremental import full_closure
 from topobatch.topology.closure.missed_detections import correct_detections, phantoms
 from topobatch.topology.closure.places import tabulate
@@ -17,10 +17,10 @@ def test_a_missed_junction_becomes_an_unseen_visit():
     there = [(0, 0), (0, 1), (0, 2), (0, 3)]
     route = [*there, *there[-2::-1], *there[1:]]
     odometry, passes, truth = record(world, route, unseen=(5,))
-    walk = make_walk(odometry, passes, NOISE)
-    closed = full_closure(walk)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    closed = full_closure(reckoning)
     assert closed.place.tolist() == partition(truth).tolist()
-    corrected = correct_detections(walk, odometry, closed.place, closed.layout)
+    corrected = correct_detections(reckoning, odometry, closed.place, closed.estimate)
     assert int((~corrected.visits.seen).sum()) == 1
     again = corrected.visits.vertex.tolist()
     assert again == partition(route).tolist()
@@ -35,11 +35,11 @@ def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
     first = [(0, 0), "ghost", (0, 1), (0, 2)]
     back = [(0, 1), (0, 0), (0, 1), (0, 2), (0, 1), (0, 0)]
     odometry, passes, truth = record(world, first + back)
-    walk = make_walk(odometry, passes, NOISE)
-    closed = full_closure(walk)
-    corrected = correct_detections(walk, odometry, closed.place, closed.layout)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    closed = full_closure(reckoning)
+    corrected = correct_detections(reckoning, odometry, closed.place, closed.estimate)
     assert corrected.place[truth.index("ghost")] == -1
     assert len(corrected.xy) == 3
     # Once is not enough for a place with a side branch.
-    places = tabulate(walk, closed.place, closed.layout.pose[:, 2], 0.35)
-    assert not phantoms(walk, places, np.zeros(len(places), int)).any()
+    places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2], 0.35)
+    assert not phantoms(reckoning, places, np.zeros(len(places), int)).any()

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.incremental import full_closure
 from topobatch.topology.closure.pieces import set_apart
 
@@ -18,17 +18,17 @@ def test_pieces_of_a_broken_odometry_stay_apart():
     world = grid_world(3, 3, rng)
     route = [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0), (0, 1), (1, 1), (1, 0), (0, 0)]
     odometry, passes, _ = record(world, route, rng, breaks_before=(5,))
-    walk = make_walk(odometry, passes, NOISE)
-    closed = full_closure(walk)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    closed = full_closure(reckoning)
     assert set(closed.place[:5]).isdisjoint(closed.place[5:])
     assert closed.place[0] == closed.place[4]
-    layout = set_apart(walk, closed.place, closed.layout)
-    left, right = layout.xy[closed.place[:5]], layout.xy[closed.place[5:]]
+    estimate = set_apart(reckoning, closed.place, closed.estimate)
+    left, right = estimate.xy[closed.place[:5]], estimate.xy[closed.place[5:]]
     assert left[:, 0].max() < right[:, 0].min()
     # Moved, not bent.
     np.testing.assert_allclose(
-        np.diff(layout.xy[closed.place[5:]], axis=0),
-        np.diff(closed.layout.xy[closed.place[5:]], axis=0),
+        np.diff(estimate.xy[closed.place[5:]], axis=0),
+        np.diff(closed.estimate.xy[closed.place[5:]], axis=0),
         atol=1e-9,
     )
 
@@ -37,10 +37,10 @@ def test_a_break_parts_what_lies_on_each_other():
     """The odometry goes on where it was, as far as it says: nobody knows how far it is off."""
     route = [(0, 0), (0, 1), (1, 1), (1, 0)] * 3
     odometry, passes, truth = record(grid_world(2, 2), route)
-    whole = full_closure(make_walk(odometry, passes, NOISE))
+    whole = full_closure(dead_reckoning(odometry, passes, NOISE))
     assert whole.place.tolist() == partition(truth).tolist()
     row = int(np.searchsorted(odometry.time_ns, passes.time_ns[6])) - 10
     broken = replace(odometry, breaks=np.array([row]))
-    place = full_closure(make_walk(broken, passes, NOISE)).place
+    place = full_closure(dead_reckoning(broken, passes, NOISE)).place
     assert set(place[:6]).isdisjoint(place[6:])
     assert place[:6].tolist() == partition(truth[:6]).tolist()

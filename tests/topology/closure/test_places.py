@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.dead_reckoning import make_walk
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.places import NOWHERE, tabulate
 
 from .walks import NOISE, grid_world, partition, record
@@ -15,9 +15,9 @@ def test_tables_of_places():
     world = grid_world(2, 2)
     route = [(0, 0), (0, 1), (0, 0), (0, 1), (1, 1)]
     odometry, passes, truth = record(world, route)
-    walk = make_walk(odometry, passes, NOISE)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
     place = partition(truth)
-    places = tabulate(walk, place, np.zeros(len(passes)), 0.35)
+    places = tabulate(reckoning, place, np.zeros(len(passes)), 0.35)
     assert places.visits.tolist() == [2, 2, 1]
     east = int(np.nanargmin(np.abs(places.heading[0])))
     assert places.next_place[0, east] == 1

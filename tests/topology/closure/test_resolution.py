@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from topobatch.topology.closure import resolution
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.missed_detections import correct_detections
 from topobatch.topology.closure.places import NOWHERE
 
@@ -32,9 +32,9 @@ def a_crossing_seen_as_two_forks():
 def corrected_by_sight(route, resolution_m):
     """Every description of a place taken for a place of its own, then corrected."""
     odometry, passes, truth = record(a_crossing_seen_as_two_forks(), route)
-    walk, place = make_walk(odometry, passes, NOISE), partition(truth)
+    reckoning, place = dead_reckoning(odometry, passes, NOISE), partition(truth)
     corrected = correct_detections(
-        walk, odometry, place, lay_out(walk, place), resolution_m=resolution_m
+        reckoning, odometry, place, optimise(reckoning, place), resolution_m=resolution_m
     )
     return corrected, {name: int(corrected.place[k]) for k, name in reversed([*enumerate(truth)])}
 
@@ -76,6 +76,8 @@ def test_what_a_detector_tells_apart_stays_apart():
 def test_places_that_may_well_be_farther_apart_stay_two():
     odometry, passes, truth = record(a_crossing_seen_as_two_forks(), [*THERE, "crossing", "west"])
     vague = replace(NOISE, along_m_per_sqrt_m=0.2)
-    walk, place = make_walk(odometry, passes, vague), partition(truth)
-    corrected = correct_detections(walk, odometry, place, lay_out(walk, place), resolution_m=1.3)
+    reckoning, place = dead_reckoning(odometry, passes, vague), partition(truth)
+    corrected = correct_detections(
+        reckoning, odometry, place, optimise(reckoning, place), resolution_m=1.3
+    )
     assert len(corrected.xy) == 5

@@ -1,12 +1,12 @@
-"""The noise of a walk from its own closed layout, on walks whose noise is known."""
+"""The noise of a run from its own closed estimate, of runs whose noise is known."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.dead_reckoning import make_walk
-from topobatch.topology.closure.estimate import lay_out
+from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.manhattan import GridHeadings, grid_corridors, grid_headings
 from topobatch.topology.closure.variance_components import fitted_noise, with_shown_spread
 from topobatch.topology.topomap import RunNoise
@@ -18,21 +18,21 @@ def test_loops_tell_each_kind_of_noise() -> None:
     true = RunNoise(0.02, 0.01, 0.02, 0.0, 0.06, 0.03)
     odometry, passes, place = noisy_square(15, true, 4)
     start = RunNoise(0.03, 0.015, 0.03, 0.0, 0.09, 0.045)
-    walk = make_walk(odometry, passes, start, EXACT)
-    fitted = fitted_noise(walk, odometry, place, lay_out(walk, place))
-    noise = fitted.walk.noise
+    reckoning = dead_reckoning(odometry, passes, start, EXACT)
+    fitted = fitted_noise(reckoning, odometry, place, optimise(reckoning, place))
+    noise = fitted.reckoning.noise
     assert noise.centre_m == pytest.approx(0.06, rel=0.2)
     assert noise.branch_rad == pytest.approx(0.03, rel=0.2)
     assert noise.heading_rad_per_sqrt_m == pytest.approx(0.01, rel=0.4)
-    assert fitted.layout.misfit == pytest.approx(1.0, abs=0.25)
+    assert fitted.estimate.reduced_chi2 == pytest.approx(1.0, abs=0.25)
 
 
 def test_noise_that_is_not_there_is_not_stated() -> None:
     exact = RunNoise(0.0, 0.0, 0.0, 0.0, 0.06, 0.03)
     odometry, passes, place = noisy_square(10, exact, 5)
     start = RunNoise(0.01, 0.005, 0.01, 0.0, 0.06, 0.03)
-    walk = make_walk(odometry, passes, start, EXACT)
-    noise = fitted_noise(walk, odometry, place, lay_out(walk, place)).walk.noise
+    reckoning = dead_reckoning(odometry, passes, start, EXACT)
+    noise = fitted_noise(reckoning, odometry, place, optimise(reckoning, place)).reckoning.noise
     for name in ("along_m_per_sqrt_m", "heading_rad_per_sqrt_m", "heading_rad_per_sqrt_rad"):
         assert getattr(noise, name) < 0.1 * getattr(start, name)
     assert noise.centre_m == pytest.approx(0.06, rel=0.2)
@@ -43,8 +43,8 @@ def test_random_walks_that_do_for_each_other_keep_to_each_other(seed: int) -> No
     true = RunNoise(0.005, 0.0035, 0.005, 0.0, 0.06, 0.03)
     odometry, passes, place = noisy_square(3, true, seed)
     start = RunNoise(0.01, 0.007, 0.01, 0.0, 0.06, 0.03)
-    walk = make_walk(odometry, passes, start, EXACT)
-    noise = fitted_noise(walk, odometry, place, lay_out(walk, place)).walk.noise
+    reckoning = dead_reckoning(odometry, passes, start, EXACT)
+    noise = fitted_noise(reckoning, odometry, place, optimise(reckoning, place)).reckoning.noise
     # A heading that drifts by the way or by its turns is hardly told apart: neither is none.
     for name in ("along_m_per_sqrt_m", "heading_rad_per_sqrt_m", "heading_rad_per_sqrt_rad"):
         assert 2 / 3 < getattr(noise, name) / getattr(true, name) < 1.5
@@ -53,22 +53,22 @@ def test_random_walks_that_do_for_each_other_keep_to_each_other(seed: int) -> No
 def test_a_grid_that_bends_is_none() -> None:
     true = RunNoise(0.01, 0.01, 0.01, 0.0, 0.05, 0.03)
     odometry, passes, place = noisy_square(10, true, 6)
-    walk, row = make_walk(odometry, passes, true, EXACT), np.arange(len(passes))
-    layout = lay_out(walk, place)
+    reckoning, row = dead_reckoning(odometry, passes, true, EXACT), np.arange(len(passes))
+    estimate = optimise(reckoning, place)
     bend = 0.3 * np.sin(np.pi * (place % 8) / 4)
     for bent, holds in ((bend, False), (0 * bend, True)):
         sigma = np.full(len(row), 0.03)
-        turn, axis = layout.pose[:, 2] + bent, np.zeros(len(row))
+        turn, axis = estimate.pose[:, 2] + bent, np.zeros(len(row))
         grid = GridHeadings(row, turn, axis, sigma, wander=1.0, spread_rad=0.02)
-        fitted = fitted_noise(walk, odometry, place, layout, grid=grid)
+        fitted = fitted_noise(reckoning, odometry, place, estimate, grid=grid)
         assert (fitted.grid is not None) == holds
 
 
 def test_without_loops_nothing_changes() -> None:
     start = RunNoise(0.01, 0.02, 0.01, 0.0, 0.1, 0.05)
     odometry, passes, _ = noisy_square(2, start, 1)
-    walk, alone = make_walk(odometry, passes, start, EXACT), np.arange(len(passes))
-    fitted = fitted_noise(walk, odometry, alone, lay_out(walk, alone)).walk.noise
+    reckoning, alone = dead_reckoning(odometry, passes, start, EXACT), np.arange(len(passes))
+    fitted = fitted_noise(reckoning, odometry, alone, optimise(reckoning, alone)).reckoning.noise
     for name in ("along_m_per_sqrt_m", "heading_rad_per_sqrt_m", "centre_m", "branch_rad"):
         assert getattr(fitted, name) == pytest.approx(getattr(start, name), rel=0.1)
 
@@ -78,10 +78,10 @@ def test_what_a_kernel_holds_down_is_counted() -> None:
     found = []
     for seed in range(3):
         odometry, passes, place = noisy_square(80, true, seed)
-        walk = make_walk(odometry, passes, true, EXACT)
-        fitted = fitted_noise(walk, odometry, place, lay_out(walk, place))
-        assert np.isfinite(fitted.layout.graph.kernel).any()
-        found.append(fitted.walk.noise.centre_m)
+        reckoning = dead_reckoning(odometry, passes, true, EXACT)
+        fitted = fitted_noise(reckoning, odometry, place, optimise(reckoning, place))
+        assert np.isfinite(fitted.estimate.graph.kernel).any()
+        found.append(fitted.reckoning.noise.centre_m)
     # Cauchy weights alone would leave less of it.
     assert np.mean(found) == pytest.approx(0.06, rel=0.06)
 
@@ -91,13 +91,13 @@ def test_corridors_are_held_as_straight_as_loops_show_them(aslant, least, most):
     rng = np.random.default_rng(32)
     world = aisles(14, aslant=aslant * rng.normal(size=14))
     odometry, passes, truth = record(world, to_and_fro(14), rng)
-    walk = make_walk(odometry, passes, NOISE)
-    grid = grid_headings(walk)
-    turn = lay_out(walk, partition(truth), grid=grid).pose[:, 2]
-    corridors = grid_corridors(walk, grid, turn, 3.0)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    grid = grid_headings(reckoning)
+    turn = optimise(reckoning, partition(truth), grid=grid).pose[:, 2]
+    corridors = grid_corridors(reckoning, grid, turn, 3.0)
     for _ in range(3):
-        layout = lay_out(walk, partition(truth), grid=grid, corridors=corridors)
-        corridors = with_shown_spread(corridors, layout, grid)
+        estimate = optimise(reckoning, partition(truth), grid=grid, corridors=corridors)
+        corridors = with_shown_spread(corridors, estimate, grid)
     across, along = (corridors.spread_rad[corridors.side == k] for k in (0, 1))
     assert least < along.min() == along.max() < most
     # What crosses the aisles is straight, however these are.

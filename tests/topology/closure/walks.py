@@ -9,7 +9,7 @@ import numpy as np
 from topobatch.topology.closure.branches import branches_of
 from topobatch.topology.closure.dead_reckoning import SystematicErrors
 from topobatch.topology.closure.evidence import EvidenceSettings, background
-from topobatch.topology.closure.growth import Scene
+from topobatch.topology.closure.growth import MapState
 from topobatch.topology.closure.places import tabulate
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
@@ -158,11 +158,13 @@ def partition(labels):
     return np.array([seen.setdefault(v, len(seen)) for v in labels])
 
 
-def scene_of(walk, layout):
-    """A walk laid out, every pass a place of its own."""
-    places = tabulate(walk, np.arange(len(walk)), layout.pose[:, 2], 0.35)
-    common = background(walk, walk.noise)
-    return Scene(walk, places, layout.xy, common, branches_of(places, common, EvidenceSettings()))
+def scene_of(reckoning, estimate):
+    """Dead reckoning laid out, every pass a place of its own."""
+    places = tabulate(reckoning, np.arange(len(reckoning)), estimate.pose[:, 2], 0.35)
+    common = background(reckoning, reckoning.noise)
+    return MapState(
+        reckoning, places, estimate.xy, common, branches_of(places, common, EvidenceSettings())
+    )
 
 
 def noisy_square(laps: int, noise: RunNoise, seed: int) -> tuple[Odometry, Passes, np.ndarray]:

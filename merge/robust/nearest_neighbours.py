@@ -16,7 +16,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sites:
+class NearestNeighbours:
     """Points z (n,) x + iy to be found again; the rest is `z` as the two ways of search need it."""
 
     z: ComplexArray
@@ -26,7 +26,7 @@ class Sites:
     tree: cKDTree | None
 
     @classmethod
-    def of(cls, z: ComplexArray) -> Sites:
+    def of(cls, z: ComplexArray) -> NearestNeighbours:
         """Make points ready to be asked. O(n log n)."""
         centre = complex(z.mean()) if len(z) else 0j
         points = _points(z - centre)
@@ -38,9 +38,9 @@ class Sites:
         return len(self.z)
 
     def nearest(self, where: ComplexArray, within_m: float) -> tuple[FloatArray, IntArray]:
-        """(k,) distances of `where` (k,) to the nearest sites, and their numbers.
+        """(k,) distances of `where` (k,) to the nearest points, and their numbers.
 
-        Of points that have no site within the given distance they only say that it is farther: the
+        Of points that have none within the given distance they only say that it is farther: the
         number may be out of range.
         """
         if self.tree is None:
