@@ -18,7 +18,7 @@ from . import paper_options
 from .journal import note
 from .matching import matching, read_maps
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, complete_run
-from .output import Screen, folded
+from .output import Screen
 from .workers import start_worker
 from .workspace import MERGED, Workspace
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ..merge.result import MergeResult, PairVerdict
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
+    from .unchanged import Line
 
 MOST_LINES, MOST_JOINED = 20, 5
 """Lines that are printed at most: of all pairs, and of those that only others join."""
@@ -118,6 +119,8 @@ def merge(
     falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of
     the runs does not matter.
     """
+    from .unchanged import Said, made_from, recalled, remember
+
     place, screen = Workspace(workspace), Screen(quiet, verbose)
     if output is not None:
         place = Workspace(workspace, output)
@@ -125,26 +128,38 @@ def merge(
     options = paper_options.PaperOptions(
         degree, confidence, confidence_of, weights, iterative, tuple(met or ())
     )
-    settings = _settings(method, false_merge_rate, options)
+    if method == "robust":
+        options.refuse()
     workers = partial(_workers, jobs, cluster)
     if shard is not None:
         if not everything or method != "robust":
             raise UsageError("--shard goes with --all and the robust method")
         from .shard import match_share, share_of
 
+        settings = _settings(method, false_merge_rate, options)
         match_share(place, settings, share_of(shard), workers, screen)
         return
     with place.held(screen.warn, make=False), _seldom_collected():
         chosen = place.chosen_runs(runs or [], everything)
-        # A merge of all loses nothing but runs that the workspace has lost.
-        if not replace_last and (output is not None or not everything):
-            _keep_larger(place, chosen)
-        maps, broken = read_maps(place, chosen, screen)
-        result = _merged(place, maps, settings, workers, everything, screen)
-        _write(place, result, maps)
-        told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
-        note(place, "merge", told, screen.warn)
-    _summarise(result, place, screen)
+        asked = made_from(place, chosen, (method, false_merge_rate, options))
+        broken: list[str] = []
+        said = recalled(place, asked)
+        if said is None:
+            settings = _settings(method, false_merge_rate, options)
+            # A merge of all loses nothing but runs that the workspace has lost.
+            if not replace_last and (output is not None or not everything):
+                _keep_larger(place, chosen)
+            maps, broken = read_maps(place, chosen, screen)
+            result = _merged(place, maps, settings, workers, everything, screen)
+            _write(place, result, maps)
+            told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
+            said = Said(tuple(_summary(result, place)), told)
+            if not broken:
+                remember(place, asked, said, screen)
+        else:
+            screen.detail("nothing is new: the merge of these maps lies there")
+        note(place, "merge", said.note, screen.warn)
+    said.show(screen)
     if broken:
         raise typer.Exit(1)
 
@@ -228,11 +243,9 @@ def _settings(
     false_merge_rate: float | None,
     options: paper_options.PaperOptions,
 ) -> MergeSettings:
-    """The settings that the options ask for; UsageError if they are the other method's."""
+    """The settings that the options ask for; UsageError on nonsense."""
     from ..merge.merging import MergeSettings
 
-    if method == "robust":
-        options.refuse()
     settings = MergeSettings(method=method)
     paper, robust = options.over(settings.paper), settings.robust
     if false_merge_rate is not None:
@@ -306,13 +319,8 @@ def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
     )
 
 
-def _told(screen: Screen, text: str) -> None:
-    """A line, folded; the rest of it is indented further."""
-    for line in folded(text):
-        screen.line(line)
-
-
-def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
+def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
+    """What is told of a merge."""
     from ..merge.merging import ALONE
     from ..merge.result import Standing
 
@@ -322,34 +330,35 @@ def _summarise(result: MergeResult, place: Workspace, screen: Screen) -> None:
     home = {run: component.id for component in result.components for run in component.poses}
     for component in result.components:
         if len(component.poses) > 1:
-            _told(screen, f"component {component.id}: {listed(sorted(component.poses))}")
+            yield "folded", f"component {component.id}: {listed(sorted(component.poses))}"
     alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
     if alone:
-        _told(screen, f"alone: {listed(alone)}")
+        yield "folded", f"alone: {listed(alone)}"
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
-            screen.warn(f"{pair.a} and {pair.b} are not joined: {pair.reason}")
+            yield "warning", f"{pair.a} and {pair.b} are not joined: {pair.reason}"
     merged, joined, ambiguous = map(of, (Standing.MERGED, Standing.JOINED, Standing.AMBIGUOUS))
     others = result.standings()[Standing.JOINED]
     for pair in merged[:MOST_LINES]:
-        _told(screen, f"  {pair.a} + {pair.b}: {pair.reason}")
+        yield "folded", f"  {pair.a} + {pair.b}: {pair.reason}"
     if len(merged) > MOST_LINES:
-        screen.line(f"  … and {len(merged) - MOST_LINES} more merged pairs, in {place.merged_json}")
+        more = len(merged) - MOST_LINES
+        yield "line", f"  … and {more} more merged pairs, in {place.merged_json}"
     for pair in joined[:MOST_JOINED]:
-        _told(screen, f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
+        yield "folded", f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}"
     if others > min(len(joined), MOST_JOINED):
         more = others - min(len(joined), MOST_JOINED)
-        screen.line(f"  … and {more} more pairs joined through others")
+        yield "line", f"  … and {more} more pairs joined through others"
     for pair in ambiguous[:MOST_LINES]:
-        _told(screen, f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}")
+        yield "folded", f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}"
         if pair.advice:
-            _told(screen, f"    to settle it: {pair.advice}")
+            yield "folded", f"    to settle it: {pair.advice}"
     if len(ambiguous) > MOST_LINES:
-        screen.line(f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs")
-    screen.line(_counts(result))
-    screen.line(f"{place.merged_json}")
+        yield "line", f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs"
+    yield "line", _counts(result)
+    yield "line", f"{place.merged_json}"
     name = "" if place.merge == MERGED else f" {place.merge}"
-    screen.line(f"{place.merged_rrd}  (look at it: topobatch view{name})")
+    yield "line", f"{place.merged_rrd}  (look at it: topobatch view{name})"
 
 
 def _counts(result: MergeResult) -> str:

@@ -54,6 +54,7 @@ class Workspace:
             cache / "ingest",
             cache / "log",
             self.pairs,
+            self.merge_record.parent,
             self.root / "explain",
             self.exports,
         ):
@@ -159,6 +160,11 @@ class Workspace:
     def pairs(self) -> Path:
         """Folder of what matching pairs of maps found; may be deleted at any time."""
         return self.root / "cache" / "pairs"
+
+    @property
+    def merge_record(self) -> Path:
+        """What the merge was made from; may be deleted at any time."""
+        return self.root / "cache" / "merged" / f"{plain_name(self.merge, MERGE)}.json"
 
     def raw_log_rrd(self, run: str) -> Path:
         """The recording of a run with its log; may be deleted at any time."""
@@ -322,7 +328,8 @@ class Workspace:
     def _clear_left_overs(self) -> None:
         from ..topology.files import LEFT_OVER
 
-        for folder in (self.root, self.maps, self.ingest_record("x").parent, self.pairs):
+        records = (self.ingest_record("x").parent, self.merge_record.parent)
+        for folder in (self.root, self.maps, *records, self.pairs):
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)

@@ -9,9 +9,10 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from io import BufferedReader
 from itertools import groupby, islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from pydantic_core import from_json, to_json
 
@@ -64,7 +65,7 @@ def read_bytes(path: Path) -> bytes:
         return file.read()
 
 
-def opened(path: Path) -> BinaryIO:
+def opened(path: Path) -> BufferedReader:
     """A file to be read; nothing that could block or act on being opened is opened. Raises
     DocumentError on what is no file, OSError where it cannot be read."""
     if not stat.S_ISREG(os.lstat(path).st_mode):

@@ -50,6 +50,7 @@ def test_jobs(topobatch, workspace, fleet, jobs):
         done = topobatch("merge", "--all", "-j", jobs, "-w", workspace)
         assert done.code == 0, done
         assert same(workspace, fleet)
+        shutil.rmtree(workspace / "cache" / "merged")
     assert "merged" in done.out
 
 

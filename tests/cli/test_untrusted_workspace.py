@@ -59,7 +59,7 @@ def test_a_cache_record_that_is_none_is_passed_over(topobatch, logs, tmp_path, c
     assert "unchanged" in topobatch(*call).out
 
 
-@pytest.mark.parametrize("name", ["maps", "cache", "cache/ingest", "explain"])
+@pytest.mark.parametrize("name", ["maps", "cache", "cache/ingest", "cache/merged", "explain"])
 def test_a_folder_that_is_a_link_is_refused(topobatch, logs, victim, tmp_path, name):
     link = tmp_path / "ws" / name
     link.parent.mkdir(parents=True)

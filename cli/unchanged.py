@@ -1,0 +1,109 @@
+"""A merge of nothing new: what the last one was made from, what it wrote, and what it said.
+
+The record lies in the cache. It counts where the program, its libraries, the options, the documents
+of all runs, locks and discards are what they were, and the files of the merge are those that were
+written, all by their checksums; else the merge is made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+from ..topology.errors import DocumentError
+from ..topology.files import encoded, opened, read_json, write_json
+from .output import Screen, folded
+from .workspace import Workspace
+
+Line = tuple[Literal["line", "folded", "warning"], str]
+"""What is said of a merge, and how."""
+
+FOLDERS = ("topology", "merge", "viz", "cli")
+LIBRARIES = ("numpy", "scipy", "pydantic", "rerun-sdk", "pyarrow")
+"""What the files of a merge are made by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What is told of a merge: on the screen, and in the journal."""
+
+    lines: Sequence[Line]
+    note: str
+
+    def show(self, screen: Screen) -> None:
+        """On the screen."""
+        for kind, text in self.lines:
+            if kind == "warning":
+                screen.warn(text)
+            else:
+                for line in folded(text) if kind == "folded" else [text]:
+                    screen.line(line)
+
+
+def made_from(place: Workspace, runs: Sequence[str], options: object) -> str:
+    """Changes with all that the merge of some runs follows from."""
+    documents = {run: _content(place.maps / f"{run}.json") for run in runs}
+    spoken = [
+        (os.path.lexists(path), _content(path)) for path in (place.locks_json, place.discards_json)
+    ]
+    libraries = [sys.version, *map(version, LIBRARIES)]
+    where = [str(place.root), place.merge]  # which is said
+    every = [_program(), libraries, where, repr(options), documents, spoken]
+    return hashlib.blake2b(encoded(every), digest_size=16).hexdigest()
+
+
+def recalled(place: Workspace, asked: str) -> Said | None:
+    """What was said of the last merge, if it was made from what is asked for, and is there."""
+    try:
+        found = read_json(place.merge_record)
+        if not isinstance(found, dict) or _check(found["record"]) != found["check"]:
+            return None
+        record, files = found["record"], _files(place)
+        if record["made_from"] != asked or record["files"] != files or None in files.values():
+            return None
+        return Said([(kind, str(text)) for kind, text in record["lines"]], str(record["note"]))
+    except (DocumentError, OSError, KeyError, TypeError, ValueError):
+        return None  # a cache: without it the merge is made
+
+
+def remember(place: Workspace, asked: str, said: Said, screen: Screen) -> None:
+    """Keep what was said of the merge that lies there; all its maps could be read."""
+    record = {"made_from": asked, "files": _files(place), **asdict(said)}
+    try:
+        write_json(place.merge_record, {"check": _check(record), "record": record})
+    except OSError as error:
+        screen.warn(f"{place.merge_record}: {error.strerror or error}; not kept")
+
+
+def _check(record: Any) -> str:
+    return hashlib.blake2b(encoded(record), digest_size=16).hexdigest()
+
+
+def _files(place: Workspace) -> dict[str, str | None]:
+    return {path.name: _content(path) for path in (place.merged_json, place.merged_rrd)}
+
+
+def _content(path: Path) -> str | None:
+    """Changes with what a file holds; None where it cannot be read."""
+    try:
+        with opened(path) as file:
+            return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+    except (DocumentError, OSError):
+        return None
+
+
+def _program() -> str:
+    """Changes with all code that a merge can reach."""
+    root = Path(__file__).parents[1]
+    out = hashlib.blake2b(digest_size=16)
+    for folder in FOLDERS:
+        for path in sorted((root / folder).rglob("*.py")):
+            out.update(path.relative_to(root).as_posix().encode())
+            out.update(path.read_bytes())
+    return out.hexdigest()

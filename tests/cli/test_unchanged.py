@@ -1,0 +1,114 @@
+"""A merge of nothing new: said again, and made where anything is not as it was."""
+
+import json
+import shutil
+
+import pytest
+
+from topobatch.cli import unchanged
+from topobatch.merge.discards import discards_to_document
+
+NOTHING_NEW = "nothing is new"
+
+
+@pytest.fixture(scope="module")
+def merged(tmp_path_factory, fleet_maps):
+    """A workspace with three maps; whoever asks for it first merges them."""
+    root = tmp_path_factory.mktemp("merged")
+    fleet_maps(root / "maps", 3)
+    return root
+
+
+@pytest.fixture
+def place(merged, topobatch, tmp_path):
+    topobatch("merge", "--all", "-w", merged)
+    shutil.copytree(merged, tmp_path / "ws")
+    assert NOTHING_NEW not in topobatch("merge", "--all", "-v", "-w", tmp_path / "ws").err
+    return tmp_path / "ws"
+
+
+def files(place):
+    return {path.name: path.read_bytes() for path in (place / "merged.json", place / "merged.rrd")}
+
+
+def test_nothing_new_is_not_merged_but_said_again_and_noted(topobatch, place):
+    (place / "cache" / "merged" / "merged.json").unlink()
+    first = topobatch("merge", "--all", "-w", place)
+    before, noted = files(place), (place / "history.jsonl").read_text().splitlines()
+    again = topobatch("merge", "--all", "-v", "-w", place)
+    assert NOTHING_NEW in again.err
+    assert (again.code, again.out) == (0, first.out)
+    assert files(place) == before
+    after = (place / "history.jsonl").read_text().splitlines()
+    assert len(after) == len(noted) + 1
+    assert json.loads(after[-1])["text"] == json.loads(noted[-1])["text"]
+    assert topobatch("merge", "--all", "-q", "-w", place).out == ""
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["map", "new map", "gone map", "lock", "discard", "option", "document", "recording", "program"],
+)
+def test_whatever_is_new_is_merged(topobatch, place, tmp_path, monkeypatch, change):
+    options = []
+    path = sorted((place / "maps").glob("*.json"))[0]
+    runs = sorted(p.stem for p in (place / "maps").glob("*.json"))
+    if change == "map":
+        path.write_bytes(path.read_bytes() + b"\n")
+    elif change == "new map":
+        document = path.read_text().replace(f'"{path.stem}"', '"another"')
+        path.with_name("another.json").write_text(document)
+    elif change == "gone map":
+        path.unlink()
+    elif change == "lock":
+        topobatch("lock", *runs[:2], "--never", "-w", place)
+    elif change == "discard":
+        discards = discards_to_document([tuple(runs[:2])])
+        (place / "discards.json").write_text(json.dumps(discards))
+    elif change == "option":
+        options = ["--false-merge-rate", "0.01"]
+    elif change == "document":
+        (place / "merged.json").write_bytes(files(place)["merged.json"] + b" ")
+    elif change == "recording":
+        (place / "merged.rrd").unlink()
+    else:
+        monkeypatch.setattr(unchanged, "FOLDERS", ("topology",))
+    called = topobatch("merge", "--all", *options, "-v", "-w", place)
+    assert called.code == 0, called
+    assert NOTHING_NEW not in called.err
+    assert NOTHING_NEW in topobatch("merge", "--all", *options, "-v", "-w", place).err
+    here = files(place)["merged.json"]
+    shutil.rmtree(place / "cache")
+    (place / "merged.json").unlink()
+    topobatch("merge", "--all", *options, "-w", place)
+    assert files(place)["merged.json"] == here
+
+
+@pytest.mark.parametrize("harm", ["flip", "cut", "empty", "list", "lines", "no lines", "text"])
+def test_a_record_that_is_none_is_passed_over(topobatch, place, harm):
+    path = place / "cache" / "merged" / "merged.json"
+    whole = path.read_bytes()
+    found = json.loads(whole)
+    if harm in {"lines", "no lines", "text"}:  # of somebody who knows how to make the checksum
+        if harm == "no lines":
+            del found["record"]["lines"]
+        else:
+            found["record"]["lines"] = 3 if harm == "lines" else [["line"]]
+        found["check"] = unchanged._check(found["record"])
+        path.write_text(json.dumps(found))
+    else:
+        at = whole.index(b"component")
+        flipped = whole[:at] + b"k" + whole[at + 1 :]
+        path.write_bytes({"flip": flipped, "cut": whole[:-9], "empty": b"", "list": b"[1]"}[harm])
+    called = topobatch("merge", "--all", "-v", "-w", place)
+    assert called.code == 0, called
+    assert NOTHING_NEW not in called.err
+    assert json.loads(path.read_bytes())["record"]["lines"] == json.loads(whole)["record"]["lines"]
+
+
+def test_a_map_that_cannot_be_read_is_told_every_time(topobatch, place):
+    (place / "maps" / "bad.json").write_text("{")
+    for _ in range(2):
+        called = topobatch("merge", "--all", "-w", place)
+        assert called.code == 1
+        assert "bad.json" in called.err
