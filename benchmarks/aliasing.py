@@ -40,6 +40,8 @@ KINDS = {"tiles": 90, "office": 120, "rows": 70, "maze": 110, "organic": 90, "ci
 RUNS, SIZE, FEWEST = 5, 36, 5
 SEEING = Seeing(missed=0.03, branch_fault=0.04, bend_m=0.3)
 SHARES = (0.25, 0.5, 1.01)
+RULES = ("elsewhere", "small copies", "learned copies", "uniform")
+"""What `leave_out` leaves out."""
 
 
 def batch(kind, worlds, first):
@@ -154,8 +156,7 @@ def main():
     parser.add_argument("--worlds", type=int, default=8)
     parser.add_argument("--first", type=int, default=0, help="seed of the first world")
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=list(KINDS))
-    rules = ("elsewhere", "small copies", "learned copies", "uniform")
-    parser.add_argument("--without", choices=rules)
+    parser.add_argument("--without", choices=RULES)
     parser.add_argument("--placements", action="store_true", help="right ones beside wrong ones")
     options = parser.parse_args()
     leave_out(options.without)
