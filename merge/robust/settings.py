@@ -71,6 +71,11 @@ class MatchSettings:
     pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1
     should. Tried: with 3.75 of 1,900 pairs 28 are merged wrongly, with 1.7 a seventh of
     the right ones is lost."""
+    least_told: float = 0.25
+    """Share of `junction_bits` up to which an alignment is taken for a copy; from twice as much on
+    it is not. Of 179 right pairs of mazes and organic ways all tell .58 or more; of 25 pairs of
+    floors of one plan, each junction moved by up to .3 m, 23 tell less than half, and so do two
+    sites that share a block (`benchmarks/adversaries.py`). It costs no right pair of the suites."""
     uniform_bits: float = 0.75
     """-log2 of the density [1/m] of equal corridors up to which it is assumed that the building
     repeats itself, seen or not; from twice as many on it is not. 90 % of pairs of maps have: rows

@@ -215,6 +215,15 @@ def counted_bits(c: Candidate) -> float:
     return min(c.bits + against, MATCH.junction_bits * len(c)) - against
 
 
+def falls_short(c: Candidate) -> float:
+    """0 to 1: how much less an alignment tells than its junctions could.
+
+    Two looks at one place agree in nearly all they show. What was built after the same plan, or of
+    the same pieces, falls short of that, however much it is beyond chance.
+    """
+    return _share(2.0 - counted_bits(c) / (MATCH.least_told * MATCH.junction_bits * len(c)))
+
+
 def _share(value: float) -> float:
     """Bounded to 0 … 1."""
     return min(max(value, 0.0), 1.0)
@@ -238,8 +247,8 @@ def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
     every other placement. ambiguous: an alignment that chance hardly offers, but one of the three
     is missing, or too few junctions agree. unrelated: no such alignment.
 
-    The second question is asked where the building has corridors of few sizes, and of alignments no
-    larger than repetitions within the maps.
+    The second question is asked where the building has corridors of few sizes, of alignments no
+    larger than repetitions within the maps, and where the best one tells much less than it could.
     """
     shown = [_beyond_chance(candidates, threshold) for _, _, candidates, threshold in pairs]
     shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
@@ -259,7 +268,10 @@ def _repetitions(
 ) -> list[float]:
     """0 to 1 of each alignment: how far the second question is asked of it."""
     uniform = uniformity(a, b) if odd else 0.0
-    return [max(uniform, threshold.may_be_copy(c)) for c in odd]
+    shares = [max(uniform, threshold.may_be_copy(c)) for c in odd]
+    if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):
+        shares = [max(share, falls_short(c)) for share, c in zip(shares, odd, strict=True)]
+    return shares
 
 
 def _assess(

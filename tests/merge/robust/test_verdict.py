@@ -15,11 +15,14 @@ from topobatch.merge.robust.verdict import (
     _missing,
     assess,
     counted_bits,
+    falls_short,
     in_steps,
     needed_bits,
     threshold_for,
     uniformity,
 )
+from topobatch.simulation import make_world
+from topobatch.simulation.world import straight, world_of_links
 
 from .plans import COPIES, EDGES, POINTS, SETTINGS
 
@@ -64,6 +67,34 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     unasked = replace(answers, same_place=None)
     assert unasked.bits == answers.carried
     assert _missing(told, unasked, None, among_many) == "chance offers as much too often"
+
+
+def test_what_tells_much_less_than_it_could_is_asked_whether_it_is_a_copy(drawn):
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    told, most = match(a, b, SETTINGS)[0], MATCH.junction_bits * len(POINTS)
+    shares = [falls_short(replace(told, bits=most * part)) for part in (0.1, 0.25, 0.375, 0.5, 1.0)]
+    assert shares == pytest.approx([1.0, 1.0, 0.5, 0.0, 0.0])
+    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    (asked,) = assess(a, b, [replace(told, bits=0.3 * most)], threshold).answers
+    assert asked.repetition == pytest.approx(0.8)
+    assert asked.need_same == pytest.approx(0.8 * threshold.need_copy_bits)
+    (less,) = assess(a, b, [replace(told, bits=0.6 * most)], threshold).answers
+    assert less.repetition == uniformity(a, b) < 0.5
+
+
+def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
+    """Every junction of the second floor lies up to 0.3 m from where it lies in the first."""
+    plan = make_world("maze", 60, 0)
+    xy = plan.xy + np.random.default_rng(0).uniform(-0.3, 0.3, plan.xy.shape)
+    ends = zip(plan.source.tolist(), plan.target.tolist(), strict=True)
+    other = world_of_links("floor", "maze", xy, [straight(xy, u, v) for u, v in ends])
+    maps = [see(w, list(range(len(w))), k, f"r{k}") for k, w in enumerate((plan, plan, other))]
+    a, again, moved = (prepare(m) for m in maps)
+    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    views = [assess(a, m, match(a, m, SETTINGS), threshold) for m in (again, moved)]
+    assert [view.verdict for view in views] == [Verdict.MERGED, Verdict.AMBIGUOUS]
+    assert views[1].answers[0].carried > views[1].need_bits  # beyond chance, and yet
+    assert views[1].why == MAYBE_COPY
 
 
 def test_a_building_of_few_sizes_is_uniform(drawn):
