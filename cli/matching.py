@@ -20,16 +20,19 @@ if TYPE_CHECKING:
 
 
 def read_maps(
-    place: Workspace, names: list[str], screen: Screen
+    place: Workspace, names: list[str], screen: Screen, store: ResultCache
 ) -> tuple[list[TopoMap], list[str]]:
-    """The maps that can be read, and the names of those that cannot."""
-    maps, broken = [], []
+    """The maps that can be read, and the names of those that cannot. Maps are kept in the store."""
+    from ..merge.kept_maps import KeptMaps
+
+    maps, broken, known = [], [], KeptMaps(store)
     for name in names:
         try:
-            maps.append(place.read_map(name))
+            maps.append(place.read_map(name, known.read))
         except DocumentError as error:
             screen.complain(f"{error}; left out (ingest its log again with --force)")
             broken.append(name)
+    known.keep()
     if not maps:
         raise DataError(f"{place.maps}: none of the {counted(len(names), 'map')} can be read")
     return maps, broken

@@ -25,6 +25,7 @@ from .workspace import MERGED, Workspace
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from ..merge.cache import ResultCache
     from ..merge.document import MergedGraph
     from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
@@ -149,8 +150,9 @@ def merge(
             # A merge of all loses nothing but runs that the workspace has lost.
             if not replace_last and (output is not None or not everything):
                 _keep_larger(place, chosen)
-            maps, broken = read_maps(place, chosen, screen)
-            result = _merged(place, maps, settings, workers, everything, screen)
+            store = _store(place, settings, screen)
+            maps, broken = read_maps(place, chosen, screen, store)
+            result = _merged(place, maps, settings, workers, everything, screen, store)
             _write(place, result, maps)
             told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
             said = Said(tuple(_summary(result, place)), told)
@@ -200,9 +202,10 @@ def merge_again(
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
         return
-    maps, _ = read_maps(place, runs, screen)
+    store = _store(place, settings, screen)
+    maps, _ = read_maps(place, runs, screen, store)
     everything = runs == place.runs()
-    result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen)
+    result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen, store)
     _write(place, result, maps)
     screen.line(f"merged again: {counted(len(maps), 'run')}, {_counts(result)}")
 
@@ -254,6 +257,14 @@ def _settings(
     return replace(settings, paper=paper, robust=robust)
 
 
+def _store(place: Workspace, settings: MergeSettings, screen: Screen) -> ResultCache:
+    """What earlier merges left."""
+    from ..merge.cache import ResultCache
+    from ..merge.robust import era_of
+
+    return ResultCache(place.pairs, era_of(settings.robust), screen.warn)
+
+
 def _merged(
     place: Workspace,
     maps: list[TopoMap],
@@ -261,13 +272,11 @@ def _merged(
     workers: Callable[[int], Workers | None],
     everything: bool,
     screen: Screen,
+    store: ResultCache,
 ) -> MergeResult:
-    from ..merge.cache import ResultCache
     from ..merge.merging import merge_maps
     from ..merge.result import pairs_of
-    from ..merge.robust import era_of
 
-    store = ResultCache(place.pairs, era_of(settings.robust), screen.warn)
     with matching(place, pairs_of(len(maps)), store, workers, screen) as means:
         result = merge_maps(
             maps, settings, locks=place.locks(), discarded=place.discards(), means=means

@@ -41,9 +41,9 @@ def match_share(
     from ..merge.result import pairs_of
     from ..merge.robust import era_of, match_shard
 
-    maps, broken = read_maps(place, place.chosen_runs([], True), screen)
     held = partial(place.held, lambda _: None, make=False)
     store = ResultCache(place.pairs, era_of(settings.robust), screen.warn, held)
+    maps, broken = read_maps(place, place.chosen_runs([], True), screen, store)
     pairs = pairs_of(len(maps)) // share[1]
     with matching(place, pairs, store, workers, screen) as means:
         done = match_shard(maps, settings.robust, share, means)

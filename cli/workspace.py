@@ -200,15 +200,16 @@ class Workspace:
         """What to say of a workspace without maps."""
         return DataError(f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
 
-    def read_map(self, run: str) -> TopoMap:
-        """The map of a run; DocumentError if it cannot be read, or is another run's."""
+    def read_map(self, run: str, read: Callable[[Path], TopoMap] | None = None) -> TopoMap:
+        """The map of a run; DocumentError if it cannot be read, or is another run's. read: what
+        reads it, where some maps are kept."""
         from ..topology.document import read_map
 
         try:
             path = self.map_json(run)
         except UsageError as error:  # a name that a file has, but that nothing of ours gave it
             raise DocumentError(f"{self.maps}: {error}") from error
-        topomap = read_map(path)
+        topomap = (read or read_map)(path)
         if topomap.run != run:
             raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
         return topomap

@@ -71,6 +71,8 @@ class Kind(IntEnum):
     """What two maps say by themselves; its key is of both maps and of what they must reach."""
     RIVALS = 8
     """Two maps, as far as they are matched, with all other hypotheses beyond chance."""
+    MAP = 9
+    """A map; its key is twice the digest of its document."""
 
     @property
     def told(self) -> str:

@@ -44,17 +44,29 @@ def encoded(value: Any) -> Json:
 
 
 def read_json(path: Path) -> Any:
-    """A parsed JSON file, or a DocumentError that names it.
+    """A parsed JSON file, or a DocumentError that names it: see `document_bytes` and `parsed`."""
+    return parsed(document_bytes(path), path)
 
-    Refused are files that are none (links, FIFOs, devices), implausibly long ones, nesting deeper
-    than 200, text that is no UTF-8 or holds halves of characters, NaN and Infinity.
+
+def parsed(data: bytes, path: Path) -> Any:
+    """JSON text as a value, or a DocumentError that names where it lies.
+
+    Refused are nesting deeper than 200, text that is no UTF-8 or holds halves of characters, NaN
+    and Infinity.
     """
     try:
-        return from_json(read_bytes(path), allow_inf_nan=False)
-    except OSError as error:
-        raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return from_json(data, allow_inf_nan=False)
     except ValueError as error:
         raise DocumentError(f"{path}: is not JSON: {error}") from error
+
+
+def document_bytes(path: Path) -> bytes:
+    """The bytes of a document. DocumentError on what is no file (links, FIFOs, devices), cannot be
+    read, or is implausibly long."""
+    try:
+        return read_bytes(path)
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def read_bytes(path: Path) -> bytes:

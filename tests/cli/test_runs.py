@@ -223,6 +223,9 @@ def test_info_of_several_logs(topobatch, logs, tmp_path):
 
 def test_verbose(topobatch, merged, logs, tmp_path):
     done = topobatch("merge", "--all", "-v", "-w", merged)
+    assert "nothing is new" in done.err
+    (merged / "cache" / "merged" / "merged.json").unlink()
+    done = topobatch("merge", "--all", "-v", "-w", merged)
     assert "pairs of maps: 21, of which 21 are known already" in done.err
     assert "s] 7 maps, 21 of 21 pairs to match" in done.err
     done = topobatch("ingest", logs["mcap"], "-v", "-w", tmp_path / "other")
