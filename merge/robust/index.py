@@ -70,6 +70,38 @@ PROBES = tuple(name for name in Probes.__dataclass_fields__ if name != "extent")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """The corridors of some maps, each in one direction, end to end: fields as in `Probes`. owner:
+    which map; tail, head: vertices, numbered through all maps."""
+
+    owner: IntArray
+    tail: IntArray
+    head: IntArray
+    pattern: IntArray
+    length: FloatArray
+    variance: FloatArray
+    sagitta: FloatArray
+    angle: FloatArray
+    rarity: FloatArray
+    end_information: FloatArray
+
+    @classmethod
+    def of(cls, maps: Sequence[Probes]) -> Asked:
+        """Those of some maps."""
+        half = [len(m.tail) // 2 for m in maps]
+        first = np.cumsum([0, *(m.extent.junctions for m in maps)])
+        owner = np.arange(len(maps)).repeat(half)
+        parts = {
+            name: np.concatenate([getattr(m, name)[:k] for m, k in zip(maps, half, strict=True)])
+            for name in cls.__dataclass_fields__
+            if name != "owner"
+        }
+        for end in ("tail", "head"):
+            parts[end] = first[owner] + parts[end]
+        return cls(owner, **parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Corridors:
     """The directed corridors of some maps, sorted by pattern of branches, then length.
 
@@ -132,40 +164,40 @@ class Corridors:
         at = np.searchsorted(self.length_step, 2 * length, side="right") - 1
         return np.asarray(self.worst[np.maximum(at, 0)])
 
-    def chances(self, a: Probes, least: float, after: int = -1) -> FloatArray:
-        """(maps,) bits of the links with a map that hang together best, less those of having so
-        many to choose from; -inf where all links together have less than the least that counts,
-        and of maps that do not come after the given number."""
-        best = np.full(self.maps, -np.inf)
-        row, other = self._links(a, after)
+    def chances(
+        self, maps: Sequence[Probes], least: float, after: IntArray | None = None
+    ) -> FloatArray:
+        """(given maps, maps here) bits of the links of two maps that hang together best, less those
+        of having so many to choose from; -inf where all links together have less than the least
+        that counts, and of maps here that do not come after the number given for the other."""
+        a = Asked.of(maps)
+        best = np.full(len(maps) * self.maps, -np.inf)
+        row, other = self._links(a, np.full(len(maps), -1) if after is None else after)
         if not len(row):
-            return best
+            return best.reshape(len(maps), self.maps)
         d = a.length[row] - self.length[other]
         bits = length_bits(d, a.variance[row] + self.variance[other])
         bits += np.minimum(a.rarity[row], self.rarity[other])
         ends = np.minimum(a.end_information[row], self.self_information[other])
         bits = np.minimum(bits, MATCH.most_bits) + 0.5 * ends
-        owner = self.owner[other]
-        choice = np.log2(np.bincount(owner, minlength=self.maps) + 1.0)
-        together = np.bincount(owner, np.maximum(bits, 0.0), self.maps)
+        owner = a.owner[row] * self.maps + self.owner[other]
+        choice = np.log2(np.bincount(owner, minlength=len(best)) + 1.0)
+        together = np.bincount(owner, np.maximum(bits, 0.0), len(best))
         hope = np.flatnonzero((together - choice >= least)[owner])
-        if not len(hope):
-            return best
-        row, other, bits, owner = row[hope], other[hope], bits[hope], owner[hope]
-        theta = np.asarray(wrap(a.angle[row] - self.angle[other]))
-        label = self._hanging_together(a, row, other, theta)
-        total = np.bincount(label, bits)
-        np.maximum.at(best, owner, total[label])
-        return np.asarray(best - choice)
+        if len(hope):
+            row, other, bits, owner = row[hope], other[hope], bits[hope], owner[hope]
+            theta = np.asarray(wrap(a.angle[row] - self.angle[other]))
+            label = self._hanging_together(a, row, other, theta)
+            total = np.bincount(label, bits)
+            np.maximum.at(best, owner, total[label])
+        return np.asarray(best - choice).reshape(len(maps), self.maps)
 
-    def _links(self, a: Probes, after: int) -> tuple[IntArray, IntArray]:
-        """Corridors of a map, in one direction, and rows here that could be the same one."""
-        half = len(a.tail) // 2
-        length = a.length[:half]
-        reach = MATCH.length_sigmas * np.sqrt(a.variance[:half] + self.worst_variance(length))
-        key = a.pattern[:half] * LENGTH_SCALE + length
+    def _links(self, a: Asked, after: IntArray) -> tuple[IntArray, IntArray]:
+        """Corridors that are asked for, and rows here that could be the same one."""
+        reach = MATCH.length_sigmas * np.sqrt(a.variance + self.worst_variance(a.length))
+        key = a.pattern * LENGTH_SCALE + a.length
         row, other = windows(self.key.searchsorted(key - reach), self.key.searchsorted(key + reach))
-        late = np.flatnonzero(self.owner[other] > after)
+        late = np.flatnonzero(self.owner[other] > after[a.owner[row]])
         row, other = row[late], other[late]
         d = a.length[row] - self.length[other]
         fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[other])
@@ -173,7 +205,7 @@ class Corridors:
         return row[ok], other[ok]
 
     def _hanging_together(
-        self, a: Probes, row: IntArray, other: IntArray, theta: FloatArray
+        self, a: Asked, row: IntArray, other: IntArray, theta: FloatArray
     ) -> IntArray:
         """(k,) component of every link: links meet where they share both vertices and the rotation
         (as in `links.seeds`)."""

@@ -100,11 +100,14 @@ def _looked_up(
     for start in range(0, len(second), TASKS.at_hand):
         some = second[start : start + TASKS.at_hand]
         block = Corridors.of([maps[k] for k in some.tolist()])
-        for i in first[first < some[-1]].tolist():
-            after = int(np.searchsorted(some, i, side="right")) - 1
-            bits = block.chances(maps[i], least, after)
-            found = np.flatnonzero(bits >= least)
-            yield np.stack([np.full(len(found), i), some[found]], axis=1), bits[found]
+        before = first[first < some[-1]]
+        step = max(TASKS.at_hand // len(some), 1)  # of one new map all others are asked at once
+        for k in range(0, len(before), step):
+            own = before[k : k + step]
+            after = np.searchsorted(some, own, side="right") - 1
+            bits = block.chances([maps[i] for i in own.tolist()], least, after)
+            row, found = np.nonzero(bits >= least)
+            yield np.stack([own[row], some[found]], axis=1), bits[row, found]
 
 
 def _sorted(pairs: IntArray, bits: FloatArray, least: float) -> Chances:

@@ -42,12 +42,24 @@ def test_it_is_the_first_step_of_matching_for_all_maps_at_once(buildings):
     ready = [prepare(m) for m in buildings]
     index = Corridors.of(ready)
     for i, a in enumerate(ready):
-        found = index.chances(a, -np.inf)
+        found = index.chances([a], -np.inf)[0]
         slow = np.array([by_one(a, b) for b in ready])
         known = np.isfinite(slow)
         np.testing.assert_array_equal(np.isfinite(found), known)
         np.testing.assert_allclose(found[known], slow[known], atol=1e-6)
-        assert (index.chances(a, 12.0, i)[: i + 1] == -np.inf).all()
+        late = index.chances([a], 12.0, np.array([i]))[0]
+        assert (late[: i + 1] == -np.inf).all()
+        np.testing.assert_array_equal(late[i + 1 :], index.chances([a], 12.0)[0, i + 1 :])
+
+
+def test_maps_that_are_asked_together_say_what_they_say_alone(buildings):
+    ready = [prepare(m) for m in buildings]
+    index = Corridors.of(ready[9:])
+    after = np.arange(9) - 4
+    every = index.chances(ready[:9], 6.0, after)
+    alone = [index.chances([a], 6.0, after[k : k + 1])[0] for k, a in enumerate(ready[:9])]
+    np.testing.assert_array_equal(every, alone)
+    assert np.isfinite(every).any()
 
 
 def test_blocks_make_no_difference(buildings, monkeypatch):
@@ -118,8 +130,8 @@ def test_beside_known_maps_only_new_ones_are_looked_up(buildings, large, monkeyp
     asked = []
     chances_of = Corridors.chances
 
-    def counted(self, a, least, after=-1):
-        asked.append(self.maps - 1 - after)
+    def counted(self, a, least, after):
+        asked.append((self.maps - 1 - after).sum())
         return chances_of(self, a, least, after)
 
     monkeypatch.setattr(Corridors, "chances", counted)
