@@ -84,28 +84,42 @@ def match(
 def match_all(
     pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, rivals: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
-    """The same of many pairs, each as if it were alone."""
-    every = list(pairs)
-    found = list(best_of_all((_hypotheses(a, b, settings) for a, b in every), settings))
+    """The same of many pairs, each as if it were alone; so many at once as have `most_pairs`
+    links."""
+    some: list[tuple[Hypothesised, Links]] = []
+    count = 0
+    for a, b in pairs:
+        links = candidate_links(a, b)
+        some.append((_hypotheses(a, b, links, settings), links))
+        count += len(links)
+        if count >= MATCH.most_pairs:
+            yield from _match_some(some, settings, rivals=rivals)
+            some, count = [], 0
+    yield from _match_some(some, settings, rivals=rivals)
+
+
+def _match_some(
+    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings, *, rivals: bool
+) -> Iterator[tuple[Candidate, ...]]:
+    found = list(best_of_all((case for case, _ in some), settings))
     wanted = [rivals or not any(c.bits > MATCH.lead_bits for c in own) for own in found]
-    asked = (_rivals(a, b, settings) for a, b in compress(every, wanted))
+    asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
     others = best_of_all(asked, settings)
-    for (_, b), own, more in zip(every, found, wanted, strict=True):
+    for ((_, b, *_), _), own, more in zip(some, found, wanted, strict=True):
         yield _apart([*own, *next(others)], b) if more else own
 
 
-def _hypotheses(a: Prepared, b: Prepared, settings: RobustSettings) -> Hypothesised:
-    links = candidate_links(a, b)
+def _hypotheses(a: Prepared, b: Prepared, links: Links, settings: RobustSettings) -> Hypothesised:
     return a, b, seeds(a, b, links, settings.hypotheses), len(links)
 
 
-def _rivals(a: Prepared, b: Prepared, settings: RobustSettings) -> Hypothesised:
+def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypothesised:
     """The other hypotheses beyond chance. One chosen among so many looks the same too easily to be
     merged."""
-    links = candidate_links(a, b)
-    beyond = float(np.log2(len(links) + 1.0)) + MATCH.lead_bits
-    every = seeds(a, b, links, settings.hypotheses, beyond)
-    return a, b, [seed for seed in every if seed.rival], len(links)
+    a, b, first, tested = case
+    beyond = float(np.log2(tested + 1.0)) + MATCH.lead_bits
+    every = seeds(a, b, links, settings.hypotheses, rival_bits=beyond, first=first)
+    return a, b, [seed for seed in every if seed.rival], tested
 
 
 def best_of(
@@ -186,7 +200,7 @@ def best_seed(
 ) -> tuple[Lanes, Seed, Candidate, int] | None:
     """The strongest hypothesis of two maps as it is before growth: in a lane, itself, what speaks
     for it and against it, and of how many it is the best; None where no two corridors are alike."""
-    _, _, found, tested = _hypotheses(a, b, settings)
+    _, _, found, tested = _hypotheses(a, b, candidate_links(a, b), settings)
     if not found:
         return None
     lanes = _lanes([(a, b, found[:1], tested)])

@@ -115,7 +115,7 @@ class Batch:
         out: dict[Pair, int] = {}
         for start in range(0, len(full), MATCH.at_once):
             some = full[start : start + MATCH.at_once]
-            for pair, candidates in self._candidates(some).items():
+            for pair, candidates in self.candidates(some).items():
                 T_i_j, b = components.relative(*pair), self.matcher.places[pair[1]]
                 for n, c in enumerate(candidates):
                     if c.bits > MATCH.lead_bits and agrees(as_alignment(c), T_i_j, b):
@@ -134,7 +134,7 @@ class Batch:
         if self._kept:
             self._kept.keep(verdicts, which)
 
-    def _candidates(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
+    def candidates(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
         """Of those that have any, beyond chance."""
         full = [pair for pair in pairs if self.found[pair].full]
         rows = np.array(full, np.int64).reshape(-1, 2)
@@ -143,7 +143,7 @@ class Batch:
     def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Assessment, tuple[Candidate, ...]]]:
         """What the two maps of each of some pairs say alone, but for mirror images, and the
         candidates that they say it by."""
-        known = self._candidates(pairs)
+        known = self.candidates(pairs)
         candidates = [known.get(pair, ()) for pair in pairs]
         out = {}
         views = self._assessments(pairs, candidates)

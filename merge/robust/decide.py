@@ -167,29 +167,31 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
     second = batch.corroborated(asked, components)
     kept = batch.known_seconded({pair: n for pair, n in second.items() if pair in held})
     held = {pair: v for pair, v in held.items() if pair not in second} | kept
-    again = batch.views([pair for pair in pairs if pair not in held])
-    likely = {pair: view for pair, (view, _) in again.items() if pair in batch.joins}
-    views = batch.assessments | batch.beside_rivals(likely)
+    again = [pair for pair in pairs if pair not in held]
+    told = batch.views([pair for pair in again if pair not in batch.assessments])
+    views = {pair: view for pair, (view, _) in told.items()} | batch.assessments
+    views |= batch.beside_rivals({pair: views[pair] for pair in told if pair in batch.joins})
+    candidates = {pair: found for pair, (_, found) in told.items()}
+    candidates |= batch.candidates([pair for pair in second if pair in batch.assessments])
     fresh = {}
     for pair in pairs:
         if pair in held:
             yield held[pair]
             continue
         i, j = pair
-        view, candidates = again[pair]
         case = Case(
             prepared[i],
             prepared[j],
-            views.get(pair, view),
+            views[pair],
             forced=said.forced.get(pair),
             lock=said.locked.get(pair),
             refused=said.refused.get(pair),
             reunion=said.reunions.get(pair),
-            corroborated=candidates[second[pair]] if pair in second else None,
+            corroborated=candidates[pair][second[pair]] if pair in second else None,
             together=components.together(i, j),
         )
-        told = case.verdict()
+        verdict = case.verdict()
         if pair in batch.alone and pair in second and not said.of(pair):
-            fresh[pair] = told
-        yield told
+            fresh[pair] = verdict
+        yield verdict
     batch.keep_seconded(fresh, second)

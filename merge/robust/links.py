@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isqrt
 
@@ -100,10 +101,17 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
 
 
 def seeds(
-    a: Prepared, b: Prepared, links: Links, most: int, rival_bits: float = np.inf
+    a: Prepared,
+    b: Prepared,
+    links: Links,
+    most: int,
+    *,
+    rival_bits: float = np.inf,
+    first: Sequence[Seed] = (),
 ) -> list[Seed]:
     """The best `most` connected components of the association graph, as seeds of growth; and of
-    those with more than `rival_bits` as many, as rivals, as are grown at once.
+    those with more than `rival_bits` as many, as rivals, as are grown at once. first: what the best
+    `most` came to, if that is known.
 
     Its nodes are (vertex a, vertex b, rotation), its edges the links (§2.3). Inside a component
     the transforms of its links vote, so that one false link does not spoil a correct match.
@@ -117,8 +125,9 @@ def seeds(
     best = best[total[best] > MATCH.weak_share * total[best[0]]]
     crowd = np.bincount(label)[label] > 1
     mid_a, mid_b = a.middle[links.a_row], b.middle[links.b_row]
-    found: list[Seed] = []
-    for place, component in enumerate(best.tolist()):
+    found = list(first)
+    known = most if first else 0
+    for place, component in enumerate(best[known:].tolist(), known):
         mine = label == component
         rows, turn = _agreeing(links, mid_a, mid_b, mine.nonzero()[0])
         seed = _seed(a, b, links, mid_a, mid_b, rows=rows, turn=turn, others=crowd & ~mine)

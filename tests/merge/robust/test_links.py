@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from topobatch.merge.robust.links import candidate_links, windows
+from topobatch.merge.robust.links import candidate_links, seeds, windows
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
 
@@ -32,3 +32,18 @@ def test_candidate_links_are_those_of_brute_force(halves):
     assert expected <= found
     softened = found - expected
     assert all(a.pattern[i] != b.pattern[j] for i, j in softened)
+
+
+def test_rivals_are_the_same_whether_the_first_seeds_are_known_or_not(drawn):
+    """Equal blocks: a map of them lies over another in many ways."""
+    grid = [(5.0 * x, 7.0 * y) for x in range(5) for y in range(4)]
+    edges = [(k, k + 4) for k in range(16)] + [(k, k + 1) for k in range(20) if k % 4 != 3]
+    a, b = prepare(drawn("a", grid, edges)), prepare(drawn("b", grid, edges[1:]))
+    links = candidate_links(a, b)
+    first = seeds(a, b, links, 2)
+    anew = seeds(a, b, links, 2, rival_bits=1.0)
+    known = seeds(a, b, links, 2, rival_bits=1.0, first=first)
+    assert len(first) == sum(not seed.rival for seed in anew) == 2 < len(anew)
+    told = [[(s.bits, s.shift, s.rival) for s in found] for found in (anew, known)]
+    assert told[0] == told[1]
+    assert all(any(one is s for s in known) for one in first)
