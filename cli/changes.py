@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..topology.errors import DocumentError, UsageError
+from ..topology.errors import DocumentError
 from ..topology.wording import counted
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption
 from .output import say, say_lines
@@ -34,6 +34,10 @@ def changes(
     corridor's ends, or drove through where the junction is), did not: gone, new, or now and then.
     With who says so, how often and when, and the evidence in bits: how unlikely it is that the
     others only overlooked it.
+
+    \b
+      topobatch changes
+      topobatch changes --all --json
     """
     from ..merge.changes import change_to_document
     from ..merge.changes import changes as changes_of
@@ -42,7 +46,7 @@ def changes(
     document = place.read_merged()
     entries = {c.id: c for c in document.graph.components}
     if component is not None and component not in entries:
-        raise UsageError(f"{place.merged_json}: there is no component {component}")
+        raise place.no_component(component, list(entries))
     found: list[Change] = []
     several = 0
     for number, entry in entries.items():

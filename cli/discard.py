@@ -35,13 +35,22 @@ def discard(
     this merge and in later ones; other runs may still join them (to keep them apart whatever is
     found: topobatch lock A B --never). The last merge is made anew without it. Without arguments,
     the matches that were taken back.
+
+    \b
+      topobatch discard run1:run2
+      topobatch discard run1:run2 --undo
+      topobatch discard run3
     """
     place, screen = Workspace(workspace), Screen(quiet)
     if not what:
         if undo:
             raise UsageError("--undo: name the matches, A:B")
-        for a, b in sorted(place.discards()):
+        place.require()
+        taken_back = sorted(place.discards())
+        for a, b in taken_back:
             screen.line(f"{a}:{b}")
+        if not taken_back:
+            screen.line("no matches were taken back")
         return
     with place.held(screen.warn, make=False):
         runs, pairs = _sorted_out(place, what, undo)
@@ -68,9 +77,7 @@ def _sorted_out(
         cuts = (k for k, letter in enumerate(name) if letter == ":")
         found = [p for k in cuts if known >= set(p := (name[:k], name[k + 1 :]))]
         if len(found) != 1 or found[0][0] == found[0][1]:
-            wanted = "two runs A:B" if ":" in name or undo else "a run, or two as A:B"
-            shown = listed(sorted(known)) or "none"
-            raise UsageError(f"{name!r} does not name {wanted}; there are: {shown}")
+            raise place.unknown([name], f"{'two runs A:B' if undo else 'run or runs A:B'} named")
         a, b = sorted(found[0])
         pairs.append((a, b))
     _check_locks(place, pairs, undo)

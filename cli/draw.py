@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.wording import listed
+from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
 from .output import say
 from .workspace import MERGED, Workspace
@@ -110,24 +109,19 @@ def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
 def _merge_of(place: Workspace, what: str, runs: list[str]) -> Workspace:
     """The workspace with the merge that is named, or a message that says what there is."""
     if what == MERGED:
-        if place.merged_json.is_file():
-            return place
-        raise DataError(
-            f"{place.merged_json}: is not there yet; make it with `topobatch merge --all`"
-        )
-    if ":" not in what and Workspace(place.root, what).merged_json.is_file():
-        return Workspace(place.root, what)
-    if not runs:
-        raise place.no_maps()
-    raise UsageError(f"{what!r} is no run, merge or pair A:B of {place.root}; runs: {listed(runs)}")
+        place.require_merge()
+        return place
+    merge = None if ":" in what else place.merge_named(what)
+    if merge is None:
+        raise place.unknown([what], "run, merge or pair A:B named")
+    return merge
 
 
 def read_result(place: Workspace) -> MergeResult:
     """The merge of a workspace, as its document tells it; DocumentError if it cannot be read."""
-    from ..merge.document import read_merged
     from ..merge.stored import result_from_document
 
-    document = read_merged(place.merged_json)
+    document = place.read_merged()
     try:
         return result_from_document(document)
     except ValueError as error:

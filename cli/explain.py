@@ -65,12 +65,16 @@ def explain(
 
     The paper's method takes the settings of the last merge by it; its options given here take the
     place of those.
+
+    \b
+      topobatch explain run1 run2
+      topobatch explain run1 run2 --method paper --rows 5
     """
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
     place = Workspace(workspace, merge)
-    if merge != MERGED and not place.merged_json.exists():
-        raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
+    if merge != MERGED:
+        place.require_merge()
     first, second = place.chosen_runs([a, b], False)
     options = paper_options.PaperOptions(
         degree, confidence, confidence_of, weights, iterative, tuple(met or ())

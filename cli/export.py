@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 STDOUT = Path("-")
 
+MOST_NAMED = 4
+"""Components, and runs of each, that a warning names."""
+
 
 class Format(StrEnum):
     """What can be written."""
@@ -94,6 +97,10 @@ def export(
 
     The merged map has components that share no frame: each becomes a file of its own, numbered like
     the components of topobatch merge. Trajectories (tum) are read from the run's log again.
+
+    \b
+      topobatch export merged --format nav2 --output site.geojson
+      topobatch export run1 --format tum
     """
     place, screen = Workspace(workspace), Screen(quiet)
     sources = _sources(place, what, component, screen)
@@ -132,15 +139,18 @@ def _sources(place: Workspace, what: str, component: int | None, screen: Screen)
     document = merged.read_merged()
     ids = [c.id for c in document.graph.components]
     if component is not None and component not in ids:
-        raise UsageError(
-            f"{merged.merged_json}: there is no component {component}; there are {ids}"
-        )
+        raise merged.no_component(component, ids)
     chosen = ids if component is None else [component]
     several = len(ids) > 1
     if several and component is None:
+        held = (
+            f"{c.id}: {listed(sorted(c.runs), MOST_NAMED)}"
+            for c in document.graph.components[:MOST_NAMED]
+        )
+        more = f"; and {len(ids) - MOST_NAMED} more" if len(ids) > MOST_NAMED else ""
         screen.warn(
-            f"{counted(len(ids), 'component')} that share no frame: a file each; "
-            "choose one by --component"
+            f"{counted(len(ids), 'component')} that share no frame: a file each "
+            f"({'; '.join(held)}{more}); choose one by --component"
         )
     stem = merged.merge
     return [
@@ -152,8 +162,7 @@ def _merge_named(place: Workspace, what: str) -> Workspace | None:
     """The workspace with the merge that is called so; None where a run is."""
     if what == MERGED:
         return place
-    named = Workspace(place.root, what)
-    return named if what not in place.runs() and named.merged_json.is_file() else None
+    return None if what in place.runs() else place.merge_named(what)
 
 
 def _component(
@@ -279,4 +288,7 @@ def _paths(
 def _write(path: Path, text: str) -> None:
     from ..topology.files import write_atomically
 
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    try:
+        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    except PermissionError as error:
+        raise DataError(f"{path}: {error.strerror}; name another --output") from error

@@ -15,7 +15,7 @@ from ..topology.errors import LogError
 from ..topology.wording import counted
 from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
 from .options import JsonOption
-from .output import complain, say, say_lines, table
+from .output import Screen, complain, say, say_lines, table
 from .scan_options import JunctionsFrom, ScanTopic
 
 if TYPE_CHECKING:
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
 
 WHOLE_BYTES = 64_000_000
-"""A log of this size is read in a fraction of a second."""
+"""A log of this size is read in a fraction of a second or, where junctions are found in its scans, in
+some minutes at most, with a progress bar."""
 
 
 def info(
@@ -49,6 +50,10 @@ def info(
     with 1 if a log is seen to be damaged, if ingest could not use its topics, or if what they hold
     would be refused. That is tried with logs of up to 64 MB on this machine; of others with an
     index, no message is read, and a line says so.
+
+    \b
+      topobatch info run1.mcap
+      topobatch info logs/ --json
     """
     from ..ingest.reading import ReadSettings, find_logs, inspect_log
     from ..ingest.remote.path import log_path
@@ -71,12 +76,15 @@ def info(
             complain(str(error))
             failed = True
             continue
+        if not as_json:
+            for line in described(found):
+                say(line)
         if not found.problems and _read_whole(found):
             found = replace(found, problems=_refused(each, settings))
         if as_json:
             told.append(_as_json(found))
         else:
-            _show(found)
+            _show_problems(found)
         failed |= bool(found.problems)
     if as_json:
         say_lines(json.dumps(told))
@@ -105,9 +113,7 @@ def _as_json(found: LogInfo) -> dict[str, Any]:
     return asdict(found) | {"path": path}
 
 
-def _show(found: LogInfo) -> None:
-    for line in described(found):
-        say(line)
+def _show_problems(found: LogInfo) -> None:
     for problem in found.problems:
         say(f"problem: {problem}")
     if not _read_whole(found):
@@ -120,12 +126,20 @@ def _read_whole(found: LogInfo) -> bool:
 
 def _refused(log: LogPath, settings: ReadSettings) -> tuple[str, ...]:
     """Why ingest would refuse to read a log, nothing if it would not."""
-    from ..ingest.reading import read_log
+    from ..ingest.reading import log_size, read_log
 
-    try:
-        read_log(log, settings)
-    except LogError as error:
-        return (str(error),)
+    done = 0
+    with Screen(quiet=False).progress("trying to read it", log_size(log), "bytes") as advance:
+
+        def on_bytes(more: int) -> None:
+            nonlocal done
+            done += more
+            advance(done)
+
+        try:
+            read_log(log, settings, on_bytes=on_bytes)
+        except LogError as error:
+            return (str(error),)
     return ()
 
 

@@ -127,6 +127,10 @@ def ingest(
 
     Of a log in a bucket (s3://bucket/prefix/), the index and the chunks that hold wanted topics are
     read, and nothing is copied here; needs topobatch[remote].
+
+    \b
+      topobatch ingest run1.mcap run2.bag rosbag2_folder/
+      topobatch ingest logs/ --odometry-topic /odom --workspace ws
     """
     from ..ingest.mapping_settings import MappingSettings
     from ..ingest.reading import ReadSettings

@@ -266,7 +266,7 @@ def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     except DocumentError:
         return  # nothing is lost: it is not there, or no map
     if not same:
-        raise DocumentError(
+        raise UsageError(
             f"{job.log}: the workspace has a run {run!r} already, made from {other}; "
             "give this one another --name, or replace the map with --force"
         )

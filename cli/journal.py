@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from ..topology.errors import DataError
+from ..topology.wording import counted
 from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
-from .output import say, table
+from .output import say, table, warn
 from .workspace import Workspace
 
 MOST_BYTES = 4 << 20
@@ -67,9 +68,18 @@ def history(
     """Show what was done to the workspace.
 
     What was ingested, merged, locked, discarded and renamed, and when.
+
+    \b
+      topobatch history --last 5
     """
-    lines = _lines(Workspace(workspace))
-    entries = [entry for line in lines if (entry := _entry(line)) is not None][-most:]
+    place = Workspace(workspace)
+    place.require()
+    lines = _lines(place)
+    known = [entry for line in lines if (entry := _entry(line)) is not None]
+    entries = known[-most:]
+    if len(known) < len(lines):
+        unread = counted(len(lines) - len(known), "line")
+        warn(f"{place.history}: {unread} not written by topobatch, passed over")
     if as_json:
         say(json.dumps(entries))
         return
@@ -79,5 +89,5 @@ def history(
     rows = [(entry["time"], entry["what"], entry["text"]) for entry in entries]
     for line in table(("when", "what", ""), rows):
         say(line)
-    if len(entries) < len(lines):
-        say(f"  ({len(lines) - len(entries)} more: --last {len(lines)})")
+    if len(entries) < len(known):
+        say(f"  ({len(known) - len(entries)} more: --last {len(known)})")

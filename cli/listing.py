@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+
+import typer
 
 from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted
 from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
-from .output import say, say_lines, table
+from .output import say, say_lines, table, warn
 from .version import VERSION
 from .workspace import Workspace
 
@@ -43,15 +45,20 @@ def list_runs(
 
     How large each map is and what is wrong with it, its component in the last merge, when it was
     recorded, and what is stale: maps that changed since the merge, logs that changed or were read
-    by another version.
+    by another version. The exit code is 1 if a map cannot be read.
+
+    \b
+      topobatch list
+      topobatch list --json
     """
     place = Workspace(workspace)
     home, merged_ns = _merge(place)
     rows = [_listed(place, run, home, merged_ns) for run in place.runs()]
     if not rows:
-        raise DataError(f"{place.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
+        raise place.no_maps()
     if as_json:
         say_lines(json.dumps([asdict(row) for row in rows]))
+        _fail_if_unreadable(rows)
         return
     head = ("run", "junctions", "corridors", "component", "from (UTC)", "health", "stale")
     for line in table(head, [_row(row) for row in rows], indent=""):
@@ -61,6 +68,12 @@ def list_runs(
         say(f"in the last merge, but not here any more: {counted(len(gone), 'run')}")
     stale = sum(bool(row.stale) for row in rows)
     say(f"{counted(len(rows), 'run')}{f', {stale} stale' if stale else ''}")
+    _fail_if_unreadable(rows)
+
+
+def _fail_if_unreadable(rows: Sequence[Listed]) -> None:
+    if any(row.junctions is None for row in rows):
+        raise typer.Exit(1)
 
 
 def _row(row: Listed) -> tuple[str, ...]:
@@ -73,12 +86,13 @@ def _row(row: Listed) -> tuple[str, ...]:
 
 def _merge(place: Workspace) -> tuple[Mapping[str, tuple[int, int]], int | None]:
     """Component and its size of every run of the last merge, and when that was [ns]."""
-    from ..merge.document import read_merged
-
+    if not os.path.lexists(place.merged_json):
+        return {}, None
     try:
-        components = read_merged(place.merged_json).graph.components
+        components = place.read_merged().graph.components
         when = os.stat(place.merged_json).st_mtime_ns
-    except (DataError, OSError):
+    except (DataError, OSError) as error:
+        warn(f"{error}; listed without it")
         return {}, None
     return {run: (c.id, len(c.runs)) for c in components for run in c.runs}, when
 

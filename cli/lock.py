@@ -47,17 +47,26 @@ def lock(
 
     Kept in the workspace (locks.json) and honoured by every later merge. Without runs, the locks
     that there are.
+
+    \b
+      topobatch lock run1 run2 --same
+      topobatch lock run1 run2 --same --at 3,7
+      topobatch lock run1 run3 --never
+      topobatch merge --all
     """
     place = Workspace(workspace)
     if a is None or b is None:
         if a is not None or same or never or clear or at is not None:
             raise UsageError("name two runs: topobatch lock A B --same (or --never, or --clear)")
+        place.require()
         _show(place.locks())
         return
     if same + never + clear != 1:
         raise UsageError("say one of --same, --never and --clear")
     if clear and at is not None:
         raise UsageError("--at goes with --same; --clear forgets all that was said about the two")
+    if never and at is not None:
+        raise UsageError("--at goes with --same; --never is about whole runs")
     from ..merge.locks import Lock, with_lock, without_lock
 
     with place.held(warn, make=False):

@@ -105,7 +105,9 @@ def _say_what_is_wrong(error: TyperException) -> None:
     context = getattr(error, "ctx", None)
     command = getattr(context, "command_path", "topobatch")
     line = " ".join(text.split()).removesuffix(".")
-    complain(f"{line[:1].lower()}{line[1:]}; see `{command} --help`")
+    line = line.replace(": Value error, ", ": ").replace(": Input should be ", ": must be ")
+    see = "" if line.endswith("?") else ";"
+    complain(f"{line[:1].lower()}{line[1:]}{see} see `{command} --help`")
 
 
 def main() -> None:

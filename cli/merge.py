@@ -119,6 +119,10 @@ def merge(
     (the same place, and the evidence says so), ambiguous (an alignment fits, but the evidence
     falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of
     the runs does not matter.
+
+    \b
+      topobatch merge --all
+      topobatch merge run1 run2 --output two
     """
     from .unchanged import Said, made_from, recalled, remember
 

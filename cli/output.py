@@ -123,7 +123,7 @@ class Screen:
         self._emit(f"error: {message}", err=True)
 
     def _emit(self, text: str, *, err: bool) -> None:
-        if self._progress is not None:
+        if self._progress is not None and (err or sys.stdout.isatty()):
             self._progress.console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
         else:
             say(text, err=err)

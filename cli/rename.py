@@ -30,6 +30,9 @@ def rename(
     In its map, in locks and in the last merge. Its pieces (RUN#2 and so on) are renamed with it.
     Its log, ingested again, goes by the new name. The recording of its map shows the old name until
     then.
+
+    \b
+      topobatch rename run1 monday
     """
     place, screen = Workspace(workspace), Screen(quiet)
     checked_run_name(new)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..topology.errors import DocumentError, UsageError
+from ..topology.errors import DataError, DocumentError, UsageError
 from .draw import quiet_fonts, read_result
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
 from .output import complain, say
@@ -36,14 +36,14 @@ def report(
 
     \b
       topobatch report
-      topobatch report site.html --workspace ws
+      topobatch report site.html
     """
     place = Workspace(workspace, merge)
     page = place.root / "report.html" if out is None else out
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a report's name ends in .html")
-    if merge != MERGED and not place.merged_json.is_file():
-        raise UsageError(f"{place.merged_json}: is not there; topobatch merge --output makes it")
+    if merge != MERGED:
+        place.require_merge()
     if not place.runs():
         raise place.no_maps()
     quiet_fonts()
@@ -55,7 +55,10 @@ def report(
     if place.merged_json.is_file():
         result = read_result(place)
     html = report_page(Report(maps, result, unread, _locks(place), _versions()))
-    write_atomically(page, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    try:
+        write_atomically(page, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    except PermissionError as error:
+        raise DataError(f"{page}: {error.strerror}; name another OUT.html") from error
     say(f"{page}")
     if unread:
         raise typer.Exit(1)

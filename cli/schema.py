@@ -23,6 +23,9 @@ def schema(
     """Print the JSON Schema of a document.
 
     map: maps/RUN.json; merged: merged.json.
+
+    \b
+      topobatch schema map
     """
     import json
 

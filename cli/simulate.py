@@ -86,6 +86,10 @@ def simulate(
 
     With the truth beside them, in truth.json. The robots explore parts of one world that overlap,
     with odometry that drifts and a junction detector that errs, or a laser (--laser).
+
+    \b
+      topobatch simulate mazes
+      topobatch simulate offices --world office --runs 2 --laser --format bag
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")

@@ -74,6 +74,10 @@ def transfer(
     (metres, radians), sigma_m (1 sigma of each coordinate), sigma_rad, nearest_m (to the nearest
     matched junction); what could not be carried keeps its row, without coordinates, and note says
     why. The exit code is then 1.
+
+    \b
+      topobatch transfer docks.csv --from run1 --to run2
+      topobatch transfer docks.csv --from run1 --to merged --output site.csv
     """
     from .places_file import places_text, read_places
 
@@ -93,6 +97,9 @@ def transfer(
 
         write_atomically(output, lambda file: file.write_text(text, encoding="utf-8"))
         screen.line(str(output))
+    if found is None:
+        screen.complain(f"{places}: nothing was carried: {why}")
+        raise typer.Exit(1)
     left = [(p, row["note"]) for p, row in zip(table.rows, rows, strict=True) if row["note"]]
     for p, note in left[:MOST_LINES]:
         screen.complain(f"{places}:{p.line}: {p.name}: not carried: {note}")
@@ -165,6 +172,7 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     named = [source] if target in (MERGED, place.merge) else [source, target]
     for run in named:
         if run not in home:
+            place.chosen_runs([run], False)
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
     if len({home[run] for run in named}) > 1:
         return None, f"{source} and {target} are not merged: {_verdict(document, source, target)}"

@@ -13,7 +13,6 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import DataError, UsageError
-from ..topology.wording import listed
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
 from .workspace import Workspace
@@ -43,6 +42,10 @@ def view(
     Drag the time line below the map: a run's map grows as it was driven, a merged map as its runs
     were joined. With --with-log a page for every topic of the raw log stands beside it, at the same
     time: speeds, laser echoes, pictures, tables of messages.
+
+    \b
+      topobatch view
+      topobatch view run1 --with-log
     """
     place = Workspace(workspace)
     if with_log and run is None:
@@ -59,18 +62,20 @@ def view(
 
 def _recording(place: Workspace, run: str | None) -> Path:
     """The recording that is asked for; UsageError or DataError where there is none."""
-    recording = place.merged_rrd if run is None else place.map_rrd(run)
-    if recording.is_file():
-        return recording
     if run is None:
-        raise DataError(f"{recording}: is not there yet; make it with `topobatch merge --all`")
+        if not place.merged_rrd.is_file():
+            place.require_merge()
+            raise DataError(f"{place.merged_rrd}: is not there; merge again")
+        return place.merged_rrd
     if run in place.runs():
-        raise DataError(f"{recording}: is not there; ingest the log of {run} again")
-    merge = Workspace(place.root, run)
-    if merge.merged_rrd.is_file() and merge.merged_json.is_file():
+        recording = place.map_rrd(run)
+        if not recording.is_file():
+            raise DataError(f"{recording}: is not there; ingest the log of {run} again")
+        return recording
+    merge = place.merge_named(run)
+    if merge is not None and merge.merged_rrd.is_file():
         return merge.merged_rrd
-    known = listed(place.runs()) or "none"
-    raise UsageError(f"no map or merge of {run} in {place.root}; runs with a map: {known}")
+    raise place.unknown([run], "run or merge named")
 
 
 @contextmanager

@@ -191,14 +191,45 @@ class Workspace:
             raise UsageError("name the runs, or use --all for every run in the workspace")
         unknown = sorted(set(names) - set(known))
         if unknown:
-            raise UsageError(
-                f"no map of {', '.join(unknown)} in {self.root}; there are: {listed(known)}"
-            )
+            raise self.unknown(unknown)
         return sorted(set(names))
 
+    def unknown(self, names: Sequence[str], what: str = "map of") -> UsageError | DataError:
+        """What to say where runs are named that there are not."""
+        from difflib import get_close_matches
+
+        known = self.runs()
+        if not known:
+            return self.no_maps()
+        parts = {part for name in names for part in name.split(":")} - set(known)
+        near = [
+            run for part in sorted(parts) for run in get_close_matches(Path(part).name, known, 1)
+        ]
+        meant = f"; did you mean {listed(near)}?" if near else ";"
+        return UsageError(
+            f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
+        )
+
+    def merge_named(self, name: str) -> Workspace | None:
+        """This workspace with the merge that is called so; None where there is none."""
+        try:
+            named = Workspace(self.root, name)
+            return named if named.merged_json.is_file() else None
+        except UsageError:  # no name that a merge could have
+            return None
+
     def no_maps(self) -> DataError:
-        """What to say of a workspace without maps."""
-        return DataError(f"{self.root}: holds no maps yet; make some with `topobatch ingest LOG…`")
+        """What to say of a workspace without maps, or of none."""
+        told = "holds no maps yet" if self.root.is_dir() else "there is no such workspace"
+        return DataError(
+            f"{self.root}: {told}; make maps with `topobatch ingest LOG…`, or name another "
+            "--workspace"
+        )
+
+    def require(self) -> None:
+        """DataError where there is no such folder."""
+        if not self.root.is_dir():
+            raise self.no_maps()
 
     def read_map(self, run: str, read: Callable[[Path], TopoMap] | None = None) -> TopoMap:
         """The map of a run; DocumentError if it cannot be read, or is another run's. read: what
@@ -215,13 +246,34 @@ class Workspace:
         return topomap
 
     def read_merged(self) -> MergedDocument:
-        """The merged document; DataError if there is none, DocumentError if it is none."""
+        """The merged document; as `require_merge`, and DocumentError if it is none."""
         from ..merge.document import read_merged
 
-        if not self.merged_json.is_file():
-            told = "is not there yet; make it with `topobatch merge --all`"
-            raise DataError(f"{self.merged_json}: {told}")
-        return read_merged(self.merged_json)
+        self.require_merge()
+        try:
+            return read_merged(self.merged_json)
+        except DocumentError as error:
+            raise DocumentError(f"{error} (to make it anew: topobatch merge --all)") from error
+
+    def require_merge(self) -> None:
+        """DataError where nothing was merged yet, UsageError where nothing of a given name was."""
+        if self.merged_json.is_file():
+            return
+        if self.merge != MERGED:
+            how = f"`topobatch merge … --output {self.merge}` makes it"
+            raise UsageError(f"{self.merged_json}: is not there; {how}")
+        if not self.runs():
+            raise self.no_maps()
+        raise DataError(
+            f"{self.merged_json}: is not there yet; make it with `topobatch merge --all`"
+        )
+
+    def no_component(self, number: int, ids: Sequence[int]) -> UsageError:
+        """What to say where a component is named that the merge does not have."""
+        there = f"0 to {max(ids)}" if len(ids) > 1 else "0"
+        return UsageError(
+            f"{self.merged_json}: there is no component {number}; there are: {there if ids else 'none'}"
+        )
 
     def maps_as_merged(
         self, document: MergedDocument, component: int, runs: Sequence[str]
@@ -304,6 +356,11 @@ class Workspace:
         except Timeout:
             say(f"{self.root}: another topobatch is at work there; waiting for it")
             lock.acquire()
+        except PermissionError as error:
+            raise DataError(
+                f"{self.root}: cannot be written ({error.strerror}); copy it, or name another "
+                "--workspace"
+            ) from error
         try:
             self._clear_left_overs()
             yield

@@ -1,0 +1,168 @@
+"""What newcomers meet: the examples of every `--help` work; a fault has one message and one code."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from topobatch.cli.main import COMMANDS
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.writing import write_run
+
+NAMES = tuple(name for name, _ in COMMANDS)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder as the examples have it: logs of three overlapping runs, their merge, and docks."""
+    settings = ScenarioSettings(
+        runs=3, junctions_per_run=12, overlap=0.6, drift="low", odometry_hz=10, seed=5
+    )
+    folder = tmp_path_factory.mktemp("site")
+    places = ("run1.mcap", "run2.bag", "rosbag2_folder")
+    simulated = simulate_scenario(settings).simulated
+    for name, kind, one in zip(places, ("mcap", "bag", "db3"), simulated, strict=True):
+        written = write_run(folder / kind, one, kind)
+        shutil.move(written, folder / name)
+        shutil.rmtree(folder / kind)
+    (folder / "logs").mkdir()
+    shutil.copy(folder / "run1.mcap", folder / "logs")
+    (folder / "docks.csv").write_text("name,x,y\nstart,0,0\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def merged_site(site, tmp_path_factory):
+    """The same, with `topobatch-workspace` in it: run1, run2, run3."""
+    folder = tmp_path_factory.mktemp("merged") / "site"
+    shutil.copytree(site, folder)
+    for call in (
+        "ingest run1.mcap run2.bag -q",
+        "ingest rosbag2_folder --name run3 -q",
+        "merge --all -q",
+    ):
+        command = [sys.executable, "-m", "topobatch.cli", *call.split()]
+        subprocess.run(command, cwd=folder, check=True)
+    return folder
+
+
+def examples(shown: str) -> list[list[str]]:
+    """The calls that a help text shows, without the name of the command."""
+    return [shlex.split(line)[1:] for line in re.findall(r"(?m)^    (topobatch .*)$", shown)]
+
+
+@pytest.mark.parametrize("command", NAMES)
+def test_the_examples_of_every_help_work(topobatch, merged_site, tmp_path, monkeypatch, command):
+    calls = examples(topobatch(command, "--help").out)
+    assert calls
+    assert any(call[0] == command for call in calls)
+    shutil.copytree(merged_site, tmp_path / "site")
+    monkeypatch.chdir(tmp_path / "site")
+    if command == "ingest":
+        shutil.rmtree("topobatch-workspace")
+    for call in calls:
+        done = topobatch(*call)
+        assert done.code == 0, (call, done)
+
+
+OF_A_WORKSPACE = (
+    "merge --all", "view", "view run1", "draw run1 a.png", "draw merged a.png", "report", "list",
+    "explain run1 run2", "export run1 -f csv", "export merged -f csv", "changes", "lock",
+    "lock run1 run2 --same", "discard", "discard run1", "rename run1 b", "history",
+    "transfer docks.csv --from run1 --to run2",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("call", OF_A_WORKSPACE)
+def test_a_workspace_that_is_not_there(topobatch, site, tmp_path, monkeypatch, call):
+    monkeypatch.chdir(site)
+    error = topobatch(*call.split(), "-w", tmp_path / "mistyped").error(1)
+    assert error == (
+        f"error: {tmp_path / 'mistyped'}: there is no such workspace; make maps with "
+        "`topobatch ingest LOG…`, or name another --workspace"
+    )
+    assert not (tmp_path / "mistyped").exists()
+
+
+OF_A_RUN = (
+    "merge {} run2", "view {}", "draw {} a.png", "explain {} run2", "export {} -f csv",
+    "lock {} run2 --same", "discard {}", "discard {}:run2", "rename {} b",
+    "transfer docks.csv --from {} --to run2", "transfer docks.csv --from run2 --to {}",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["rum1", "run1.mcap", "topobatch-workspace/maps/run1"])
+@pytest.mark.parametrize("call", OF_A_RUN)
+def test_a_run_that_is_not_there(topobatch, merged_site, monkeypatch, call, name):
+    monkeypatch.chdir(merged_site)
+    error = topobatch(*call.format(name).split()).error(2)
+    assert name in error
+    assert "did you mean run1? there are: run1, run2, run3" in error
+
+
+@pytest.mark.parametrize(
+    "call",
+    ["view site-b", "draw site-b a.png", "export site-b -f csv", "report --merge site-b",
+     "changes --merge site-b", "explain run1 run2 --merge site-b",
+     "transfer docks.csv --from run1 --to run2 --merge site-b"],
+)  # fmt: skip
+def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
+    monkeypatch.chdir(merged_site)
+    error = topobatch(*call.split()).error(2)
+    assert "site-b" in error
+    if "--merge" in call:
+        assert "`topobatch merge … --output site-b` makes it" in error
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        ("merge --method best", "'best' is not one of 'robust', 'paper'; see `topobatch merge -"),
+        ("ingest run1.mcap -j -1", "must be greater than or equal to 0; see `topobatch ingest -"),
+        ("merg --all", "did you mean 'merge'? see `topobatch --help`"),
+        ("changes --component 9", "there is no component 9; there are: 0"),
+        ("export merged -f nav2 --component 9", "there is no component 9; there are: 0"),
+        ("lock run1 run2 --never --at 3,7", "--at goes with --same; --never is about whole runs"),
+        ("ingest run2.bag --name run1", "give this one another --name"),
+    ],
+)
+def test_wrong_calls(topobatch, merged_site, tmp_path, monkeypatch, call, told):
+    shutil.copytree(merged_site, tmp_path / "site")
+    monkeypatch.chdir(tmp_path / "site")
+    if call.endswith("--name run1"):
+        topobatch("ingest", "run1.mcap", "--force", "-q")
+    assert told.lower() in topobatch(*call.split()).error(2).lower()
+
+
+@pytest.mark.parametrize("call", ["report", "draw merged a.png", "export merged -f csv", "changes"])
+def test_a_damaged_merge(topobatch, merged_site, tmp_path, monkeypatch, call):
+    shutil.copytree(merged_site, tmp_path / "site")
+    monkeypatch.chdir(tmp_path / "site")
+    (tmp_path / "site" / "topobatch-workspace" / "merged.json").write_text("{")
+    assert "(to make it anew: topobatch merge --all)" in topobatch(*call.split()).error(1)
+    shown = topobatch("list")
+    assert "merged.json: is not JSON" in shown.err
+    assert "3 runs" in shown.out
+
+
+def test_damaged_lines_of_the_history_are_counted(topobatch, merged_site, tmp_path):
+    (tmp_path / "history.jsonl").write_text("x\n{}\n")
+    shown = topobatch("history", "-w", tmp_path)
+    assert "2 lines not written by topobatch" in shown.err
+    assert shown.out == "nothing was done here yet\n"
+
+
+def test_places_of_a_run_that_was_not_merged(topobatch, merged_site, tmp_path, monkeypatch):
+    shutil.copytree(merged_site, tmp_path / "site")
+    monkeypatch.chdir(tmp_path / "site")
+    (tmp_path / "site" / "docks.csv").write_text("name,x,y\na,0,0\nb,1,1\n")
+    for call in ("lock run1 run2 --never", "lock run1 run3 --never", "merge --all -q"):
+        assert topobatch(*call.split()).code == 0
+    shown = topobatch("transfer", "docks.csv", "--from", "run1", "--to", "run2")
+    assert "nothing was carried: run1 and run2 are not merged" in shown.error(1)
+    assert shown.out.count("are not merged") == 2
