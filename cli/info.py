@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
 
 WHOLE_BYTES = 64_000_000
-"""A log of this size is read in a fraction of a second or, where junctions are found in its scans, in
-some minutes at most, with a progress bar."""
+"""A log of this size is read in a fraction of a second or, where junctions are found in its scans,
+in some minutes at most, with a progress bar."""
 
 
 def info(

@@ -270,10 +270,8 @@ class Workspace:
 
     def no_component(self, number: int, ids: Sequence[int]) -> UsageError:
         """What to say where a component is named that the merge does not have."""
-        there = f"0 to {max(ids)}" if len(ids) > 1 else "0"
-        return UsageError(
-            f"{self.merged_json}: there is no component {number}; there are: {there if ids else 'none'}"
-        )
+        there = listed([str(component) for component in sorted(ids)]) or "none"
+        return UsageError(f"{self.merged_json}: there is no component {number}; there are: {there}")
 
     def maps_as_merged(
         self, document: MergedDocument, component: int, runs: Sequence[str]

@@ -1,4 +1,4 @@
-"""What newcomers meet: the examples of every `--help` work; a fault has one message and one code."""
+"""What newcomers meet: the examples of every `--help` work; a fault has one message, one code."""
 
 from __future__ import annotations
 
@@ -51,20 +51,26 @@ def merged_site(site, tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def own_site(merged_site, tmp_path, monkeypatch):
+    """A copy of it that may be changed, and the current folder."""
+    shutil.copytree(merged_site, tmp_path / "site")
+    monkeypatch.chdir(tmp_path / "site")
+    return tmp_path / "site"
+
+
 def examples(shown: str) -> list[list[str]]:
     """The calls that a help text shows, without the name of the command."""
     return [shlex.split(line)[1:] for line in re.findall(r"(?m)^    (topobatch .*)$", shown)]
 
 
 @pytest.mark.parametrize("command", NAMES)
-def test_the_examples_of_every_help_work(topobatch, merged_site, tmp_path, monkeypatch, command):
+def test_the_examples_of_every_help_work(topobatch, own_site, command):
     calls = examples(topobatch(command, "--help").out)
     assert calls
     assert any(call[0] == command for call in calls)
-    shutil.copytree(merged_site, tmp_path / "site")
-    monkeypatch.chdir(tmp_path / "site")
     if command == "ingest":
-        shutil.rmtree("topobatch-workspace")
+        shutil.rmtree(own_site / "topobatch-workspace")
     for call in calls:
         done = topobatch(*call)
         assert done.code == 0, (call, done)
@@ -131,36 +137,29 @@ def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
         ("ingest run2.bag --name run1", "give this one another --name"),
     ],
 )
-def test_wrong_calls(topobatch, merged_site, tmp_path, monkeypatch, call, told):
-    shutil.copytree(merged_site, tmp_path / "site")
-    monkeypatch.chdir(tmp_path / "site")
-    if call.endswith("--name run1"):
-        topobatch("ingest", "run1.mcap", "--force", "-q")
+@pytest.mark.usefixtures("own_site")
+def test_wrong_calls(topobatch, call, told):
     assert told.lower() in topobatch(*call.split()).error(2).lower()
 
 
 @pytest.mark.parametrize("call", ["report", "draw merged a.png", "export merged -f csv", "changes"])
-def test_a_damaged_merge(topobatch, merged_site, tmp_path, monkeypatch, call):
-    shutil.copytree(merged_site, tmp_path / "site")
-    monkeypatch.chdir(tmp_path / "site")
-    (tmp_path / "site" / "topobatch-workspace" / "merged.json").write_text("{")
+def test_a_damaged_merge(topobatch, own_site, call):
+    (own_site / "topobatch-workspace" / "merged.json").write_text("{")
     assert "(to make it anew: topobatch merge --all)" in topobatch(*call.split()).error(1)
     shown = topobatch("list")
     assert "merged.json: is not JSON" in shown.err
     assert "3 runs" in shown.out
 
 
-def test_damaged_lines_of_the_history_are_counted(topobatch, merged_site, tmp_path):
+def test_damaged_lines_of_the_history_are_counted(topobatch, tmp_path):
     (tmp_path / "history.jsonl").write_text("x\n{}\n")
     shown = topobatch("history", "-w", tmp_path)
     assert "2 lines not written by topobatch" in shown.err
     assert shown.out == "nothing was done here yet\n"
 
 
-def test_places_of_a_run_that_was_not_merged(topobatch, merged_site, tmp_path, monkeypatch):
-    shutil.copytree(merged_site, tmp_path / "site")
-    monkeypatch.chdir(tmp_path / "site")
-    (tmp_path / "site" / "docks.csv").write_text("name,x,y\na,0,0\nb,1,1\n")
+def test_places_of_a_run_that_was_not_merged(topobatch, own_site):
+    (own_site / "docks.csv").write_text("name,x,y\na,0,0\nb,1,1\n")
     for call in ("lock run1 run2 --never", "lock run1 run3 --never", "merge --all -q"):
         assert topobatch(*call.split()).code == 0
     shown = topobatch("transfer", "docks.csv", "--from", "run1", "--to", "run2")
