@@ -14,7 +14,7 @@ import typer
 from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted
 from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
-from .output import say, say_lines, table, warn
+from .output import complain, say, say_lines, table, warn
 from .version import VERSION
 from .workspace import Workspace
 
@@ -72,7 +72,9 @@ def list_runs(
 
 
 def _fail_if_unreadable(rows: Sequence[Listed]) -> None:
-    if any(row.junctions is None for row in rows):
+    unreadable = sum(row.junctions is None for row in rows)
+    if unreadable:
+        complain(f"{counted(unreadable, 'map')} cannot be read; ingest the logs again with --force")
         raise typer.Exit(1)
 
 

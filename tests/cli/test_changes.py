@@ -48,7 +48,7 @@ def test_changes_are_told_with_dates(topobatch, place) -> None:
 
 
 def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
-    assert "merge --all" in topobatch("changes", "-w", tmp_path).error(1)
+    assert "topobatch ingest" in topobatch("changes", "-w", tmp_path).error(1)
     assert "no component 9" in topobatch("changes", "--component", 9, "-w", place.root).error(2)
     alone = Workspace(tmp_path / "alone")
     one = place.read_map("monday")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -84,6 +85,9 @@ def test_the_calls_that_cannot_be(topobatch, filled, tmp_path) -> None:
         ([run, "-f", "nav2", "--log", "x.mcap"], "goes with --format tum"),
     ):
         assert told in topobatch("export", *call, *w).error(2)
+    told = topobatch("export", "merged", "-f", "nav2", "-w", tmp_path).error(1)
+    assert "holds no maps yet" in told
+    shutil.copytree(filled.maps, tmp_path / "maps")
     told = topobatch("export", "merged", "-f", "nav2", "-w", tmp_path).error(1)
     assert "topobatch merge --all" in told
 

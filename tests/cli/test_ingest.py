@@ -239,7 +239,7 @@ def test_a_run_of_another_log_is_not_overwritten(topobatch, logs, tmp_path):
     document = tmp_path / "ws" / "maps" / "run.json"
     assert topobatch("ingest", first, "-w", tmp_path / "ws").code == 0
     before = document.read_bytes()
-    error = topobatch("ingest", second, "-w", tmp_path / "ws").error(1)
+    error = topobatch("ingest", second, "-w", tmp_path / "ws").error(2)
     assert "--force" in error
     assert document.read_bytes() == before
     assert topobatch("ingest", second, "-w", tmp_path / "ws", "--name", "two").code == 0

@@ -121,7 +121,8 @@ def test_a_run_that_rests_on_a_discarded_match_falls_with_it(topobatch, merged):
 
 @pytest.mark.parametrize("what", ["nobody", "a:b", "::", "../x"])
 def test_discard_of_what_is_not_there(topobatch, merged, what):
-    assert "does not name" in topobatch("discard", what, "-w", merged).error(2)
+    told = topobatch("discard", what, "-w", merged).error(2)
+    assert f"no run or runs A:B named {what} in" in told
 
 
 def test_a_match_that_is_locked_is_not_discarded(topobatch, merged):

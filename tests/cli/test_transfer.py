@@ -108,8 +108,8 @@ def test_what_cannot_be_carried_is_said_line_by_line(topobatch, place, table) ->
     (line,) = shown.err.strip().splitlines()
     assert f"{path}:3: far: not carried: the nearest matched junction is" in line
     apart = topobatch("transfer", path, "--from", "one", "--to", "else", "-w", place.root)
-    assert apart.code == 1
-    assert apart.err.count("are not merged: unrelated") == 2
+    assert "nothing was carried: one and else are not merged: unrelated" in apart.error(1)
+    assert apart.out.count("are not merged: unrelated") == 2
     assert [row["x"] for row in rows_of(apart.out)] == ["", ""]
 
 
@@ -132,11 +132,15 @@ def test_tables_that_are_none(topobatch, place, table, text, told) -> None:
 def test_calls_that_cannot_be(topobatch, place, table) -> None:
     path, w = table("name,x,y\na,1,2\n"), ("-w", place.root)
     assert "already" in topobatch("transfer", path, "--from", "one", "--to", "one", *w).error(2)
-    assert "no run 'x'" in topobatch("transfer", path, "--from", "x", "--to", "one", *w).error(2)
+    assert "no map of x" in topobatch("transfer", path, "--from", "x", "--to", "one", *w).error(2)
     one = place.read_map("one")
     write_map(place.map_json("one"), replace(one, observation_time_ns=one.observation_time_ns + 1))
     changed = topobatch("transfer", path, "--from", "one", "--to", "two", *w).error(1)
     assert "merge again" in changed
+    write_map(place.map_json("new"), replace(one, run="new"))
+    assert "no run 'new'; merge" in topobatch(
+        "transfer", path, "--from", "new", "--to", "one", *w
+    ).error(2)
     place.merged_json.unlink()
     assert "merge --all" in topobatch("transfer", path, "--from", "one", "--to", "two", *w).error(1)
 

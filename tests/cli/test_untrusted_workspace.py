@@ -137,6 +137,8 @@ def test_names_do_not_lead_out_of_the_workspace(topobatch, logs, tmp_path, name)
         with pytest.raises(Exception, match="cannot name a run"):
             path(name)
     if "\0" not in name and name.isprintable():
+        place.maps.mkdir()
+        place.map_json("run").write_text("{}")
         assert topobatch("view", name, "-w", tmp_path).code == 2
 
 
