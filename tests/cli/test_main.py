@@ -67,10 +67,11 @@ def test_merge_of_an_empty_workspace(tmp_path):
 
 
 def test_view_without_a_recording(tmp_path):
-    assert "merge --all" in one_line_error(run("view", "-w", tmp_path), 1)
+    assert "topobatch ingest" in one_line_error(run("view", "-w", tmp_path), 1)
     assert "topobatch ingest" in one_line_error(run("view", "r1", "-w", tmp_path), 1)
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "r1.json").write_text("{}")
+    assert "merge --all" in one_line_error(run("view", "-w", tmp_path), 1)
     assert "ingest the log" in one_line_error(run("view", "r1", "-w", tmp_path), 1)
 
 
