@@ -18,8 +18,8 @@ LEAST_TURN_RAD = 1e-4
 """No corridor keeps its heading better than this, 1 sigma: it keeps information finite, and is far
 below what an odometry without noise is told to be (3e-4 in a corridor)."""
 
-LEAST_STEP_M = 0.005
-"""Nor its length: documents round to a millimetre, and odometry is no better at any length."""
+LEAST_STEP_M = 0.001
+"""Nor its length, to which documents are rounded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,23 +41,28 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
 
     For a pose graph whose vertices are centres as this map saw them: an error of a vertex's centre
     is common to all of its corridors, and enters where that vertex is tied to other maps. What the
-    single passes by a junction differ by remains in each corridor. Errors of turns: a robot enters
-    a corridor straight or at a right angle, a quarter of π in the mean, half of it at each end.
+    single passes by a junction differ by remains in each corridor, as far as the odometry allows:
+    a pass between two legs of variance q lies where it saw a centre to σ² only by q / (q + 2 σ²).
+    Errors of turns: a robot enters a corridor straight or at a right angle, a quarter of π in the
+    mean, half of it at each end.
     """
     noise, length = topomap.measured, topomap.length
     times = np.maximum(topomap.traversals, 1)
     visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
     differ = (1 - 1 / visits[topomap.source]) + (1 - 1 / visits[topomap.target])
-    centre = noise.centre_m**2 * differ / times + LEAST_STEP_M**2
-    walk = noise.heading_rad_per_sqrt_m**2 * length / times
-    swing = noise.heading_rad_per_sqrt_rad**2 * np.pi / 8 / times
-    cov = np.zeros((len(length), 3, 3))
-    cov[:, 0, 0] = noise.along_m_per_sqrt_m**2 * length / times + centre
+    walk = noise.heading_rad_per_sqrt_m**2 * length
+    swing = noise.heading_rad_per_sqrt_rad**2 * np.pi / 8
     # A heading that walks at random turns the chord by half as much as the far end; what it errs
     # in the junction at the near end, it turns all of the corridor by.
-    cov[:, 1, 1] = (walk / 3 + swing) * length**2 + centre
-    cov[:, 1, 2] = cov[:, 2, 1] = (walk / 2 + swing) * length
-    cov[:, 2, 2] = walk + 2 * swing + LEAST_TURN_RAD**2
+    along = noise.along_m_per_sqrt_m**2 * length
+    across = (walk / 3 + swing) * length**2
+    cov = np.zeros((len(length), 3, 3))
+    for axis, leg in ((0, along), (1, across)):
+        allowed = (leg + LEAST_STEP_M**2) / (leg + LEAST_STEP_M**2 + 2 * noise.centre_m**2)
+        passes = noise.centre_m**2 * differ * allowed
+        cov[:, axis, axis] = (leg + passes) / times + LEAST_STEP_M**2
+    cov[:, 1, 2] = cov[:, 2, 1] = (walk / 2 + swing) * length / times
+    cov[:, 2, 2] = (walk + 2 * swing) / times + LEAST_TURN_RAD**2
     keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
     source, target = topomap.source[keep], topomap.target[keep]
     step = topomap.xy[target] - topomap.xy[source]

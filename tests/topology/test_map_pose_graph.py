@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import between
-from topobatch.topology.topomap import TopoMap
+from topobatch.topology.topomap import RunNoise, TopoMap
 
 
 def elbow(traversals: int) -> TopoMap:
@@ -47,3 +50,17 @@ def test_corridors_are_known_better_along_than_across_and_the_more_often_driven(
         assert covariance[0, 0, 0] < covariance[0, 1, 1]
         assert covariance[1, 1, 1] < covariance[1, 0, 0]
     assert np.all(np.linalg.eigvalsh(once - often) > -1e-9)
+
+
+@pytest.mark.parametrize(("along", "passes"), [(1e-5, 0.0), (1.0, 0.02**2)])
+def test_single_passes_differ_only_as_far_as_the_odometry_lets_them(
+    along: float, passes: float
+) -> None:
+    noise = RunNoise(along, 1e-6, 1e-6, 0.0, 0.02, 0.05)
+    often = replace(elbow(100), fitted_noise=noise, traversals=np.ones(3, np.int64))
+    once = replace(
+        often, observation_vertex=np.arange(3), observation_time_ns=np.arange(3, dtype=np.int64)
+    )
+    told = [np.linalg.inv(map_pose_graph(m).information[0])[0, 0] for m in (often, once)]
+    # Of a hundred passes at both ends the one that drove here differs by nearly all of its own.
+    assert told[0] - told[1] == pytest.approx(2 * passes, rel=0.02, abs=2e-6)

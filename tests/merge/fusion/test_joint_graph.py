@@ -15,7 +15,11 @@ from topobatch.merge.fusion.joint_graph import (
     settle,
 )
 from topobatch.merge.fusion.vertex_partition import Pool
+from topobatch.topology.map_pose_graph import map_pose_graph
+from topobatch.topology.posegraph.samples import SampledMarginals
+from topobatch.topology.posegraph.solve import solve
 from topobatch.topology.topomap import RunNoise
+from topobatch.topology.vertex_errors import VertexErrors
 
 
 def street(draw, run, scale):
@@ -76,6 +80,25 @@ def test_corridors_bend_a_map_as_much_as_it_states(draw):
     sure = {of: bending(replace(plain, position_sigma=np.full(8, of))) for of in (0.01, 2.0, 4.0)}
     assert 0.0 < sure[0.01] < 1.0 < sure[2.0] < sure[4.0]
     assert sure[4.0] == pytest.approx(4 * sure[2.0], rel=0.05)
+
+
+@pytest.mark.parametrize("times", [1.0, 2.0])
+def test_what_a_map_bends_is_told_from_how_its_centres_were_seen(draw, times):
+    corners = {k: (8.0 * (k % 4) + 3.0 * (k // 4), 6.0 * (k // 4)) for k in range(12)}
+    edges = [(k, k + 1) for k in range(11) if k % 4 < 3] + [(k, k + 4) for k in range(8)]
+    noise = RunNoise(0.005, 0.0015, 0.0015, scale=0.0, centre_m=0.05)
+    plain = replace(draw("a", corners, edges), fitted_noise=noise)
+    graph = map_pose_graph(plain)
+    error = np.sqrt(times) * SampledMarginals.of(graph, solve(graph), 4096).error
+    visits = np.bincount(plain.observation_vertex, minlength=12)[:, None, None]
+    seen = np.random.default_rng(0).normal(0, 0.05, (12, 2, 4096)) / np.sqrt(visits)
+    whole = np.zeros(12, np.int64)
+    bent = VertexErrors(error).as_a_whole(plain.xy, whole).position_sigma()
+    # Laying a map of twelve over the truth takes an eighth of how its centres were seen.
+    assert np.mean(bent**2) < 0.125 * np.mean(seen**2)
+    error[:, :2] += seen
+    stated = VertexErrors(error).as_a_whole(plain.xy, whole).position_sigma()
+    assert bending(replace(plain, position_sigma=stated)) == pytest.approx(times, rel=0.25)
 
 
 def test_scales_err_as_far_as_all_runs_of_a_component_tell(draw):
