@@ -357,7 +357,9 @@ def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> fl
     """Root mean square share of the detours driven that a robot takes one time and not another.
 
     What a way is longer than the line between its ends is the corridor's bend, or the robot's
-    wandering: what it drives again tells how much of it is not there the next time.
+    wandering: what it drives again tells how much of it is not there the next time. Beyond the
+    shortest of several ways the others go as far as one goes beyond the corridor (were ways longer
+    by exponential amounts, exactly); the shortest itself tells nothing.
     """
     again = [member for member in corridors if len(member) > 1]
     if not again:
@@ -366,7 +368,8 @@ def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> fl
     shortest = np.concatenate([np.full(len(m), legs.length[m].min()) for m in again])
     line = np.hypot(*(xy[legs.target[row]] - xy[legs.source[row]]).T)
     chosen, gone = legs.length[row] - shortest, legs.length[row] - line
-    return float(np.sqrt((chosen**2).sum() / max((gone**2).sum(), 1e-9)))
+    share = float((chosen**2).sum()) / (len(row) - len(again)) / max(np.mean(gone**2), 1e-9)
+    return float(np.sqrt(min(share, 1.0)))
 
 
 def _fitting(

@@ -160,21 +160,35 @@ def test_a_corridor_is_as_long_as_from_centre_to_centre():
     np.testing.assert_allclose(m.paths[0], centres, atol=1e-9)
 
 
-def test_detours_are_chosen_where_the_next_drive_is_shorter():
-    def legs(*length):
-        end = np.array([1.0, 1.0])
-        k = len(length)
-        zero, one = np.zeros(k, int), np.ones(k, int)
-        path = [np.array([[0.0, 0.0], end])] * k
-        return mapbuilding._Legs(
-            zero, one, zero, zero, np.array(length), path, np.zeros(k, bool), np.zeros((k, 2), int)
-        )
+def legs(*length):
+    """Drives through one corridor."""
+    end = np.array([1.0, 1.0])
+    k = len(length)
+    zero, one = np.zeros(k, int), np.ones(k, int)
+    path = [np.array([[0.0, 0.0], end])] * k
+    return mapbuilding._Legs(
+        zero, one, zero, zero, np.array(length), path, np.zeros(k, bool), np.zeros((k, 2), int)
+    )
 
+
+def test_detours_are_chosen_where_the_next_drive_is_shorter():
     xy = np.array([[0.0, 0.0], [4.0, 0.0]])
-    for length, share in (((5.0, 5.0), 0.0), ((4.0, 5.0), 1.0), ((5.0, 6.0), np.sqrt(0.2))):
+    for length, share in (((5.0, 5.0), 0.0), ((4.0, 5.0), 1.0), ((5.0, 6.0), np.sqrt(0.4))):
         found = mapbuilding._chosen_detour(legs(*length), [[0, 1]], xy)
         assert found == pytest.approx(share, abs=1e-9)
     assert mapbuilding._chosen_detour(legs(5.0), [[0]], xy) == 0.0
+
+
+@pytest.mark.parametrize("bend", [0.0, 3.0])
+def test_so_much_of_a_single_drive_is_a_detour_as_drives_of_one_corridor_show(bend):
+    rng = np.random.default_rng(3)
+    beyond = rng.exponential(1.0, 6000)
+    pairs = [np.array([k, k + 1]) for k in range(0, 3000, 2)]
+    several = [np.arange(k, k + 5) for k in range(3000, 6000, 5)]
+    xy = np.array([[0.0, 0.0], [4.0, 0.0]])
+    found = mapbuilding._chosen_detour(legs(*(4.0 + bend + beyond)), pairs + several, xy)
+    true = np.sqrt(np.mean(beyond**2) / np.mean((bend + beyond) ** 2))
+    assert found == pytest.approx(true, rel=0.06)
 
 
 def test_the_path_is_the_drive_that_the_length_is_of():
