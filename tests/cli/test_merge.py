@@ -117,7 +117,7 @@ def test_a_broken_map_does_not_stop_the_others(topobatch, workspace):
 def test_a_workspace_that_is_not_there_is_not_made(topobatch, tmp_path):
     nowhere = tmp_path / "nowhere"
     for call in (["merge", "--all"], ["lock", "a", "b", "--never"], ["explain", "a", "b"]):
-        assert "no maps yet" in topobatch(*call, "-w", nowhere).error(1)
+        assert "no such workspace" in topobatch(*call, "-w", nowhere).error(1)
     assert not nowhere.exists()
 
 
