@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +15,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import edges_to_document
-from ..topology.files import read_json, write_json
+from ..topology.files import Json, encoded, read_json, write_json
 from ..topology.map_schema import (
     Attributes,
     Finite,
@@ -338,7 +340,8 @@ def entry_of(pair: PairVerdict) -> dict[str, Any]:
 
 def merged_to_document(result: MergeResult) -> dict[str, Any]:
     """The node-link dict of a merge, ready for `json`."""
-    parts = _parts(replace(result, kept_entry=nothing_kept))
+    unknown = [replace(component, text=b"") for component in result.components]
+    parts = _parts(replace(result, kept_entry=nothing_kept, components=tuple(unknown)))
     return {key: list(part) if isinstance(part, Iterator) else part for key, part in parts.items()}
 
 
@@ -358,10 +361,50 @@ def _parts(result: MergeResult) -> dict[str, Any]:
         "directed": False,
         "multigraph": True,
         "graph": graph,
-        "nodes": _nodes(result.fused),
-        "edges": _edges(result.fused),
+        **_places(result),
         "merges": (result.kept_entry(pair) or entry_of(pair) for pair in result.verdicts),
     }
+
+
+def _places(result: MergeResult) -> dict[str, Iterator[Any]]:
+    """The fused vertices and corridors, as text where that of all components is known."""
+    fused = result.fused
+    nodes: list[bytes] = []
+    edges: list[bytes] = []
+    for component in result.components:
+        some, _, more = component.text.partition(BETWEEN)
+        nodes += some.splitlines()
+        edges += more.splitlines()
+    if len(nodes) != len(fused) or len(edges) != len(fused.source):
+        return {"nodes": _nodes(fused), "edges": _edges(fused)}
+    numbers = enumerate(fused.component.tolist())
+    ends = zip(fused.source.tolist(), fused.target.tolist(), strict=True)
+    return {
+        "nodes": map(partial(_numbered, NODE), numbers, nodes),
+        "edges": map(partial(_numbered, EDGE), ends, edges),
+    }
+
+
+BETWEEN = b"\n\n"
+"""Stands between the vertices and the corridors of a component, of which each is a line."""
+
+NODE, EDGE = b'{"id":%d,"component":%d,', b'{"source":%d,"target":%d,'
+"""How their entries begin: with numbers that hang on the other components."""
+
+
+def places_text(fused: FusedMap) -> bytes:
+    """What the document says of the vertices and corridors of one component, but for `NODE` and
+    `EDGE`."""
+    both = (_nodes(fused), _edges(fused))
+    return BETWEEN.join(b"\n".join(map(_without_numbers, entries)) for entries in both)
+
+
+def _without_numbers(entry: dict[str, Any]) -> bytes:
+    return encoded(dict(islice(entry.items(), 2, None)))[1:]
+
+
+def _numbered(begin: bytes, numbers: tuple[int, int], rest: bytes) -> Json:
+    return Json(begin % numbers + rest)
 
 
 def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:

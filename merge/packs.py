@@ -73,6 +73,9 @@ class Kind(IntEnum):
     """Two maps, as far as they are matched, with all other hypotheses beyond chance."""
     MAP = 9
     """A map; its key is twice the digest of its document."""
+    TEXT = 10
+    """What the document says of a component's places; its key is of the component and of the names
+    of its runs."""
 
     @property
     def told(self) -> str:

@@ -170,11 +170,13 @@ class Spread:
 @dataclass(frozen=True, slots=True, eq=False)
 class Component:
     """Runs that were merged; `poses[run]` is T_component_run (3,); spread: how sure they are, if
-    asked for."""
+    asked for; text: what the document says of its places (`document.places_text`), where that is
+    known."""
 
     id: int
     poses: Mapping[str, NDArray[np.float64]]
     spread: Spread | None = None
+    text: bytes = b""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

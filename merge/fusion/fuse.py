@@ -17,8 +17,9 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
-from ..digests import DIGEST
+from ..digests import DIGEST, digested
 from ..discards import Names
+from ..document import places_text
 from ..packs import Kept, Kind
 from ..result import Component, FusedMap, PairVerdict, Spread
 from .component import FusedComponent, from_bytes, observations_of, to_bytes
@@ -94,7 +95,7 @@ def fuse(
         for runs, own, some in zip(groups, inside, wanted, strict=True)
         for sure in [_keys(runs, own, some) if how_sure else None]
     ]
-    components = tuple(Component(k, p.poses, p.spread) for k, p in enumerate(parts))
+    components = tuple(Component(k, p.poses, p.spread, p.text) for k, p in enumerate(parts))
     return components, _in_a_row([p.fused for p in parts])
 
 
@@ -131,7 +132,17 @@ def fused_once(
     if found is None or not _tells(found, sure):
         found = fuse_component(maps, inside, settings, sure)
         kept.add(Kind.COMPONENT, (digest, digest), to_bytes(found, maps))
-    return found
+    return found if sure is None else replace(found, text=_text(found.fused, digest, maps, kept))
+
+
+def _text(fused: FusedMap, digest: bytes, maps: Sequence[TopoMap], kept: Kept) -> bytes:
+    """What the document says of the places of a component, which has a digest."""
+    key = digest, digested(*(f"{m.run}\n".encode() for m in maps))
+    text = kept.find(Kind.TEXT, key)
+    if text is None:
+        text = places_text(fused)
+        kept.add(Kind.TEXT, key, text)
+    return text
 
 
 def _tells(found: FusedComponent, sure: IntArray | None) -> bool:

@@ -8,9 +8,11 @@ against the two maps.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields
 from functools import lru_cache
+from math import isfinite
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NotRequired
 
@@ -33,6 +35,7 @@ Pair = tuple[int, int]
 NONE: Mapping[Pair, int] = MappingProxyType({})
 
 NUMBERS = 3 + 2 * 5
+HEAD = struct.Struct(f"<{NUMBERS}d")
 """In full before the entry: evidence, threshold and margin [bits] of a verdict; x, y, theta,
 evidence and error of its alignment and of the next best one. 0 for what there is not."""
 
@@ -41,8 +44,8 @@ def to_bytes(verdict: PairVerdict) -> bytes:
     """A verdict of two maps alone."""
     both = [_numbers(verdict.best), _numbers(verdict.runner_up)]
     own = [verdict.evidence_bits, verdict.threshold_bits or 0.0, verdict.margin_bits or 0.0]
-    numbers = np.concatenate([own, *both]).astype("<f8")
-    return numbers.tobytes() + encoded(entry_of(verdict))
+    numbers = np.concatenate([own, *both])
+    return HEAD.pack(*numbers.tolist()) + encoded(entry_of(verdict))
 
 
 def _numbers(alignment: Alignment | None) -> FloatArray:
@@ -53,7 +56,7 @@ def _numbers(alignment: Alignment | None) -> FloatArray:
 
 def entry_text(data: bytes) -> Json:
     """The entry of a verdict that was read."""
-    return Json(data[8 * NUMBERS :])
+    return Json(data[HEAD.size :])
 
 
 Ends = Annotated[list[Index], Field(min_length=1, max_length=2)]
@@ -109,13 +112,12 @@ _PLACED: TypeAdapter[_Placed] = TypeAdapter(_Placed)
 def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
     """The verdict on two maps; None where it cannot be theirs."""
     try:
-        numbers = np.frombuffer(data, "<f8", NUMBERS)
-        entry = _ENTRY.validate_json(data[8 * NUMBERS :])
-    except ValueError:  # too short, or of pydantic
+        known = HEAD.unpack_from(data)
+        entry = _ENTRY.validate_json(data[HEAD.size :])
+    except (ValueError, struct.error):  # of pydantic, or too short
         return None
-    known = numbers.tolist()
-    if (entry["a"], entry["b"]) != (a.run, b.run) or not all(
-        -LARGEST <= x <= LARGEST for x in known
+    if (entry["a"], entry["b"]) != (a.run, b.run) or not (
+        isfinite(sum(known)) and -LARGEST <= min(known) <= max(known) <= LARGEST
     ):
         return None
     bits, need, margin = known[:3]
@@ -157,8 +159,8 @@ class _Late(Alignment):
 
     def __getattr__(self, name: str) -> Any:
         """Called for what is not set yet."""
-        numbers = np.frombuffer(self._data, "<f8", NUMBERS)
-        entry = _PLACED.validate_json(self._data[8 * NUMBERS :])
+        numbers = np.array(HEAD.unpack_from(self._data))
+        entry = _PLACED.validate_json(self._data[HEAD.size :])
         best = self._which == "best"
         part, own = (entry, numbers[3:8]) if best else (entry["runner_up"], numbers[8:])
         made = _aligned(part, own)

@@ -85,9 +85,26 @@ def test_a_run_by_another_name_is_not_matched_again(fleet, tmp_path):
     merged_with(tmp_path, fleet)
     maps = [*fleet[:4], replace(fleet[4], run="r9")]
     out, store = merged_with(tmp_path, maps)
-    assert {kind for _, _, kind in store.fresh} == {Kind.VERDICT}  # its name stands in the words
-    assert len(store.fresh) <= 4
+    # Its name stands in the words.
+    assert {kind for _, _, kind in store.fresh} == {Kind.VERDICT, Kind.TEXT}
+    assert len(store.of(Kind.VERDICT)) <= 4
+    assert len(store.of(Kind.TEXT)) == 1
     assert out == text(maps)
+
+
+@pytest.mark.parametrize("forged", [b"", b"\n\n", b'"x":0}', b"a\nb\n\nc"])
+def test_text_of_other_places_is_passed_over(fleet, tmp_path, monkeypatch, forged):
+    right, _ = merged_with(tmp_path, fleet)
+    find = ResultCache.find
+    asked = []
+
+    def spoilt(self, kind, key):
+        asked.append(kind)
+        return forged if kind is Kind.TEXT else find(self, kind, key)
+
+    monkeypatch.setattr(ResultCache, "find", spoilt)
+    assert merged_with(tmp_path, fleet)[0] == right
+    assert Kind.TEXT in asked
 
 
 @pytest.mark.parametrize("harm", ["flip", "cut", "empty", "junk", "gone"])
