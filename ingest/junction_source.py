@@ -19,6 +19,7 @@ from .logs.topics import (
     SCAN_TYPES,
     Choice,
     choose_junctions,
+    choose_odometry,
     choose_sensors,
     listing,
 )
@@ -102,7 +103,19 @@ def _choices(
     if way == "topic":
         return [junction_choice(counts, settings, log)]
     kinds, types, usual = SENSORS[way]
-    return choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
+    found = choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
+    # Of several robots in a log, that of the odometry has its sensors beside it.
+    own = _namespace(counts, settings, log)
+    return sorted(found, key=lambda choice: not choice.topic.startswith(own))
+
+
+def _namespace(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> str:
+    """The name of the odometry's topic up to its last slash; "/" if there is no such topic."""
+    try:
+        odometry = choose_odometry(counts, settings.odometry_topic, log)[0]
+    except (LogError, UsageError):
+        return "/"
+    return odometry.topic.rpartition("/")[0] + "/"
 
 
 def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:

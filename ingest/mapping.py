@@ -132,7 +132,8 @@ def dead_reckoned(
     passes = source.passes(odometry)
     if len(passes) == 0:
         why = source.why_none if len(run.odometry) else "holds no odometry; nothing can be mapped"
-        raise DataError(f"run {run.name}: {why}")
+        # What is missing may be what was found wrong.
+        raise DataError("; ".join((f"run {run.name}: {why}", *run.warnings)))
     _require_motion(run, settings.passes.reach_m)
     step("noise")
     noise = source.noise(odometry, passes)

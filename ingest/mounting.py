@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from .scans.slicing import mount_of_camera
 from .scans.stream import Mounting
 from .sightings import side_of
 from .survey import walk
+
+FloatArray = NDArray[np.float64]
 
 BODIES = ("base_link", "base_footprint", "base")
 """Usual names of the robot's frame, for logs without odometry, which would tell it."""
@@ -43,47 +46,77 @@ def fixed_transforms(recording: Recording) -> FixedTransforms:
     return collector.found
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Joined:
+    """Which sensors the log places on the robot.
+
+    known: (7,) T_body_sensor by frame; body: the robot's frame; fixed: all transforms that the log
+    holds, None where nothing had to be looked up.
+    """
+
+    known: Mapping[str, FloatArray]
+    body: str
+    fixed: FixedTransforms | None = None
+
+    def knows(self, frames: Collection[str]) -> bool:
+        """Whether all of these frames are placed."""
+        return all(frame in self.known for frame in frames)
+
+
+def joined(recording: Recording, frames: Collection[str], body: str | None) -> Joined:
+    """Where the transforms of a log place sensors with these frames on the robot.
+
+    body: the robot's frame, the odometry's child; None: one of the usual names. The log is read
+    again only where a frame is none of these.
+    """
+    bodies = (body,) if body is not None else BODIES
+    known = dict.fromkeys(("", *bodies), np.array(NOWHERE_ELSE))
+    foreign = set(frames) - set(known)
+    if not foreign:
+        return Joined(known, bodies[0])
+    fixed = fixed_transforms(recording)
+    robot = next((b for b in bodies if foreign & set(fixed.joined_to(b))), bodies[0])
+    return Joined(known | fixed.joined_to(robot), robot, fixed)
+
+
 def mounting(
-    recording: Recording,
+    where: Joined,
     frames: Collection[str],
-    odometry: Odometry | None,
     settings: ReadSettings,
-    yaw_of: Callable[[str], MountYaw | None] = lambda _: None,
+    yaw_of: Callable[[str], MountYaw | None] | None = None,
 ) -> tuple[Mounting, list[str]]:
     """Where the sensors with these frames are on the robot, and what had to be assumed.
 
-    The robot's frame is the odometry's child frame; without odometry one of the usual names, else
-    the sensor's own. yaw_of: which way the sensor of a frame looks by what it saw, None if that is
-    not sure; asked where the log does not say.
+    yaw_of: which way the sensor of a frame looks by what it saw and the odometry, None if that is
+    not sure; asked where the log does not say. None: there is no odometry, and the robot's frame is
+    the sensor's own.
     """
     if settings.laser_pose is not None:
         x, y, yaw = settings.laser_pose
         told = planar(x, y, yaw)
         return Mounting(otherwise=lambda _: told), []
-    bodies = (odometry.child_frame,) if odometry is not None else BODIES
-    known = dict.fromkeys(("", *bodies), np.array(NOWHERE_ELSE))
-    foreign = sorted(set(frames) - set(known))
-    if not foreign:
-        return Mounting(known, mount_of_camera), []
-    fixed = fixed_transforms(recording)
-    body = next((b for b in bodies if set(foreign) & set(fixed.joined_to(b))), bodies[0])
-    known |= fixed.joined_to(body)
-    lost = [name for name in foreign if name not in known]
-    if not lost or odometry is None:
-        return Mounting(known, mount_of_camera), []
+    lost = sorted(name for name in set(frames) if name not in where.known)
+    if not lost:
+        return Mounting(where.known, mount_of_camera), []
     names = ", ".join(map(repr, lost[:5]))
+    unknown = f"the log does not say where frame {names} is on the robot"
+    if yaw_of is None:
+        return Mounting(where.known, mount_of_camera), [
+            f"{unknown}, and there is no odometry to tell: if it is upside down, the map is a "
+            f"mirror image ({where.fixed})"
+        ]
     yaws = {name: yaw_of(name) for name in lost if np.array_equal(mount_of_camera(name), AHEAD)}
     facing = {name: yaw for name, yaw in yaws.items() if yaw is not None}
     turned = {name: planar(0.0, 0.0, yaw.yaw_rad) for name, yaw in facing.items()}
     looks = "".join(f"; {name!r} looks {_told(yaw)}" for name, yaw in facing.items())
-    return Mounting(known, lambda name: turned.get(name, mount_of_camera(name))), [
-        f"the log does not say where frame {names} is on the robot ({body!r}); taken to be at its "
-        f"middle and to look {'as its scans and the odometry show' if looks else 'ahead'}{looks}; "
-        f"--laser-pose x,y,yaw tells ({fixed})"
+    return Mounting(where.known, lambda name: turned.get(name, mount_of_camera(name))), [
+        f"{unknown} ({where.body!r}); taken to be at its middle and to look "
+        f"{'as its scans and the odometry show' if looks else 'ahead'}{looks}; "
+        f"--laser-pose x,y,yaw tells ({where.fixed})"
     ]
 
 
-def planar(x: float, y: float, yaw: float) -> NDArray[np.float64]:
+def planar(x: float, y: float, yaw: float) -> FloatArray:
     """(7,) pose of a sensor that stands upright."""
     return np.array([x, y, 0.0, 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
 

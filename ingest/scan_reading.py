@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ..topology.errors import DataError, LogError
+from ..topology.odometry import Odometry
 from ..topology.ragged import Ragged
 from ..topology.run import Detections, Run, Scanned
-from .frames import NOWHERE_ELSE
 from .junction_source import JunctionSource
-from .logs.intake import PoseColumns
+from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
 from .odometry.reading import OdometryTopic, described, driven, odometry_topic
 from .scans.detection import detect
+from .scans.handedness import MirroredError
 from .scans.mount_yaw import MountYaw, mount_yaw
-from .scans.scan import ScanStatistics
+from .scans.scan import ScanResult, ScanStatistics
 from .scans.stream import InterleavedScans, Mounting, ScanStream
-from .sources import Clock, Source, choose_clock, clock_without_jumps
+from .sources import Clock, choose_clock, clock_without_jumps
 from .survey import LogRead
-
-FIRST_SCANS = 50
-"""So many scans tell in which frames they are, and whether their clock is the odometry's."""
 
 
 def with_scans(read: LogRead, source: JunctionSource) -> Run:
@@ -35,61 +34,110 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     """
     warnings = list(read.warnings)
     odometry = _odometry_if_any(read)
-    first = _First.of(read, source.choice.topic)
+    found = lasers(read, source, (odometry.frames[1] or "base_link") if odometry else None)
+    first = found.used[0]
     clock = _clock(odometry, first, read, warnings)
-    about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source)}, "time": clock}
+    about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source, first)}}
+    about["time"] = clock
     if odometry is not None:
         about["odometry"] = described(odometry.choice, odometry.source)
     way = driven(odometry, clock, read.settings, read.log) if odometry is not None else None
-    lasers = [first, *_others(read, source, first, warnings)]
-    frames = set().union(*(laser.frames for laser in lasers))
-    recorded = way.recorded if way else None
-
-    def scans_of(
-        laser: _First, mounts: Mounting, on_bytes: Callable[[int], None] | None = None
-    ) -> ScanStream:
-        return ScanStream(
-            read.recording,
-            laser.topic,
-            mounts,
-            clock=clock,
-            stamp=read.settings.scan_stamp,
-            slices=read.settings.slices,
-            on_bytes=on_bytes,
-        )
-
-    def yaw_of(frame: str) -> MountYaw | None:
-        if recorded is None or first.frames != {frame}:
-            return None
-        return mount_yaw(recorded, scans_of(first, ANYWHERE))
-
-    mounts, told = mounting(read.recording, frames, recorded, read.settings, yaw_of)
-    warnings += [*(way.warnings if way else ()), *told]
-    used = [laser for laser in lasers if laser is first or laser.frames <= set(mounts.known)]
-    # Every laser's stream walks through all of the log: one tells how far it is.
-    stream = InterleavedScans(
-        [scans_of(laser, mounts, read.progress if laser is first else None) for laser in used]
-    )
+    warnings += [*(way.warnings if way else ()), *found.warnings]
+    scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
-        found = detect(way.odometry if way else None, stream)
+        result, stream, told = _detected(scans, way.odometry if way else None)
     except DataError as error:
-        named = ", ".join(laser.topic for laser in used)
-        raise DataError("; ".join((f"{read.log}: {named}: {error}", *stream.warnings))) from error
-    warnings += [*stream.warnings, *found.warnings]
-    about["junctions"] |= {"messages": stream.messages, **_told(found.statistics)}
-    if len(used) > 1:
-        about["junctions"]["lasers"] = [laser.topic for laser in used]
+        named = ", ".join(laser.topic for laser in found.used)
+        raise DataError(f"{read.log}: {named}: {error}") from error
+    warnings += [*told, *stream.warnings, *result.warnings]
+    about["junctions"] |= {"messages": stream.messages, **_told(result.statistics)}
+    if len(found.used) > 1:
+        about["junctions"]["lasers"] = [laser.topic for laser in found.used]
     return Run(
         read.run,
-        found.odometry,
+        result.odometry,
         NO_DETECTIONS,
         about,
         tuple(warnings),
-        scanned=Scanned(found.passes, found.noise, found.picture),
+        scanned=Scanned(result.passes, result.noise, result.picture),
     )
 
 
-ANYWHERE = Mounting(otherwise=lambda _: np.array(NOWHERE_ELSE))
+@dataclass(frozen=True, slots=True)
+class _Scans:
+    """How the scans of a log are read. recorded: the odometry, None if there is none."""
+
+    read: LogRead
+    lasers: Lasers
+    clock: Clock
+    recorded: Odometry | None
+
+    def stream(self, overturned: bool) -> tuple[InterleavedScans, list[str]]:
+        """The scans of all lasers in the order of time, and what of their mounting was assumed.
+
+        overturned: all lasers are the other way up than the log says.
+        """
+
+        first, recorded = self.lasers.used[0], self.recorded
+
+        def yaw_of(odometry: Odometry, frame: str) -> MountYaw | None:
+            if first.frames != {frame}:
+                return None
+            return mount_yaw(odometry, self._of(first, replace(ANYWHERE, overturned=overturned)))
+
+        ask = partial(yaw_of, recorded) if recorded is not None else None
+        mounts, told = mounting(self.lasers.where, first.frames, self.read.settings, ask)
+        mounts = replace(mounts, overturned=overturned)
+        # Every laser's stream walks through all of the log: one tells how far it is.
+        streams = [
+            self._of(laser, mounts, self.read.progress if laser is first else None)
+            for laser in self.lasers.used
+        ]
+        return InterleavedScans(streams), told
+
+    def _of(
+        self, laser: Laser, mounts: Mounting, on_bytes: Callable[[int], None] | None = None
+    ) -> ScanStream:
+        return ScanStream(
+            self.read.recording,
+            laser.topic,
+            mounts,
+            clock=self.clock,
+            stamp=self.read.settings.scan_stamp,
+            slices=self.read.settings.slices,
+            on_bytes=on_bytes,
+        )
+
+
+def _detected(
+    scans: _Scans, odometry: Odometry | None
+) -> tuple[ScanResult, InterleavedScans, list[str]]:
+    """What the scans show, their stream and what was assumed; as mirror images if they are some."""
+    stream, told = scans.stream(overturned=False)
+    try:
+        return _detect(odometry, stream), stream, told
+    except MirroredError as mirrored:
+        seen = str(mirrored)
+    stream, told = scans.stream(overturned=True)
+    upside_down = (
+        f"{seen}, as those of a laser upside down do; taken to be mounted so, which the log does "
+        "not say"
+    )
+    try:
+        return _detect(odometry, stream), stream, [*told, upside_down]
+    except MirroredError as error:
+        raise DataError(f"{seen}; turned over {error}: it fits neither way up") from error
+
+
+def _detect(odometry: Odometry | None, stream: InterleavedScans) -> ScanResult:
+    """`detect`; errors say as well what is wrong with the scans."""
+    try:
+        return detect(odometry, stream)
+    except MirroredError:
+        raise
+    except DataError as error:
+        raise DataError("; ".join((str(error), *stream.warnings))) from error
+
 
 NO_DETECTIONS = Detections(
     np.zeros(0, np.int64), np.zeros((0, 2)), Ragged(np.zeros(1, np.int64), np.zeros(0))
@@ -106,67 +154,8 @@ def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class _First:
-    """Of the first scans of a topic: names of their frames, and their times as a source's."""
-
-    topic: str
-    frames: frozenset[str]
-    times: Source
-
-    @classmethod
-    def of(cls, read: LogRead, topic: str) -> _First:
-        """LogError if the topic holds nothing that can be decoded."""
-        stream = ScanStream(read.recording, topic, ANYWHERE)
-        frames: set[str] = set()
-        stamp_ns, log_ns, scans = [], [], 0
-        for timed in stream.raw():
-            frames.add(timed.scans.geometry.frame)
-            stamp_ns.append(timed.scans.stamp_ns)
-            log_ns.append(timed.log_ns)
-            scans += len(timed.log_ns)
-            if scans >= FIRST_SCANS:
-                break
-        if not frames:
-            why = "; ".join(stream.tally.warnings(topic)) or "it holds no scan"
-            raise LogError(f"{read.log}: nothing can be made of {topic}: {why}")
-        none = np.zeros(scans, np.int64)
-        stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
-        columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
-        times = Source(
-            columns,
-            (),
-            "",
-            messages=scans,
-            failed=0,
-            not_finite=0,
-            zero_quaternion=0,
-            empty=0,
-        )
-        return cls(topic, frozenset(frames), times)
-
-
-def _others(
-    read: LogRead, source: JunctionSource, first: _First, warnings: list[str]
-) -> list[_First]:
-    """Further lasers: in frames of their own, where the first one's scans are not shown again."""
-    if source.way != "scan" or read.settings.laser_pose is not None:
-        return []
-    found, frames = [], first.frames
-    for choice in source.beside:
-        try:
-            laser = _First.of(read, choice.topic)
-        except LogError as error:
-            warnings.append(f"one laser less: {error}")
-            continue
-        if not laser.frames & frames:
-            found.append(laser)
-            frames |= laser.frames
-    return found
-
-
 def _clock(
-    odometry: OdometryTopic | None, first: _First, read: LogRead, warnings: list[str]
+    odometry: OdometryTopic | None, first: Laser, read: LogRead, warnings: list[str]
 ) -> Clock:
     wanted = read.settings.time
     if odometry is None:
@@ -175,8 +164,8 @@ def _clock(
     return clock_without_jumps(odometry.source, clock, read.settings.track.backward_min_s, warnings)
 
 
-def _about(source: JunctionSource) -> dict[str, Any]:
-    about: dict[str, Any] = {"topic": source.choice.topic, "type": source.choice.type_name}
+def _about(source: JunctionSource, first: Laser) -> dict[str, Any]:
+    about: dict[str, Any] = {"topic": first.topic, "type": first.choice.type_name}
     return about | ({"passed_over": list(source.passed_over)} if source.passed_over else {})
 
 

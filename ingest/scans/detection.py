@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import apply, compose, inverse
+from .handedness import MirroredError, Turns
 from .junctions import Driven, JunctionSettings, junction_passes
 from .matching import Matched, MatchingSettings, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
@@ -43,6 +44,8 @@ def detect(
 
     scans: in the order of time, several lasers interleaved. The odometry of the result has a row
     per keyframe. Memory follows the keyframes' poses and a thinned picture, not the scans.
+    Raises MirroredError as soon as the scans turn against the odometry, DataError where nothing can
+    be made of them.
     """
     counted = _Counted(scans)
     track = _Track()
@@ -85,6 +88,7 @@ class _Track:
     every: int = 1
     searched: int = 0
     bias_rad_per_m: float = 0.0
+    turns: Turns = field(default_factory=Turns)
 
     def passing(self, parts: Iterable[Matched]) -> Iterator[Matched]:
         """The parts as they come, what is needed of them noted."""
@@ -102,6 +106,9 @@ class _Track:
                 self.walls = [_thinned(walls, 2) for walls in self.walls]
             self.searched += int(part.searched.sum())
             self.bias_rad_per_m = float(part.errors.terms[0])
+            self.turns = self.turns.more(self.recorded[-1], self.pose[-1], self.piece[-1])
+            if self.turns.mirrored:
+                raise MirroredError(f"the scans turn {self.turns}")
             yield part
 
     def driven(self) -> Driven:
@@ -142,6 +149,11 @@ def _result(
 ) -> ScanResult:
     if not track.pose:
         raise DataError(_nothing(counted))
+    if track.turns.unlike:
+        raise DataError(
+            f"the scans turn {track.turns}, as neither those of a laser upright nor upside down "
+            "do: they are of another drive, or the two topics' clocks differ"
+        )
     driven = track.driven()
     passes = junction_passes(seen, driven, settings.windows, settings.junctions)
     noise = matched_noise(track.spans, passes, alone=recorded is None)

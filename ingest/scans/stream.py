@@ -30,6 +30,11 @@ MOST_FREE_M = 50.0
 BLIND_SHARE = 0.02
 """A scan of which more beams hold no number at all tells nothing by those without an echo."""
 
+UNLIKELY_M = 100.0
+"""Where half of the echoes come from farther, nothing is near enough to show a junction; robots
+that measure in millimetres do so in every room."""
+FAR = f"see most things beyond {UNLIKELY_M:g} m (ranges are metres; are these millimetres?)"
+
 LONGEST_SWEEP_S = 1.0
 """Scanners turn at 5 Hz or faster; what claims a longer sweep does not know."""
 
@@ -44,16 +49,20 @@ class Mounting:
     """Where the sensors are on the robot.
 
     known: (7,) T_body_sensor by frame; otherwise: for frames that are not in it, from their name;
-    None: scans in such frames are left out.
+    None: scans in such frames are left out. overturned: all are the other way up than they say,
+    turned about where they look.
     """
 
     known: Mapping[str, FloatArray] = field(default_factory=dict)
     otherwise: Callable[[str], FloatArray] | None = None
 
+    overturned: bool = False
+
     def of(self, frame: str) -> FloatArray | None:
         """(7,) T_body_sensor, None if it is not known."""
         found = self.known.get(frame)
-        return self.otherwise(frame) if found is None and self.otherwise is not None else found
+        found = self.otherwise(frame) if found is None and self.otherwise is not None else found
+        return found if found is None or not self.overturned else _overturned(found)
 
 
 @dataclass(slots=True)
@@ -160,7 +169,9 @@ class ScanStream:
             return None
         sweep_s = _sweep_s(raw.geometry, len(angles))
         times_ns = self._times(timed, sweep_s)
-        good = _usable_times(raw.stamp_ns, times_ns, after_ns, self._clock, tally)
+        far = _far(raw)
+        _count(tally, far, FAR)
+        good = ~far & _usable_times(raw.stamp_ns, times_ns, after_ns, self._clock, tally)
         if not good.any():
             return None
         order = np.flatnonzero(good)[np.argsort(times_ns[good], kind="stable")]
@@ -219,12 +230,18 @@ def _angles(raw: RawScans, tally: Tally) -> FloatArray:
     if beams < 2:
         raise _UnusableError("have fewer than two ranges")
     if step == 0 or abs(step) * (beams - 1) > 2.1 * np.pi:
-        raise _UnusableError("have angles that make no turn, or more than a whole one")
+        raise _UnusableError("have angles that make no turn, or more than a whole one, in radians")
     if abs((geometry.angle_max - first) / step - (beams - 1)) > 1.5:
         tally.mended[
             "hold more or fewer ranges than from angle_min to angle_max; taken by number"
         ] += len(raw.message)
     return np.asarray(first + step * np.arange(beams), np.float64)
+
+
+def _overturned(mount: FloatArray) -> FloatArray:
+    """(7,) T_body_sensor of a sensor turned by half a turn about its own x axis."""
+    x, y, z, w = mount[3:]
+    return np.array([*mount[:3], w, z, -y, -x])
 
 
 def _upright(mount: FloatArray) -> float:
@@ -250,6 +267,14 @@ def _usable_times(
     late = good & (times_ns < after_ns)
     _count(tally, late, "go back in time")
     return good & ~late
+
+
+def _far(raw: RawScans) -> BoolArray:
+    """(n,) which scans have most of their echoes from farther than any wall that would tell."""
+    with np.errstate(invalid="ignore"):
+        echo = (raw.ranges_m > 0) & (raw.ranges_m < np.inf)
+    far = echo & (raw.ranges_m > UNLIKELY_M)
+    return np.asarray(2 * far.sum(axis=1) > echo.sum(axis=1))
 
 
 def _count(tally: Tally, which: BoolArray, why: str) -> None:

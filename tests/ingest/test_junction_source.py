@@ -14,7 +14,7 @@ from topobatch.ingest.junction_source import junction_source
 from topobatch.ingest.logs.messages import Channel
 from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map
-from topobatch.ingest.mounting import mounting
+from topobatch.ingest.mounting import joined, mounting
 from topobatch.ingest.read_settings import ReadSettings
 from topobatch.ingest.reading import inspect_log, log_size, read_log, read_run
 from topobatch.simulation import (
@@ -159,8 +159,9 @@ def test_the_mounting_is_found_in_the_log(tmp_path: Path, upside_down: bool) -> 
     )
     simulated = scenario(junctions_per_run=5, laser=laser).simulated[0]
     recording = recording_at(write_run(tmp_path, simulated))
-    odometry = simulated.run.odometry
-    found, told = mounting(recording, {"laser"}, odometry, ReadSettings())
+    where = joined(recording, {"laser"}, simulated.run.odometry.child_frame)
+    assert where.knows({"laser"})
+    found, told = mounting(where, {"laser"}, ReadSettings())
     assert told == []
     mount = found.of("laser")
     assert mount is not None
@@ -170,25 +171,25 @@ def test_the_mounting_is_found_in_the_log(tmp_path: Path, upside_down: bool) -> 
 
 
 def test_a_mounting_that_nobody_tells_is_assumed_and_said(
-    both: Path, sensors: ModuleType, tmp_path: Path
+    sensors: ModuleType, tmp_path: Path
 ) -> None:
-    odometry = read_run(both).odometry
     log = recording_at(
         sensors.mcap(
             tmp_path / "x.mcap", [("/scan", sensors.SCAN, 1, sensors.scan([1, 2, 3, 4, 5]))]
         )
     )
-    found, (told,) = mounting(log, {"laser"}, odometry, ReadSettings())
+    where = joined(log, {"laser"}, "base_link")
+    found, (told,) = mounting(where, {"laser"}, ReadSettings(), lambda _: None)
     assert "'laser'" in told
     assert "--laser-pose" in told
     assert found.of("laser") is not None
-    named, told_named = mounting(log, {"laser"}, odometry, ReadSettings(laser_pose=(1.0, 2.0, 0.5)))
+    named, told_named = mounting(where, {"laser"}, ReadSettings(laser_pose=(1.0, 2.0, 0.5)))
     assert told_named == []
     mount = named.of("anything")
     assert mount is not None
     np.testing.assert_allclose(mount[[0, 1, 5]], (1.0, 2.0, np.sin(0.25)))
-    alone, told_alone = mounting(log, {"laser"}, None, ReadSettings())
-    assert told_alone == []
+    alone, (told_alone,) = mounting(joined(log, {"laser"}, None), {"laser"}, ReadSettings())
+    assert "no odometry to tell: if it is upside down, the map is a mirror image" in told_alone
     assert alone.of("laser") is not None
     with pytest.raises(UsageError, match="--laser-pose"):
         ReadSettings(laser_pose=(0.0, float("nan"), 0.0))
@@ -223,6 +224,64 @@ def test_a_laser_that_looks_aside_is_found_to(
     assert run.scanned is not None
     assert straight.scanned is not None
     assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
+
+
+@pytest.mark.parametrize("placed", [False, True])
+def test_a_laser_upside_down_is_found_to_be(
+    both: Path, sensors: ModuleType, tmp_path: Path, placed: bool
+) -> None:
+    """Without its transform, or with one that says that it is upright."""
+
+    def mirrored(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic == "/tf_static" and not placed:
+            return []
+        if topic == "/scan":
+            scan = sensors.ROS2.deserialize_cdr(raw, kind)
+            scan.ranges = scan.ranges[::-1].copy()
+            raw = sensors.packed(scan, kind)
+        return [(topic, kind, log_ns, raw)]
+
+    run = read_run(
+        rewritten(both, tmp_path / "x.mcap", sensors, mirrored), ReadSettings(junctions_from="scan")
+    )
+    *assumed, told = run.warnings
+    assert len(assumed) == (0 if placed else 1)
+    assert "against the odometry" in told
+    assert "upside down" in told
+    straight = read_run(both, ReadSettings(junctions_from="scan"))
+    assert run.source["junctions"]["drift_after_m"] < 0.2
+    assert run.scanned is not None
+    assert straight.scanned is not None
+    assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
+
+
+def test_a_second_laser_that_the_log_does_not_place_is_named(
+    both: Path, sensors: ModuleType, tmp_path: Path
+) -> None:
+    def doubled(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic != "/scan":
+            return [(topic, kind, log_ns, raw)]
+        scan = sensors.ROS2.deserialize_cdr(raw, kind)
+        scan.header.frame_id = "elsewhere"
+        more = sensors.packed(scan, kind)
+        # The one without a place has the usual name and most messages.
+        return [("/rear", kind, log_ns, raw), *(("/scan", kind, log_ns + k, more) for k in (0, 1))]
+
+    run = read_run(
+        rewritten(both, tmp_path / "x.mcap", sensors, doubled), ReadSettings(junctions_from="scan")
+    )
+    (told,) = run.warnings
+    assert told.startswith("/scan: the log does not say where its frame 'elsewhere' is")
+    assert "--scan-topic /scan --laser-pose" in told
+    assert run.source["junctions"]["topic"] == "/rear"
+
+
+def test_of_several_robots_the_odometrys_laser_is_taken() -> None:
+    log = (("/b/odom", ODOM[1]), ("/a/scan", SCAN[1]), ("/b/scan", SCAN[1]))
+    assert chosen(*log) == ("scan", "/b/scan")
+    both = (("/a/odom", ODOM[1]), *log, ("/scan", SCAN[1]))
+    assert chosen(*both, odometry_topic="/a/odom") == ("scan", "/a/scan")
+    assert chosen(*both, odometry_topic="b/odom") == ("scan", "/b/scan")
 
 
 def test_scans_that_cannot_be_read_are_told_by_topic(sensors: ModuleType, tmp_path: Path) -> None:

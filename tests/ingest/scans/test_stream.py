@@ -331,6 +331,17 @@ def test_scans_without_sensible_angles_are_counted(
     assert why in warning
 
 
+def test_ranges_in_another_unit_are_asked_about(sensors: ModuleType, tmp_path: Path) -> None:
+    millimetres = sensors.scan([900, 2000, NAN, 0, 3100], range_max=0.0)
+    found, (batch,) = one(sensors, tmp_path, sensors.scan([1, 2, INF, 90, 9]), millimetres)
+    assert len(batch) == 1
+    (warning,) = found.tally.warnings("/scan")
+    assert warning == (
+        "/scan: 1 scans see most things beyond 100 m (ranges are metres; are these millimetres?); "
+        "left out"
+    )
+
+
 def test_another_number_of_ranges_than_the_angles_ask_for(
     sensors: ModuleType, tmp_path: Path
 ) -> None:

@@ -1,0 +1,121 @@
+"""Which lasers, or clouds, of a log are used, and where each is on the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..topology.errors import LogError
+from .frames import NOWHERE_ELSE
+from .junction_source import JunctionSource
+from .logs.intake import PoseColumns
+from .logs.topics import Choice
+from .mounting import Joined, joined
+from .scans.stream import Mounting, ScanStream
+from .sources import Source
+from .survey import LogRead
+
+FIRST_SCANS = 50
+"""So many scans tell in which frames they are, and whether their clock is the odometry's."""
+
+ANYWHERE = Mounting(otherwise=lambda _: np.array(NOWHERE_ELSE))
+
+
+@dataclass(frozen=True, slots=True)
+class Laser:
+    """A topic; of its first scans the names of their frames, and their times as a source's."""
+
+    choice: Choice
+    frames: frozenset[str]
+    times: Source
+
+    @property
+    def topic(self) -> str:
+        """Its name."""
+        return self.choice.topic
+
+    @classmethod
+    def of(cls, read: LogRead, choice: Choice) -> Laser:
+        """LogError if the topic holds nothing that can be decoded."""
+        stream = ScanStream(read.recording, choice.topic, ANYWHERE)
+        frames: set[str] = set()
+        stamp_ns, log_ns, scans = [], [], 0
+        for timed in stream.raw():
+            frames.add(timed.scans.geometry.frame)
+            stamp_ns.append(timed.scans.stamp_ns)
+            log_ns.append(timed.log_ns)
+            scans += len(timed.log_ns)
+            if scans >= FIRST_SCANS:
+                break
+        if not frames:
+            why = "; ".join(stream.tally.warnings(choice.topic)) or "it holds no scan"
+            raise LogError(f"{read.log}: nothing can be made of {choice.topic}: {why}")
+        none = np.zeros(scans, np.int64)
+        stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
+        columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
+        times = Source(
+            columns,
+            (),
+            "",
+            messages=scans,
+            failed=0,
+            not_finite=0,
+            zero_quaternion=0,
+            empty=0,
+        )
+        return cls(choice, frozenset(frames), times)
+
+
+@dataclass(frozen=True, slots=True)
+class Lasers:
+    """used: the one that the run goes by first; where: what the log says of their places;
+    warnings: one sentence for each laser that is left out."""
+
+    used: tuple[Laser, ...]
+    where: Joined
+    warnings: tuple[str, ...]
+
+
+def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
+    """The lasers of which the log says where they are, or the first one if it says it of none.
+
+    body: the robot's frame, None without odometry. What shows in the frame of another topic again
+    (`/scan_filtered`, say) is passed over. LogError if the first one holds nothing.
+    """
+    first = Laser.of(read, source.choice)
+    if read.settings.laser_pose is not None:
+        return Lasers((first,), Joined({}, body or ""), ())
+    warnings: list[str] = []
+    found = [first, *_others(read, source, first, warnings.append)]
+    where = joined(read.recording, frozenset().union(*(laser.frames for laser in found)), body)
+    found.sort(key=lambda laser: not where.knows(laser.frames))
+    used = [laser for laser in found if laser is found[0] or where.knows(laser.frames)]
+    for laser in found[len(used) :]:
+        named = ", ".join(map(repr, sorted(laser.frames)[:5]))
+        warnings.append(
+            f"{laser.topic}: the log does not say where its frame {named} is on the robot "
+            f"({where.body!r}); left out; with /tf_static it is used, too, with --scan-topic "
+            f"{laser.topic} --laser-pose x,y,yaw instead of {used[0].topic}"
+        )
+    return Lasers(tuple(used), where, tuple(warnings))
+
+
+def _others(
+    read: LogRead, source: JunctionSource, first: Laser, warn: Callable[[str], object]
+) -> list[Laser]:
+    """Further lasers: in frames of their own, where the first one's scans are not shown again."""
+    if source.way != "scan":
+        return []
+    found, frames = [], first.frames
+    for choice in source.beside:
+        try:
+            laser = Laser.of(read, choice)
+        except LogError as error:
+            warn(f"one laser less: {error}")
+            continue
+        if not laser.frames & frames:
+            found.append(laser)
+            frames |= laser.frames
+    return found
