@@ -8,7 +8,7 @@ every pillar there. The axes are seen further out, if the branches are corridors
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,17 +56,26 @@ def crossing(
     return Crossing(xy, node.clearance_m, ends, headings[order])
 
 
+class Crossings(NamedTuple):
+    """Nodes of a graph as places, by number; joints: of every way that lies within one place, the
+    number of the node that it leads to, and of that which stands for both."""
+
+    places: dict[int, Crossing]
+    joints: dict[int, tuple[int, int]]
+
+
 def crossings(
     graph: SkeletonGraph,
     numbers: Sequence[int],
     clearance_m: NDArray[np.float32] | FloatArray,
     cell_m: float,
     settings: SkeletonSettings,
-) -> list[Crossing]:
+) -> Crossings:
     """Nodes `numbers` of a graph as places. Two ends of one way whose axes cross at one place are
     one: a skeleton may take a crossing of many branches for two forks farther apart than
     `join_m`, their centres lie nearer."""
     found = {k: crossing(graph, graph.nodes[k], clearance_m, cell_m, settings) for k in numbers}
+    joints: dict[int, tuple[int, int]] = {}
     for way, edge in enumerate(graph.edges):
         a, b = edge.nodes
         if a == b or a not in found or b not in found:
@@ -79,7 +88,34 @@ def crossings(
         amid = Node(0.5 * (one.xy + other.xy), max(one.clearance_m, other.clearance_m), ends)
         found[a] = crossing(graph, amid, clearance_m, cell_m, settings)
         del found[b]
-    return list(found.values())
+        joints[way] = b, a
+    return Crossings(found, joints)
+
+
+def with_crossings(
+    graph: SkeletonGraph,
+    clearance_m: NDArray[np.float32] | FloatArray,
+    cell_m: float,
+    settings: SkeletonSettings,
+) -> tuple[SkeletonGraph, tuple[Crossing, ...]]:
+    """A graph whose nodes are places, and these: two forks of one crossing are one of its nodes,
+    without the way between them."""
+    every = range(len(graph.nodes))
+    found, joints = crossings(graph, every, clearance_m, cell_m, settings)
+    kept, ways = sorted(found), [k for k in range(len(graph.edges)) if k not in joints]
+    number = {k: new for new, k in enumerate(kept)}
+    # What a node was joined to may have been joined to another one later.
+    for gone, into in reversed(joints.values()):
+        number[gone] = number[into]
+    way_number = {k: new for new, k in enumerate(ways)}
+    places = tuple(
+        replace(found[k], ends=tuple(way_number[way] for way in found[k].ends)) for k in kept
+    )
+    edges = []
+    for edge in (graph.edges[way] for way in ways):
+        a, b = (number.get(node, -1) for node in edge.nodes)
+        edges.append(replace(edge, nodes=(a, b)))
+    return replace(graph, nodes=places, edges=tuple(edges)), places
 
 
 class _Branch(NamedTuple):

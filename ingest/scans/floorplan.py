@@ -13,9 +13,9 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ...topology.se2 import wrap
-from .crossing import crossing
+from .crossing import Crossing, with_crossings
 from .grid import GridSettings
-from .skeleton import Edge, SkeletonGraph, SkeletonSettings, forks, thin, traced
+from .skeleton import Edge, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, lines_of
 
 FloatArray = NDArray[np.float64]
@@ -101,12 +101,14 @@ def _places(
     lines: list[Lines], clearance_m: FloatArray, cell_m: float, settings: FloorplanSettings
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
     """lines: of the skeleton under each of the variants."""
-    graph = traced(lines[0], settings.skeleton)
-    agreement = _agreement(graph, lines, settings)
-    crossings = tuple(
-        crossing(graph, node, clearance_m, cell_m, settings.skeleton) for node in graph.nodes
+    graph, crossings = with_crossings(
+        traced(lines[0], settings.skeleton), clearance_m, cell_m, settings.skeleton
     )
-    graph = replace(graph, nodes=crossings)
+    shown = [
+        with_crossings(traced(found, variant), clearance_m, cell_m, variant)[1]
+        for found, variant in zip(lines[1:], settings.variants[1:], strict=True)
+    ]
+    agreement = _agreement(crossings, shown, settings)
     # The middle of the padded grid's first cell lies half a cell before the corner.
     shift = np.array([-0.5, -0.5]) * cell_m
     places = [
@@ -141,23 +143,23 @@ def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) ->
 
 
 def _agreement(
-    graph: SkeletonGraph, lines: list[Lines], settings: FloorplanSettings
+    places: tuple[Crossing, ...], shown: list[tuple[Crossing, ...]], settings: FloorplanSettings
 ) -> list[float]:
-    """Share of the variants that have each place of the first one's graph, the first included:
-    near enough, and with as many branches."""
-    xy = np.array([node.xy for node in graph.nodes]).reshape(-1, 2)
-    branches = np.array([len(node.ends) for node in graph.nodes], np.int64)
-    own = _placed(xy, branches, settings)
+    """Share of the variants that have each place of the first one, the first included: near
+    enough, and with as many branches. shown: places of the others."""
+    own = _placed(places, settings)
     agreeing = np.ones(len(own))
-    for found, variant in zip(lines[1:], settings.variants[1:], strict=True):
-        away, _ = cKDTree(_placed(*forks(found, variant), settings)).query(own)
+    for others in shown:
+        away, _ = cKDTree(_placed(others, settings)).query(own)
         agreeing += away <= settings.agree_m
-    shares: list[float] = (agreeing / len(lines)).tolist()
+    shares: list[float] = (agreeing / (1 + len(shown))).tolist()
     return shares
 
 
-def _placed(xy: FloatArray, branches: IntArray, settings: FloorplanSettings) -> FloatArray:
+def _placed(places: tuple[Crossing, ...], settings: FloorplanSettings) -> FloatArray:
     """(n, 3) x, y [m], and what keeps places of different numbers of branches apart."""
+    xy = np.array([place.xy for place in places]).reshape(-1, 2)
+    branches = np.array([len(place.ends) for place in places])
     return np.column_stack([xy, 2 * settings.agree_m * branches])
 
 

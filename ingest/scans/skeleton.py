@@ -122,15 +122,6 @@ def traced(lines: Lines, settings: SkeletonSettings = SkeletonSettings()) -> Ske
     return _graph(net, lines.label)
 
 
-def forks(lines: Lines, settings: SkeletonSettings) -> tuple[FloatArray, IntArray]:
-    """(n, 2) x, y [m] of the same places, and (n,) how many branches each has."""
-    net = _net(lines)
-    _simplify(net, settings)
-    names = sorted(net.centre)
-    xy = np.array([net.centre[node] for node in names]).reshape(-1, 2)
-    return xy, np.array([len(net.incident[node]) for node in names], np.int64)
-
-
 def _net(lines: Lines) -> _Net:
     segments = {
         k: _Segment([k], [], length, k in lines.border)

@@ -211,7 +211,8 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
             if len(node.ends) >= 3
             and _passed(node.xy + middles, span, settings.near_m + node.clearance_m) is not None
         ]
-        for place in crossings(graph, nodes, clearance[k], cell, variant.skeleton):
+        places, _ = crossings(graph, nodes, clearance[k], cell, variant.skeleton)
+        for place in places.values():
             xy = place.xy + middles
             found = _passed(xy, span, settings.near_m)
             if found is not None:

@@ -79,7 +79,7 @@ def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
     settings = SkeletonSettings()
     graph = trace(thin(clearance > settings.clearance_m), clearance, CELL, settings)
     numbers = range(len(graph.nodes))
-    return len(numbers), crossings(graph, numbers, clearance, CELL, settings)
+    return len(numbers), list(crossings(graph, numbers, clearance, CELL, settings).places.values())
 
 
 @pytest.mark.parametrize("sharp", [44, 47, 50])

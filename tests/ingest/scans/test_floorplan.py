@@ -47,6 +47,25 @@ def test_cross() -> None:
         assert abs(wrap(np.arctan2(leaving[1], leaving[0]) - branch)) < 0.3
 
 
+@pytest.mark.parametrize("sharp", [44, 47, 50])
+def test_two_forks_whose_axes_cross_at_one_place_are_one(sharp: float) -> None:
+    """As in the windows of scans: four corridors end there, none lies between the forks."""
+    y, x = np.mgrid[-10:10:CELL, -10:10:CELL]
+    wanted = np.radians([0, sharp])
+    free = np.any([np.abs(np.cos(h) * y - np.sin(h) * x) <= 0.7 for h in wanted], axis=0)
+    places, corridors = skeleton_graph(free & (np.hypot(x, y) < 9), CELL)
+    (crossing,) = [k for k, p in enumerate(places) if p.kind == "junction"]
+    assert np.hypot(*(places[crossing].xy - (10.05, 10.05))) < 0.2
+    wanted = wrap(np.concatenate([wanted, wanted + np.pi]))
+    assert headings_off(places[crossing].branches, wanted.tolist()) < 0.2
+    assert places[crossing].confidence > 0.5
+    assert sorted(c.source_branch for c in corridors) == [0, 1, 2, 3]
+    assert {c.source for c in corridors} == {crossing}
+    for corridor in corridors:
+        assert np.hypot(*(corridor.path[0] - places[crossing].xy)) < 0.1
+        assert np.hypot(*np.diff(corridor.path, axis=0).T).max() < 1.2
+
+
 def test_ring_hangs_on_its_place_by_two_branches() -> None:
     free = grid((20, 20, 40, 280), (20, 180, 180, 200), (160, 180, 180, 280), (20, 260, 180, 280))
     places, corridors = skeleton_graph(free, CELL)
