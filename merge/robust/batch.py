@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 
 from ...topology.topomap import TopoMap
-from ..result import PairVerdict, Verdict, pairs_of
+from ..result import Alignment, PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .kept_verdicts import KeptVerdicts
@@ -21,7 +21,7 @@ from .prepare import FloatArray, IntArray
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
 from .tasks import in_tiles
-from .verdict import Assessment, PairCount, Threshold, assess_all, needed_bits
+from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, needed_bits
 
 
 @dataclass(eq=False)
@@ -168,6 +168,14 @@ class Batch:
         return assess_all(
             [(prepared[i], prepared[j], c, self.threshold((i, j))) for (i, j), c in told]
         )
+
+    def of_other_size(self) -> dict[Pair, Alignment]:
+        """The alignments of pairs that are not merged for the one map is larger throughout."""
+        return {
+            pair: told.best
+            for pair, told in self.alone.items()
+            if told.best is not None and told.reason.endswith(OTHER_SIZE)
+        }
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""

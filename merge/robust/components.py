@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,9 +98,12 @@ def join_all(
     best: Mapping[Pair, Alignment],
     places: Sequence[ComplexArray],
     runs: Sequence[str],
+    *,
+    refusal: Callable[[Components, Pair], Refusal | None] = lambda components, pair: None,
 ) -> dict[Pair, Refusal]:
     """Join pairs in order of strength. Returns the pairs that were refused, with the reason.
-    places: of every run its junctions (x + iy).
+    places: of every run its junctions (x + iy); refusal: what else speaks against joining the
+    components of a pair.
 
     A pair that closes a cycle must place its runs as the stronger pairs around the cycle do: where
     they contradict each other, the weakest link, which comes last, gives way.
@@ -119,6 +122,9 @@ def join_all(
                 f"joining them would bring {x} and {y} together, which are locked apart",
                 f"if {x} and {y} share places after all, clear their lock",
             )
+            continue
+        if (other := refusal(components, (i, j))) is not None:
+            refused[i, j] = other
             continue
         components.join(i, j, alignment.transform)
     return refused

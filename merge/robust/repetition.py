@@ -174,6 +174,13 @@ def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
     A copy of another size is longer throughout, which corridors taken one by one forgive: each may
     be off by its odometry's scale. corridors: (c, 2) directed rows that agree.
     """
+    mean, variance = size_difference(a, b, corridors)
+    return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + variance))
+
+
+def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:
+    """By what share a is larger than b, and the variance of that but for what the scales of the two
+    odometries add; 0 and infinite where no corridor tells."""
     i, j = corridors[:, 0], corridors[:, 1]
     one, two = a.length[i], b.length[j]
     off, variance = one - two, a.variance[i] + b.variance[j]
@@ -183,9 +190,8 @@ def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
     weight = np.where(fits, long**2 / variance, 0.0)
     total = float(weight.sum())
     if total == 0.0:
-        return 0.0
-    mean = float((weight * off / long).sum()) / total
-    return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + 1 / total))
+        return 0.0, np.inf
+    return float((weight * off / long).sum()) / total, 1 / total
 
 
 def _sums(values: FloatArray, ends: IntArray) -> FloatArray:

@@ -297,9 +297,11 @@ def _assess(
     ranking = sorted(range(len(odd)), key=lambda i: -round(answers[i].bits, MATCH.ranked_decimals))
     ranked = tuple((odd[i], answers[i].bits) for i in ranking)
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
-    why = _missing(odd[ranking[0]], answers[ranking[0]], margin, threshold)
-    if not why and size_sigmas(a, b, odd[ranking[0]].corridors) > threshold.settings.size_sigmas:
-        why = OTHER_SIZE
+    best, told = odd[ranking[0]], answers[ranking[0]]
+    why = _missing(best, told, margin, threshold)
+    if told.carried >= threshold.need_bits:
+        larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
+        why = OTHER_SIZE if larger else why
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,

@@ -13,8 +13,11 @@ from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import Means, RobustSettings, decide, match, prepare
 from topobatch.merge.robust.mirror import mirrored
+from topobatch.merge.robust.sizes import LARGER_TOGETHER
 from topobatch.merge.workers import Workers
 from topobatch.simulation import make_world
+from topobatch.simulation.chance import Chance
+from topobatch.simulation.regions import scattered_regions
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply, compose, wrap
 
@@ -339,3 +342,27 @@ def test_components_say_together_what_no_pair_can(maze, see):
     assert verdicts["b", "c"].accepted
     assert "together with b" in verdicts["a", "c"].reason
     assert verdicts["a", "c"].evidence_bits > most + 3
+
+
+def test_runs_of_a_copy_of_another_size_are_told_together(see):
+    """Two of the runs have too little in common to tell; the others know."""
+    world = make_world("maze", 60, 0)
+    regions = scattered_regions(world, 3, 32, Chance("sizes", 0))
+    runs = [see(world, sorted(r), k, f"r{k}", bend_m=0.3) for k, r in enumerate(regions)]
+    larger = [
+        replace(
+            m,
+            run=f"x{m.run}",
+            xy=1.03 * m.xy,
+            length=1.03 * m.length,
+            paths=[1.03 * path for path in m.paths],
+        )
+        for m in runs
+    ]
+    alone = [(a.run, b.run) for a in runs for b in larger if only([a, b]).accepted]
+    told = decide([*runs, *larger])
+    assert alone
+    assert not [v for v in told if v.accepted and v.a[0] != v.b[0]]
+    assert all(v.accepted or v.through for v in told if v.a[0] == v.b[0])
+    refused = {(v.a, v.b): v.reason for v in told}
+    assert any(refused[pair].endswith(LARGER_TOGETHER.reason) for pair in alone)

@@ -1,0 +1,111 @@
+"""Sizes of components: a copy of another size is larger than all runs of the place.
+
+Two runs with little in common may differ by 3 % and neither odometry be to blame; where several
+runs of either component can be compared, their odometries do not err alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...topology.se2 import compose, inverse
+from ..result import Alignment
+from .components import Components, Pair, Refusal, agrees
+from .prepare import ComplexArray, IntArray, Prepared
+from .repetition import size_difference
+
+LARGER_TOGETHER = Refusal(
+    "all runs that can be compared together show that one is larger throughout: this may be a copy "
+    "of another size"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sizes:
+    """The sizes of the maps of a batch, as far as pairs tell of them.
+
+    prepared: the maps; places: their junctions, x + iy; joins: the alignments by which pairs would
+    be joined; other: those of pairs that are not merged for the one is larger; locked: pairs that
+    a person joined; most_sigmas: by how much one may be larger.
+    """
+
+    prepared: Sequence[Prepared]
+    places: Sequence[ComplexArray]
+    joins: Mapping[Pair, Alignment]
+    other: Mapping[Pair, Alignment]
+    locked: Collection[Pair]
+    most_sigmas: float
+
+    def refusal(self, components: Components, pair: Pair) -> Refusal | None:
+        """Why the components of a pair are not to be joined by it, if they are not.
+
+        Asked only where a pair across says by itself that one is larger.
+        """
+        across = dict(self._across(components, pair, self.other))
+        if not across or pair in self.locked:
+            return None
+        across |= self._across(components, pair, self.joins)
+        larger = self._sigmas(components, pair, across) > self.most_sigmas
+        return LARGER_TOGETHER if larger else None
+
+    def _across(
+        self, components: Components, pair: Pair, known: Mapping[Pair, Alignment]
+    ) -> Iterator[tuple[Pair, Alignment]]:
+        """Alignments between the two components that place them as the pair does."""
+        i, j = pair
+        one, two = (components.head[k] for k in pair)
+        for (x, y), found in known.items():
+            ends = components.head[x], components.head[y]
+            if ends not in ((one, two), (two, one)):
+                continue
+            u, v = (x, y) if ends == (one, two) else (y, x)
+            T_u_j = compose(components.relative(u, i), self.joins[pair].transform)
+            T_u_v = compose(T_u_j, components.relative(j, v))
+            if agrees(found, T_u_v if u == x else inverse(T_u_v), self.places[y]):
+                yield (x, y), found
+
+    def _sigmas(
+        self, components: Components, pair: Pair, across: Mapping[Pair, Alignment]
+    ) -> float:
+        """How many sigmas the runs of the one component are larger than those of the other.
+
+        Generalised least squares: each pair tells the difference with the error of its lengths, and
+        with the errors of the scales of its two runs, which it shares with other pairs.
+        """
+        pairs = sorted(across)
+        rows = [_common(*self._maps(p), across[p].matched) for p in pairs]
+        told = [size_difference(*self._maps(p), r) for p, r in zip(pairs, rows, strict=True)]
+        known = [k for k, (_, variance) in enumerate(told) if np.isfinite(variance)]
+        if not known:
+            return 0.0
+        value, variance = np.array(told)[known].T
+        first = components.head[pair[0]]
+        sign = np.array([1.0 if components.head[pairs[k][0]] == first else -1.0 for k in known])
+        runs, at = np.unique(np.array(pairs)[known], return_inverse=True)
+        scale = np.array([self.prepared[r].noise.scale for r in runs.tolist()])
+        shared = np.zeros((len(known), len(runs)))
+        at = at.reshape(-1, 2)
+        shared[np.arange(len(known)), at[:, 0]] = sign * scale[at[:, 0]]
+        shared[np.arange(len(known)), at[:, 1]] = -sign * scale[at[:, 1]]
+        weight = np.linalg.solve(np.diag(variance) + shared @ shared.T, np.ones(len(known)))
+        return float(abs(weight @ (sign * value)) / np.sqrt(weight.sum()))
+
+    def _maps(self, pair: Pair) -> tuple[Prepared, Prepared]:
+        return self.prepared[pair[0]], self.prepared[pair[1]]
+
+
+def _common(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:
+    """(c, 2) directed rows of the corridors of two maps between matched junctions."""
+    partner = np.full(len(b), -1)
+    partner[matched[:, 1]] = matched[:, 0]
+    tail, head = partner[b.tail], partner[b.head]
+    rows = np.flatnonzero((tail >= 0) & (head >= 0) & (np.arange(len(b.tail)) < b.reverse))
+    if not len(rows) or not len(a.pair_key):
+        return np.zeros((0, 2), np.int64)
+    key = tail[rows] * len(a) + head[rows]
+    at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
+    same = a.pair_key[at] == key
+    return np.column_stack([a.pair_row[at[same]], rows[same]])

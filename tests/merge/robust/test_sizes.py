@@ -1,0 +1,63 @@
+"""Sizes of components, told by all pairs between them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.robust.alignment import match
+from topobatch.merge.robust.components import Components, as_alignment
+from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.repetition import size_sigmas
+from topobatch.merge.robust.sizes import LARGER_TOGETHER, Sizes
+
+from .plans import EDGES, POINTS, SETTINGS
+
+
+@pytest.fixture
+def sizes(drawn):
+    """Two maps of one plan, and two of it 2 % larger; each pair by its best alignment."""
+    larger = [(1.02 * x, 1.02 * y) for x, y in POINTS]
+    plans = {"a": POINTS, "b": POINTS, "c": larger, "d": larger}
+    maps = [drawn(name, plan, EDGES) for name, plan in plans.items()]
+    scale = 0.006
+    prepared = [prepare(replace(m, noise=replace(m.noise, scale=scale))) for m in maps]
+    found = {
+        (i, j): match(prepared[i], prepared[j], SETTINGS)[0] for j in range(4) for i in range(j)
+    }
+    joins = {pair: as_alignment(c) for pair, c in found.items()}
+    return Sizes(prepared, [m.z for m in prepared], joins, {}, (), SETTINGS.size_sigmas), found
+
+
+def test_one_pair_tells_what_it_tells_alone(sizes):
+    own, found = sizes
+    for pair in ((0, 1), (0, 2)):
+        alone = size_sigmas(own.prepared[pair[0]], own.prepared[pair[1]], found[pair].corridors)
+        told = own._sigmas(Components(4, ()), pair, {pair: own.joins[pair]})
+        assert told == pytest.approx(alone)
+
+
+def test_more_runs_tell_more_than_two(sizes):
+    """Their scales err apart: of two runs on either side by less than of one."""
+    own, _ = sizes
+    components = Components(4, ())
+    across = {pair: own.joins[pair] for pair in ((0, 2), (0, 3), (1, 2), (1, 3))}
+    alone = own._sigmas(components, (0, 2), {(0, 2): across[0, 2]})
+    for i, j in ((0, 1), (2, 3)):
+        components.join(i, j, own.joins[i, j].transform)
+    together = own._sigmas(components, (0, 2), across)
+    assert alone < own.most_sigmas < together < 2 * alone
+    assert own._sigmas(components, (1, 3), across) == pytest.approx(together)
+    known = replace(own, other={(0, 3): across[0, 3]})
+    assert known.refusal(components, (0, 2)) is LARGER_TOGETHER
+    assert own.refusal(components, (0, 2)) is None  # no pair says so by itself
+    assert replace(known, locked=[(0, 2)]).refusal(components, (0, 2)) is None
+
+
+def test_a_pair_that_lies_elsewhere_says_nothing(sizes):
+    own, _ = sizes
+    components = Components(4, ())
+    for i, j in ((0, 1), (2, 3)):
+        components.join(i, j, own.joins[i, j].transform)
+    away = replace(own.joins[0, 3], transform=own.joins[0, 3].transform + np.array([9.0, 0.0, 0.0]))
+    assert replace(own, other={(0, 3): away}).refusal(components, (0, 2)) is None
