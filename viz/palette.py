@@ -117,7 +117,12 @@ def of_rank(rank: int) -> tuple[int, int, int]:
     """
     if rank < len(_RUNS):
         return _RUNS[rank]
-    step = rank - len(_RUNS)
+    return stepped(rank - len(_RUNS), 0.45, 0.95)
+
+
+def stepped(step: int, saturation: float, value: float) -> tuple[int, int, int]:
+    """The colour after so many golden angles round the hues; every third is as saturated as said,
+    those between more."""
     hue = (0.31 + 0.61803398875 * step) % 1.0
-    red, green, blue = colorsys.hsv_to_rgb(hue, 0.45 + 0.15 * (step % 3), 0.95)
+    red, green, blue = colorsys.hsv_to_rgb(hue, saturation + 0.15 * (step % 3), value)
     return round(255 * red), round(255 * green), round(255 * blue)
