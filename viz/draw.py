@@ -24,7 +24,7 @@ from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_
 from .palette import Order
 from .parts import Part, lay_out, ranks
 from .placements import contradiction_spots, placements
-from .sheet import Cell, arrange, sheet_margin_m, upright_rad
+from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 from .theme import Theme
 
 FloatArray = NDArray[np.float64]
@@ -137,11 +137,11 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
     """The fused map of every component: each corridor a ribbon with a strand for each run that
     drove it, junctions seen by several runs large; headed: with what it holds above it."""
     parts = lay_out(result, for_paper=True)
-    low, high = _extent([part.cell for part in parts])
+    cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
-    canvas = Canvas(low, high, theme, width, "merged")
+    canvas = _sheet(cells, theme, width, "merged")
     rank = ranks(result)
-    _frames(canvas, [part.cell for part in parts], [_title(canvas, part) for part in parts])
+    _frames(canvas, cells, [_title(canvas, part) for part in parts])
     pen = _pen_pt(canvas, result.fused)
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
@@ -187,9 +187,8 @@ def _merged_keys(
     return [marks, runs]
 
 
-def _extent(cells: Sequence[Cell]) -> tuple[FloatArray, FloatArray]:
-    corners = [corner for cell in cells for corner in (cell.low, cell.high)]
-    return bounds([np.array(corners).reshape(-1, 2)], margin=SHEET_MARGIN)
+def _sheet(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:
+    return Canvas(*bounds([corners_of(cells)], margin=SHEET_MARGIN), theme, width_pt, name)
 
 
 def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:
@@ -197,9 +196,8 @@ def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> Non
     if len(cells) < 2:
         return
     for cell, title in zip(cells, titles, strict=True):
-        (x0, y0), (x1, y1) = cell.low, cell.high
-        outline = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
-        canvas.lines([outline], canvas.theme["card"], 0.8, order=Order.CARD)
+        (x0, _), (x1, y1) = cell.low, cell.high
+        canvas.lines([outline(cell.low, cell.high)], canvas.theme["card"], 0.8, order=Order.CARD)
         size = TEXT_PT if len(cells) < 12 else SMALL_PT
         at = (float(x0 + x1) / 2, float(y1) - 0.8 * size / canvas.points_per_m)
         canvas.words(at, title, size_pt=size, room_m=0.96 * float(x1 - x0))
@@ -280,7 +278,7 @@ def _over(
     """Map b over map a, once for each title and T_a_b."""
     points = [np.concatenate([a.xy, apply(T, b.xy)]) for _, T in laid]
     cells = arrange(points, [upright_rad(a.paths)] * len(laid), sheet_margin_m(points))
-    canvas = Canvas(*_extent(cells), theme, width_pt, name)
+    canvas = _sheet(cells, theme, width_pt, name)
     _frames(canvas, cells, [title for title, _ in laid])
     for (_, T), cell in zip(laid, cells, strict=True):
         _own_map(canvas, a, cell.T_sheet_map, theme.run(0))
@@ -299,7 +297,7 @@ def _side_by_side(
 ) -> Canvas:
     points = [m.xy for m in (a, b)]
     cells = arrange(points, [upright_rad(m.paths) for m in (a, b)], sheet_margin_m(points))
-    canvas = Canvas(*_extent(cells), theme, WIDTH_PT, name)
+    canvas = _sheet(cells, theme, WIDTH_PT, name)
     _frames(canvas, cells, [a.run, b.run])
     for k, (m, cell) in enumerate(zip((a, b), cells, strict=True)):
         _own_map(canvas, m, cell.T_sheet_map, theme.run(k))

@@ -18,7 +18,7 @@ from .drawing import pen_m
 from .map_sheet import sheet_view, write_cards, write_laid_over, write_rings
 from .map_summary import plain
 from .recording import HAIR, UP, Recording, blueprint, markdown, write_recording
-from .sheet import Cell, arrange, sheet_margin_m, upright_rad
+from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
 
 if TYPE_CHECKING:
     from ..merge.paper.explain import Explanation
@@ -168,8 +168,7 @@ def _transform_space(recording: Recording, e: Explanation) -> None:
 def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: float) -> None:
     """A frame for every quarter turn, so that heights can be read as angles."""
     spare = 0.05 * max(float((high - low).max()), 1.0)
-    (x0, y0), (x1, y1) = low - spare, high + spare
-    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+    corners = outline(low - spare, high + spare)
     quarters = np.arange(-2, 3)
     frames = [np.column_stack([corners, np.full(5, rise * q * np.pi / 2)]) for q in quarters]
     lines = rr.LineStrips3D(frames, radii=HAIR, colors=palette.CARD)

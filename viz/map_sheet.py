@@ -15,7 +15,7 @@ from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import SHEET_MARGIN, bounds
 from .recording import HAIR, PathParts, Recording, map_view, placed, strips
-from .sheet import ASPECT, Cell
+from .sheet import ASPECT, Cell, corners_of, outline
 
 TITLE_LETTERS, SHORTEST_TITLE = 150, 5
 """Letters across a view of usual width; titles with room for fewer than this are left out."""
@@ -23,8 +23,7 @@ TITLE_LETTERS, SHORTEST_TITLE = 150, 5
 
 def sheet_view(root: str, name: str, cells: Sequence[Cell]) -> rrb.Spatial2DView:
     """A view of everything below `/root`, which lies in these cells."""
-    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
-    return map_view(root, name, *bounds([corners], margin=SHEET_MARGIN))
+    return map_view(root, name, *bounds([corners_of(cells)], margin=SHEET_MARGIN))
 
 
 def write_words(
@@ -62,18 +61,14 @@ def write_cards(
     """A thin frame round every cell and a title in it: of several, from the longest to the
     shortest, the first that its cell has room for. `titles` may be empty."""
     if len(cells) > 1:
-        corners = [
-            np.array([c.low, (c.high[0], c.low[1]), c.high, (c.low[0], c.high[1]), c.low])
-            for c in cells
-        ]
         frames = rr.LineStrips2D(
-            corners, radii=HAIR, colors=palette.CARD, draw_order=palette.Order.CARD
+            [outline(cell.low, cell.high) for cell in cells],
+            radii=HAIR,
+            colors=palette.CARD,
+            draw_order=palette.Order.CARD,
         )
         recording.static((root, "frames"), frames)
-    low, high = (
-        np.array([getattr(c, end) for c in cells]).reshape(-1, 2) for end in ("low", "high")
-    )
-    width, height = high.max(axis=0) - low.min(axis=0) if cells else np.zeros(2)
+    width, height = np.ptp(corners_of(cells), axis=0) if cells else np.zeros(2)
     seen_m = max(float(width), ASPECT * float(height))
     shown = [(k, _fitting(forms, cells[k], seen_m)) for k, forms in enumerate(titles)]
     shown = [(k, title) for k, title in shown if title]

@@ -17,7 +17,7 @@ from .drawing import pen_m
 from .map_sheet import write_cards, write_laid_over, write_rings, write_words
 from .placements import contradiction_spots
 from .recording import HAIR, UP, Recording
-from .sheet import Cell, arrange, sheet_margin_m, upright_rad
+from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
 from .verdicts import (
     AMBIGUOUS,
     DIAGONAL,
@@ -122,10 +122,7 @@ def _block_names(recording: Recording, result: MergeResult, runs: list[str]) -> 
     blocks = _blocks(result, runs)
     if not blocks:
         return
-    frames = [
-        np.array([(k, k), (k + n, k), (k + n, k + n), (k, k + n), (k, k)], np.float64)
-        for _, k, n in blocks
-    ]
+    frames = [outline((k, k), (k + n, k + n)) for _, k, n in blocks]
     recording.static(
         (MATRIX, "components"),
         rr.LineStrips2D(frames, radii=HAIR, colors=palette.DIM, draw_order=palette.Order.RING),

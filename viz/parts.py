@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..merge.result import Component, MergeResult
 from ..topology.se2 import compose
 from . import palette
-from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, sheet_margin_m, upright_rad
+from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
 
 MOST_LEGENDS = 6
 """Up to this many components of several runs get a legend beside them."""
@@ -126,8 +126,7 @@ def _legends_fit(order: list[Component], cells: list[Cell], room: list[float]) -
 
 def legend_step_m(cells: list[Cell]) -> float:
     """The distance of two lines of a legend, on a sheet that fills its view [m]."""
-    corners = np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
-    width, height = np.ptp(corners, axis=0)
+    width, height = np.ptp(corners_of(cells), axis=0)
     return float(max(width / ASPECT, height)) / LEGEND_LINES
 
 

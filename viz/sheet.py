@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..topology.se2 import apply, rotation
 
@@ -33,6 +33,17 @@ class Cell:
     T_sheet_map: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+
+
+def corners_of(cells: Sequence[Cell]) -> NDArray[np.float64]:
+    """(2 n, 2) the low and the high corner of every cell."""
+    return np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
+
+
+def outline(low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:
+    """(5, 2) the closed outline of the rectangle between two corners."""
+    (x0, y0), (x1, y1) = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
 
 
 def upright_rad(polylines: Sequence[NDArray[np.float64]]) -> float:

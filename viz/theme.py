@@ -51,14 +51,11 @@ class Theme:
     """A colour, as #rrggbb, for each of _INKS and for the first, second, … run of a map."""
 
     inks: Mapping[str, str]
-    runs: Callable[[int], str]
+    run: Callable[[int], str]
+    """The colour of a run by its rank among those drawn together, from 0."""
 
     def __getitem__(self, ink: str) -> str:
         return self.inks[ink]
-
-    def run(self, rank: int) -> str:
-        """The colour of a run by its rank among those drawn together, from 0."""
-        return self.runs(rank)
 
 
 def _light_run(rank: int) -> str:
