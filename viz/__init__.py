@@ -35,9 +35,9 @@ def write_map_recording(
     its laser saw there. grid: that the map was made from, in place of a run. Raises OSError if the
     file cannot be written.
     """
-    from .map_recording import Beside, write
+    from .map_recording import write
 
-    write(path, topomap, Beside(odometry, detections, scanned, grid))
+    write(path, topomap, odometry=odometry, detections=detections, scanned=scanned, grid=grid)
 
 
 def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:

@@ -157,7 +157,12 @@ class Canvas:
         """Dots at (n, 2) [m], or rings."""
         if len(xy) == 0:
             return
-        line = Line2D(
+        line = self._markers(xy, colour, size_pt, ring=ring)
+        line.set_zorder(order)
+        self._add(line, told)
+
+    def _markers(self, xy: FloatArray, colour: str, size_pt: float, *, ring: bool) -> Line2D:
+        return Line2D(
             xy[:, 0],
             xy[:, 1],
             linestyle="none",
@@ -166,9 +171,7 @@ class Canvas:
             markerfacecolor="none" if ring else colour,
             markeredgecolor=colour if ring else self.theme["paper"],
             markeredgewidth=1.2 if ring else 0.5,
-            zorder=order,
         )
-        self._add(line, told)
 
     def words(
         self,
@@ -177,23 +180,12 @@ class Canvas:
         *,
         size_pt: float = TEXT_PT,
         room_m: float | None = None,
-        **how: Any,
     ) -> None:
         """A text at a point [m]; one that has less room than it takes is shortened."""
         text = legible(text)
         if room_m is not None:
             text = fitting(text, room_m * self.points_per_m, size_pt)
-        # A name with two dollar signs is no formula.
-        shown = {
-            "ha": "center",
-            "va": "center",
-            "zorder": Order.WORDS,
-            "parse_math": False,
-            "fontfamily": "sans-serif",
-        } | how
-        self._axes.text(
-            *at, text, fontsize=size_pt, color=self.theme["ink"], clip_on=False, **shown
-        )
+        self._write(self._axes, *at, text, size_pt=size_pt, ha="center", va="center")
 
     def _add(self, artist: Any, told: str) -> None:
         artist.set_clip_on(False)
@@ -217,23 +209,17 @@ class Canvas:
         self.figure.set_size_inches(self.width_pt / POINTS_PER_INCH, total / POINTS_PER_INCH)
         self.figure.set_facecolor(self.theme["paper"])
         left = EDGE_PT + (room - wide) / 2
-        self._axes.set_position(
-            (
-                left / self.width_pt,
-                (EDGE_PT + bottom) / total,
-                wide / self.width_pt,
-                high / total,
-            )
-        )
+        size = np.array([self.width_pt, total])
+        corner, extent = np.array([left, EDGE_PT + bottom]), np.array([wide, high])
+        self._axes.set_position((*(corner / size), *(extent / size)))
         page = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
         page.set(xlim=(0.0, self.width_pt), ylim=(0.0, total))
         page.set_axis_off()
         page.patch.set_visible(False)
         for k, line in enumerate(lines):
             y = total - EDGE_PT - LINE_PT * (k + 0.5)
-            self._write(
-                page, EDGE_PT, y, line, bold=k == 0, size_pt=HEADING_PT if k == 0 else TEXT_PT
-            )
+            size_pt = TEXT_PT if k else HEADING_PT
+            self._write(page, EDGE_PT, y, line, bold=k == 0, size_pt=size_pt)
         self._scale_bar(page, EDGE_PT + bottom - 14.0)
         self._keys(page, blocks, EDGE_PT + bottom - 26.0)
 
@@ -241,10 +227,8 @@ class Canvas:
         """A bar of 1, 2 or 5 times a power of ten metres, a fifth of the drawing at most."""
         length = round_length(0.2 * float(self.high[0] - self.low[0]))
         end = EDGE_PT + length * self.points_per_m
-        for xs, ys in (
-            ((EDGE_PT, end), (y, y)),
-            *(((x, x), (y - 2.5, y + 2.5)) for x in (EDGE_PT, end)),
-        ):
+        ticks = [((x, x), (y - 2.5, y + 2.5)) for x in (EDGE_PT, end)]
+        for xs, ys in (((EDGE_PT, end), (y, y)), *ticks):
             page.add_artist(Line2D(xs, ys, color=self.theme["ink"], linewidth=1.0))
         self._write(page, end + 5.0, y, f"{length:g} m")
 
@@ -270,16 +254,20 @@ class Canvas:
         *,
         bold: bool = False,
         size_pt: float = TEXT_PT,
+        ha: str = "left",
+        va: str = "center_baseline",
     ) -> None:
         axes.text(
             x,
             y,
             text,
+            ha=ha,
+            va=va,
             fontsize=size_pt,
             fontweight="bold" if bold else "normal",
             color=self.theme["ink"],
-            va="center_baseline",
-            parse_math=False,
+            zorder=Order.WORDS,
+            parse_math=False,  # a name with two dollar signs is no formula
             fontfamily="sans-serif",
         )
 
@@ -290,17 +278,9 @@ class Canvas:
             width = {"line": 2.0, "wide line": 4.0, "stub": 1.5}[key.form]
             mark = Line2D((middle - half, middle + half), (y, y), color=key.colour, linewidth=width)
         else:
-            ring = key.form == "ring"
-            mark = Line2D(
-                (middle,),
-                (y,),
-                linestyle="none",
-                marker="o",
-                markersize={"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form],
-                markerfacecolor="none" if ring else key.colour,
-                markeredgecolor=key.colour if ring else self.theme["paper"],
-                markeredgewidth=1.2 if ring else 0.5,
-            )
+            size = {"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form]
+            at = np.array([(middle, y)])
+            mark = self._markers(at, key.colour, size, ring=key.form == "ring")
         page.add_artist(mark)
 
     def as_bytes(self, form: Format) -> bytes:

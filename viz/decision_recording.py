@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
+from ..merge.decision import LINKS, Decision, Placement, Term
 from ..merge.decision_text import (
     agreement,
     because,
@@ -38,7 +38,7 @@ from .map_sheet import (
     write_words,
 )
 from .map_summary import bulleted, plain
-from .placements import placements
+from .placements import against, placements
 from .recording import UP, PathParts, Recording, blueprint, markdown, placed, write_recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
@@ -171,13 +171,8 @@ def _contradictions(
     recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
 ) -> None:
     """Junctions that the other run drove past unseen, and corridors that cross, in red."""
-    against = placement.of(*AGAINST)
-    spots = [
-        (t, xy[side][ends[0]])
-        for t in against
-        for side, ends in enumerate((t.a, t.b))
-        if len(ends) == 1
-    ]
+    found = list(against(placement, *xy))
+    spots = [(term, at[0]) for term, at in found if len(at) == 1]
     if spots:
         points = rr.Points2D(
             [at for _, at in spots],
@@ -188,12 +183,7 @@ def _contradictions(
         recording.static(
             (*here, "contradictions", "junctions"), points, _info([t for t, _ in spots])
         )
-    crossed = [
-        (t, xy[side][list(ends)])
-        for t in against
-        for side, ends in enumerate((t.a, t.b))
-        if t.kind != "unseen" and len(ends) == 2
-    ]
+    crossed = [(term, line) for term, line in found if len(line) == 2]
     if crossed:
         lines = rr.LineStrips2D(
             [line for _, line in crossed],

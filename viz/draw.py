@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.decision import AGAINST, LINKS, Decision, Placement
+from ..merge.decision import LINKS, Decision, Placement
 from ..merge.decision_text import because, headline, missing, short
 from ..merge.result import (
     Alignment,
@@ -23,7 +23,7 @@ from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
 from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_branches, strands
 from .palette import Order
 from .parts import Part, lay_out, ranks
-from .placements import contradiction_spots, placements
+from .placements import against, contradiction_spots, placements
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 from .theme import Theme
 
@@ -234,15 +234,15 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
         return _side_by_side(a, b, heading, theme, "pair")
     laid = [(p.title, p.T_a_b) for p in drawn]
     canvas, cells = _over(a, b, laid, theme, "pair")
-    links = against = matched = False
+    links = contradicted = matched = False
     for picture, cell in zip(drawn, cells, strict=True):
         T_b = compose(cell.T_sheet_map, picture.T_a_b)
         if picture.placement is not None:
             xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
             links |= _links(canvas, picture.placement, xy, both=picture.tied)
-            against |= _against(canvas, picture.placement, xy)
+            contradicted |= _against(canvas, picture.placement, xy)
             matched |= _ties(canvas, picture.placement.alignment, xy)
-    keys = _pair_keys(theme, a.run, b.run, matched=matched, links=links, against=against)
+    keys = _pair_keys(theme, a.run, b.run, matched=matched, links=links, against=contradicted)
     canvas.finish(heading, [keys])
     return canvas
 
@@ -340,20 +340,15 @@ def _links(
 
 def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatArray]) -> bool:
     """Junctions that the other run drove past unseen, and corridors that cross."""
-    drawn = False
-    for t in placement.of(*AGAINST):
-        for side, ends in enumerate((t.a, t.b)):
-            told = f"{t.bits:+.1f} bits: {t.told}"
-            if len(ends) == 1:
-                _ring(canvas, xy[side][ends[0]], told)
-                drawn = True
-            elif len(ends) == 2 and t.kind != "unseen":
-                line = xy[side][list(ends)]
-                canvas.lines(
-                    [line], canvas.theme["against"], 2.2, order=Order.CONTRADICTION, told=told
-                )
-                drawn = True
-    return drawn
+    found = list(against(placement, *xy))
+    for term, at in found:
+        told = f"{term.bits:+.1f} bits: {term.told}"
+        if len(at) == 1:
+            _ring(canvas, at[0], told)
+        else:
+            colour, order = canvas.theme["against"], Order.CONTRADICTION
+            canvas.lines([at], colour, 2.2, order=order, told=told)
+    return bool(found)
 
 
 def _ring(canvas: Canvas, xy: FloatArray, told: str) -> None:
@@ -376,13 +371,13 @@ def draw_placements(
     titled = [(f"{t}: {shown_bits(x.evidence_bits)} bits", x.transform) for t, x in laid]
     width = WIDTH_PT if len(laid) > 1 else NARROW_PT
     canvas, cells = _over(a, b, titled, theme, name, width_pt=width)
-    matched = against = False
+    matched = contradicted = False
     for (_, alignment), cell in zip(laid, cells, strict=True):
         T_b = compose(cell.T_sheet_map, alignment.transform)
         xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
         matched |= _ties(canvas, alignment, xy)
         for spot in contradiction_spots(alignment, *xy):
             _ring(canvas, spot.xy, spot.told)
-            against = True
-    canvas.finish([], [_pair_keys(theme, a.run, b.run, matched=matched, against=against)])
+            contradicted = True
+    canvas.finish([], [_pair_keys(theme, a.run, b.run, matched=matched, against=contradicted)])
     return canvas

@@ -64,7 +64,7 @@ def write(path: Path, a: TopoMap, b: TopoMap, e: Explanation) -> None:
     write_recording(path, f"{a.run} - {b.run}", fill)
 
 
-def _colour(rank: int) -> tuple[int, int, int]:
+def _colour(rank: int) -> palette.Colour:
     return palette.of_rank(rank) if 0 <= rank < TOLD_APART else palette.DIM
 
 

@@ -14,10 +14,9 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from . import palette
-from .contradictions import write_contradictions
 from .drawing import Strand, branch_arrows, driven_branches, pen_m, strands
 from .growing import colour_columns, light_up_by_step
-from .map_sheet import write_cards, write_own_maps, write_words
+from .map_sheet import write_cards, write_contradictions, write_own_maps, write_words
 from .parts import Part, legend_step_m, rows_of
 from .placements import Spot, contradiction_spots
 from .recording import JOIN, UP, PathParts, Recording, placed, strips
@@ -41,7 +40,7 @@ def write_fused_layers(
     maps: Mapping[str, TopoMap],
     parts: list[Part],
     *,
-    colours: Mapping[str, tuple[int, int, int]],
+    colours: Mapping[str, palette.Colour],
     steps: Sequence[Step],
 ) -> None:
     """The fused map by run, as it came together step by step; the agreement of the runs; and each
@@ -95,7 +94,7 @@ def write_fused_contradictions(
 
 
 def write_legend(
-    recording: Recording, parts: list[Part], colours: Mapping[str, tuple[int, int, int]]
+    recording: Recording, parts: list[Part], colours: Mapping[str, palette.Colour]
 ) -> list[Cell]:
     """The names of all merged runs in their colours, in columns, each component below its title.
 
@@ -104,7 +103,7 @@ def write_legend(
     several = [part for part in parts if len(part.component.poses) > 1]
     if all(part.legend_m > 0 for part in several):
         return []
-    entries: list[tuple[str, tuple[int, int, int]]] = []
+    entries: list[tuple[str, palette.Colour]] = []
     for part in several:
         entries.append((f"component {part.component.id}", palette.TITLE))
         entries += [(run, colours[run]) for run in sorted(part.component.poses)]
@@ -129,7 +128,7 @@ def _cards(
     recording: Recording,
     root: str,
     parts: list[Part],
-    colours: Mapping[str, tuple[int, int, int]],
+    colours: Mapping[str, palette.Colour],
 ) -> None:
     """The frame, title and legend of every component."""
     titles = [part.titles for part in parts]
@@ -144,7 +143,7 @@ def _cards(
             _legend(recording, (root, "legends", part.name), part, entries, step_m)
 
 
-def _count_colours(part: Part) -> dict[str, tuple[int, int, int]]:
+def _count_colours(part: Part) -> dict[str, palette.Colour]:
     """What the colours of the agreement stand for."""
     most = len(palette.COUNTS)
     counts = range(1, min(len(part.component.poses), most) + 1)
@@ -156,7 +155,7 @@ def _legend(
     recording: Recording,
     path: PathParts,
     part: Part,
-    entries: Mapping[str, tuple[int, int, int]],
+    entries: Mapping[str, palette.Colour],
     step_m: float,
 ) -> None:
     """A short line for each entry with its name below, at the right of the map; step_m: their
@@ -182,7 +181,7 @@ def _ribbons(
     recording: Recording,
     fused: FusedMap,
     parts: list[Part],
-    colours: Mapping[str, tuple[int, int, int]],
+    colours: Mapping[str, palette.Colour],
     *,
     pen: float,
     first: Mapping[str, int],
@@ -207,11 +206,11 @@ def _ribbons(
     recording.static_each([*of_run], [len(own) for own in of_run.values()], lines, told)
     for path in of_run:
         run = path[-1]
-        colour = np.array([colours[run]], np.uint8)
         if run in first:
-            light_up_by_step(recording, path, rr.LineStrips2D, np.array([first[run]]), colour)
+            when = np.array([first[run]])
+            light_up_by_step(recording, path, rr.LineStrips2D, when, colours[run])
         else:
-            recording.static(path, rr.LineStrips2D.from_fields(colors=colour))
+            recording.static(path, rr.LineStrips2D.from_fields(colors=colours[run]))
 
 
 def _agreement(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:

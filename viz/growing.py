@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import palette
-from .palette import Colours
+from .palette import Colour, Colours
 from .recording import JOIN, PathParts, Recording
 
 MOST_CELLS = 400_000
@@ -21,13 +21,13 @@ def light_up(
     path: PathParts,
     archetype: Any,
     when_ns: NDArray[np.int64],
-    colours: Colours,
+    colours: Colours | Colour,
     *,
     begin_ns: int | None,
-    dim: tuple[int, int, int] = palette.UNLIT,
+    dim: Colour = palette.UNLIT,
 ) -> None:
-    """Log the colours of an entity of n things over time: dim before when_ns (n,), its own colour
-    from then on; begin_ns: when the first row stands, if that is earlier.
+    """Log the colours of an entity of n things over time: dim before when_ns (n,), from then on
+    each in its own of `colours`, or all in one; begin_ns: when the first row stands, if earlier.
 
     One entity and one row for each change: what is pointed at is always the same thing.
     """
@@ -40,10 +40,10 @@ def light_up_by_step(
     path: PathParts,
     archetype: Any,
     when: NDArray[np.int64],
-    colours: Colours,
+    colours: Colours | Colour,
     *,
-    now: tuple[int, int, int] | None = None,
-    dim: tuple[int, int, int] = palette.UNLIT,
+    now: Colour | None = None,
+    dim: Colour = palette.UNLIT,
 ) -> None:
     """The same on the timeline JOIN, from step 0 on: things that are never dim have when = 0.
     now: colour of what lights up at the cursor."""
@@ -58,12 +58,12 @@ def light_up_by_step(
 def _lit(
     times: NDArray[np.int64],
     when: NDArray[np.int64],
-    colours: Colours,
-    dim: tuple[int, int, int],
+    colours: Colours | Colour,
+    dim: Colour,
 ) -> NDArray[np.uint8]:
     """(times, things, 3) colours."""
     lit = (when[None, :] <= times[:, None])[:, :, None]
-    return np.where(lit, colours[None], np.array(dim, np.uint8)[None, None]).astype(np.uint8)
+    return np.where(lit, np.asarray(colours, np.uint8), np.asarray(dim, np.uint8))
 
 
 def colour_columns(archetype: Any, rows: NDArray[np.uint8]) -> Any:

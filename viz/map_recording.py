@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -48,31 +47,28 @@ HEALTH_COLOURS = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Beside:
-    """What of a run is drawn beside its map."""
-
-    odometry: Odometry | None = None
-    detections: Detections | None = None
-    scanned: Scanned | None = None
-    grid: Grid | None = None
-
-
-def write(path: Path, topomap: TopoMap, beside: Beside) -> None:
+def write(
+    path: Path,
+    topomap: TopoMap,
+    *,
+    odometry: Odometry | None,
+    detections: Detections | None,
+    scanned: Scanned | None,
+    grid: Grid | None,
+) -> None:
     """Write the recording of a map; see `topobatch.viz.write_map_recording`."""
-    odometry, detections = beside.odometry, beside.detections
     track = robot_track(topomap, odometry) if odometry is not None else None
     known = history(topomap)
     asked = questions(topomap, known.visit)
     health = lanes(odometry, topomap) if odometry is not None else []
     seen = None
-    if track is not None and odometry is not None and beside.scanned is not None:
-        seen = scan_layers(beside.scanned, topomap, odometry, track)
+    if track is not None and odometry is not None and scanned is not None:
+        seen = scan_layers(scanned, topomap, odometry, track)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
-        if beside.grid is not None:
-            write_grid(recording, MAP, beside.grid)
+        if grid is not None:
+            write_grid(recording, MAP, grid)
         begin = int(odometry.time_ns[0]) if odometry is not None and len(odometry) else None
         _corridors(recording, topomap, known, begin)
         _branches(recording, topomap, known, begin)
@@ -96,7 +92,7 @@ def write(path: Path, topomap: TopoMap, beside: Beside) -> None:
             refused=any(not q.closure.accepted for q in asked),
             health=bool(health),
             scans=seen is not None,
-            grid=beside.grid is not None,
+            grid=grid is not None,
         )
         recording.static(("summary",), markdown(map_summary(topomap, asked, shown)))
         return map_blueprint(topomap, track, health=bool(health), scans=seen is not None)
@@ -141,8 +137,7 @@ def _branches(recording: Recording, topomap: TopoMap, known: History, begin_ns: 
             )
             recording.static(path, arrows)
             when = known.vertex_ns[topomap.branches.owner[which]]
-            colours = np.tile(np.array(colour, np.uint8), (len(when), 1))
-            light_up(recording, path, rr.Arrows2D, when, colours, begin_ns=begin_ns)
+            light_up(recording, path, rr.Arrows2D, when, colour, begin_ns=begin_ns)
 
 
 def _junctions(
@@ -220,9 +215,8 @@ def _closures(
             path = (*MAP, "closures", name)
             _closure_lines(recording, path, topomap, drawn)
             when = np.array([q.closure.time_b_ns for q, _ in drawn], np.int64)
-            colours = np.tile(np.array(colour, np.uint8), (len(drawn), 1))
             hidden = palette.BACKGROUND
-            light_up(recording, path, rr.LineStrips2D, when, colours, begin_ns=begin_ns, dim=hidden)
+            light_up(recording, path, rr.LineStrips2D, when, colour, begin_ns=begin_ns, dim=hidden)
 
 
 def _closure_lines(

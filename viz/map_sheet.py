@@ -14,6 +14,7 @@ from ..merge.decision_text import short
 from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import SHEET_MARGIN, bounds
+from .placements import Spot
 from .recording import HAIR, PathParts, Recording, map_view, placed, strips
 from .sheet import ASPECT, Cell, corners_of, outline
 
@@ -53,6 +54,21 @@ def write_rings(
     if len(xy):
         dots = rr.Points2D(xy, radii=radius_m, colors=palette.WHITE, draw_order=order)
         recording.static(path, dots)
+
+
+def write_contradictions(
+    recording: Recording, path: PathParts, spots: Sequence[Spot], pen: float
+) -> None:
+    """A red dot for each; selecting it tells what is wrong there."""
+    if spots:
+        dots = rr.Points2D(
+            [spot.xy for spot in spots],
+            radii=2.0 * pen,
+            colors=palette.REFUSED,
+            draw_order=palette.Order.CONTRADICTION,
+        )
+        told = rr.AnyValues(contradiction=[spot.told for spot in spots])
+        recording.static(path, dots, told)
 
 
 def write_cards(
@@ -104,7 +120,7 @@ def write_own_maps(
     recording: Recording,
     paths: Sequence[PathParts],
     maps: Sequence[TopoMap],
-    colours: Sequence[tuple[int, int, int]],
+    colours: Sequence[palette.Colour],
     pen: float,
 ) -> None:
     """The own map of each of some runs below its path, in its own frame and one colour."""

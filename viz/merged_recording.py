@@ -27,7 +27,6 @@ from .pair_layers import (
     MOST_NUMBERS,
     UNDECIDED,
     matrix_bounds,
-    undecided,
     write_matrix,
     write_undecided,
 )
@@ -35,7 +34,14 @@ from .parts import colours_of, lay_out
 from .recording import JOIN, Recording, blueprint, markdown, write_recording
 from .steps import joining_steps
 from .story import STORY, write_story
-from .verdicts import Shown, merge_summary, pairs_told, runs_in_order
+from .verdicts import (
+    MOST_PLACEMENTS,
+    Shown,
+    merge_summary,
+    pairs_told,
+    runs_in_order,
+    undecided,
+)
 
 RECORDING_ID = "merged"
 
@@ -46,7 +52,7 @@ def write(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
     runs = runs_in_order(result)
     colours = colours_of(result)
     steps = joining_steps(result)
-    pairs = undecided(result)
+    pairs = undecided(result)[:MOST_PLACEMENTS]
 
     def fill(recording: Recording) -> rrb.Blueprint:
         parts = lay_out(result)

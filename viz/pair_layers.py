@@ -12,9 +12,14 @@ from ..merge.result import MergeResult, PairVerdict, shown_bits
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .contradictions import write_contradictions
 from .drawing import pen_m
-from .map_sheet import write_cards, write_laid_over, write_rings, write_words
+from .map_sheet import (
+    write_cards,
+    write_contradictions,
+    write_laid_over,
+    write_rings,
+    write_words,
+)
 from .placements import contradiction_spots
 from .recording import HAIR, UP, Recording
 from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
@@ -25,17 +30,11 @@ from .verdicts import (
     MERGED,
     NOT_ACCEPTED,
     UNRELATED,
-    strongest,
-    verdict_class,
     verdict_matrix,
 )
 
 MATRIX, UNDECIDED = "verdicts", "undecided"
 """Roots of the pictures of the pairs."""
-
-MOST_PLACEMENTS = 12
-"""Undecided pairs that are drawn, those of the strongest evidence: above two placements of so many
-there is room for their names."""
 
 MOST_NAMES = 16
 """Above this many runs the matrix is drawn without their names."""
@@ -72,7 +71,7 @@ def write_matrix(
     recording: Recording,
     result: MergeResult,
     runs: list[str],
-    colours: Mapping[str, tuple[int, int, int]],
+    colours: Mapping[str, palette.Colour],
 ) -> None:
     """The verdict of every pair as an image and its evidence as a dot; names at the left, of every
     run or, where they are too many, of the components, and of each run where one points."""
@@ -134,9 +133,7 @@ def _block_names(recording: Recording, result: MergeResult, runs: list[str]) -> 
     _labels(recording, "rows", places, [name for name, _, _ in blocks])
 
 
-def _rows(
-    recording: Recording, runs: list[str], colours: Mapping[str, tuple[int, int, int]]
-) -> None:
+def _rows(recording: Recording, runs: list[str], colours: Mapping[str, palette.Colour]) -> None:
     """A mark in its colour beside the row of each run, which tells its name when pointed at."""
     at = np.arange(len(runs)) + 0.5
     marks = rr.Points2D(
@@ -202,16 +199,6 @@ def _labels(
     recording: Recording, name: str, places: NDArray[np.float64], labels: list[str]
 ) -> None:
     write_words(recording, (MATRIX, name), places, labels, order=palette.Order.TIE)
-
-
-def undecided(result: MergeResult) -> list[PairVerdict]:
-    """Pairs whose placements are drawn: they fit somewhere and were not joined."""
-    pairs = strongest(
-        p
-        for p in result.verdicts
-        if verdict_class(p) in (AMBIGUOUS, NOT_ACCEPTED) and p.best is not None
-    )
-    return pairs[:MOST_PLACEMENTS]
 
 
 def write_undecided(

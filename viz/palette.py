@@ -8,6 +8,7 @@ from enum import IntEnum, auto
 import numpy as np
 from numpy.typing import NDArray
 
+Colour = tuple[int, int, int]
 Colours = NDArray[np.uint8]
 """(n, 3) red, green, blue."""
 
@@ -110,7 +111,7 @@ def by_count(count: NDArray[np.int64]) -> Colours:
     return COUNTS[np.clip(count, 1, len(COUNTS)) - 1]
 
 
-def of_rank(rank: int) -> tuple[int, int, int]:
+def of_rank(rank: int) -> Colour:
     """The colour of the first, second, … of a ranking, from 0.
 
     The first ten are picked by hand; later ones step round the hues by the golden angle.
@@ -120,7 +121,7 @@ def of_rank(rank: int) -> tuple[int, int, int]:
     return stepped(rank - len(_RUNS), 0.45, 0.95)
 
 
-def stepped(step: int, saturation: float, value: float) -> tuple[int, int, int]:
+def stepped(step: int, saturation: float, value: float) -> Colour:
     """The colour after so many golden angles round the hues; every third is as saturated as said,
     those between more."""
     hue = (0.31 + 0.61803398875 * step) % 1.0

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult
-from ..topology.se2 import compose
 from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
 
@@ -48,24 +47,14 @@ class Part:
         return f"component_{self.component.id}"
 
     @property
-    def title(self) -> str:
-        """What stands above it."""
-        merged = len(self.component.poses) > 1
-        more = f" merged, {len(self.vertices)} junctions" if merged else ""
-        return self.short_title + more
-
-    @property
     def titles(self) -> tuple[str, ...]:
         """What stands above it, from the longest to the shortest."""
-        runs = len(self.component.poses)
-        shortest = (f"{self.component.id}: {runs} runs",) if runs > 1 else ()
-        return (self.title, self.short_title, *shortest)
-
-    @property
-    def short_title(self) -> str:
-        """The run's name, or the component's and how many runs there are."""
         runs = list(self.component.poses)
-        return runs[0] if len(runs) == 1 else f"component {self.component.id}: {len(runs)} runs"
+        if len(runs) == 1:
+            return (runs[0],)
+        short = f"{self.component.id}: {len(runs)} runs"
+        junctions = f"{len(self.vertices)} junctions"
+        return (f"component {short} merged, {junctions}", f"component {short}", short)
 
 
 def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
@@ -153,17 +142,12 @@ def _legend_share(component: Component) -> float:
     return 0.04 + 0.008 * min(max(map(len, component.poses)), 40)
 
 
-def pose_on_sheet(part: Part, run: str) -> NDArray[np.float64]:
-    """(3,) T_sheet_run: where a run's own map lies on the sheet."""
-    return compose(part.cell.T_sheet_map, part.component.poses[run])
-
-
 def ranks(result: MergeResult) -> dict[str, int]:
     """The rank of each run among those of its component; colours go by it."""
     return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
 
 
-def colours_of(result: MergeResult) -> dict[str, tuple[int, int, int]]:
+def colours_of(result: MergeResult) -> dict[str, palette.Colour]:
     """The viewer's colour of each run; runs that were merged with none are grey."""
     rank = ranks(result)
     return {

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.decision import Decision, Placement
+from ..merge.decision import AGAINST, Decision, Placement, Term
 from ..merge.decision_text import listed
 from ..merge.result import Alignment, shown_bits
 from ..topology.se2 import apply, compose
@@ -64,6 +65,18 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
     drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * extent
     away = np.array([ASIDE * extent, drop, 0.0])
     return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
+
+
+def against(
+    placement: Placement, of_a: FloatArray, of_b: FloatArray
+) -> Iterator[tuple[Term, FloatArray]]:
+    """What speaks against a placement, by the given positions of both maps' junctions: terms with
+    where they lie, (1, 2) a junction that the other run drove past unseen, or (2, 2) a corridor
+    that crosses another."""
+    for term in placement.of(*AGAINST):
+        for of, ends in ((of_a, term.a), (of_b, term.b)):
+            if len(ends) == 1 or (len(ends) == 2 and term.kind != "unseen"):
+                yield term, of[list(ends)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

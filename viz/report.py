@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -18,10 +18,7 @@ from .map_summary import clock, minutes
 from .report_style import script, style_sheet, text
 from .report_verdicts import page_data, pair_lists, pair_told, verdict_matrix
 from .theme import SWITCHABLE
-from .verdicts import runs_in_order, strongest
-
-MOST_PLACEMENTS = 12
-"""Undecided pairs that are drawn, those of the strongest evidence."""
+from .verdicts import MOST_PLACEMENTS, runs_in_order, undecided
 
 MOST_MAPS = 24
 """Up to this many runs every run's own map is drawn."""
@@ -140,7 +137,7 @@ def _pictures(report: Report) -> str:
         "see whose it is.</p>",
         _figure(draw_merged(report.result, SWITCHABLE, headed=False), "merged map"),
     ]
-    open_pairs = [p for p in strongest(report.result.verdicts) if _undecided(p, report.maps)]
+    open_pairs = [p for p in undecided(report.result) if _can_be_drawn(p, report.maps)]
     drawn = open_pairs[:MOST_PLACEMENTS]
     if drawn:
         some = len(drawn) < len(open_pairs)
@@ -162,10 +159,8 @@ def _pictures(report: Report) -> str:
     return "\n".join(parts)
 
 
-def _undecided(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
-    """Is the pair open, and can it be drawn: on maps as they were when it was decided?"""
-    if pair.standing not in (Standing.AMBIGUOUS, Standing.KEPT_OUT) or pair.best is None:
-        return False
+def _can_be_drawn(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
+    """Are the maps there, and as they were when the pair was decided?"""
     if pair.a not in maps or pair.b not in maps:
         return False
     sizes = np.array([len(maps[pair.a]), len(maps[pair.b])])
@@ -280,8 +275,5 @@ def _folded(title: str, settings: object) -> str:
 def _versions(report: Report) -> str:
     if not report.versions:
         return ""
-    return f"<h2>Versions</h2><p>{_joined(f'{name} {v}' for name, v in report.versions)}</p>"
-
-
-def _joined(words: Iterable[str]) -> str:
-    return ", ".join(map(text, words))
+    told = ", ".join(text(f"{name} {version}") for name, version in report.versions)
+    return f"<h2>Versions</h2><p>{told}</p>"

@@ -56,7 +56,10 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
         if paths
     ]
     drawn.append(f'<path d="{"".join(f"M{k} {k}h1v1h-1z" for k in range(n))}" fill="var(--c3)"/>')
-    drawn += [_frame(k, size) for k, size in _blocks(result, row)]
+    drawn += [
+        f'<rect class="frame" x="{k}" y="{k}" width="{size}" height="{size}"/>'
+        for k, size in _blocks(result, row)
+    ]
     left = 0.0
     if n <= MOST_NAMES:
         size = min(0.7, 0.022 * n + 0.12)
@@ -68,9 +71,7 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
     drawn += numbers
     count = result.standings()
     legend = "".join(
-        f'<span><i class="swatch" style="background:var(--v{k})"></i>{text(name)}</span>'
-        for k, name in enumerate(STANDINGS)
-        if count[Standing(name)]
+        f"<span>{_swatch(kind)}{text(kind)}</span>" for kind in Standing if count[kind]
     )
     framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
     numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
@@ -93,10 +94,6 @@ def _blocks(result: MergeResult, row: Mapping[str, int]) -> list[tuple[int, int]
         for c in result.components
         if len(c.poses) > 1
     ]
-
-
-def _frame(k: int, size: int) -> str:
-    return f'<rect class="frame" x="{k}" y="{k}" width="{size}" height="{size}"/>'
 
 
 def _label(x: float, y: float, words: str, anchor: str, *, size: float, look: str = "") -> str:

@@ -9,11 +9,11 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from ..merge.result import shown_bits
-from ..topology.se2 import apply
+from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from . import palette
 from .growing import light_up_by_step
-from .parts import Part, pose_on_sheet
+from .parts import Part
 from .recording import JOIN, Recording
 from .steps import Step
 from .verdicts import joining_told
@@ -50,10 +50,10 @@ def write_story(
     parted = {run: part for part in parts for run in part.component.poses}
 
     def middle(run: str) -> NDArray[np.float64]:
-        own = maps[run].xy
+        own, part = maps[run].xy, parted[run]
         at = own.mean(axis=0) if len(own) else np.zeros(2)
-        placed: NDArray[np.float64] = apply(pose_on_sheet(parted[run], run), at[None])[0]
-        return placed
+        T_sheet_run = compose(part.cell.T_sheet_map, part.component.poses[run])
+        return np.asarray(apply(T_sheet_run, at[None])[0])
 
     path = (root, "joins")
     recording.static(
@@ -70,13 +70,12 @@ def write_story(
             reason=[s.pair.reason for s in steps],
         ),
     )
-    colours = np.tile(np.array(palette.PAST, np.uint8), (len(steps), 1))
     light_up_by_step(
         recording,
         path,
         rr.LineStrips2D,
         np.arange(1, len(steps) + 1),
-        colours,
+        palette.PAST,
         now=palette.WHITE,
         dim=palette.BACKGROUND,
     )

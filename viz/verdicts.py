@@ -21,6 +21,10 @@ JOINED: unrelated by itself, but other runs place the two in one component."""
 MOST_PAIRS = 60
 """Pairs told in full in the recording; `merged.json` has them all."""
 
+MOST_PLACEMENTS = 12
+"""Undecided pairs that are drawn, those of the strongest evidence: above two placements of so many
+there is room for their names."""
+
 STORY_BEFORE, STORY_AFTER = 8, 12
 """Steps that a page of the story shows around its own."""
 
@@ -207,6 +211,12 @@ def pairs_told(result: MergeResult) -> str:
     if len(parts) == 1:
         parts.append("There is no pair: fewer than two runs.")
     return "\n\n".join(parts) + "\n"
+
+
+def undecided(result: MergeResult) -> list[PairVerdict]:
+    """Pairs that fit somewhere and were not joined, the strongest first."""
+    open_ = (Standing.AMBIGUOUS, Standing.KEPT_OUT)
+    return strongest(p for p in result.verdicts if p.standing in open_ and p.best is not None)
 
 
 def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
