@@ -239,7 +239,8 @@ def _run_all(
     planned: list[IngestJob | IngestOutcome], asked: int, screen: Screen
 ) -> list[IngestOutcome]:
     """Do every job, in this process or in several; a line per finished log."""
-    from .ingest_worker import IngestJob, IngestOutcome, job_size, outcomes_of
+    from .ingest_pool import outcomes_of
+    from .ingest_worker import IngestJob, IngestOutcome, job_size
     from .remote import announce
 
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]

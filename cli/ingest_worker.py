@@ -1,17 +1,13 @@
-"""What `topobatch ingest` does to one log, and to many side by side."""
+"""What `topobatch ingest` does to one log."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 import re
-import signal
 import time
-from collections.abc import Callable, Iterator, Sequence, Set
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence, Set
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -31,14 +27,7 @@ from ..topology.wording import counted
 from ..viz import write_map_recording
 from .scan_options import source_told
 from .version import VERSION
-from .workers import start_worker
 from .workspace import Workspace, checked_run_name
-
-POLL_S = 0.1
-"""How often progress is shown: people see no more than ten steps in a second."""
-
-TOGETHER = 2
-"""Times that logs are read side by side, as long as processes die; then one by one."""
 
 MOST_NAMES = 16
 """Names of one run, one after the other, that are followed."""
@@ -270,139 +259,3 @@ def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
             f"{job.log}: the workspace has a run {run!r} already, made from {other}; "
             "give this one another --name, or replace the map with --force"
         )
-
-
-# --- several logs side by side ----------------------------------------------------------------
-
-_bytes_done: Any = None  # in a worker process: the counter shared with the parent
-
-
-def _start_worker(counter: Any) -> None:
-    global _bytes_done  # noqa: PLW0603 - set once per worker process
-    _bytes_done = counter
-    start_worker()
-
-
-def _counted(job: IngestJob) -> IngestOutcome:
-    """`ingest_one` in a worker process, adding what it reads to the shared counter."""
-
-    def on_bytes(more: int) -> None:
-        with _bytes_done.get_lock():
-            _bytes_done.value += more
-
-    return ingest_one(job, on_bytes)
-
-
-def outcomes_of(
-    jobs: list[IngestJob], workers: int, advance: Callable[[int], None]
-) -> Iterator[IngestOutcome]:
-    """Outcomes as they come; `advance` is told the bytes read so far, over all logs."""
-    if workers == 1:
-        done = 0
-
-        def on_bytes(more: int) -> None:
-            nonlocal done
-            done += more
-            advance(done)
-
-        yield from (ingest_one(job, on_bytes) for job in jobs)
-        return
-    left = list(jobs)
-    for _ in range(TOGETHER):
-        unfinished = []
-        for job, outcome in _side_by_side(left, workers, advance):
-            if outcome is None:
-                unfinished.append(job)
-            else:
-                yield outcome
-        left = unfinished
-    for job in left:  # one by one: a log that ends its process costs no other
-        for _, outcome in _side_by_side([job], 1, advance):
-            text = f"{job.log}: the process that read it was killed (out of memory?)"
-            yield outcome or IngestOutcome(job.log, job.run, "failed", text)
-
-
-def _side_by_side(
-    jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
-) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
-    """Jobs with their outcomes; None where the processes ended before it was there."""
-    if not jobs:
-        return
-    context = _context()
-    counter = context.Value("q", 0)
-    with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
-        try:
-            with _interrupts_deferred():  # a worker stopped half-started would complain
-                futures = dict(_submitted(pool, jobs))
-            yield from ((job, None) for job in jobs[len(futures) :])
-            waiting = set(futures)
-            while waiting:
-                finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
-                advance(counter.value)
-                for future in finished:
-                    yield futures[future], _result(future)
-        except BaseException:  # Ctrl-C: nobody waits for half-read logs
-            for process in multiprocessing.active_children():
-                process.terminate()
-                process.join()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-
-
-@contextmanager
-def _interrupts_deferred() -> Iterator[None]:
-    """Ctrl-C within the body takes effect at its end."""
-    interrupted = False
-
-    def note(*_: object) -> None:
-        nonlocal interrupted
-        interrupted = True
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if interrupted:
-        raise KeyboardInterrupt
-
-
-def _submitted(
-    pool: ProcessPoolExecutor, jobs: Sequence[IngestJob]
-) -> Iterator[tuple[Future[IngestOutcome], IngestJob]]:
-    """The jobs as they are asked for, as long as all processes live."""
-    from concurrent.futures.process import BrokenProcessPool
-
-    for job in jobs:
-        try:
-            yield pool.submit(_counted, job), job
-        except BrokenProcessPool:
-            return
-
-
-def _result(future: Future[IngestOutcome]) -> IngestOutcome | None:
-    from concurrent.futures.process import BrokenProcessPool
-
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return None
-
-
-def _context() -> Any:
-    """Workers start from a server that has imported everything once, where there is one."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    from multiprocessing import forkserver, resource_tracker
-
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["topobatch.cli.ingest_worker", "rerun"])
-    # Ctrl-C reaches the server as well, and would end it while it imports. It begins with what is
-    # blocked here; the tracker that it needs would unblock it again.
-    resource_tracker.ensure_running()
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-    return context

@@ -14,7 +14,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from topobatch.cli.ingest_worker import IngestJob, outcomes_of
+from topobatch.cli.ingest_pool import outcomes_of
+from topobatch.cli.ingest_worker import IngestJob
 from topobatch.cli.workspace import Workspace
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings

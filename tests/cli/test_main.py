@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from topobatch.cli.workspace import Workspace
-from topobatch.merge.document import MergedDocument
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.topology.map_schema import MapDocument
 
 
@@ -106,7 +106,7 @@ def test_an_output_without_arrows_is_no_error(logs, tmp_path):
 WORKERS = """
 import multiprocessing.forkserver, os, signal
 from concurrent.futures import ProcessPoolExecutor
-from topobatch.cli.ingest_worker import _context, _start_worker
+from topobatch.cli.ingest_pool import _context, _start_worker
 context = _context()
 {before}
 with ProcessPoolExecutor(1, context, _start_worker, (context.Value("q", 0),)) as pool:
