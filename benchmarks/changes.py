@@ -19,7 +19,8 @@ import numpy as np
 
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.changes import changes
-from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.document import merged_to_document
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation import (
     DRIFTS,

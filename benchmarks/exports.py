@@ -31,7 +31,8 @@ import readers
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.reading import find_logs, read_run
 from topobatch.merge.component_map import component_map, component_pose_graph
-from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.document import merged_to_document
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
 from topobatch.simulation import ScenarioSettings, Truth, simulate_scenario, true_vertex_of_nodes

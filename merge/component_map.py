@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.document import all_known, branches_named
 from ..topology.map_pose_graph import map_pose_graph
 from ..topology.map_schema import FARTHEST_M
-from ..topology.passes import NO_BRANCH
 from ..topology.posegraph.graph import PoseGraph
 from ..topology.ragged import Ragged
 from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
-from .document import MergedDocument, MergedEdge, MergedNode, poses_from_document
+from .document import poses_from_document
 from .fusion.joint_graph import settle
 from .fusion.vertex_partition import Pool
 from .member_times import member_times
+from .merged_schema import MergedDocument, MergedNode
 from .result import fused_confidence
 
 IntArray = NDArray[np.int64]
@@ -55,7 +56,6 @@ def component_map(
     length = np.array([e.length for e in edges], np.float64)
     source = np.array([number[e.source] for e in edges], np.int64)
     target = np.array([number[e.target] for e in edges], np.int64)
-    sigma = [node.sigma_m for node in chosen if node.sigma_m is not None]
     times, sure, noise = None, ALL_SURE, RunNoise()
     if maps is not None and not stale_runs(document, component, maps):
         times = member_times(
@@ -78,15 +78,15 @@ def component_map(
         kind=tuple(_kind(node) for node in chosen),
         source=source,
         target=target,
-        source_branch=_branches(edges, "source_branch"),
-        target_branch=_branches(edges, "target_branch"),
+        source_branch=branches_named(edges, "source_branch"),
+        target_branch=branches_named(edges, "target_branch"),
         length=length,
         length_sigma=np.array([e.length_sigma for e in edges], np.float64),
         traversals=np.array([e.traversals for e in edges], np.int64),
         paths=tuple(np.array(e.path, np.float64) for e in edges),
         observation_vertex=np.array([v for _, v in seen], np.int64),
         observation_time_ns=np.array([t for t, _ in seen], np.int64),
-        position_sigma=np.array(sigma) if sigma and len(sigma) == len(chosen) else None,
+        position_sigma=all_known([node.sigma_m for node in chosen]),
         traversal_ns=times,
         confidence=sure,
         noise=noise,
@@ -138,11 +138,6 @@ def _fused_of(nodes: list[MergedNode]) -> dict[tuple[str, int], int]:
 def _kind(node: MergedNode) -> str:
     found: Any = (node.model_extra or {}).get("kind", "junction")
     return found if isinstance(found, str) else "junction"
-
-
-def _branches(edges: list[MergedEdge], name: str) -> IntArray:
-    found = (getattr(e, name) for e in edges)
-    return np.array([NO_BRANCH if b is None else b for b in found], np.int64)
 
 
 def component_pose_graph(

@@ -1,4 +1,4 @@
-"""The merged document, `merged.json`: schema `topobatch.merged/1`."""
+"""Merges as documents, `merged.json`, and back; their schema is in `merged_schema.py`."""
 
 from __future__ import annotations
 
@@ -7,269 +7,38 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, model_validator
 
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
-from ..topology.document import edges_to_document
+from ..topology.document import branches_named, edges_to_document
 from ..topology.files import Json, encoded, read_json, write_json
-from ..topology.map_schema import (
-    Attributes,
-    Finite,
-    Index,
-    MapEdge,
-    Model,
-    Multigraph,
-    Noise,
-    Observation,
-    Undirected,
-    validated,
+from ..topology.map_schema import FARTHEST_M, validated
+from ..topology.ragged import Ragged
+from .merged_schema import (
+    MERGED_SCHEMA,
+    MergedDocument,
+    MergeEntry,
+    Placed,
+    Pose,
+    RunnerUp,
 )
 from .result import (
-    AcceptedBy,
     Alignment,
+    Component,
     FusedMap,
     MergeResult,
     PairVerdict,
+    Unlisted,
     Verdict,
+    by_run,
     nothing_kept,
 )
 
 EXTRA = ("against_chance_bits", "same_place_bits")
 """What the robust method adds to its entries."""
-
-MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
-
-
-class Pose(Model):
-    """A rigid transform of the plane: metres and radians."""
-
-    x: Finite = Field(description="Metres.")
-    y: Finite = Field(description="Metres.")
-    theta: Finite = Field(description="Radians, anticlockwise.")
-
-
-class ComponentEntry(Model):
-    """Runs in one frame; a run's pose takes its map's coordinates to the component's."""
-
-    id: Index = Field(description="Number of the component.")
-    runs: dict[str, Pose] = Field(description="Pose of every run's map in the component's frame.")
-
-
-class UnlistedPairs(Model):
-    """Pairs of runs that a merge of more than 5,000 pairs counts and does not list in `merges`."""
-
-    joined: Index = Field(description="In one component, through other runs.")
-    unrelated: Index = Field(
-        description="Not in one component; matched, with nothing that chance would not offer."
-    )
-    screened: Index = Field(
-        description="Not in one component and not matched: no corridors that hang together look "
-        "alike enough for the two runs to be merged. They count in threshold_bits like all pairs."
-    )
-
-
-class MergedGraph(Attributes):
-    """Attributes of the whole merge."""
-
-    components: list[ComponentEntry] = Field(
-        description="Runs that were merged; the frame of each is that of its first run by name."
-    )
-    unlisted: UnlistedPairs | None = Field(
-        None,
-        description="Present in large merges: how many pairs are not in `merges`. Such a pair is "
-        "unrelated, unless its runs are in one component.",
-    )
-    method: str | None = Field(None, description="robust or paper.")
-    settings: dict[str, Any] | None = Field(
-        None, description="What the method was tuned to; false_merge_rate and others."
-    )
-
-
-class MergedNode(Model):
-    """A fused vertex."""
-
-    id: Index = Field(description="Number of the vertex.")
-    component: Index = Field(description="Component in whose frame it is.")
-    x: Finite = Field(description="Position in the component's frame, metres.")
-    y: Finite = Field(description="Position in the component's frame, metres.")
-    branches: list[Finite] = Field(
-        description="Direction in which each branch leaves: radians in the component's frame."
-    )
-    members: dict[str, list[Index]] = Field(
-        description="By run, the vertices of its map that are this place."
-    )
-    observations: list[Observation] = Field(description="The passes of all runs.")
-    sigma_m: Noise | None = Field(
-        None,
-        description="1 sigma of each coordinate, metres, with the component as a whole laid over "
-        "the truth.",
-    )
-
-
-class MergedEdge(MapEdge):
-    """A fused corridor."""
-
-    members: dict[str, list[Index]] = Field(
-        description="By run, the edges of its map that are this corridor, or run through it."
-    )
-
-
-_TRANSFORM = "Pose of run b's map in the frame of run a's."
-_MATCHED = "Vertices that are one place: of a's map, of b's map."
-_CORRIDORS = "Corridors between matched vertices that agree."
-_RMSE = "Root mean square distance of the matched vertices under the transform, metres."
-_CONTRADICTIONS = "What disagrees, a sentence each."
-
-_EVIDENCE = (
-    "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "
-    "speaks for the alignment, less what chance offers among so many hypotheses, at most 2.5 bits "
-    "for each matched junction, less what speaks against it; where the building may repeat itself, "
-    "no more than the odds against a copy of the place allow."
-)
-
-
-class Contradiction(Model):
-    """Where a sentence of `contradictions` lies: the junctions of the two runs that it speaks of, a
-    corridor as its two ends."""
-
-    a: list[Index] = Field(
-        min_length=1, max_length=2, description="Of a's map: a junction, or the ends of a corridor."
-    )
-    b: list[Index] = Field(
-        min_length=1, max_length=2, description="Of b's map: a junction, or the ends of a corridor."
-    )
-
-
-class Contradicted(Model):
-    """What speaks against an alignment."""
-
-    contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
-    contradicting: list[Contradiction] = Field(
-        default_factory=list, description="One for each of the contradictions, where known."
-    )
-
-    @model_validator(mode="after")
-    def _one_for_each(self) -> Contradicted:
-        if self.contradicting and len(self.contradicting) != len(self.contradictions):
-            raise ValueError("contradicting must be as many as contradictions")
-        return self
-
-
-class RunnerUp(Contradicted):
-    """The next best alignment and its evidence."""
-
-    transform: Pose = Field(description=_TRANSFORM)
-    evidence_bits: Finite = Field(description=_EVIDENCE)
-    matched: list[tuple[Index, Index]] = Field(description=_MATCHED)
-    corridors: Index = Field(0, description=_CORRIDORS)
-    rmse_m: Finite = Field(0.0, description=_RMSE)
-
-
-class Placed(Model):
-    """1 sigma of how two runs of one component lie to each other: of where the middle of one's map
-    is, seen from the other's (root mean square of both ways to see it), and of the turn between
-    them."""
-
-    sigma_m: Finite = Field(description="Metres, of both coordinates together.")
-    sigma_rad: Finite = Field(description="Radians.")
-
-
-class MergeEntry(Contradicted):
-    """What is said about one pair of runs."""
-
-    a: str = Field(description="A run.")
-    b: str = Field(description="Another run, later by name.")
-    verdict: Verdict = Field(description="merged, ambiguous or unrelated.")
-    accepted: bool = Field(
-        description="The pair joins a component: verdict merged, and kept by every later check."
-    )
-    evidence_bits: Finite = Field(
-        description=f"{_EVIDENCE} Of the alignment in this entry, else of the best one that was "
-        "found; 0 where none was. Of pairs accepted by components: that of the two components."
-    )
-    threshold_bits: Finite | None = Field(
-        None,
-        description="The evidence that merging needs: log2(pairs of runs / false-merge rate), with "
-        "more than 15 pairs rounded up by an eighth at most; of pairs accepted by components only "
-        "the pairs that were not joined by then count.",
-    )
-    margin_bits: Finite | None = Field(
-        None,
-        description="evidence_bits less those of the runner-up; absent where there is none. "
-        "Negative where a person or other runs chose against the pair's own evidence.",
-    )
-    against_chance_bits: Finite | None = Field(
-        None,
-        description="The most evidence of any alignment against chance, whether the place or a "
-        "copy of it; absent where none has any.",
-    )
-    same_place_bits: Finite | None = Field(
-        None,
-        description="What says that it is the place itself and not a copy of it, on a scale of its "
-        "own; absent where that was not asked.",
-    )
-    reason: str = Field(description="The verdict in words.")
-    accepted_by: AcceptedBy | None = Field(
-        None,
-        description="pair: its own evidence; components: that of the two components it joins; "
-        "runs: others place the two as one of their own alignments does; lock: a person.",
-    )
-    together: tuple[list[str], list[str]] | None = Field(
-        None, description="accepted_by components: the runs of the two."
-    )
-    through: list[str] | None = Field(
-        None,
-        description="Of two runs that only others join: the runs between them in the shortest "
-        "chain of accepted pairs.",
-    )
-    transform: Pose | None = Field(None, description=f"{_TRANSFORM} Absent of unrelated pairs.")
-    matched: list[tuple[Index, Index]] | None = Field(None, description=_MATCHED)
-    corridors: Index = Field(0, description=_CORRIDORS)
-    rmse_m: Finite = Field(0.0, description=_RMSE)
-    runner_up: RunnerUp | None = Field(
-        None, description="The next best alignment that places b elsewhere."
-    )
-    placed: Placed | None = Field(
-        None, description="How surely other runs place the two, where only others join them."
-    )
-    transform_sigma: Placed | None = Field(
-        None, description="How surely all maps of the component together place an accepted pair."
-    )
-    advice: str | None = Field(None, description="What would settle an ambiguous pair.")
-    locked: str | None = Field(None, description="same or never, where a person decided.")
-
-    @model_validator(mode="after")
-    def _of_a_pair(self) -> MergeEntry:
-        if not self.a < self.b:
-            raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
-        if self.accepted and self.transform is None:
-            raise ValueError("an accepted pair needs its transform")
-        sides = self.together or ([self.a], [self.b])
-        if not any(self.a in x and self.b in y for x, y in (sides, sides[::-1])):
-            raise ValueError("together must name the runs of the two components")
-        return self
-
-
-class MergedDocument(Model):
-    """`merged.json`."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, serialize_by_alias=True)
-
-    schema_name: Literal["topobatch.merged/1"] = Field(
-        alias="schema", description="Name and version of this schema."
-    )
-    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
-    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
-    graph: MergedGraph = Field(description="What is said of the merge as a whole.")
-    nodes: list[MergedNode] = Field(description="The fused vertices of all components.")
-    edges: list[MergedEdge] = Field(description="The fused corridors of all components.")
-    merges: list[MergeEntry] = Field(
-        description="One entry for each pair of runs, but for those in graph.unlisted."
-    )
 
 
 def pose_to_document(pose: Any) -> dict[str, float]:
@@ -436,23 +205,82 @@ def _place_sigma(fused: FusedMap, vertex: int) -> dict[str, float]:
 
 def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:
     for edge, members in zip(edges_to_document(fused), fused.edge_members, strict=True):
-        yield edge | {"members": _by_run(members)}
-
-
-def _by_run(members: tuple[tuple[str, int], ...]) -> dict[str, list[int]]:
-    out: dict[str, list[int]] = {}
-    for run, index in sorted(members):
-        out.setdefault(run, []).append(index)
-    return out
+        own = {run: list(rows) for run, rows in by_run(sorted(members)).items()}
+        yield edge | {"members": own}
 
 
 def poses_from_document(document: MergedDocument) -> dict[str, NDArray[np.float64]]:
     """(3,) pose of every run in its component."""
-    return {
-        run: np.array([pose.x, pose.y, pose.theta])
-        for component in document.graph.components
-        for run, pose in component.runs.items()
-    }
+    components = document.graph.components
+    return {run: _pose_from(pose) for c in components for run, pose in c.runs.items()}
+
+
+def _pose_from(pose: Pose) -> NDArray[np.float64]:
+    return np.array([pose.x, pose.y, pose.theta])
+
+
+def result_from_document(document: MergedDocument) -> MergeResult:
+    """The result that a document was written from: its numbers as rounded there, unrelated pairs
+    without their alignments, placements without their covariance.
+
+    Raises ValueError where the document names a vertex, a branch or a component that it lacks.
+    """
+    graph = document.graph
+    components = tuple(
+        Component(c.id, {run: _pose_from(pose) for run, pose in sorted(c.runs.items())})
+        for c in graph.components
+    )
+    fused = _fused_from(document)
+    known = {c.id for c in components}
+    strange = sorted(set(fused.component.tolist()) - known)
+    if strange:
+        raise ValueError(f"there is no component {strange[0]}")
+    named = graph.model_dump(exclude_unset=True)
+    own = ("components", "unlisted")
+    info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
+    verdicts = tuple(map(verdict_from_entry, document.merges))
+    counted = None if graph.unlisted is None else Unlisted(**graph.unlisted.model_dump())
+    return MergeResult(components, fused, verdicts, info, counted)
+
+
+def _fused_from(document: MergedDocument) -> FusedMap:
+    nodes, edges = document.nodes, document.edges
+    if [node.id for node in nodes] != list(range(len(nodes))):
+        raise ValueError("node ids must be 0, 1, 2, … in order")
+    xy = np.array([(node.x, node.y) for node in nodes], np.float64).reshape(-1, 2)
+    if np.any(np.abs(xy) > FARTHEST_M):
+        raise ValueError(f"a node lies farther than {FARTHEST_M / 1000:.0f} km from its origin")
+    branches = Ragged.from_rows(node.branches for node in nodes)
+    ends: dict[str, NDArray[np.int64]] = {}
+    for name in ("source", "target"):
+        vertex = np.array([getattr(e, name) for e in edges], np.int64)
+        if np.any(vertex >= len(nodes)):
+            raise ValueError(f"an edge's {name} is no node")
+        branch = branches_named(edges, f"{name}_branch")
+        if np.any(branch >= branches.counts[vertex]):
+            raise ValueError(f"an edge's {name}_branch is none of its node's")
+        ends |= {name: vertex, f"{name}_branch": branch}
+    sigma = [np.nan if node.sigma_m is None else node.sigma_m for node in nodes]
+    return FusedMap(
+        component=np.array([node.component for node in nodes], np.int64),
+        xy=xy,
+        branches=branches,
+        kind=tuple(str((node.model_extra or {}).get("kind", "junction")) for node in nodes),
+        members=tuple({run: tuple(ids) for run, ids in node.members.items()} for node in nodes),
+        observations=tuple(tuple((o.run, o.time_ns) for o in node.observations) for node in nodes),
+        source=ends["source"],
+        target=ends["target"],
+        source_branch=ends["source_branch"],
+        target_branch=ends["target_branch"],
+        length=np.array([e.length for e in edges], np.float64),
+        length_sigma=np.array([e.length_sigma for e in edges], np.float64),
+        traversals=np.array([e.traversals for e in edges], np.int64),
+        paths=tuple(np.array(e.path, np.float64) for e in edges),
+        edge_members=tuple(
+            tuple(sorted((run, k) for run, rows in e.members.items() for k in rows)) for e in edges
+        ),
+        position_sigma=np.array(sigma) if np.isfinite(sigma).any() else None,
+    )
 
 
 def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
@@ -462,6 +290,9 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
     if entry.transform is not None:
         best = _alignment_from(entry, entry.transform, entry.matched or [])
     second = entry.runner_up
+    together = None
+    if entry.together is not None:
+        together = (tuple(entry.together[0]), tuple(entry.together[1]))
     extra = {name: getattr(entry, name) for name in EXTRA if getattr(entry, name) is not None}
     return PairVerdict(
         a=entry.a,
@@ -481,16 +312,10 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
         accepted_by=entry.accepted_by,
         through=tuple(entry.through or ()),
         placed=_sigmas_from(entry.placed),
-        together=_sides(entry.together),
+        together=together,
         transform_sigma=_sigmas_from(entry.transform_sigma),
         extra=extra,
     )
-
-
-def _sides(
-    together: tuple[list[str], list[str]] | None,
-) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
-    return None if together is None else (tuple(together[0]), tuple(together[1]))
 
 
 def _sigmas_from(placed: Placed | None) -> tuple[float, float] | None:
@@ -501,7 +326,7 @@ def _alignment_from(
     entry: MergeEntry | RunnerUp, transform: Pose, matched: list[tuple[int, int]]
 ) -> Alignment:
     return Alignment(
-        transform=np.array([transform.x, transform.y, transform.theta]),
+        transform=_pose_from(transform),
         evidence_bits=entry.evidence_bits,
         matched=np.array(matched, np.int64),
         rmse_m=entry.rmse_m,

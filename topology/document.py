@@ -23,6 +23,7 @@ from .map_schema import (
     MAP_SCHEMA,
     SHORTEST_M,
     MapDocument,
+    MapEdge,
     MapGraph,
     validated,
 )
@@ -165,10 +166,6 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         most = f"{LONGEST_TOGETHER_M / 1000:.0f} km"
         raise DocumentError(f"{name}: edges: all paths together are longer than {most}")
 
-    def branches(name: str) -> list[int]:
-        found = (getattr(edge, name) for edge in d.edges)
-        return [NO_BRANCH if branch is None else branch for branch in found]
-
     try:
         return TopoMap(
             run=d.graph.run,
@@ -178,8 +175,8 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             kind=tuple(node.kind for node in d.nodes),
             source=np.array([e.source for e in d.edges], np.int64),
             target=np.array([e.target for e in d.edges], np.int64),
-            source_branch=np.array(branches("source_branch"), np.int64),
-            target_branch=np.array(branches("target_branch"), np.int64),
+            source_branch=branches_named(d.edges, "source_branch"),
+            target_branch=branches_named(d.edges, "target_branch"),
             length=np.array([e.length for e in d.edges], np.float64),
             length_sigma=np.array([e.length_sigma for e in d.edges], np.float64),
             traversals=np.array([e.traversals for e in d.edges], np.int64),
@@ -188,7 +185,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             observation_time_ns=np.array([t for t, _ in seen], np.int64),
             noise=noise,
             fitted_noise=None if fitted is None else _noise(fitted),
-            position_sigma=_all_known([node.sigma_m for node in d.nodes]),
+            position_sigma=all_known([node.sigma_m for node in d.nodes]),
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
             traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
             confidence=np.array([node.confidence for node in d.nodes], np.float64),
@@ -226,7 +223,14 @@ def _noise(values: dict[str, float]) -> RunNoise:
     return RunNoise(**{k: v for k, v in values.items() if k in RunNoise.__dataclass_fields__})
 
 
-def _all_known(values: Sequence[float | None]) -> NDArray[np.float64] | None:
+def branches_named(edges: Sequence[MapEdge], name: str) -> NDArray[np.int64]:
+    """(m,) branches of edges of a document, NO_BRANCH for null."""
+    found = (getattr(edge, name) for edge in edges)
+    return np.array([NO_BRANCH if branch is None else branch for branch in found], np.int64)
+
+
+def all_known(values: Sequence[float | None]) -> NDArray[np.float64] | None:
+    """The values as an array; None if one of them is not known, or there are none."""
     known = [v for v in values if v is not None]
     return np.array(known) if known and len(known) == len(values) else None
 

@@ -10,7 +10,8 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.changes import ChangeKind, ChangeSettings, change_to_document, changes
-from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.document import merged_to_document
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation import DRIFTS, FAULTS, RunSettings, make_world, simulate_run
 from topobatch.simulation.scenario import EPOCH_NS

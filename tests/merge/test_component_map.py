@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from topobatch.merge.component_map import component_map, component_pose_graph, stale_runs
-from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.document import merged_to_document
 from topobatch.merge.member_times import member_times
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import fused_confidence
 from topobatch.topology.posegraph.solve import solve

@@ -22,7 +22,7 @@ from topobatch.merge.decision import (
     to_document,
 )
 from topobatch.merge.decision_text import HEIGHT, WIDTH, because, headline, lines, missing, rows
-from topobatch.merge.document import MergeEntry
+from topobatch.merge.merged_schema import MergeEntry
 from topobatch.merge.result import (
     AcceptedBy,
     Alignment,

@@ -9,8 +9,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.document import merged_to_document
 from topobatch.merge.locks import Lock
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.paper.meeting import Meeting
 from topobatch.merge.paper.method import PaperSettings

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from topobatch.merge.discards import DiscardsDocument
-from topobatch.merge.document import MergedDocument
 from topobatch.merge.locks import LocksDocument
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.topology.document import map_from_document, map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.map_schema import MapDocument, validated

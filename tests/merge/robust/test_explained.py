@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from topobatch.merge.decision_text import agreement, headline, lines
-from topobatch.merge.document import (
-    MergedDocument,
-    merged_to_document,
-    poses_from_document,
-    verdict_from_entry,
-)
+from topobatch.merge.document import merged_to_document, poses_from_document, verdict_from_entry
 from topobatch.merge.locks import Lock
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust.explained import Batch, explain

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from topobatch.merge.digests import digest_of
-from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.document import merged_to_document
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.packs import Kept
 from topobatch.merge.result import pairs_of

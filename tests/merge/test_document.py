@@ -7,10 +7,10 @@ import copy
 import numpy as np
 import pytest
 
-from topobatch.merge.document import MergedDocument, merged_to_document
+from topobatch.merge.document import merged_to_document, result_from_document
+from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Standing
-from topobatch.merge.stored import result_from_document
 
 
 def reread(document):

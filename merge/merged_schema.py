@@ -1,0 +1,250 @@
+"""The schema of the merged document, `topobatch.merged/1`: pydantic models, as in `map_schema`."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from ..topology.map_schema import (
+    Attributes,
+    Finite,
+    Index,
+    MapEdge,
+    Model,
+    Multigraph,
+    Noise,
+    Observation,
+    Undirected,
+)
+from .result import AcceptedBy, Verdict
+
+MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
+
+
+class Pose(Model):
+    """A rigid transform of the plane: metres and radians."""
+
+    x: Finite = Field(description="Metres.")
+    y: Finite = Field(description="Metres.")
+    theta: Finite = Field(description="Radians, anticlockwise.")
+
+
+class ComponentEntry(Model):
+    """Runs in one frame; a run's pose takes its map's coordinates to the component's."""
+
+    id: Index = Field(description="Number of the component.")
+    runs: dict[str, Pose] = Field(description="Pose of every run's map in the component's frame.")
+
+
+class UnlistedPairs(Model):
+    """Pairs of runs that a merge of more than 5,000 pairs counts and does not list in `merges`."""
+
+    joined: Index = Field(description="In one component, through other runs.")
+    unrelated: Index = Field(
+        description="Not in one component; matched, with nothing that chance would not offer."
+    )
+    screened: Index = Field(
+        description="Not in one component and not matched: no corridors that hang together look "
+        "alike enough for the two runs to be merged. They count in threshold_bits like all pairs."
+    )
+
+
+class MergedGraph(Attributes):
+    """Attributes of the whole merge."""
+
+    components: list[ComponentEntry] = Field(
+        description="Runs that were merged; the frame of each is that of its first run by name."
+    )
+    unlisted: UnlistedPairs | None = Field(
+        None,
+        description="Present in large merges: how many pairs are not in `merges`. Such a pair is "
+        "unrelated, unless its runs are in one component.",
+    )
+    method: str | None = Field(None, description="robust or paper.")
+    settings: dict[str, Any] | None = Field(
+        None, description="What the method was tuned to; false_merge_rate and others."
+    )
+
+
+class MergedNode(Model):
+    """A fused vertex."""
+
+    id: Index = Field(description="Number of the vertex.")
+    component: Index = Field(description="Component in whose frame it is.")
+    x: Finite = Field(description="Position in the component's frame, metres.")
+    y: Finite = Field(description="Position in the component's frame, metres.")
+    branches: list[Finite] = Field(
+        description="Direction in which each branch leaves: radians in the component's frame."
+    )
+    members: dict[str, list[Index]] = Field(
+        description="By run, the vertices of its map that are this place."
+    )
+    observations: list[Observation] = Field(description="The passes of all runs.")
+    sigma_m: Noise | None = Field(
+        None,
+        description="1 sigma of each coordinate, metres, with the component as a whole laid over "
+        "the truth.",
+    )
+
+
+class MergedEdge(MapEdge):
+    """A fused corridor."""
+
+    members: dict[str, list[Index]] = Field(
+        description="By run, the edges of its map that are this corridor, or run through it."
+    )
+
+
+_TRANSFORM = "Pose of run b's map in the frame of run a's."
+_MATCHED = "Vertices that are one place: of a's map, of b's map."
+_CORRIDORS = "Corridors between matched vertices that agree."
+_RMSE = "Root mean square distance of the matched vertices under the transform, metres."
+_CONTRADICTIONS = "What disagrees, a sentence each."
+
+_EVIDENCE = (
+    "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "
+    "speaks for the alignment, less what chance offers among so many hypotheses, at most 2.5 bits "
+    "for each matched junction, less what speaks against it; where the building may repeat itself, "
+    "no more than the odds against a copy of the place allow."
+)
+
+
+class Contradiction(Model):
+    """Where a sentence of `contradictions` lies: the junctions of the two runs that it speaks of, a
+    corridor as its two ends."""
+
+    a: list[Index] = Field(
+        min_length=1, max_length=2, description="Of a's map: a junction, or the ends of a corridor."
+    )
+    b: list[Index] = Field(
+        min_length=1, max_length=2, description="Of b's map: a junction, or the ends of a corridor."
+    )
+
+
+class Contradicted(Model):
+    """What speaks against an alignment."""
+
+    contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
+    contradicting: list[Contradiction] = Field(
+        default_factory=list, description="One for each of the contradictions, where known."
+    )
+
+    @model_validator(mode="after")
+    def _one_for_each(self) -> Contradicted:
+        if self.contradicting and len(self.contradicting) != len(self.contradictions):
+            raise ValueError("contradicting must be as many as contradictions")
+        return self
+
+
+class RunnerUp(Contradicted):
+    """The next best alignment and its evidence."""
+
+    transform: Pose = Field(description=_TRANSFORM)
+    evidence_bits: Finite = Field(description=_EVIDENCE)
+    matched: list[tuple[Index, Index]] = Field(description=_MATCHED)
+    corridors: Index = Field(0, description=_CORRIDORS)
+    rmse_m: Finite = Field(0.0, description=_RMSE)
+
+
+class Placed(Model):
+    """1 sigma of how two runs of one component lie to each other: of where the middle of one's map
+    is, seen from the other's (root mean square of both ways to see it), and of the turn between
+    them."""
+
+    sigma_m: Finite = Field(description="Metres, of both coordinates together.")
+    sigma_rad: Finite = Field(description="Radians.")
+
+
+class MergeEntry(Contradicted):
+    """What is said about one pair of runs."""
+
+    a: str = Field(description="A run.")
+    b: str = Field(description="Another run, later by name.")
+    verdict: Verdict = Field(description="merged, ambiguous or unrelated.")
+    accepted: bool = Field(
+        description="The pair joins a component: verdict merged, and kept by every later check."
+    )
+    evidence_bits: Finite = Field(
+        description=f"{_EVIDENCE} Of the alignment in this entry, else of the best one that was "
+        "found; 0 where none was. Of pairs accepted by components: that of the two components."
+    )
+    threshold_bits: Finite | None = Field(
+        None,
+        description="The evidence that merging needs: log2(pairs of runs / false-merge rate), with "
+        "more than 15 pairs rounded up by an eighth at most; of pairs accepted by components only "
+        "the pairs that were not joined by then count.",
+    )
+    margin_bits: Finite | None = Field(
+        None,
+        description="evidence_bits less those of the runner-up; absent where there is none. "
+        "Negative where a person or other runs chose against the pair's own evidence.",
+    )
+    against_chance_bits: Finite | None = Field(
+        None,
+        description="The most evidence of any alignment against chance, whether the place or a "
+        "copy of it; absent where none has any.",
+    )
+    same_place_bits: Finite | None = Field(
+        None,
+        description="What says that it is the place itself and not a copy of it, on a scale of its "
+        "own; absent where that was not asked.",
+    )
+    reason: str = Field(description="The verdict in words.")
+    accepted_by: AcceptedBy | None = Field(
+        None,
+        description="pair: its own evidence; components: that of the two components it joins; "
+        "runs: others place the two as one of their own alignments does; lock: a person.",
+    )
+    together: tuple[list[str], list[str]] | None = Field(
+        None, description="accepted_by components: the runs of the two."
+    )
+    through: list[str] | None = Field(
+        None,
+        description="Of two runs that only others join: the runs between them in the shortest "
+        "chain of accepted pairs.",
+    )
+    transform: Pose | None = Field(None, description=f"{_TRANSFORM} Absent of unrelated pairs.")
+    matched: list[tuple[Index, Index]] | None = Field(None, description=_MATCHED)
+    corridors: Index = Field(0, description=_CORRIDORS)
+    rmse_m: Finite = Field(0.0, description=_RMSE)
+    runner_up: RunnerUp | None = Field(
+        None, description="The next best alignment that places b elsewhere."
+    )
+    placed: Placed | None = Field(
+        None, description="How surely other runs place the two, where only others join them."
+    )
+    transform_sigma: Placed | None = Field(
+        None, description="How surely all maps of the component together place an accepted pair."
+    )
+    advice: str | None = Field(None, description="What would settle an ambiguous pair.")
+    locked: str | None = Field(None, description="same or never, where a person decided.")
+
+    @model_validator(mode="after")
+    def _of_a_pair(self) -> MergeEntry:
+        if not self.a < self.b:
+            raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
+        if self.accepted and self.transform is None:
+            raise ValueError("an accepted pair needs its transform")
+        sides = self.together or ([self.a], [self.b])
+        if not any(self.a in x and self.b in y for x, y in (sides, sides[::-1])):
+            raise ValueError("together must name the runs of the two components")
+        return self
+
+
+class MergedDocument(Model):
+    """`merged.json`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, serialize_by_alias=True)
+
+    schema_name: Literal["topobatch.merged/1"] = Field(
+        alias="schema", description="Name and version of this schema."
+    )
+    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
+    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
+    graph: MergedGraph = Field(description="What is said of the merge as a whole.")
+    nodes: list[MergedNode] = Field(description="The fused vertices of all components.")
+    edges: list[MergedEdge] = Field(description="The fused corridors of all components.")
+    merges: list[MergeEntry] = Field(
+        description="One entry for each pair of runs, but for those in graph.unlisted."
+    )
