@@ -47,7 +47,6 @@ def cluster_angles(angle_rad: FloatArray, owner: IntArray, gap_rad: float) -> An
     following = np.arange(1, len(a) + 1)
     following[start[1:] - 1] = start[:-1]
     gap = (a[following] - a) % (2 * np.pi)
-    gap[np.diff(start)[c] == 1] = 2 * np.pi
     widest = np.lexsort((-gap, c))[start[:-1]]
     seam = a[following[widest]]
     opened = (angle - seam[circle]) % (2 * np.pi)

@@ -23,9 +23,9 @@ from ...topology.passes import Passes
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
-from ...topology.track import stretch_of
 from .heading_evidence import assign_readings
 from .revisits import Repeats
+from .square_branches import SquareBranches, interpolated
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -145,7 +145,7 @@ class _Thirds:
             total = np.bincount(home[chosen], values[chosen], p)
             return np.asarray(total / np.maximum(size, 1))[usable]
 
-        track = [_at(odometry, column, time_ns) for column in (way, turned)]
+        track = [interpolated(odometry, column, time_ns) for column in (way, turned)]
         moved = mean(track[0], 2) - mean(track[0], 0)
         spun = mean(track[1], 2) - mean(track[1], 0)
         drift = np.column_stack([mean(c, 2) - mean(c, 0) for c in centre.T])
@@ -274,12 +274,6 @@ def _scatter(values: FloatArray, group: IntArray, prior: float, settings: NoiseS
     return float(np.sqrt(variance))
 
 
-def _at(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> FloatArray:
-    origin = odometry.time_ns[0]
-    out = np.interp((time_ns - origin) * 1e-9, (odometry.time_ns - origin) * 1e-9, values)
-    return np.asarray(out, np.float64)
-
-
 def _branch_turn(
     branch: IntArray, heading: FloatArray, third: IntArray, passes: Passes
 ) -> tuple[FloatArray, FloatArray]:
@@ -308,7 +302,13 @@ def _heading_walk(
 
     prior = settings.prior
     seen = np.isfinite(thirds.turn_variance)
-    pairs = _grid_pairs(odometry, passes, settings)
+    pairs = SquareBranches.of(
+        odometry,
+        passes,
+        reach_passes=settings.reach_passes,
+        reach_m=settings.reach_m,
+        most_passes=settings.most_passes,
+    )
     centre = np.log([prior.heading_rad_per_sqrt_m, prior.heading_rad_per_sqrt_rad])
     branch = np.log(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages))
 
@@ -336,69 +336,6 @@ def _student_cost(error: FloatArray, variance: FloatArray) -> float:
     nu, scale = 4.0, 0.6906 * variance
     tails = 0.5 * (nu + 1) * np.log1p(error**2 / scale / nu)
     return float(np.sum(0.5 * np.log(scale) + tails))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
-    """Branches beside those of passes before: angle to the next multiple of 90°, way between."""
-
-    residual: FloatArray
-    way: FloatArray
-    turned: FloatArray
-    owner: IntArray
-    share: FloatArray
-    worth: FloatArray
-
-    def cost(self, walk_m: float, walk_rad: float, sigma: float, square: float) -> float:
-        """Negative log-likelihood gain over "anything goes"; `square` is the share that is square.
-
-        As in the calibration, a branch is square to one of those before it, or anything.
-        """
-        if len(self.residual) == 0:
-            return 0.0
-        quarter = np.pi / 2
-        variance = 2 * sigma**2 + walk_m * self.way + walk_rad * self.turned
-        # Two images of the wrapped normal are enough up to a sigma of 45°.
-        density = sum(
-            np.exp(-0.5 * (self.residual + shift) ** 2 / variance)
-            for shift in (-quarter, 0, quarter)
-        ) / np.sqrt(2 * np.pi * variance)
-        inlier = np.bincount(self.owner, self.share * density, len(self.worth))
-        return -float((self.worth * np.log((1 - square) + square * quarter * inlier)).sum())
-
-
-def _grid_pairs(odometry: Odometry, passes: Passes, settings: NoiseSettings) -> _Pairs:
-    way = _at(odometry, np.cumsum(odometry.step_m), passes.time_ns)
-    turned = _at(odometry, np.cumsum(np.abs(odometry.turn_rad)), passes.time_ns)
-    chain, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
-    stride = -(-len(passes) // settings.most_passes)
-    b = np.flatnonzero(of % stride == 0)
-    # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then expand
-    # each by the branches of that pass.
-    b, lag = (
-        np.repeat(b, settings.reach_passes),
-        np.tile(np.arange(settings.reach_passes) + 1, len(b)),
-    )
-    earlier = of[b] - lag
-    keep = earlier >= 0
-    b, earlier = b[keep], earlier[keep]
-    keep = (chain[of[b]] == chain[earlier]) & (way[of[b]] - way[earlier] <= settings.reach_m)
-    b, earlier = b[keep], earlier[keep]
-    counts = passes.branches.counts[earlier]
-    owner = np.repeat(np.arange(len(b)), counts)
-    local = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
-    there = passes.branches.offsets[earlier][owner] + local
-    turn = passes.branches.values[b][owner] - passes.branches.values[there]
-    return _Pairs(
-        np.asarray(wrap(4 * turn) / 4),
-        (way[of[b]] - way[earlier])[owner],
-        (turned[of[b]] - turned[earlier])[owner],
-        owner,
-        1.0 / counts[owner],
-        # Branches of one pass share the error of the heading, and the lags share the way: together
-        # they are one look.
-        1.0 / (passes.branches.counts[of[b]] * settings.reach_passes),
-    )
 
 
 def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
