@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..topology.circular import cluster_angles
 from ..topology.odometry import Odometry
-from ..topology.passes import NO_BRANCH, Passes
+from ..topology.passes import Passes, nearest_branch
 from ..topology.ragged import Ragged
 from ..topology.run import Detections, ScanPasses
 from ..topology.se2 import apply, wrap
@@ -217,21 +217,3 @@ def _cluster_branches(
     counts = np.bincount(home[keep], minlength=len(messages))
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     return Ragged(offsets, clusters.mean[keep]), Ragged(offsets, share[keep])
-
-
-def nearest_branch(branches: Ragged, direction: FloatArray, match_rad: float) -> IntArray:
-    """(p,) row-local index of the branch nearest to each direction; NO_BRANCH beyond `match_rad`.
-
-    direction: (p,) [rad]; NaN gives NO_BRANCH.
-    """
-    out = np.full(len(branches), NO_BRANCH, np.int64)
-    if len(branches.values) == 0:
-        return out
-    off = np.abs(wrap(branches.values - direction[branches.owner]))
-    off = np.where(np.isfinite(off), off, np.inf)
-    order = np.lexsort((off, branches.owner))
-    some = np.flatnonzero(branches.counts > 0)
-    first = order[branches.offsets[some]]
-    near = off[first] <= match_rad
-    out[some[near]] = first[near] - branches.offsets[some[near]]
-    return out

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.columns import take
 from ..topology.wording import listed
 from .logs.intake import PoseColumns, Sink, no_columns
 from .odometry.jumps import times
@@ -32,10 +33,10 @@ class Source:
     frames: tuple[tuple[str, str], ...]
     type_name: str
     messages: int
-    failed: int
-    not_finite: int
-    zero_quaternion: int
-    empty: int
+    failed: int = 0
+    not_finite: int = 0
+    zero_quaternion: int = 0
+    empty: int = 0
     elsewhere: int = 0
     foreign: int = 0
     reason: str = ""
@@ -74,9 +75,7 @@ class Source:
     def keep(self, rows: NDArray[np.bool_]) -> None:
         """Leave out the poses that are not marked."""
         if not rows.all():
-            self.columns = PoseColumns(
-                *(getattr(self.columns, name)[rows] for name in PoseColumns.__dataclass_fields__)
-            )
+            self.columns = take(self.columns, rows)
 
     def time_ns(self, clock: Clock) -> Ints:
         """Time of every pose by one of the two clocks."""

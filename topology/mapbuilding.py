@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .circular import AngleClusters, cluster_angles
 from .odometry import Odometry
-from .passes import NO_BRANCH, Passes
+from .passes import NO_BRANCH, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
@@ -100,8 +100,9 @@ def build_topomap(
         np.concatenate([[0], np.cumsum(np.bincount(slots.owner[keep], minlength=len(xy)))]),
         slots.mean[keep],
     )
-    exit_ = _driven(branches, visits.vertex, leaving, settings)
-    entry = _driven(branches, visits.vertex, arriving, settings)
+    there = branches.take(visits.vertex)
+    exit_ = nearest_branch(there, leaving, settings.match_rad)
+    entry = nearest_branch(there, arriving, settings.match_rad)
     legs = _legs(odometry, visits, exit_, entry, xy=xy, settings=settings)
     edges = _edges(legs, xy, settings)
     paths = _paths(legs, edges, settings)
@@ -169,30 +170,15 @@ def _slots(
         np.searchsorted(slots.owner, np.arange(len(visits) + 1)).astype(np.int64), slots.mean
     )
     driven = np.zeros(len(slots), bool)
+    there = rows.take(visit_vertex)
     for direction in (arriving, leaving):
-        local = _driven(rows, visit_vertex, direction, settings)
+        local = nearest_branch(there, direction, settings.match_rad)
         hit = local != NO_BRANCH
         driven[rows.offsets[visit_vertex[hit]] + local[hit]] = True
     best = np.lexsort((-share, slots.owner))[rows.offsets[:-1]]
     keep = driven | (share >= settings.least_share)
     keep[best] = True
     return slots, votes, keep
-
-
-def _driven(
-    rows: Ragged, vertex: IntArray, direction: FloatArray, settings: MapBuildingSettings
-) -> IntArray:
-    """(v,) row-local branch of each vertex nearest to each direction, or NO_BRANCH."""
-    taken = rows.take(vertex)
-    out = np.full(len(vertex), NO_BRANCH, np.int64)
-    off = np.abs(wrap(taken.values - direction[taken.owner]))
-    off = np.where(np.isfinite(off), off, np.inf)
-    order = np.lexsort((off, taken.owner))
-    some = np.flatnonzero(taken.counts > 0)
-    first = order[taken.offsets[some]]
-    near = off[first] <= settings.match_rad
-    out[some[near]] = first[near] - taken.offsets[some[near]]
-    return out
 
 
 def _kind(branches: FloatArray, settings: MapBuildingSettings) -> str:
@@ -393,11 +379,8 @@ def _fitting(
 
 def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[FloatArray, ...]:
     """The way of every edge, in the map frame, from vertex to vertex, thinned."""
-    chosen = ((legs.path[k], bool(legs.turned[k])) for k in edges.leg.tolist())
-    return tuple(
-        simplify(path[::-1] if turned else path, settings.path_tolerance_m)
-        for path, turned in chosen
-    )
+    ways = (legs.path[k][:: -1 if legs.turned[k] else 1] for k in edges.leg.tolist())
+    return tuple(simplify(way, settings.path_tolerance_m) for way in ways)
 
 
 def _length_sigma(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .frozen import frozen_array
 from .ragged import Ragged
+from .se2 import wrap
 
 NO_BRANCH = -1
 """Stands where a branch index is unknown."""
@@ -65,3 +66,21 @@ class Passes:
         columns = ("time_ns", "start_ns", "end_ns", "centre", "entry", "exit")
         taken = {name: getattr(self, name)[rows] for name in (*columns, "messages", "confidence")}
         return Passes(**taken, branches=self.branches.take(rows), support=self.support.take(rows))
+
+
+def nearest_branch(
+    branches: Ragged, direction: NDArray[np.float64], match_rad: float
+) -> NDArray[np.int64]:
+    """(p,) row-local index of the branch nearest to each direction; NO_BRANCH beyond `match_rad`.
+
+    direction: (p,) [rad]; NaN gives NO_BRANCH.
+    """
+    out = np.full(len(branches), NO_BRANCH, np.int64)
+    off = np.abs(wrap(branches.values - direction[branches.owner]))
+    off = np.where(np.isfinite(off), off, np.inf)
+    order = np.lexsort((off, branches.owner))
+    some = np.flatnonzero(branches.counts > 0)
+    first = order[branches.offsets[some]]
+    near = off[first] <= match_rad
+    out[some[near]] = first[near] - branches.offsets[some[near]]
+    return out
