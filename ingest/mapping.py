@@ -141,6 +141,32 @@ def dead_reckoned(
     return odometry, reckoning, calibration
 
 
+def _require_motion(run: Run, reach_m: float) -> None:
+    """DataError if the robot never got out of the one junction that it may have stood at: a reset
+    of its odometry is no drive."""
+    xy, first = run.odometry.pose[:, :2], [0, *run.odometry.breaks.tolist()]
+    if len(xy) == 0:
+        return
+    reached = np.maximum.reduceat(xy, first) - np.minimum.reduceat(xy, first)
+    if np.hypot(*reached.T).max() < reach_m:
+        resets = " between its resets" if len(first) > 1 else ""
+        raise DataError(
+            f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m"
+            f"{resets}; nothing can be mapped"
+        )
+
+
+def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
+    """What the calibration leaves of the constant errors: its sigma, and what it did not apply."""
+    usual = settings.systematic
+    left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
+    left = settings.calibration_doubt * left
+    return SystematicErrors(
+        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else usual.turn_rad_per_m,
+        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else usual.turn_rad_per_rad,
+    )
+
+
 def _with_jumps_measured(
     odometry: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
 ) -> tuple[Odometry, DeadReckoning]:
@@ -161,32 +187,6 @@ def _closed(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:
         return gated_closure(reckoning, settings.rounds)
     place = np.arange(len(reckoning), dtype=np.int64)
     return Closed(reckoning, place, optimise(reckoning, place), asked=[], grid=None)
-
-
-def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
-    """What the calibration leaves of the constant errors: its sigma, and what it did not apply."""
-    usual = settings.systematic
-    left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
-    left = settings.calibration_doubt * left
-    return SystematicErrors(
-        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else usual.turn_rad_per_m,
-        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else usual.turn_rad_per_rad,
-    )
-
-
-def _require_motion(run: Run, reach_m: float) -> None:
-    """DataError if the robot never got out of the one junction that it may have stood at: a reset
-    of its odometry is no drive."""
-    xy, first = run.odometry.pose[:, :2], [0, *run.odometry.breaks.tolist()]
-    if len(xy) == 0:
-        return
-    reached = np.maximum.reduceat(xy, first) - np.minimum.reduceat(xy, first)
-    if np.hypot(*reached.T).max() < reach_m:
-        resets = " between its resets" if len(first) > 1 else ""
-        raise DataError(
-            f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m"
-            f"{resets}; nothing can be mapped"
-        )
 
 
 def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:

@@ -70,7 +70,7 @@ def merge_maps(
     them already. The result depends neither on that nor on the order of the maps.
     Raises DataError if two maps are of the same run, or one is in pieces (`pieces.joined_pieces`).
     """
-    ordered = _by_run(maps)
+    ordered = _sorted_by_run(maps)
     means = means or Means()
     verdicts = _decided(ordered, settings, locks, discarded, means)
     listed = _listed_pairs(len(ordered), verdicts, discarded)
@@ -78,7 +78,7 @@ def merge_maps(
     components, fused = fuse(
         ordered, verdicts, settings.fusion, how_sure=True, asked=asked, kept=means.kept
     )
-    told = _placed(listed, components)
+    told = _with_placements(listed, components)
     return MergeResult(
         components,
         fused,
@@ -87,6 +87,24 @@ def merge_maps(
         unlisted=_unlisted(len(ordered), verdicts, listed, components),
         kept_entry=means.kept_entry,
     )
+
+
+def _sorted_by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:
+    """The maps sorted by run; DataError on two of the same run, and on one without one frame."""
+    count = Counter(m.run for m in maps)
+    twice = sorted(run for run, times in count.items() if times > 1)
+    if twice:
+        raise DataError(
+            f"run {twice[0]!r} is given {count[twice[0]]} times; every map needs a run name of "
+            "its own: rename one of the logs and ingest it again"
+        )
+    for m in maps:
+        if m.pieces > 1:
+            raise DataError(
+                f"the map of run {m.run!r} is in {m.pieces} pieces that share no frame, as "
+                "its odometry broke; ingest its log again, or join them by joined_pieces()"
+            )
+    return sorted(maps, key=lambda m: m.run)
 
 
 def _decided(
@@ -147,15 +165,7 @@ def _unlisted(
     return Unlisted(joined, unrelated, screened)
 
 
-def _apart(spread: Spread, pair: PairVerdict) -> tuple[float, float]:
-    """1 sigma [m, rad] of how a pair lies to each other: the mean square of both ways to see it."""
-    (off_m, off_rad), (back_m, _) = (
-        spread.between(a, b) for a, b in ((pair.a, pair.b), (pair.b, pair.a))
-    )
-    return float(np.hypot(off_m, back_m) / np.sqrt(2)), off_rad
-
-
-def _placed(
+def _with_placements(
     verdicts: tuple[PairVerdict, ...], components: Sequence[Component]
 ) -> tuple[PairVerdict, ...]:
     """The verdicts; pairs of one component say how surely they lie to each other, and those that
@@ -166,7 +176,7 @@ def _placed(
     for v in verdicts:
         spread = home[v.a].spread if home[v.a] is home[v.b] else None
         if v.accepted and spread is not None:
-            out.append(replace(v, transform_sigma=_apart(spread, v)))
+            out.append(replace(v, transform_sigma=_relative_sigmas(spread, v)))
             continue
         if (v.a, v.b) not in chains or home[v.a] is not home[v.b]:
             out.append(v)
@@ -174,7 +184,7 @@ def _placed(
         through = chains[v.a, v.b]
         told, placed = f"joined through {listed(through, 3)}", None
         if spread is not None:
-            placed = _apart(spread, v)
+            placed = _relative_sigmas(spread, v)
             vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
             told = (
                 f"{told}, placed to {placed[0]:.1f} m and {np.degrees(placed[1]):.1f}° (1 sigma)"
@@ -183,6 +193,14 @@ def _placed(
         reason = f"{told}{ALONE}{v.reason}"
         out.append(replace(v, reason=reason, through=through, placed=placed))
     return tuple(out)
+
+
+def _relative_sigmas(spread: Spread, pair: PairVerdict) -> tuple[float, float]:
+    """1 sigma [m, rad] of how a pair lies to each other: the mean square of both ways to see it."""
+    (off_m, off_rad), (back_m, _) = (
+        spread.between(a, b) for a, b in ((pair.a, pair.b), (pair.b, pair.a))
+    )
+    return float(np.hypot(off_m, back_m) / np.sqrt(2)), off_rad
 
 
 def _info(
@@ -201,21 +219,3 @@ def _info(
         "method": settings.method,
         "layers": {first: layers_to_document(first, inside[k]) for k, first in firsts.items()},
     }
-
-
-def _by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:
-    """The maps sorted by run; DataError on two of the same run, and on one without one frame."""
-    count = Counter(m.run for m in maps)
-    twice = sorted(run for run, times in count.items() if times > 1)
-    if twice:
-        raise DataError(
-            f"run {twice[0]!r} is given {count[twice[0]]} times; every map needs a run name of "
-            "its own: rename one of the logs and ingest it again"
-        )
-    for m in maps:
-        if m.pieces > 1:
-            raise DataError(
-                f"the map of run {m.run!r} is in {m.pieces} pieces that share no frame, as "
-                "its odometry broke; ingest its log again, or join them by joined_pieces()"
-            )
-    return sorted(maps, key=lambda m: m.run)
