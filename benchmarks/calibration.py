@@ -13,6 +13,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from observed import scattered_maps
 
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
@@ -81,41 +82,17 @@ def as_text(bits):
     return "\n".join(lines)
 
 
-def as_svg(bits):
+def draw(bits, path):
     """The same as a picture: rates over bits, logarithmic."""
-    wide, high, left, top = 640, 420, 60, 20
-    colours = ["#1f77b4", "#2ca02c", "#d62728"]
-
-    def at(t, rate):
-        x = left + (wide - left - 20) * t / MOST_BITS
-        return x, top + (high - top - 50) * -np.log10(rate) / 6
-
-    def line(points, colour, dash=""):
-        text = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        return f'<polyline points="{text}" fill="none" stroke="{colour}" stroke-width="2" {dash}/>'
-
-    parts = [line([at(t, 2.0**-t) for t in range(MOST_BITS)], "#888", 'stroke-dasharray="6 4"')]
-    for k, (name, values) in enumerate(bits.items()):
-        rates = [(t, np.mean(values >= t)) for t in np.arange(0, MOST_BITS, 0.25)]
-        parts.append(line([at(t, r) for t, r in rates if r > 0], colours[k]))
-        parts.append(
-            f'<text x="{wide - 200}" y="{top + 20 + 18 * k}" fill="{colours[k]}">{name}, '
-            f"{len(values):,} pairs</text>"
-        )
-    parts.append(f'<text x="{wide - 200}" y="{top + 74}" fill="#888">promise</text>')
-    for power in range(7):
-        x, y = at(0, 10.0**-power)
-        parts.append(f'<text x="{x - 50:.0f}" y="{y + 4:.0f}">1e-{power}</text>')
-    for t in range(0, MOST_BITS + 1, 4):
-        x, _ = at(t, 1.0)
-        parts.append(f'<text x="{x - 6:.0f}" y="{high - 30}">{t}</text>')
-    parts.append(f'<text x="{wide / 2 - 60:.0f}" y="{high - 8}">bits of evidence</text>')
-    body = "\n".join(parts)
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" '
-        f'font-family="sans-serif" font-size="13">\n<rect width="100%" height="100%" '
-        f'fill="white"/>\n{body}\n</svg>\n'
-    )
+    figure = Figure(figsize=(7, 4.5))
+    axes = figure.add_subplot(xlabel="bits of evidence", yscale="log", ylim=(1e-6, 1))
+    at = np.arange(0, MOST_BITS, 0.25)
+    axes.plot(at, 2.0**-at, "--", color="0.5", label="promise")
+    for name, values in bits.items():
+        rates = [np.mean(values >= t) or np.nan for t in at]
+        axes.plot(at, rates, label=f"{name}, {len(values):,} pairs")
+    axes.legend()
+    figure.savefig(path)
 
 
 def main():
@@ -136,7 +113,7 @@ def main():
         bits[kind] = np.array(found)
     print(as_text(bits))
     if options.svg:
-        options.svg.write_text(as_svg(bits))
+        draw(bits, options.svg)
 
 
 if __name__ == "__main__":
