@@ -12,7 +12,7 @@ from .journal import note
 from .merge import merge_again
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
 from .output import Screen
-from .workspace import Workspace
+from .workspace import Workspace, pairs_named
 
 
 def discard(
@@ -54,7 +54,9 @@ def discard(
         return
     with place.held(screen.warn, make=False):
         runs, pairs = _sorted_out(place, what, undo)
-        _discard_pairs(place, pairs, undo)
+        if pairs:
+            before = place.discards()
+            place.write_discards(before - set(pairs) if undo else before | set(pairs))
         for run in runs:
             _discard_run(place, run)
         names = [*runs, *(f"{a}:{b}" for a, b in pairs)]
@@ -74,12 +76,10 @@ def _sorted_out(
         if name in known and not undo:
             runs.append(name)
             continue
-        cuts = (k for k, letter in enumerate(name) if letter == ":")
-        found = [p for k in cuts if known >= set(p := (name[:k], name[k + 1 :]))]
+        found = pairs_named(name, known)
         if len(found) != 1 or found[0][0] == found[0][1]:
             raise place.unknown([name], f"{'two runs A:B' if undo else 'run or runs A:B'} named")
-        a, b = sorted(found[0])
-        pairs.append((a, b))
+        pairs += found
     _check_locks(place, pairs, undo)
     return runs, pairs
 
@@ -98,12 +98,6 @@ def _check_locks(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> 
             raise UsageError(
                 f"{a} and {b} are locked as the same; first: topobatch lock {a} {b} --clear"
             )
-
-
-def _discard_pairs(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> None:
-    if pairs:
-        before = place.discards()
-        place.write_discards(before - set(pairs) if undo else before | set(pairs))
 
 
 def _discard_run(place: Workspace, run: str) -> None:

@@ -11,7 +11,7 @@ import typer
 from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
 from .output import say
-from .workspace import MERGED, Workspace
+from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
     from ..merge.result import MergeResult
@@ -94,16 +94,11 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
 
 
 def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
-    """The two runs that "A:B" names, in the order of their names; names may hold colons."""
-    known = set(runs)
-    cuts = [k for k, letter in enumerate(what) if letter == ":"]
-    for cut in cuts:
-        a, b = what[:cut], what[cut + 1 :]
-        if a in known and b in known:
-            if a == b:
-                raise UsageError(f"two runs are needed, got {a!r} twice")
-            return (a, b) if a < b else (b, a)
-    return None
+    """The two runs that "A:B" names, in the order of their names."""
+    found = pairs_named(what, runs)
+    if found and found[0][0] == found[0][1]:
+        raise UsageError(f"two runs are needed, got {found[0][0]!r} twice")
+    return found[0] if found else None
 
 
 def _merge_of(place: Workspace, what: str, runs: list[str]) -> Workspace:
@@ -119,7 +114,7 @@ def _merge_of(place: Workspace, what: str, runs: list[str]) -> Workspace:
 
 def read_result(place: Workspace) -> MergeResult:
     """The merge of a workspace, as its document tells it; DocumentError if it cannot be read."""
-    from ..merge.stored import result_from_document
+    from ..merge.document import result_from_document
 
     document = place.read_merged()
     try:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..merge.decision import Decision
-    from ..merge.document import MergedDocument, MergeEntry
+    from ..merge.merged_schema import MergedDocument, MergeEntry
     from ..merge.paper.method import PaperSettings
     from ..topology.topomap import TopoMap
 

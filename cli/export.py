@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -17,7 +16,7 @@ from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
-    from ..merge.document import MergedDocument
+    from ..merge.merged_schema import MergedDocument
     from ..topology.odometry import Odometry
     from ..topology.topomap import TopoMap
 
@@ -27,17 +26,7 @@ MOST_NAMED = 4
 """Components, and runs of each, that a warning names."""
 
 
-class Format(StrEnum):
-    """What can be written."""
-
-    NAV2 = "nav2"
-    LIF = "lif"
-    RMF = "rmf"
-    TMAP2 = "tmap2"
-    GRAPHML = "graphml"
-    G2O = "g2o"
-    TUM = "tum"
-    CSV = "csv"
+Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "g2o", "tum", "csv"]
 
 
 def export(
@@ -198,11 +187,11 @@ def _texts(
     """What to write, by the ending of its file's name."""
     from ..viz.exports import MAP_FORMATS
 
-    if form is Format.TUM:
+    if form == "tum":
         return _trajectories(place, source, log)
     if log is not None:
         raise UsageError("--log goes with --format tum")
-    if form is Format.G2O:
+    if form == "g2o":
         return {".g2o": _pose_graph(source)}
     writers = MAP_FORMATS[form]
     return {ending: text_of(source.topomap, tolerance) for ending, text_of in writers.items()}
@@ -286,9 +275,9 @@ def _paths(
 
 
 def _write(path: Path, text: str) -> None:
-    from ..topology.files import write_atomically
+    from ..topology.files import write_text
 
     try:
-        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_text(path, text)
     except PermissionError as error:
         raise DataError(f"{path}: {error.strerror}; name another --output") from error

@@ -22,21 +22,17 @@ MOST_BYTES = 4 << 20
 
 def note(place: Workspace, what: str, text: str, say: Callable[[str], None]) -> None:
     """Add a line; the workspace is held. A journal that cannot be written is told of, no more."""
-    from ..topology.files import write_atomically
+    from ..topology.files import write_text
 
-    line = json.dumps({"time": _now(), "what": what, "text": text}, ensure_ascii=True)
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    line = json.dumps({"time": now, "what": what, "text": text}, ensure_ascii=True)
     try:
         lines = [*_lines(place), line]
         if sum(map(len, lines)) > MOST_BYTES:
             lines = lines[len(lines) // 2 :]
-        content = "".join(f"{each}\n" for each in lines)
-        write_atomically(place.history, lambda temporary: temporary.write_text(content))
+        write_text(place.history, "".join(f"{each}\n" for each in lines))
     except (OSError, DataError) as error:
         say(f"{place.history}: {error}; not noted")
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _lines(place: Workspace) -> list[str]:

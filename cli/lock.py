@@ -108,5 +108,4 @@ def _show(locks: tuple[Lock, ...]) -> None:
     if not locks:
         say("no locks")
     for entry in locks:
-        at = f", junction {entry.at[0]} = junction {entry.at[1]}" if entry.at else ""
-        say(f"{entry.a} + {entry.b}: {entry.decision}{at}")
+        say(str(entry))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ..merge.cache import ResultCache
-    from ..merge.document import MergedGraph
+    from ..merge.merged_schema import MergedGraph
     from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
     from ..merge.workers import Workers

@@ -47,16 +47,15 @@ def report(
     if not place.runs():
         raise place.no_maps()
     quiet_fonts()
-    from ..topology.files import write_atomically
+    from ..topology.files import write_text
     from ..viz.report import Report, report_page
 
     maps, unread = _maps(place)
-    result = None
-    if place.merged_json.is_file():
-        result = read_result(place)
-    html = report_page(Report(maps, result, unread, _locks(place), _versions()))
+    result = read_result(place) if place.merged_json.is_file() else None
+    locks = [str(lock) for lock in place.locks()]
+    html = report_page(Report(maps, result, unread, locks, _versions()))
     try:
-        write_atomically(page, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+        write_text(page, html)
     except PermissionError as error:
         raise DataError(f"{page}: {error.strerror}; name another OUT.html") from error
     say(f"{page}")
@@ -74,14 +73,6 @@ def _maps(place: Workspace) -> tuple[dict[str, TopoMap], list[str]]:
             complain(f"{error}; left out (ingest its log again with --force)")
             unread.append(f"The map of {run} cannot be read and is left out: {error}")
     return maps, unread
-
-
-def _locks(place: Workspace) -> list[str]:
-    return [
-        f"{lock.a} + {lock.b}: {lock.decision}"
-        + (f", junction {lock.at[0]} = junction {lock.at[1]}" if lock.at else "")
-        for lock in place.locks()
-    ]
 
 
 def _versions() -> list[tuple[str, str]]:

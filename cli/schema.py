@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from .output import say_lines
 
 
-class Document(StrEnum):
-    """Documents that topobatch writes."""
-
-    MAP = "map"
-    MERGED = "merged"
-
-
 def schema(
-    document: Annotated[Document, typer.Argument(metavar="map|merged", help="Which document.")],
+    document: Annotated[
+        Literal["map", "merged"], typer.Argument(metavar="map|merged", help="Which document.")
+    ],
 ) -> None:
     """Print the JSON Schema of a document.
 
@@ -29,8 +23,8 @@ def schema(
     """
     import json
 
-    from ..merge.document import MergedDocument
+    from ..merge.merged_schema import MergedDocument
     from ..topology.map_schema import MapDocument
 
-    model = MapDocument if document is Document.MAP else MergedDocument
+    model = MapDocument if document == "map" else MergedDocument
     say_lines(json.dumps(model.model_json_schema(by_alias=True), indent=2))

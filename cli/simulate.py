@@ -99,18 +99,15 @@ def simulate(
     from ..simulation.writing import write_scenario
 
     screen = Screen(quiet)
+    how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
+    asked = {name: value for name, value in how_far.items() if value is not None}
     settings = ScenarioSettings(
         world=world,
         runs=runs,
         unrelated_runs=unrelated,
         overlap=overlap,
         junctions_per_run=junctions,
-        drift=replace(
-            DRIFTS[drift],
-            jumps=jumps,
-            jump_m=0.5 if jump_m is None else jump_m,
-            jump_deg=30.0 if jump_deg is None else jump_deg,
-        ),
+        drift=replace(DRIFTS[drift], jumps=jumps, **asked),
         faults=faults,
         laser=replace(LASERS[faults], corridor_m=corridor_m) if laser else None,
         tells_junctions=detections or not laser,

@@ -20,7 +20,7 @@ from .output import Screen, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
-    from ..merge.document import MergedDocument
+    from ..merge.merged_schema import MergedDocument
     from ..merge.transfer import MatchedJunctions, Transferred
     from .places_file import Place, Places
 
@@ -93,9 +93,9 @@ def transfer(
     if output is None or str(output) == "-":
         say_text(text)
     else:
-        from ..topology.files import write_atomically
+        from ..topology.files import write_text
 
-        write_atomically(output, lambda file: file.write_text(text, encoding="utf-8"))
+        write_text(output, text)
         screen.line(str(output))
     if found is None:
         screen.complain(f"{places}: nothing was carried: {why}")

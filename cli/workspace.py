@@ -16,8 +16,8 @@ from ..topology.wording import listed
 
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
-    from ..merge.document import MergedDocument
     from ..merge.locks import Lock
+    from ..merge.merged_schema import MergedDocument
     from ..topology.topomap import TopoMap
 
 
@@ -394,6 +394,15 @@ class Workspace:
 def _remove_folder(folder: Path) -> None:
     with suppress(OSError):  # it is not there, or holds something
         folder.rmdir()
+
+
+def pairs_named(text: str, runs: Iterable[str]) -> list[tuple[str, str]]:
+    """The pairs of known runs that "A:B" may name, each in the order of names; names may hold
+    colons."""
+    known = set(runs)
+    cuts = (k for k, letter in enumerate(text) if letter == ":")
+    found = ((text[:k], text[k + 1 :]) for k in cuts)
+    return [(min(pair), max(pair)) for pair in found if known.issuperset(pair)]
 
 
 def checked_run_name(name: str) -> str:
