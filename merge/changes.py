@@ -1,14 +1,15 @@
-"""What changed between the runs of a component: corridors and junctions that some runs passed and
-others, which had to meet them, did not.
+"""Changes between the runs of a component: corridors and junctions that some runs passed and
+others, which should have met them, did not.
 
-Asked is every corridor that a run drove, of every run that passed an end of it and did not drive
-it: did it see the branch? What it did not see was overlooked, or was not there. Overlooking has a
-probability: the run's own rate of wrong branches, of which each branch of the junction has its
-share. However often the robot passed, one junction counts once, for a detector that is wrong about
-a place is so each time. What is left after as many questions as were asked is called a change.
+Every run that passed an end of a corridor which another run drove is asked whether it saw the
+branch there. A branch that it did not see was missed by the detector, or is not there. The
+probability of a miss is the run's own rate of wrong branches over the number of branches of the
+junction. Several passes of one run by one junction count once: a detector repeats its errors at a
+place. The evidence is -log2 of the probability that all of them missed it; the threshold allows for
+the number of questions (Bonferroni).
 
-A junction that lost all branches but one is a dead end, which no merge takes for the same place. It
-is found where the corridor that is left leads to (`_lookalikes`).
+A junction that lost all branches but one is a dead end, which no merge matches to the junction that
+it was. It is found at the far end of the corridor that is left (`_lookalikes`).
 """
 
 from __future__ import annotations
@@ -29,15 +30,16 @@ from ..topology.polyline import way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .component_map import component_map
-from .document import MergedDocument, poses_from_document
+from .document import poses_from_document
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
+from .merged_schema import MergedDocument
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
 class ChangeKind(StrEnum):
-    """What the times of those who passed it and those who did not meet it say."""
+    """Order in time of the runs that passed a thing and those that did not meet it."""
 
     GONE = "gone"
     NEW = "new"
@@ -49,12 +51,13 @@ class ChangeSettings:
     """When a difference is called a change."""
 
     false_rate: float = 0.05
-    """Share of reports that may hold any change that is none."""
+    """Probability that a report holds any change that is none (family-wise error rate)."""
     least_fault_rate: float = 0.01
-    """No detector is wrong about fewer branches, and misses fewer junctions, than this: a run of a
-    hundred passes cannot tell."""
+    """Lower bound of the rates of missed branches and junctions: a run of a hundred passes cannot
+    show less."""
     equal_sigmas: float = 3.0
-    """Corridors whose lengths differ by no more are equally long: all but one in 370 that are."""
+    """Corridors whose lengths differ by no more count as equally long (99.7 % of those that
+    are)."""
 
 
 DEFAULT_CHANGES = ChangeSettings()
@@ -77,7 +80,7 @@ class Change:
     thing: "corridor" or "junction"; junctions: its ends, or itself, as ids of the merged document;
     xy: (2,) its middle, and length [m], None of a junction; there, missing: who passed it, and who
     had to meet it and did not, by time; bits: -log2 of the chance that those who did not meet it
-    overlooked it (or that it was invented); needed: what so many questions ask of it.
+    missed it (or that it was invented); needed: the threshold for as many questions as were asked.
     """
 
     thing: str
@@ -99,7 +102,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Doubt:
-    """A thing that some runs passed and others did not, before it is weighed."""
+    """A thing that some runs passed and others did not, before its evidence is computed."""
 
     thing: str
     junctions: tuple[int, ...]
@@ -107,9 +110,9 @@ class _Doubt:
     length: float | None
     there: tuple[Witness, ...]
     missing: tuple[tuple[Witness, float], ...]
-    """Who did not meet it, and how likely each of them overlooked it."""
+    """Who did not meet it, and the probability that each of them missed it."""
     invented: float = 0.0
-    """How likely it never was."""
+    """Probability that those who passed it invented it."""
 
 
 def changes(
@@ -224,8 +227,8 @@ def _fault_rate(rate: float, settings: ChangeSettings) -> float:
 
 
 def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int]:
-    """Corridors that runs passed the ends of without seeing their branches; and how often it was
-    asked."""
+    """Corridors that runs passed an end of without seeing their branches, and the number of
+    questions asked."""
     out, asked, m = [], 0, seen.merged
     for e, members in enumerate(seen.edges):
         missing = []
@@ -254,10 +257,11 @@ def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
 
 
 def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int]:
-    """Junctions that runs drove through without seeing them; and how often that could have been:
-    every junction that several runs passed could have been overlooked by each, and one could have
-    been invented in every corridor that several drove. What those who saw it overlooked at times,
-    others may have."""
+    """Junctions that runs drove through without seeing them, and the number of questions asked: one
+    for each run that passed a junction known to several, or drove through one unseen, and one for
+    each corridor that several drove, in which a junction may have been invented. The probability of
+    a miss is no less than the share of visits at which the runs that know the junction missed it.
+    """
     out, m = [], seen.merged
     asked = sum(len(members) for members in seen.nodes if len(members) > 1)
     asked += sum(len(members) > 1 for members in seen.edges)
@@ -288,7 +292,7 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
                 rate = _fault_rate(seen.maps[w.run].measured.phantom_rate, settings)
                 invented *= rate**w.passes
             if len(sides) > 2:
-                invented = 0.0  # who turned off there knows
+                invented = 0.0  # a run that turned off there proves it
             doubt = _Doubt(
                 "junction", (node,), m.xy[node], None, tuple(there), tuple(missing), invented
             )
@@ -297,7 +301,7 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
 
 
 def _unseen_share(topomap: TopoMap, vertices: Sequence[int]) -> float:
-    """Share of the times a run came by some of its own vertices at which it did not see them."""
+    """Share of a run's visits to some of its own vertices at which it did not see them."""
     ends = [np.isin(end, vertices) for end in (topomap.source, topomap.target)]
     visits = sum(int(topomap.traversals[end].sum()) for end in ends) // 2
     seen = int(np.isin(topomap.observation_vertex, vertices).sum())
@@ -329,15 +333,15 @@ def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
 
 
 def _needed(asked: int, settings: ChangeSettings) -> float:
-    """Bits that a change takes, of as many questions. Either kind of thing may have half of the
-    false ones. What one junction can tell at most is never enough: two have to."""
+    """Threshold [bits] for as many questions: half of the false rate is for corridors, half for
+    junctions. It exceeds what one junction can contribute, so that it takes two."""
     several = float(np.log2(2 * max(asked, 1) / settings.false_rate))
     return max(several, -float(np.log2(settings.least_fault_rate)))
 
 
 def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -> Change:
-    """A doubt by what those say that did not meet the thing after the last who did, or before the
-    first; by all of them where both are there."""
+    """The change that a doubt is: GONE if all who did not meet the thing passed after the last who
+    did, NEW if before the first, else DIFFERS; with the evidence of all of them."""
     first = min(w.first_ns for w in doubt.there)
     last = max(w.last_ns for w in doubt.there)
     after = [(w, p) for w, p in doubt.missing if w.first_ns > last]

@@ -48,6 +48,12 @@ class Term:
     b: tuple[int, ...] = ()
     size_m: tuple[float, float] | None = None
 
+    @property
+    def with_size(self) -> str:
+        """The words, with both lengths of a link."""
+        size = self.size_m
+        return self.told if size is None else f"{self.told}: {size[0]:.2f} m, {size[1]:.2f} m"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:

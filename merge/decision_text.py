@@ -181,38 +181,37 @@ def rows(decision: Decision, links: int) -> list[Row]:
     if not columns:
         return []
     first = decision.placements[0]
-    kinds = [kind for kind in _ORDER if any(kind in column for column in columns)]
     out = []
-    for kind in kinds:
+    for kind in [kind for kind in _GROUPS if any(kind in column for column in columns)]:
         bits = tuple(column.get(kind) for column in columns)
         out.append(Row(_group_told(kind, decision.placements), bits))
-        of_kind = {"corridor": LINKS, "unseen": AGAINST}.get(kind, ())
-        if bits[0] is not None:
-            out += _parts(first.of(*of_kind), bits[0], links, digits)
+        if kind in ("corridor", "unseen") and bits[0] is not None:
+            out += _parts(first.of(*_GROUPS[kind]), bits[0], links, digits)
     return out
 
 
-_ORDER: tuple[TermKind, ...] = ("corridor", "branches", "unseen", "hypotheses", "few", "copies")
+_GROUPS: dict[TermKind, tuple[TermKind, ...]] = {
+    "corridor": LINKS,
+    "branches": ("branches",),
+    "unseen": AGAINST,
+    "hypotheses": ("hypotheses",),
+    "few": ("few",),
+    "copies": ("copies",),
+}
+"""What is added up in one row, in their order."""
 
 
 def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
     """The sum of every kind of terms, rounded so that the sums add up; contradictions are told even
     where there are none."""
-    sums = {
-        "corridor": sum(t.bits for t in placement.of(*LINKS)),
-        "branches": sum(t.bits for t in placement.of("branches")),
-        "unseen": sum(t.bits for t in placement.of(*AGAINST)),
-        "hypotheses": sum(t.bits for t in placement.of("hypotheses")),
-        "few": sum(t.bits for t in placement.of("few")),
-        "copies": sum(t.bits for t in placement.of("copies")),
-    }
+    sums = [sum(t.bits for t in placement.of(*kinds)) for kinds in _GROUPS.values()]
     total = float(shown_bits(placement.alignment.evidence_bits, digits))
-    shown = rounded_terms(list(sums.values()), digits, total)
+    shown = rounded_terms(sums, digits, total)
     there = {t.kind for t in placement.terms}
     always = ("corridor", "branches", "unseen", "hypotheses")
     return {
         kind: bits
-        for kind, bits in zip(_ORDER, shown, strict=True)
+        for kind, bits in zip(_GROUPS, shown, strict=True)
         if kind in always or kind in there
     }
 
@@ -254,10 +253,7 @@ def _parts(terms: Sequence[Term], total: float, most: int, digits: int) -> list[
 
 
 def _link(term: Term, bits: float) -> Row:
-    told = term.told
-    if term.size_m is not None:
-        told = f"{told}: {term.size_m[0]:.2f} m, {term.size_m[1]:.2f} m"
-    return Row(told, (bits,), "-".join(map(str, term.a)), "-".join(map(str, term.b)), 1)
+    return Row(term.with_size, (bits,), "-".join(map(str, term.a)), "-".join(map(str, term.b)), 1)
 
 
 def needs(decision: Decision) -> str:

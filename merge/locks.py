@@ -39,10 +39,13 @@ class Lock:
             raise UsageError("a 'never' lock is about whole runs: leave the vertices out")
         if self.b < self.a:
             swapped = None if self.at is None else (self.at[1], self.at[0])
-            first, second = self.b, self.a
-            object.__setattr__(self, "a", first)
-            object.__setattr__(self, "b", second)
-            object.__setattr__(self, "at", swapped)
+            named = (("a", self.b), ("b", self.a), ("at", swapped))
+            for name, value in named:
+                object.__setattr__(self, name, value)
+
+    def __str__(self) -> str:
+        at = f", junction {self.at[0]} = junction {self.at[1]}" if self.at else ""
+        return f"{self.a} + {self.b}: {self.decision}{at}"
 
 
 def lock_table(locks: Iterable[Lock]) -> dict[tuple[str, str], Lock]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
@@ -216,6 +216,14 @@ def pairs_of(runs: int) -> int:
     return runs * (runs - 1) // 2
 
 
+def by_run(members: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
+    """(run, index) pairs as the indices of every run, in the order of the pairs."""
+    out: dict[str, tuple[int, ...]] = {}
+    for run, index in members:
+        out[run] = (*out.get(run, ()), index)
+    return out
+
+
 def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
     number = np.cumsum(chosen) - 1
@@ -242,7 +250,7 @@ def fused_confidence(
     members: Sequence[Mapping[str, Sequence[int]]], maps: Mapping[str, TopoMap]
 ) -> NDArray[np.float64]:
     """(n,) confidence of fused vertices: the mean of their members', by passes."""
-    passes = {run: np.bincount(m.observation_vertex, minlength=len(m)) for run, m in maps.items()}
+    passes = {run: m.passes for run, m in maps.items()}
     out = np.ones(len(members))
     for k, of in enumerate(members):
         rows = [(run, v) for run, vertices in sorted(of.items()) for v in vertices]

@@ -4,7 +4,8 @@ Maps bend, each in its own way, so one transform for all of a map is not good en
 carried through every matched junction near it, each time rigidly, and what these say of it is
 combined by generalised least squares (universal kriging: Matheron, 1971; Cressie, *Statistics for
 Spatial Data*, 1993, 3.4). What two maps bend apart is taken for an intrinsic random process whose
-variogram grows with the distance; how fast, the matched junctions tell, each carried by the others.
+variogram grows with the distance; its slope is estimated by predicting each matched junction from
+the others.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from ..topology.frozen import frozen_array
 from ..topology.matching.structure import padded_branches
 from ..topology.se2 import fit_rigid, wrap
 from ..topology.topomap import TopoMap
-from .document import MergedDocument
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
+from .merged_schema import MergedDocument
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -120,10 +121,10 @@ def junctions_of_merged(
 
 
 def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
-    """pairs: (k, 2) vertices of a and of b. No two maps agree better on a junction than the joint
-    pose graph takes them to."""
+    """pairs: (k, 2) vertices of a and of b. Sigmas have the lower bounds of the joint pose
+    graph."""
     u, v = pairs.T
-    share = np.stack([1 / _passes(a)[u], 1 / _passes(b)[v]])
+    share = np.stack([1 / np.maximum(m.passes[rows], 1) for m, rows in ((a, u), (b, v))])
     noise = a.measured, b.measured
     both = np.array([n.centre_m**2 for n in noise]) @ share
     heading_b, heading_a = padded_branches(b)[v], padded_branches(a)[u]
@@ -148,12 +149,9 @@ def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
     )
 
 
-def _passes(topomap: TopoMap) -> IntArray:
-    return np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
-
-
 def _likeliest_turn(heading_b: FloatArray, heading_a: FloatArray) -> float:
-    """The turn by which most branches of one junction fit those of its only counterpart best."""
+    """Of the turns that lay a branch of one junction on one of the other, the one with the least
+    sum of angles from every branch to its nearest counterpart; 0 without branches."""
     b, a = heading_b[~np.isnan(heading_b)], heading_a[~np.isnan(heading_a)]
     if not len(b) or not len(a):
         return 0.0
@@ -204,7 +202,7 @@ def _carried(
     arm = matched.source[rows] - points[:, None]
     away = np.hypot(arm[..., 0], arm[..., 1])
     weight = 1 / (matched.turn_sigma[rows] ** 2 + matched.turning * away)
-    # A turn that no branch tells is anything.
+    # Where no branch measures the turn, its sigma is π.
     total = np.maximum(weight.sum(axis=1), 1 / np.pi**2)
     first = matched.turn[rows[:, :1]]
     turn = first[:, 0] + (weight * wrap(matched.turn[rows] - first)).sum(axis=1) / total
@@ -213,7 +211,7 @@ def _carried(
     said = matched.target[rows] - turned
     between = matched.source[rows][:, :, None] - matched.source[rows][:, None]
     apart = np.hypot(between[..., 0], between[..., 1])
-    # A random walk seen from the point: what two junctions share of the way counts for both.
+    # Covariance of a random walk that starts at the point: two junctions share part of the way.
     walk = 0.5 * bending * (away[:, :, None] + away[:, None] - apart)
     own = matched.sigma[rows] ** 2
     n = rows.shape[1]
@@ -234,8 +232,9 @@ def _carried(
 
 
 def _bending(matched: MatchedJunctions, settings: TransferSettings) -> float:
-    """Variance per metre by which two maps bend apart: the most likely one, given how well every
-    matched junction is carried by the others and what the noise of the maps suggests."""
+    """Variance per metre by which two maps bend apart: the maximum a posteriori, with the
+    likelihood of predicting each matched junction from the others and a log-normal prior about what
+    the noise of the maps suggests."""
     k = len(matched)
     if k < 3:
         return matched.bending

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..topology.errors import UsageError
+from ..topology.polyline import way_of
 from ..topology.se2 import wrap
 from .chance import Chance, quantised
 from .walk import Leg
@@ -139,7 +140,7 @@ def _planned(world: World, legs: list[Leg]) -> _Plan:
 
 def _cut(path: FloatArray, way_m: float) -> FloatArray:
     """The first `way_m` of a polyline."""
-    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    at = way_of(path)
     return np.concatenate([path[at < way_m], polyline_at(path, np.array([way_m]))])
 
 

@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..topology.frozen import frozen_array
+from ..topology.polyline import way_of
 from ..topology.ragged import Ragged
 from ..topology.se2 import wrap
 
@@ -97,7 +98,7 @@ class World:
 
 def polyline_at(path: FloatArray, way_m: FloatArray) -> FloatArray:
     """(k, 2) points at the given ways along a polyline, held at its ends."""
-    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    at = way_of(path)
     return np.column_stack([np.interp(way_m, at, path[:, 0]), np.interp(way_m, at, path[:, 1])])
 
 

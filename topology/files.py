@@ -130,6 +130,11 @@ def _listed(entries: Iterator[Any]) -> Iterator[bytes]:
     yield b"]" if before == b"," else b"[]"
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text atomically, as UTF-8."""
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a temporary file beside `path`, then move it there in one step."""
     write_together({path: write})

@@ -48,7 +48,7 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
     """
     noise, length = topomap.measured, topomap.length
     times = np.maximum(topomap.traversals, 1)
-    visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
+    visits = np.maximum(topomap.passes, 1)
     differ = (1 - 1 / visits[topomap.source]) + (1 - 1 / visits[topomap.target])
     walk = noise.heading_rad_per_sqrt_m**2 * length
     swing = noise.heading_rad_per_sqrt_rad**2 * np.pi / 8

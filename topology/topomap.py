@@ -182,6 +182,11 @@ class TopoMap:
         return count
 
     @property
+    def passes(self) -> NDArray[np.int64]:
+        """(n,) number of passes by each vertex."""
+        return np.bincount(self.observation_vertex, minlength=len(self))
+
+    @property
     def degree(self) -> NDArray[np.int64]:
         """(n,) number of branches seen at each vertex, explored or not."""
         return self.branches.counts

@@ -248,11 +248,8 @@ def all_told(decision: Decision) -> str:
         )
         lines = [_line(["bits", "what", "of a", "of b"]), _line(["---:", "---", "---", "---"])]
         for t in placement.terms:
-            text = t.told
-            if t.size_m is not None:
-                text = f"{text}: {t.size_m[0]:.2f} m, {t.size_m[1]:.2f} m"
             ends = ("-".join(map(str, v)) for v in (t.a, t.b))
-            lines.append(_line([f"{t.bits:+.2f}", plain(text), *ends]))
+            lines.append(_line([f"{t.bits:+.2f}", plain(t.with_size), *ends]))
         parts.append("\n".join(lines))
     if not decision.placements:
         parts.append("Nothing in the two maps is alike.")

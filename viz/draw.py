@@ -97,7 +97,7 @@ def _unexplored(canvas: Canvas, m: TopoMap | FusedMap, T: FloatArray) -> list[Ke
 def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     xy = apply(T, m.xy) if len(m) else np.zeros((0, 2))
     group = np.minimum(m.degree, len(_KINDS) - 1)
-    passes = np.bincount(m.observation_vertex, minlength=len(m))
+    passes = m.passes.tolist()
     keys = []
     for degree, label in enumerate(_KINDS):
         rows = np.flatnonzero(group == degree)
@@ -108,7 +108,7 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
             canvas.dots(xy[rows], colour, size)
         for i in rows.tolist() if len(m) <= MOST_TOLD else ():
             sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
-            times = counted(int(passes[i]), "pass", "passes")
+            times = counted(passes[i], "pass", "passes")
             sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
             told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}{sure}"
             canvas.dots(xy[i : i + 1], colour, size, told=told)

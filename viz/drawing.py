@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..merge.result import FusedMap
 from ..topology.passes import NO_BRANCH
+from ..topology.polyline import way_of
 from ..topology.ragged import Ragged
 from ..topology.se2 import wrap
 
@@ -163,8 +164,7 @@ def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
     and the last; all for a spacing of 0."""
     if len(xy) < 3 or spacing_m == 0:
         return np.arange(len(xy))
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-    step = np.floor(way / spacing_m)
+    step = np.floor(way_of(xy) / spacing_m)
     keep = np.concatenate([[True], step[1:] != step[:-1]])
     keep[-1] = True
     return np.flatnonzero(keep)

@@ -146,7 +146,6 @@ def _junctions(
     n = len(topomap)
     if n == 0:
         return
-    passes = np.bincount(topomap.observation_vertex, minlength=n)
     path = (*MAP, "junctions")
     recording.static(
         path,
@@ -164,7 +163,7 @@ def _junctions(
             headings_deg=[
                 ", ".join(f"{h:.0f}" for h in np.degrees(topomap.branches[i])) for i in range(n)
             ],
-            passes=passes,
+            passes=topomap.passes,
             confidence=topomap.confidence,
             position_sigma_m=topomap.position_sigma,
         ),

@@ -17,7 +17,7 @@ from ...topology.passes import NO_BRANCH
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..packs import arrays_from_bytes, arrays_to_bytes
-from ..result import FusedMap, Spread
+from ..result import FusedMap, Spread, by_run
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -25,11 +25,10 @@ Rows = tuple[tuple[tuple[str, int], ...], ...]
 
 ARRAYS = "fffiffiifiiiiiiiffiiff"
 """Poses; middles, own covariances, keys and cross covariances of the spread, empty where it was not
-asked for; positions; kinds
-and numbers of branches, and these; what is behind the vertices, as numbers, runs and rows; the same
-of the edges; their ends and branches, length, sigma, traversals; points of their paths, and these;
-sigmas of the positions, empty where they were not asked for.
-"""
+asked for; positions, kinds and numbers of branches of the vertices; the branches; members of the
+vertices as counts, runs and rows; the same of the edges; their ends and branches, lengths, sigmas
+and traversals; numbers of points of their paths; the points; sigmas of the positions, empty where
+they were not asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +122,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     behind, along = _rows(places, maps, vertices), _rows(corridors, maps, edges)
     if behind is None or along is None or sum(map(len, behind)) != sum(vertices):
         return None
-    members = tuple(_by_run(own) for own in behind)
+    members = tuple(by_run(own) for own in behind)
     runs = tuple(x.run for x in maps)
     fused = FusedMap(
         component=np.zeros(n, np.int64),
@@ -181,10 +180,3 @@ def _rows(flat: Sequence[IntArray], maps: Sequence[TopoMap], most: Sequence[int]
     pairs = [(names[r], k) for r, k in zip(run.tolist(), number.tolist(), strict=True)]
     stops = np.cumsum([0, *size.tolist()]).tolist()
     return tuple(tuple(pairs[i:j]) for i, j in pairwise(stops))
-
-
-def _by_run(row: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
-    out: dict[str, tuple[int, ...]] = {}
-    for run, k in row:
-        out[run] = (*out.get(run, ()), k)
-    return out

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...topology.passes import NO_BRANCH
+from ...topology.polyline import way_of
 from ...topology.se2 import wrap
 from .edges import (
     DEFAULT_CORRIDOR,
@@ -216,8 +217,7 @@ def _known_part(
 def _parts(c: Corridor, world: _World) -> list[Corridor]:
     """The corridor cut at the places its path runs through; itself alone if there are none."""
     settings = world.settings
-    steps = np.hypot(*np.diff(c.path, axis=0).T)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
+    way = way_of(c.path)
     if way[-1] < 2 * settings.pass_end_m:
         return [c]
     fine = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.25)) + 1))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.passes import NO_BRANCH
+from ...topology.polyline import way_of
 from ...topology.se2 import apply
 from .vertex_partition import Pool
 
@@ -93,8 +94,7 @@ def _drawn(
 
     Both ends carry the path along rigidly; in between they hand over in proportion to the way.
     """
-    steps = np.hypot(*np.diff(path, axis=0).T)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
+    way = way_of(path)
     t = (way / way[-1] if way[-1] > 0 else np.linspace(0, 1, len(path)))[:, None]
     turned = [
         apply(np.array([place[k, 0], place[k, 1], pose[k, 2]]), path - ends[k]) for k in (0, 1)

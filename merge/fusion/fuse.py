@@ -21,7 +21,7 @@ from ..digests import DIGEST, digested
 from ..discards import Names
 from ..document import places_text
 from ..packs import Kept, Kind
-from ..result import Component, FusedMap, PairVerdict, Spread
+from ..result import Component, FusedMap, PairVerdict, Spread, by_run
 from .component import FusedComponent, from_bytes, observations_of, to_bytes
 from .data_association import DEFAULT_COINCIDENCE, CoincidenceSettings, coincident
 from .edge_splitting import DEFAULT_PASSAGE, PassageSettings, split_at_places
@@ -118,9 +118,9 @@ def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Na
 def fused_once(
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
-    settings: FusionSettings = DEFAULT_FUSION,
-    sure: IntArray | None = None,
-    kept: Kept | None = None,
+    settings: FusionSettings,
+    sure: IntArray | None,
+    kept: Kept | None,
 ) -> FusedComponent:
     """`fuse_component` of maps sorted by run, or what is kept of when it was done before."""
     if kept is None:
@@ -255,7 +255,10 @@ def _place_positions(pool: Pool, label: IntArray, pose: FloatArray) -> FloatArra
 def _fused_map(
     pool: Pool, xy: FloatArray, places: Sequence[Place], corridors: Sequence[Corridor]
 ) -> FusedMap:
-    members = tuple(_members(pool, place) for place in places)
+    members = tuple(
+        by_run((pool.maps[pool.run[row]].run, int(pool.vertex[row])) for row in place.rows)
+        for place in places
+    )
     return FusedMap(
         component=np.zeros(len(places), np.int64),
         xy=xy,
@@ -273,14 +276,6 @@ def _fused_map(
         paths=tuple(c.path for c in corridors),
         edge_members=tuple(c.members for c in corridors),
     )
-
-
-def _members(pool: Pool, place: Place) -> dict[str, tuple[int, ...]]:
-    out: dict[str, tuple[int, ...]] = {}
-    for row in place.rows:
-        run = pool.maps[int(pool.run[row])].run
-        out[run] = (*out.get(run, ()), int(pool.vertex[row]))
-    return out
 
 
 def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:

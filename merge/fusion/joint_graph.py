@@ -74,11 +74,11 @@ class JointSettings:
 DEFAULT_JOINT = JointSettings()
 
 _SAMPLES = 64
-"""Of a map as its corridors bend it: the mean over its vertices is told to a few per cent."""
+"""Samples of the errors of a map's vertices: their mean square has an error of a few per cent."""
 
 _LEAST_BEND = 0.03
-"""Share of a map's stated variances that is its bending at least: no better are they told by the
-256 samples that they come from."""
+"""Lower bound of the share of a map's stated variances that bending explains: they are estimated
+from 256 samples, and known no better."""
 
 SOLVER = SolverSettings(start="given", relative_tolerance=1e-5, max_iterations=25)
 """Cauchy kernels converge slowly in their last digits, which are far below a millimetre."""
@@ -217,14 +217,14 @@ def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> Facto
 
 
 def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
-    """Factor on the variances of a map's corridors by which they bend it as much as its document
-    states.
+    """Factor on the variances of a map's corridors that makes its vertices as uncertain as its
+    document states (`position_sigma`).
 
-    Corridor by corridor they know of random walks alone, and of passes that see a junction's centre
-    each differently. What an odometry gets wrong in the same way all the time (a steady turning, a
-    scale of turns) bends a map as well, and shows in the `position_sigma` of its vertices. So does
-    how each vertex's centre was seen, less what laying the map rigidly over the truth takes of
-    that: 3 of the 2 n errors of n vertices, as much as all of the bending on good odometry.
+    The variances of corridors hold random walks and the scatter of passes. Constant errors of the
+    odometry (a bias or a scale of turns) bend a map as well, and are in the `position_sigma` of its
+    vertices. So is how each vertex's centre was seen, less what laying the map rigidly over the
+    truth takes of that: 3 of the 2 n errors of n vertices, as much as all of the bending on good
+    odometry.
     """
     if topomap.position_sigma is None or len(topomap) < 3:
         return 1.0
@@ -233,11 +233,10 @@ def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
     whole = np.zeros(len(topomap), np.int64)
     walked = SampledMarginals.of(graph, solve(graph, SOLVER), _SAMPLES).error
     bent = VertexErrors(walked).as_a_whole(topomap.xy, whole).position_sigma()
-    visits = np.maximum(np.bincount(topomap.observation_vertex, minlength=len(topomap)), 1)
     arm = topomap.xy - topomap.xy.mean(axis=0)
     reach = (arm**2).sum(axis=1)
     kept = 1 - 1 / len(topomap) - reach / (2 * max(float(reach.sum()), 1e-12))
-    seen = kept * noise.centre_m**2 / visits
+    seen = kept * noise.centre_m**2 / np.maximum(topomap.passes, 1)
     stretched = noise.scale**2 * reach / 2
     stated = topomap.position_sigma**2
     left = float((stated - seen - stretched).sum())
@@ -383,5 +382,4 @@ def centre_sigma(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> FloatAr
 
 def pass_counts(pool: Pool) -> IntArray:
     """(n,) passes by every row, at least 1."""
-    counts = [np.bincount(m.observation_vertex, minlength=len(m)) for m in pool.maps]
-    return np.maximum(np.concatenate(counts), 1)
+    return np.asarray(np.maximum(np.concatenate([m.passes for m in pool.maps]), 1), np.int64)

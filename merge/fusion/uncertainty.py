@@ -25,26 +25,26 @@ IntArray = NDArray[np.int64]
 
 VAGUE_M = 1.5
 VAGUE_RAD = 0.087
-"""Placements less sure than this (1 sigma) are no ground for a claim."""
+"""Placements with a larger sigma than this are told to be vague."""
 
 CHUNK = 32
 """Runs whose columns are solved for at once: memory stays with them, and not with the square of the
 graph or of the runs."""
 
 SAMPLES = 64
-"""They tell a sigma to 1 / √(2 · 64) = 9 %, which takes some points from its coverage."""
+"""A sigma estimated from them has an error of 1 / √(2 · 64) = 9 %, which costs some coverage."""
 MOST_ROWS = 10_000
 """Samples of so many vertices take some 200 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """The joint graph as it says where places are: those of several rows are nodes of their own.
+    """The joint graph with a node of its own for every place of several rows.
 
-    A row of the pool is a junction's centre as one map saw it, off by `seen` (n,) [m] per axis, and
-    a tie between two rows is off by what both are. Where the truth lies against either, their
-    errors go together: a map tied where its junctions were seen awry is awry there, and as a whole
-    by less. So each row of such a place measures the place, and nothing else does.
+    A row of the pool is a junction's centre as one map saw it, with an error of `seen` (n,) [m] per
+    axis; a tie between two rows has the errors of both. These are correlated with the errors of the
+    maps that are tied there. So each row of such a place measures the place, which takes the part
+    of the ties.
 
     node: (n,) of each row, that of its place; seen: 0 where that is a place of several rows.
     """

@@ -243,9 +243,7 @@ def _ranked(
     first = np.full(count, len(h), np.int64)
     np.minimum.at(first, compact, kept)
     order = np.lexsort((first, -largest, np.round(squared, 9), -size))
-    rank = np.empty(count, np.int64)
-    rank[order] = np.arange(count)
-    number[kept] = rank[compact]
+    number[kept] = np.argsort(order)[compact]
     return Clusters(
         of=number,
         transform=transform[order],

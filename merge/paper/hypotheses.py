@@ -171,8 +171,7 @@ def _ordered(matches: _Matches) -> _Matches:
     size = np.bincount(of, minlength=count)
     first = np.lexsort((*keys, of))[np.concatenate([[0], np.cumsum(size)[:-1]])]
     order = np.lexsort((*(k[first] for k in keys), -size))
-    rank = np.empty(count, np.int64)
-    rank[order] = np.arange(count)
+    rank = np.argsort(order)
     rows = np.lexsort((*keys, rank[of]))
     chosen = (matches.corridors[order], matches.bits[order])
     return _Matches(rank[of][rows], take(nodes, rows), *chosen)

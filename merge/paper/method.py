@@ -8,10 +8,10 @@ more than any cluster that places the maps otherwise (`significance`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from itertools import combinations, islice
+from itertools import combinations
 from math import log2
 from typing import Any
 
@@ -191,10 +191,8 @@ def _judged(
         yield from (judge(a, b, settings, len(pairs)) for a, b in pairs)
         return
     size = max(1, min(32, len(pairs) // 64))
-    batches = [
-        executor.submit(_judge_all, part, settings, len(pairs)) for part in _batched(pairs, size)
-    ]
-    for batch in batches:
+    parts = (pairs[k : k + size] for k in range(0, len(pairs), size))
+    for batch in [executor.submit(_judge_all, part, settings, len(pairs)) for part in parts]:
         yield from batch.result()
 
 
@@ -202,14 +200,6 @@ def _judge_all(
     part: Sequence[tuple[PreparedMap, PreparedMap]], settings: PaperSettings, pairs: int
 ) -> list[PairVerdict]:
     return [judge(a, b, settings, pairs) for a, b in part]
-
-
-def _batched(
-    pairs: Iterable[tuple[PreparedMap, PreparedMap]], size: int
-) -> Iterator[list[tuple[PreparedMap, PreparedMap]]]:
-    rest = iter(pairs)
-    while part := list(islice(rest, size)):
-        yield part
 
 
 def judge(

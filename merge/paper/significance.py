@@ -2,19 +2,22 @@
 
 "Clusters containing only one or two pairs of vertices ... are generally not significant", and how
 many are depends on "the size, complexity, and self-similarity of the environment". All three are
-measured. Where two maps share nothing, L pairs of corridors agree by chance, and each begins a
-match; at a pair of vertices so reached, a further corridor that both maps drove agrees with some
-probability p. A match of v vertices needed v - 2 further agreements, so that E = L p^(v - 2) of
-them are to be expected; -log2 E are the bits by which it is more than chance. L and p are seen in
-all other matches of the two maps, and in those of either map with other parts of itself. Where a
-building repeats itself, p differs from place to place: a match of as many vertices as a map shares
-with another part of itself is none that chance does not offer, so that E is no less than
-p^(v - m), m the vertices of the largest such match. And where walls run through a rectilinear
-building, a map slid along them still agrees in all lengths across: of the independent lengths along
-either axis only the fewer, n, tell. The other agreements are then of branches alone, which agree
-with some probability q, and E is no less than L p^n q^(v - 2 - n). Where degrees may be inexact,
-pairs of vertices that agree have equal branches with some probability r, and this bound is lower by
-the probability that as many of v - 2 are equal.
+measured, on all other matches of the two maps and on those of either map with other parts of
+itself.
+
+L: pairs of corridors of two maps that share nothing which agree by chance; each begins a match.
+p: probability that a further corridor that both maps drove agrees at a pair of vertices so reached.
+E: expected number of chance matches as large as one of v vertices; its evidence is -log2 E bits. E
+is the largest of these:
+
+- L p^(v - 2): v - 2 further agreements.
+- p^(v - m), with m the vertices of the largest match of either map with another part of itself:
+  where a building repeats itself, p differs from place to place.
+- L p^n q^(v - 2 - n) in rectilinear buildings, where a map slid along a wall still agrees in all
+  lengths across it: n is the lesser number of independent lengths along the two axes, and the other
+  agreements are of branches alone, with probability q. Where degrees may be inexact, pairs of
+  vertices that agree have equal branches with probability r, and this bound is multiplied by the
+  probability that as many of v - 2 are equal.
 """
 
 from __future__ import annotations
@@ -41,7 +44,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class SelfSimilarity:
-    """What a map's matches with other parts of itself show of chance.
+    """Statistics of a map's matches with other parts of itself.
 
     links: pairs of corridors that agree; tested: corridors compared at vertices that a match had
     reached; agreed: how many of these agree; largest: vertices of the largest match, rejected or
