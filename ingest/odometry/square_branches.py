@@ -1,4 +1,4 @@
-"""Branches that are square to those of earlier passes, the less exactly the longer the way between."""
+"""Branches square to those of earlier passes, the less exactly the longer the way between."""
 
 from __future__ import annotations
 
