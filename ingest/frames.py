@@ -58,12 +58,12 @@ class FixedTransforms:
     @property
     def groups(self) -> list[list[str]]:
         """Names of the frames that are fixed to each other, group by group."""
-        group = {name: {name} for pair in self.value for name in pair}
-        for parent, child in self.value:
-            joined = group[parent] | group[child]
-            for name in joined:
-                group[name] = joined
-        return sorted({tuple(sorted(names)): sorted(names) for names in group.values()}.values())
+        from scipy.cluster.hierarchy import DisjointSet
+
+        joined = DisjointSet({name for pair in self.value for name in pair})
+        for pair in self.value:
+            joined.merge(*pair)
+        return sorted(sorted(names) for names in joined.subsets())
 
     def __str__(self) -> str:
         if not self.value and not self.moving:

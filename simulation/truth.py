@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 
 from ..topology.errors import DocumentError
 from ..topology.files import read_json, write_json
@@ -101,15 +102,11 @@ class Truth:
 
         These are the components that a perfect merge finds.
         """
-        groups = [{name} for name in sorted(self.runs)]
-        for a, b in combinations(sorted(self.runs), 2):
+        joined = DisjointSet(self.runs)
+        for a, b in combinations(self.runs, 2):
             if len(self.common(a, b)) >= least_common:
-                of_a = next(g for g in groups if a in g)
-                of_b = next(g for g in groups if b in g)
-                if of_a is not of_b:
-                    of_a |= of_b
-                    groups.remove(of_b)
-        return groups
+                joined.merge(a, b)
+        return sorted(joined.subsets(), key=min)
 
 
 def truth_transform(truth: Truth, a: str, b: str) -> FloatArray:

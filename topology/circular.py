@@ -50,8 +50,6 @@ def cluster_angles(angle_rad: FloatArray, owner: IntArray, gap_rad: float) -> An
     widest = np.lexsort((-gap, c))[start[:-1]]
     seam = a[following[widest]]
     opened = (angle - seam[circle]) % (2 * np.pi)
-    # The seam's own reading may come out as a full turn by rounding.
-    opened = np.where(opened > 2 * np.pi - 1e-9, 0.0, opened)
     order = np.lexsort((opened, circle))
     row, c = opened[order], circle[order]
     new = np.diff(row, prepend=0.0) > gap_rad

@@ -104,3 +104,11 @@ def test_hours_of_circling_on_the_spot_are_left_out_at_once():
     circles = 0.4 * np.column_stack([np.cos(turn), np.sin(turn)])
     path = np.concatenate([[[-5.0, 0.0]], circles, [[5.0, 0.0]]])
     assert len(loop_erased(path, 0.5)) < 50
+
+
+def test_of_a_short_corridor_the_middle_third_stays():
+    track = np.column_stack([np.linspace(0.0, 1.2, 25), np.full(25, 0.1)])
+    path = join_centres(track, np.zeros(2), np.array([1.2, 0.0]), 0.7)
+    assert len(path) > 6
+    assert path[1:-1, 0].min() == pytest.approx(0.4, abs=0.06)
+    assert path[1:-1, 0].max() == pytest.approx(0.8, abs=0.06)
