@@ -55,17 +55,7 @@ class Laser:
         none = np.zeros(scans, np.int64)
         stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
         columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
-        times = Source(
-            columns,
-            (),
-            "",
-            messages=scans,
-            failed=0,
-            not_finite=0,
-            zero_quaternion=0,
-            empty=0,
-        )
-        return cls(choice, frozenset(frames), times)
+        return cls(choice, frozenset(frames), Source(columns, (), "", messages=scans))
 
 
 @dataclass(frozen=True, slots=True)
