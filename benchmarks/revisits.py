@@ -23,7 +23,6 @@ from topobatch.ingest.scans.keyframes import Keyframes, join
 from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.ingest.scans.step_errors import StepErrors
-from topobatch.ingest.scans.surfaces import surfaces
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, turned_axes, wrap
 
@@ -34,7 +33,7 @@ NEAR_M, AWAY_M, AROUND_M, EACH = 6.0, 14.0, 4.0, 8
 """Poses so near by the corrected path may see the same, after so much way; way around a pose by
 which its place in that path is told; pairs of a scan that are tried."""
 OFFSETS = (1, 2, 4, 8, 14, 20, 28, 36, 46, 56)
-ROUNDS = ((3, Gate(0.5, 0.15, 3)), (3, Gate(0.3, 0.08, 1)), (4, Gate(0.2, 0.05, 1)))
+ROUNDS = ((3, Gate(0.5, 0.15)), (3, Gate(0.3, 0.08)), (4, Gate(0.2, 0.05)))
 SYMMETRIC: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.0,
@@ -65,7 +64,7 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
         (frames.time_ns >= truth.time_ns[0]) & (frames.time_ns <= truth.time_ns[-1])
     )
     ours, frames = np.concatenate([part.pose for part in parts])[inside], frames.take(inside)
-    scans = Swept(frames.xy, frames.start, frames.increment, surfaces(frames.xy, frames.increment))
+    scans = Swept.of(frames.xy, frames.start, frames.increment)
     real = compose(truth.at(frames.time_ns), frames.mount)
     start, again = _started(real, ours), _again(real, ours)
     found = match_steps(scans, again, _loose(between(start[again[1]], start[again[0]])), _PLAIN)

@@ -40,8 +40,8 @@ class AlignmentSettings:
     offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 24, 36, 52)
     """How many keyframes back a scan is held against: up to 13 m of way. Two more change nothing,
     two fewer cost a fifth of the drift."""
-    pair_rounds: tuple[tuple[int, Gate], ...] = ((5, Gate(0.5, 0.2, 3)), (4, Gate(0.2, 0.05, 1)))
-    joint_rounds: tuple[tuple[int, Gate], ...] = ((3, Gate(0.3, 0.08, 1)), (8, Gate(0.2, 0.05, 1)))
+    pair_rounds: tuple[tuple[int, Gate], ...] = ((5, Gate(0.5, 0.2, 1)), (4, Gate(0.2, 0.05, 1)))
+    joint_rounds: tuple[tuple[int, Gate], ...] = ((3, Gate(0.3, 0.08)), (8, Gate(0.2, 0.05)))
     """Rounds at most, and what counts in them: the wide gate reaches from where a bad odometry
     leads (without it, drift by scans alone is a quarter more)."""
     settled_m: float = 0.01
@@ -100,7 +100,7 @@ def match_steps(
     searched = np.zeros(n, bool)
     lost = np.flatnonzero(fit < settings.lost_fit)
     tried = np.arange(-settings.search_rad, settings.search_rad + 1e-9, settings.search_step_rad)
-    together = max(1, MOST_POINTS // (len(tried) * scans.xy.shape[1]))
+    together = max(1, MOST_POINTS // (len(tried) * scans.beams))
     for some in (lost[k : k + together] for k in range(0, len(lost), together)):
         rows = np.repeat(some, len(tried))
         start = steps.motion[rows]
@@ -196,7 +196,8 @@ def _scatter(
 ) -> Scatter:
     """What walls and odometry ask for at poses (n, 3) that all of them together agree on."""
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
-    walls, curvature = wall_scores(scans, pose, pairs, gate, _worth(looks, pose, settings))
+    worth = scans.each * _worth(looks, pose, settings)
+    walls, curvature = wall_scores(scans, pose, pairs, gate, worth)
     off, information = _odometry(pose, steps)
     odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off))
     band = _equations(pose, steps, looks, settings, curvature)

@@ -1,7 +1,8 @@
 """Points of one scan on the surfaces of another: the terms that point-to-line matching sums up.
 
 Correspondences by projection: a point is moved into the other laser's frame, its bearing says which
-beams to look at. No tree is built, and thousands of pairs of scans go through one call.
+beam's surface it is held against. Nothing is searched for, and hundreds of pairs of scans go through
+one call without a branch.
 """
 
 from __future__ import annotations
@@ -12,24 +13,83 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.se2 import wrap
-from .surfaces import BoolArray, Float32Array, FloatArray, IntArray, Surfaces
+from .surfaces import BoolArray, Float32Array, FloatArray, IntArray, SurfaceSettings, surfaces
+
+POINT_RAD = 0.035
+"""Beams of one scan that are held against another's surfaces, at most so near to each other: those
+between lie on the same lines (drift is the same within noise, of every third beam a tenth more)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Every `each`-th point of `k` scans: x, y in the laser's frame [m] and nx, ny of its surface,
+    all 0 where there is none (`valid` is False). Row `each` i + j: scan i from beam j on."""
+
+    x: Float32Array
+    y: Float32Array
+    nx: Float32Array
+    ny: Float32Array
+    valid: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Surfaces of all beams of `k` scans, one after the other (k m,): a point of each and its
+    normal. A beam without one shows its neighbour's, and zeros where that has none."""
+
+    x: Float32Array
+    y: Float32Array
+    nx: Float32Array
+    ny: Float32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swept:
-    """`k` scans on one raster of beams, with their surfaces.
+    """`k` scans on one raster of `beams`, of which one in `each` counts as a point.
 
-    xy: (k, m, 2) points in the laser's frame [m], NaN where no return; start, increment: (k,)
-    bearing of the first beam and from beam to beam [rad]; surfaces: of the same shape.
+    start, increment: (k,) bearing of the first beam and from beam to beam [rad].
     """
 
-    xy: Float32Array
     start: FloatArray
     increment: FloatArray
-    surfaces: Surfaces
+    beams: int
+    each: int
+    points: Points
+    lines: Lines
 
-    def __len__(self) -> int:
-        return len(self.xy)
+    @classmethod
+    def of(
+        cls,
+        xy: Float32Array,
+        start: FloatArray,
+        increment: FloatArray,
+        settings: SurfaceSettings = SurfaceSettings(),
+    ) -> Swept:
+        """Of (k, m, 2) points in the laser's frame [m], NaN where no return."""
+        on = surfaces(xy, increment, settings)
+        each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
+        nx, ny, *own = (
+            np.where(on.valid, values, np.float32(0))
+            for values in (on.nx, on.ny, xy[..., 0], xy[..., 1])
+        )
+        points = Points(*(_every(values, each) for values in (*own, nx, ny, on.valid)))
+        at = _with_neighbours(on.valid)
+        lines = Lines(*(values.take(at) for values in (on.x, on.y, nx, ny)))
+        return cls(start, increment, xy.shape[1], each, points, lines)
+
+
+def _every(values: NDArray[np.generic], each: int) -> NDArray[np.generic]:
+    """Columns j, j + each, ... of (k, m) for every j, as rows (each k, ceil(m / each))."""
+    k, m = values.shape
+    padded = np.pad(values, ((0, 0), (0, -m % each)))
+    return np.ascontiguousarray(padded.reshape(k, -1, each).swapaxes(1, 2)).reshape(k * each, -1)
+
+
+def _with_neighbours(valid: BoolArray) -> IntArray:
+    """(k m,) flat index of every beam's own surface, or of that next to it."""
+    around = np.pad(valid, ((0, 0), (1, 1)))
+    aside = np.where(around[:, :-2], -1, around[:, 2:].astype(np.int64))
+    return np.arange(valid.size) + np.where(valid, 0, aside).ravel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,17 +97,16 @@ class Gate:
     """Which correspondences count, and how much.
 
     residual_m: largest distance from the line; sigma_m: at which a residual weighs a quarter
-    (Geman-McClure); beams: neighbours looked at on either side of the bearing.
+    (Geman-McClure); beams: neighbours on either side among which the nearest is looked for.
     """
 
     residual_m: float
     sigma_m: float
-    beams: int = 2
+    beams: int = 0
 
 
 NEAR_M = 0.3
-"""How far from the nearest point of a surface, besides the spacing of its beams, a point on it may
-lie."""
+"""How far from the point of a surface, besides the spacing of its beams, a point on it may lie."""
 ALIKE = 0.8
 """Cosine of the angle (37 degrees) to which normals of one surface agree."""
 FIT_M = 0.08
@@ -58,7 +117,8 @@ FIT_M = 0.08
 class PairTerms:
     """Per pair: `moments` (p, 4, 4) Σ w a aᵀ, a the derivative of a residual by the motion from the
     second scan to the first (shift along the second's axes, turn), and the residual itself. fit:
-    (p,) share of the points that lie on a surface; weight: (p,) Σ w."""
+    (p,) share of the points that lie on a surface; weight: (p,) Σ w. Sums are of beams: every point
+    stands for `each`."""
 
     moments: FloatArray
     fit: FloatArray
@@ -79,16 +139,22 @@ def pair_terms(
     out = PairTerms(np.zeros((len(first), 4, 4)), np.zeros(len(first)), np.zeros(len(first)))
     for begin in range(0, len(first), MOST_PAIRS):
         k = slice(begin, begin + MOST_PAIRS)
-        part = _terms(scans, first[k], second[k], motion[k], gate)
-        out.moments[k], out.fit[k], out.weight[k] = part
+        on = matches(scans, first[k], second[k], motion[k], gate)
+        rows = np.stack([on.nx, on.ny, on.lever, on.residual])
+        weighted = (rows * on.weight).transpose(1, 0, 2)
+        out.moments[k] = scans.each * np.matmul(weighted, rows.transpose(1, 2, 0))
+        fitting = np.count_nonzero(on.near & (np.abs(on.residual) < FIT_M), axis=1)
+        out.fit[k] = fitting / np.maximum(np.count_nonzero(on.inside, axis=1), 1)
+        out.weight[k] = scans.each * on.weight.sum(axis=1)
     return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Points of `p` scans and what is nearest to each: (p, m). x, y: in the frame of the scan that
-    holds the surface; nx, ny: its normal; lever: derivative of the residual by the motion's turn;
-    good: within the gate; weight: 0 beyond; near: of one surface; inside: in the field of view."""
+    """Points of `p` scans and what is seen in their direction: (p, h). x, y: in the frame of the
+    scan that holds the surface; nx, ny: its normal; lever: derivative of the residual by the
+    motion's turn; good: within the gate; weight: 0 beyond; near: of one surface; inside: in the
+    field of view."""
 
     x: Float32Array
     y: Float32Array
@@ -107,38 +173,26 @@ def matches(
 ) -> Matches:
     """Hold points of scans `first` (p,) against surfaces of scans `second` (p,); as `pair_terms`,
     point by point."""
-    T = motion.astype(np.float32)
-    turn = np.cos(T[:, 2:3]), np.sin(T[:, 2:3])
-    valid = scans.surfaces.valid[first]
-    own = scans.xy[first]
-    rx, ry = _turned(own[..., 0], own[..., 1], *turn)
-    px, py = rx + T[:, 0:1], ry + T[:, 1:2]
-    at, gap, inside = _nearest_beam(scans, second, (px, py), valid, gate.beams)
-    on = scans.surfaces
-    nx, ny = on.nx.take(at), on.ny.take(at)
-    residual = nx * (px - on.x.take(at)) + ny * (py - on.y.take(at))
-    mx, my = _turned(on.nx[first], on.ny[first], *turn)
-    step = scans.increment[second].astype(np.float32)[:, None]
-    reach = NEAR_M**2 + (3 * step) ** 2 * (px * px + py * py)
-    near = inside & (gap < reach) & (nx * mx + ny * my > ALIKE)
+    T = motion.astype(np.float32)[:, :, None]
+    turn = np.cos(T[:, 2]), np.sin(T[:, 2])
+    # Scans take turns in which of their beams count: all beams have their say in a window.
+    held, points, lines = scans.each * first + second % scans.each, scans.points, scans.lines
+    rx, ry = _turned(points.x[held], points.y[held], *turn)
+    px, py = rx + T[:, 0], ry + T[:, 1]
+    beam, inside = _beam(scans, second, px, py)
+    inside &= points.valid[held]
+    at, dx, dy, gap = _nearest(scans, second, beam, (px, py), gate.beams)
+    nx, ny = lines.nx.take(at), lines.ny.take(at)
+    residual = nx * dx + ny * dy
+    mx, my = _turned(points.nx[held], points.ny[held], *turn)
+    spacing = np.square(3 * scans.increment[second]).astype(np.float32)[:, None]
+    near = gap < NEAR_M**2 + spacing * (px * px + py * py)
+    near &= inside & (nx * mx + ny * my > ALIKE)
     good = near & (np.abs(residual) < gate.residual_m)
-    likely = 1 / (1 + (residual / np.float32(gate.sigma_m)) ** 2) ** 2
-    weight: Float32Array = np.where(good, likely, np.float32(0)).astype(np.float32, copy=False)
+    off = residual * np.float32(1 / gate.sigma_m)
+    weight = good / np.square(1 + off * off)
     # d residual / d turn = n · J R p, J (x, y) = (-y, x).
     return Matches(px, py, nx, ny, ny * rx - nx * ry, residual, weight, good, near, inside)
-
-
-def _terms(
-    scans: Swept, first: IntArray, second: IntArray, motion: FloatArray, gate: Gate
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    on = matches(scans, first, second, motion, gate)
-    rows = np.stack([on.nx, on.ny, on.lever, on.residual], axis=1)
-    rows = np.where(on.good[:, None], rows, np.float32(0))
-    moments = np.matmul(rows * on.weight[:, None], rows.transpose(0, 2, 1))
-    fitting = np.count_nonzero(on.near & (np.abs(on.residual) < FIT_M), axis=1)
-    usable = np.maximum(np.count_nonzero(on.inside, axis=1), 1)
-    return moments, fitting / usable, on.weight.sum(axis=1)
-
 
 def _turned(
     x: Float32Array, y: Float32Array, c: Float32Array, s: Float32Array
@@ -146,34 +200,38 @@ def _turned(
     return c * x - s * y, s * x + c * y
 
 
-def _nearest_beam(
-    scans: Swept,
-    second: IntArray,
-    at_xy: tuple[Float32Array, Float32Array],
-    valid: BoolArray,
-    width: int,
-) -> tuple[NDArray[np.int32], Float32Array, BoolArray]:
-    """Flat index of the beam of `second` whose surface is nearest to each point, squared distance
-    [m²], and whether the point lies in the field of view."""
-    m, (px, py) = scans.xy.shape[1], at_xy
+def _beam(
+    scans: Swept, second: IntArray, x: Float32Array, y: Float32Array
+) -> tuple[IntArray, BoolArray]:
+    """Beam of scans `second` (p,) in whose direction each point (p, h) lies, or the nearest there
+    is, and whether that is in the field of view."""
     start = wrap(scans.start[second]).astype(np.float32)[:, None]
-    increment = scans.increment[second].astype(np.float32)[:, None]
-    beam = (np.arctan2(py, px) - start) / increment
+    per_rad = (1 / scans.increment[second]).astype(np.float32)[:, None]
+    beam = (np.arctan2(y, x) - start) * per_rad
     # Rasters begin anywhere in a turn: what lies before the first beam may lie behind the last.
-    beam = np.where(beam < -0.5, beam + np.float32(2 * np.pi) / increment, beam)
-    beam = np.rint(np.where(valid, beam, -1)).astype(np.int32)
-    inside = valid & (beam >= 0) & (beam < m)
-    base = (second * m).astype(np.int32)[:, None]
-    tx, ty = scans.surfaces.x.ravel(), scans.surfaces.y.ravel()
-    best: Float32Array = np.full(px.shape, np.inf, np.float32)
-    at: NDArray[np.int32] = np.zeros(px.shape, np.int32)
-    for k in range(-width, width + 1):
-        index = np.clip(beam + np.int32(k), 0, m - 1) + base
-        gap, aside = px - tx.take(index), py - ty.take(index)
-        gap *= gap
-        aside *= aside
-        gap += aside
-        nearer = gap < best
-        np.copyto(best, gap, where=nearer)
-        np.copyto(at, index, where=nearer)
-    return at, best, inside
+    beam += (beam < -0.5) * (np.float32(2 * np.pi) * per_rad)
+    beam = np.rint(beam)
+    inside = (beam >= 0) & (beam < scans.beams)
+    return np.clip(beam, 0, scans.beams - 1).astype(np.int64), inside
+
+
+def _nearest(
+    scans: Swept, second: IntArray, beam: IntArray, xy: tuple[Float32Array, Float32Array], beams: int
+) -> tuple[IntArray, Float32Array, Float32Array, Float32Array]:
+    """Flat index of the nearest of `beams` surfaces on either side, and how far along x and y, and
+    squared, each point lies from it."""
+    lines, (x, y) = scans.lines, xy
+    base = scans.beams * second[:, None]
+    at = beam + base
+    dx, dy = x - lines.x.take(at), y - lines.y.take(at)
+    gap = dx * dx + dy * dy
+    for aside in (k for k in range(-beams, beams + 1) if k != 0):
+        other = np.clip(beam + aside, 0, scans.beams - 1) + base
+        to_x, to_y = x - lines.x.take(other), y - lines.y.take(other)
+        away = to_x * to_x + to_y * to_y
+        # Without a branch, as which one is nearer is anybody's guess.
+        at += (away < gap) * (other - at)
+        gap = np.minimum(gap, away)
+    if beams:
+        dx, dy = x - lines.x.take(at), y - lines.y.take(at)
+    return at, dx, dy, gap

@@ -16,7 +16,7 @@ from .association import Swept
 from .keyframes import Keyframes, KeyframeSettings, Posed, in_order, join, keyframes
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
-from .surfaces import SurfaceSettings, surfaces
+from .surfaces import SurfaceSettings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -120,12 +120,7 @@ def _solve(
 ) -> tuple[_Solved, StepErrors]:
     """All keyframes held, of which the first ones were solved for before, `final` of them for
     good."""
-    scans = Swept(
-        held.xy,
-        held.start,
-        held.increment,
-        surfaces(held.xy, held.increment, settings.surfaces),
-    )
+    scans = Swept.of(held.xy, held.start, held.increment, settings.surfaces)
     n, least_fit = len(held), settings.alignment.lost_fit
     before = _before(held)
     new = n - len(known.pose)

@@ -22,7 +22,6 @@ from .keyframes import Keyframes, keyframes
 from .matching import MatchingSettings, posed
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, odometry_motion
-from .surfaces import surfaces
 
 FloatArray = NDArray[np.float64]
 
@@ -81,12 +80,7 @@ def _yaws(frames: Keyframes, settings: MatchingSettings) -> FloatArray:
     second, own, way = second[straight], own[straight], way[straight]
     if len(second) == 0:
         return np.zeros(0)
-    scans = Swept(
-        frames.xy,
-        frames.start,
-        frames.increment,
-        surfaces(frames.xy, frames.increment, settings.surfaces),
-    )
+    scans = Swept.of(frames.xy, frames.start, frames.increment, settings.surfaces)
     anywhere = np.tile(np.diag(1 / np.array([1.0, 1.0, STRAIGHT_RAD]) ** 2), (len(own), 1, 1))
     still = Steps(np.zeros_like(own), anywhere)
     seen = match_steps(scans, (second + 1, second), still, settings.alignment)

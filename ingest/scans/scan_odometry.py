@@ -13,7 +13,7 @@ from .alignment import AlignmentSettings, Steps, chained, match_steps
 from .association import Swept
 from .keyframes import Keyframes, KeyframeSettings, Posed, join, prepared
 from .scan import ScanBatch
-from .surfaces import SurfaceSettings, surfaces
+from .surfaces import SurfaceSettings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -90,12 +90,7 @@ def _posed(
         return part, pose, before
     fresh = prepared(part, rows, np.ones(len(rows), np.int64), settings[0])
     frames = fresh if before is None else join([before, fresh])
-    scans = Swept(
-        frames.xy,
-        frames.start,
-        frames.increment,
-        surfaces(frames.xy, frames.increment, settings[1]),
-    )
+    scans = Swept.of(frames.xy, frames.start, frames.increment, settings[1])
     seconds = np.maximum(np.diff(frames.time_ns) * 1e-9, 1e-3)
     information = np.zeros((len(seconds), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = (pace.speed_m_per_s * seconds) ** -2

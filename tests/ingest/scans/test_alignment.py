@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from topobatch.ingest.scans import alignment
 from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, align, match_steps
 from topobatch.ingest.scans.association import Gate, Swept, pair_terms
-from topobatch.ingest.scans.surfaces import surfaces
 from topobatch.topology.se2 import between, compose
 
 from .building import WHOLE_TURN, Building
@@ -23,7 +24,7 @@ def test_what_is_searched_for_in_parts_is_found_the_same(monkeypatch: pytest.Mon
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (ranges[..., None] * along).astype(np.float32)
     step = np.full(len(pose), WHOLE_TURN[1] - WHOLE_TURN[0])
-    scans = Swept(xy, np.full(len(pose), WHOLE_TURN[0]), step, surfaces(xy, step))
+    scans = Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step)
     first = np.arange(1, len(pose))
     # The odometry says that the robot went straight on.
     straight = Steps(np.tile([0.1, 0.0, 0.0], (5, 1)), np.tile(np.diag([1e4, 1e4, 1e4]), (5, 1, 1)))
@@ -41,12 +42,12 @@ def room_seen_from(pose: np.ndarray) -> Swept:
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (room.ranges(pose, WHOLE_TURN)[..., None] * along).astype(np.float32)
     step = np.full(len(pose), WHOLE_TURN[1] - WHOLE_TURN[0])
-    return Swept(xy, np.full(len(pose), WHOLE_TURN[0]), step, surfaces(xy, step))
+    return Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step)
 
 
 def test_the_same_raster_begun_a_turn_later_matches_the_same() -> None:
     scans = room_seen_from(np.array([(2.0, 1.5, 0.0), (2.2, 1.6, 0.1)]))
-    later = Swept(scans.xy, scans.start + 2 * np.pi, scans.increment, scans.surfaces)
+    later = replace(scans, start=scans.start + 2 * np.pi)
     one, two = np.array([1]), np.array([0])
     motion, gate = np.array([[0.2, 0.1, 0.1]]), Gate(0.2, 0.05)
     told, again = (pair_terms(s, one, two, motion, gate) for s in (scans, later))

@@ -8,7 +8,6 @@ import pytest
 from topobatch.ingest.scans.alignment import Aligned, AlignmentSettings, Steps, align
 from topobatch.ingest.scans.association import Swept
 from topobatch.ingest.scans.scatter import PATCH_M, STRETCH, odometry_scores, wall_scores
-from topobatch.ingest.scans.surfaces import surfaces
 from topobatch.topology.se2 import between, wrap
 
 from .building import WHOLE_TURN, Building
@@ -27,7 +26,7 @@ def swept(noise_m: float, seed: int) -> Swept:
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (ranges[..., None] * along).astype(np.float32)
     step = np.full(N, WHOLE_TURN[1] - WHOLE_TURN[0])
-    return Swept(xy, np.full(N, WHOLE_TURN[0]), step, surfaces(xy, step))
+    return Swept.of(xy, np.full(N, WHOLE_TURN[0]), step)
 
 
 def matched(noise_m: float, seed: int) -> Aligned:
