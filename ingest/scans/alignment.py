@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from ...topology.se2 import between, compose, wrap
+from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
-from .scatter import Scatter, motion_by_ends, odometry_scores, wall_scores
+from .scatter import Scatter, odometry_scores, wall_scores
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -41,9 +42,12 @@ class AlignmentSettings:
     """How many keyframes back a scan is held against: up to 13 m of way. Two more change nothing,
     two fewer cost a fifth of the drift."""
     pair_rounds: tuple[tuple[int, Gate], ...] = ((5, Gate(0.5, 0.2, 1)), (4, Gate(0.2, 0.05, 1)))
-    joint_rounds: tuple[tuple[int, Gate], ...] = ((3, Gate(0.3, 0.08)), (8, Gate(0.2, 0.05)))
+    joint_rounds: tuple[tuple[int, Gate], ...] = ((2, Gate(0.3, 0.08)), (8, Gate(0.2, 0.05)))
     """Rounds at most, and what counts in them: the wide gate reaches from where a bad odometry
     leads (without it, drift by scans alone is a quarter more)."""
+    settled_share: float = 0.02
+    """All poses stand when no more pairs than these still move: what the others do is not seen in
+    the drift of twelve logs."""
     settled_m: float = 0.01
     """Points that a round moves by less have the same counterparts in the next …"""
     settled_at_m: float = 5.0
@@ -173,36 +177,28 @@ def align(
     Cauchy weight on odometry; O(n · offsets · beams) a round.
     """
     looks = _Looks.of(earlier, fixed)
+    equations = _Equations.of(len(pose), fixed, looks)
     for rounds, gate in settings.joint_rounds:
         looks.known[:] = False
         for _ in range(rounds):
-            if not looks.renewed(scans, pose, gate, settings):
+            if looks.renewed(scans, pose, gate, settings) <= settings.settled_share:
                 break
-            band = _equations(pose, steps, looks, settings)
-            band.hold(fixed)
-            pose = pose + band.solve()
+            quadratic = looks.quadratic(pose)
+            band, gradient = equations.at(
+                pose, steps, quadratic, _worth(looks, quadratic, settings)
+            )
+            step = solveh_banded(band, -gradient, lower=True, overwrite_ab=True, overwrite_b=True)
+            pose = pose + np.asarray(step).reshape(-1, 3)
             pose[:, 2] = wrap(pose[:, 2])
-    return Aligned(pose, _scatter(scans, pose, steps, looks, fixed=fixed, settings=settings))
-
-
-def _scatter(
-    scans: Swept,
-    pose: FloatArray,
-    steps: Steps,
-    looks: _Looks,
-    *,
-    fixed: int,
-    settings: AlignmentSettings,
-) -> Scatter:
-    """What walls and odometry ask for at poses (n, 3) that all of them together agree on."""
+    quadratic = looks.quadratic(pose)
+    worth = _worth(looks, quadratic, settings)
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
-    worth = scans.each * _worth(looks, pose, settings)
-    walls, curvature = wall_scores(scans, pose, pairs, gate, worth)
+    # What walls and odometry ask for at poses that all of them together agree on.
+    walls, curvature = wall_scores(scans, pose, pairs, gate, scans.each * worth)
     off, information = _odometry(pose, steps)
     odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off))
-    band = _equations(pose, steps, looks, settings, curvature)
-    band.hold(fixed)
-    return Scatter(band.lower(), walls, odometry)
+    band, _ = equations.at(pose, steps, quadratic, curvature * worth)
+    return Aligned(pose, Scatter(band, walls, odometry))
 
 
 def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:
@@ -212,11 +208,19 @@ def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:
     return off, steps.information / (1 + distance / 9)[:, None, None]
 
 
-def _worth(looks: _Looks, pose: FloatArray, settings: AlignmentSettings) -> float:
+def _worth(looks: _Looks, quadratic: _Quadratic, settings: AlignmentSettings) -> float:
     """What a point's square of 1 m² counts, by how far all points are off."""
-    squares = looks.quadratic(pose)[2]
-    residual_m = float(np.sqrt(max(squares.sum(), 0.0) / max(looks.weight.sum(), 1e-9)))
+    squares, weight = max(quadratic.squares.sum(), 0.0), max(looks.weight.sum(), 1e-9)
+    residual_m = float(np.sqrt(squares / weight))
     return settings.joint_worth / max(residual_m, settings.least_residual_m) ** 2
+
+
+class _Quadratic(NamedTuple):
+    """Of pairs: Σ w a aᵀ (p, 3, 3), Σ w a r (p, 3) and Σ w r² (p,)."""
+
+    information: FloatArray
+    gradient: FloatArray
+    squares: FloatArray
 
 
 @dataclass(slots=True, eq=False)
@@ -244,26 +248,25 @@ class _Looks:
 
     def renewed(
         self, scans: Swept, pose: FloatArray, gate: Gate, settings: AlignmentSettings
-    ) -> bool:
-        """Look again at those that moved so far that other points may count; whether any did."""
+    ) -> float:
+        """Look again at those that moved so far that other points may count; their share."""
         motion = between(pose[self.second], pose[self.first])
         k = np.flatnonzero(~self.known | settings.moved(self._change(motion)))
         terms = pair_terms(scans, self.first[k], self.second[k], motion[k], gate)
         self.motion[k], self.moments[k], self.weight[k] = motion[k], terms.moments, terms.weight
         self.known[k] = True
-        return len(k) > 0
+        return len(k) / max(len(self.known), 1)
 
     def _change(self, motion: FloatArray) -> FloatArray:
         return _difference(motion, self.motion)
 
-    def quadratic(self, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Σ w a aᵀ (p, 3, 3), Σ w a r (p, 3) and Σ w r² (p,) at these poses, by the residuals'
-        derivatives where they were last looked at."""
+    def quadratic(self, pose: FloatArray) -> _Quadratic:
+        """At these poses, by the residuals' derivatives where they were last looked at."""
         change = self._change(between(pose[self.second], pose[self.first]))
         inner, outer = self.moments[:, :3, :3], self.moments[:, :3, 3]
         by_change = np.einsum("pkl,pl->pk", inner, change)
         squares = self.moments[:, 3, 3] + np.sum((2 * outer + by_change) * change, axis=1)
-        return inner, outer + by_change, squares
+        return _Quadratic(inner, outer + by_change, squares)
 
 
 def _difference(motion: FloatArray, other: FloatArray) -> FloatArray:
@@ -273,82 +276,83 @@ def _difference(motion: FloatArray, other: FloatArray) -> FloatArray:
     return out
 
 
-def _equations(
-    pose: FloatArray,
-    steps: Steps,
-    looks: _Looks,
-    settings: AlignmentSettings,
-    share: float = 1.0,
-) -> _Band:
-    """Of odometry and scans together; share: of their worth by which scans count."""
-    first, second = looks.first, looks.second
-    band = _Band.empty(len(pose), int((first - second).max(initial=1)))
-    off, information = _odometry(pose, steps)
-    after = np.arange(1, len(pose))
-    band.add(pose, after, after - 1, (information, np.einsum("pkl,pl->pk", information, off)))
-    information, gradient, _ = looks.quadratic(pose)
-    scale = share * _worth(looks, pose, settings)
-    ends = np.searchsorted(looks.offset, np.arange(looks.offset.max(initial=0) + 2))
-    for k in map(slice, ends[:-1], ends[1:]):
-        band.add(pose, first[k], second[k], (scale * information[k], scale * gradient[k]))
-    return band
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Band:
-    """Normal equations of n poses: blocks (n, d + 1, 3, 3) of row a and column a - d; gradient."""
+class _Equations:
+    """Normal equations of n poses: where the terms of every look, and after them of every step of
+    the odometry, go. first, second: (p,) their poses; entry: (21, p) in the lower band of `rows`
+    rows (as scipy takes it); fixed: first poses that stay."""
 
-    blocks: FloatArray
-    gradient: FloatArray
+    first: IntArray
+    second: IntArray
+    entry: IntArray
+    rows: int
+    fixed: int
 
     @classmethod
-    def empty(cls, n: int, widest: int) -> _Band:
-        return cls(np.zeros((n, widest + 1, 3, 3)), np.zeros((n, 3)))
+    def of(cls, n: int, fixed: int, looks: _Looks) -> _Equations:
+        after = np.arange(1, n)
+        first = np.concatenate([looks.first, after])
+        second = np.concatenate([looks.second, after - 1])
+        # Of a pose by itself the lower half of its block, of the later by the earlier all of it.
+        p, q = np.tril_indices(3)
+        own = [3 * n * (p - q)[:, None] + (3 * pose + q[:, None]) for pose in (first, second)]
+        row, column = np.indices((3, 3)).reshape(2, 9, 1)
+        both = 3 * n * (3 * (first - second) + row - column) + 3 * second + column
+        rows = 3 * int((first - second).max(initial=0)) + 3
+        return cls(first, second, np.concatenate([*own, both]), rows, max(fixed, 1))
 
-    def add(
-        self,
-        pose: FloatArray,
-        first: IntArray,
-        second: IntArray,
-        terms: tuple[FloatArray, FloatArray],
-    ) -> None:
-        """Information (p, 3, 3) and gradient (p, 3) of the motion to distinct rows `first` from
-        distinct rows `second` before them."""
-        information, gradient = terms
-        by_first, by_second = motion_by_ends(pose, first, second)
-        to_first = by_first.transpose(0, 2, 1) @ information
-        to_second = by_second.transpose(0, 2, 1) @ information
-        self.blocks[first, 0] += to_first @ by_first
-        self.blocks[second, 0] += to_second @ by_second
-        self.blocks[first, first - second] += to_first @ by_second
-        self.gradient[first] += np.einsum("pkl,pk->pl", by_first, gradient)
-        self.gradient[second] += np.einsum("pkl,pk->pl", by_second, gradient)
+    def at(
+        self, pose: FloatArray, steps: Steps, looks: _Quadratic, worth: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """The band (rows, 3 n) and the gradient (3 n,) at poses (n, 3).
 
-    def hold(self, fixed: int) -> None:
-        """Keep the first poses where they are, and those that nothing ties down."""
-        self.blocks[: max(fixed, 1), 0] += 1e10 * np.eye(3)
-        self.blocks[:, 0] += 1e-6 * np.eye(3)
+        With the motion's axes turned into the world, W its information and d the way between the
+        two, the later pose has W, the earlier Bᵀ W B, both -W B; B adds J d of the turn, J a
+        quarter turn.
+        """
+        n = len(pose)
+        off, information = _odometry(pose, steps)
+        gradient = np.einsum("pkl,pl->pk", information, off)
+        information = np.concatenate([worth * looks.information, information])
+        gx, gy, g_turn = np.concatenate([worth * looks.gradient, gradient]).T
+        theta = pose[self.second, 2]
+        c, s = np.cos(theta), np.sin(theta)
+        xx, xy, yy = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
+        w00 = c * c * xx - 2 * c * s * xy + s * s * yy
+        w10 = c * s * (xx - yy) + (c * c - s * s) * xy
+        w11 = s * s * xx + 2 * c * s * xy + c * c * yy
+        xt, yt, w22 = information[:, 0, 2], information[:, 1, 2], information[:, 2, 2]
+        w20, w21 = c * xt - s * yt, s * xt + c * yt
+        dx, dy = (pose[self.first, :2] - pose[self.second, :2]).T
+        v0, v1, v2 = w10 * dx - w00 * dy, w11 * dx - w10 * dy, w21 * dx - w20 * dy
+        by_turn = w20 + v0, w21 + v1, w22 + v2
+        later = w00, w10, w11, w20, w21, w22
+        earlier = w00, w10, w11, *by_turn[:2], by_turn[2] + v2 + v1 * dx - v0 * dy
+        both = -w00, -w10, -by_turn[0], -w10, -w11, -by_turn[1], -w20, -w21, -by_turn[2]
+        terms = np.stack([*later, *earlier, *both])
+        band = _sums(self.entry, terms, self.rows * 3 * n).reshape(self.rows, 3 * n)
+        # Poses that stay, and a little for those that nothing ties down.
+        band[0, : 3 * self.fixed] += 1e10
+        band[0] += 1e-6
+        gx, gy = c * gx - s * gy, s * gx + c * gy
+        ends = 3 * np.stack([self.first] * 3 + [self.second] * 3)
+        ends += np.array([0, 1, 2, 0, 1, 2])[:, None]
+        terms = np.stack([gx, gy, g_turn, -gx, -gy, gx * dy - gy * dx - g_turn])
+        return band, _sums(ends, terms, 3 * n)
 
-    def lower(self) -> FloatArray:
-        """(3 d + 3, 3 n) the lower band as scipy takes it."""
-        n, width = self.blocks.shape[:2]
-        band = np.zeros((3 * width + 2, n, 3))
-        for d in range(width):
-            for p in range(3):
-                for q in range(3):
-                    if 3 * d + p >= q:
-                        band[3 * d + p - q, : n - d, q] = self.blocks[d:, d, p, q]
-        return band.reshape(3 * width + 2, 3 * n)
 
-    def solve(self) -> FloatArray:
-        step = solveh_banded(self.lower(), -self.gradient.ravel(), lower=True)
-        return np.asarray(step).reshape(-1, 3)
+def _sums(at: IntArray, terms: FloatArray, size: int) -> FloatArray:
+    """(size,) sums of the terms at each place."""
+    sums = np.bincount(at.ravel(), terms.ravel(), size)
+    # Of nothing numpy makes integers.
+    return np.asarray(sums, np.float64)
 
 
 def chained(start: FloatArray, motion: Sequence[FloatArray] | FloatArray) -> FloatArray:
     """(n, 3) poses from `start` (3,) on, one after each motion, without the start."""
-    out = np.empty((len(motion), 3))
-    pose = np.asarray(start)
-    for k, step in enumerate(motion):
-        pose = out[k] = compose(pose, step)
-    return out
+    steps = np.asarray(motion, np.float64).reshape(-1, 3)
+    theta = start[2] + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    x = start[0] + np.cumsum(c * steps[:, 0] - s * steps[:, 1])
+    y = start[1] + np.cumsum(s * steps[:, 0] + c * steps[:, 1])
+    return np.stack([x, y, wrap(theta[1:])], axis=1)

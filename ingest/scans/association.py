@@ -1,16 +1,16 @@
 """Points of one scan on the surfaces of another: the terms that point-to-line matching sums up.
 
-Correspondences by projection: a point is moved into the other laser's frame, its bearing says which
-beam's surface it is held against. Nothing is searched for, and hundreds of pairs of scans go through
-one call without a branch.
+Correspondences by projection: a point is moved into the other laser's frame, its bearing says
+which beam's surface it is held against. No tree is built, hundreds of pairs of scans go through one
+call, and no inner loop branches: which of two is nearer no processor guesses.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...topology.se2 import wrap
 from .surfaces import BoolArray, Float32Array, FloatArray, IntArray, SurfaceSettings, surfaces
@@ -63,22 +63,20 @@ class Swept:
         xy: Float32Array,
         start: FloatArray,
         increment: FloatArray,
-        settings: SurfaceSettings = SurfaceSettings(),
+        settings: SurfaceSettings,
     ) -> Swept:
         """Of (k, m, 2) points in the laser's frame [m], NaN where no return."""
         on = surfaces(xy, increment, settings)
         each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
-        nx, ny, *own = (
-            np.where(on.valid, values, np.float32(0))
-            for values in (on.nx, on.ny, xy[..., 0], xy[..., 1])
-        )
-        points = Points(*(_every(values, each) for values in (*own, nx, ny, on.valid)))
+        x, y = (np.where(on.valid, xy[..., k], np.float32(0)) for k in (0, 1))
+        x, y, nx, ny = (_every(values, each) for values in (x, y, on.nx, on.ny))
+        points = Points(x, y, nx, ny, _every(on.valid, each))
         at = _with_neighbours(on.valid)
-        lines = Lines(*(values.take(at) for values in (on.x, on.y, nx, ny)))
+        lines = Lines(*(values.take(at) for values in (on.x, on.y, on.nx, on.ny)))
         return cls(start, increment, xy.shape[1], each, points, lines)
 
 
-def _every(values: NDArray[np.generic], each: int) -> NDArray[np.generic]:
+def _every(values: Any, each: int) -> Any:
     """Columns j, j + each, ... of (k, m) for every j, as rows (each k, ceil(m / each))."""
     k, m = values.shape
     padded = np.pad(values, ((0, 0), (0, -m % each)))
@@ -194,6 +192,7 @@ def matches(
     # d residual / d turn = n · J R p, J (x, y) = (-y, x).
     return Matches(px, py, nx, ny, ny * rx - nx * ry, residual, weight, good, near, inside)
 
+
 def _turned(
     x: Float32Array, y: Float32Array, c: Float32Array, s: Float32Array
 ) -> tuple[Float32Array, Float32Array]:
@@ -216,7 +215,11 @@ def _beam(
 
 
 def _nearest(
-    scans: Swept, second: IntArray, beam: IntArray, xy: tuple[Float32Array, Float32Array], beams: int
+    scans: Swept,
+    second: IntArray,
+    beam: IntArray,
+    xy: tuple[Float32Array, Float32Array],
+    beams: int,
 ) -> tuple[IntArray, Float32Array, Float32Array, Float32Array]:
     """Flat index of the nearest of `beams` surfaces on either side, and how far along x and y, and
     squared, each point lies from it."""
@@ -229,7 +232,6 @@ def _nearest(
         other = np.clip(beam + aside, 0, scans.beams - 1) + base
         to_x, to_y = x - lines.x.take(other), y - lines.y.take(other)
         away = to_x * to_x + to_y * to_y
-        # Without a branch, as which one is nearer is anybody's guess.
         at += (away < gap) * (other - at)
         gap = np.minimum(gap, away)
     if beams:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.odometry import Odometry
-from ...topology.se2 import between, compose, wrap
+from ...topology.se2 import between, wrap
 from ...topology.track import chain_of
 from .alignment import Aligned, AlignmentSettings, Steps, align, match_steps
 from .association import Swept
@@ -171,16 +172,17 @@ def _guess(
     """(n, 3) poses to start from: those known, then one after the other, each from the keyframe
     that it was matched to, or by the odometry."""
     fresh, before, motion = matched_to
-    row_of = {int(row): k for k, row in enumerate(fresh)}
-    pose = np.concatenate([known, np.zeros((len(held) - len(known), 3))])
-    for row in range(len(known), len(held)):
-        if row in row_of:
-            pose[row] = compose(pose[before[row]], motion[row_of[row]])
-        elif row > 0:
-            pose[row] = compose(pose[row - 1], raw.motion[row - 1])
-        else:
-            pose[row] = held.odometry[0]
-    return pose
+    came_from, step = np.arange(len(held)) - 1, np.concatenate([np.zeros((1, 3)), raw.motion])
+    came_from[fresh], step[fresh] = before[fresh], motion
+    pose = known.tolist() or [tuple(held.odometry[0])]
+    ahead = zip(came_from[len(pose) :].tolist(), step[len(pose) :].tolist(), strict=True)
+    for row, (x, y, turn) in ahead:
+        x0, y0, theta = pose[row]
+        c, s = cos(theta), sin(theta)
+        pose.append((x0 + c * x - s * y, y0 + s * x + c * y, theta + turn))
+    out = np.array(pose)
+    out[:, 2] = wrap(out[:, 2])
+    return out
 
 
 def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors) -> Matched:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,7 +40,7 @@ class SurfaceSettings:
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
     """Of scans (n, m): x, y of a point on the fitted line, nx, ny of its normal towards the laser;
-    where there is none, `valid` is False and the point is out of reach."""
+    where there is none, `valid` is False, the normal zero, and the point out of reach."""
 
     x: Float32Array
     y: Float32Array
@@ -52,6 +51,8 @@ class Surfaces:
 
 OUT_OF_REACH_M = 1e4
 """No laser reaches so far: what is there is nobody's nearest."""
+LEAST_M2 = 1e-9
+"""Variance along a line that has no length."""
 
 
 def surfaces(
@@ -70,18 +71,19 @@ def surfaces(
     low, high = _windows(xy, near, seen, increment_rad, settings)
     points = np.where(seen[..., None], xy, 0).astype(np.float64)
     x, y = points[..., 0], points[..., 1]
-    beam = np.arange(xy.shape[1])
-    sums = [_prefix_sums(values) for values in (x, y, x * x, y * y, x * y)]
-    line = _line(sums, low, high)
-    here = settings.flatter * _roughness(line, settings)
+    sums = _prefix_sums(np.stack([x, y, x * x, y * y, x * y]))
+    here = settings.flatter * _roughness(_line(sums, low, high), settings)
     # A line across a corner lies inside it, by how much depends on how far away it is seen from.
-    for first, last in ((low, np.minimum(beam + 1, high)), (np.maximum(beam, low), high)):
+    beam = np.arange(xy.shape[1])
+    sides = (low, np.minimum(beam + 1, high)), (np.maximum(beam, low), high)
+    for first, last in sides:
         side = _line(sums, first, np.maximum(first, last))
         rough = np.where(side.size >= 2 * settings.least_beams, _roughness(side, settings), np.inf)
         better = rough < here
-        here = np.where(better, rough, here)
-        line = _Line(*(np.where(better, new, old) for new, old in zip(side, line, strict=True)))
-    size, mx, my, along, across, length = line
+        here = np.minimum(rough, here)
+        low, high = low + better * (first - low), high + better * (last - high)
+    size, mx, my, across, length, cos2, sin2 = _line(sums, low, high)
+    along = 0.5 * np.arctan2(sin2.astype(np.float32), cos2.astype(np.float32))
     nx, ny = -np.sin(along), np.cos(along)
     valid = (
         seen
@@ -90,7 +92,8 @@ def surfaces(
         & (length > 9 * across)
     )
     off = nx * (x - mx) + ny * (y - my)
-    towards = np.where(nx * x + ny * y > 0, -1.0, 1.0)
+    towards = -np.copysign(1.0, nx * x + ny * y)
+    towards *= valid
     return Surfaces(
         np.where(valid, x - nx * off, OUT_OF_REACH_M).astype(np.float32),
         (y - ny * off).astype(np.float32),
@@ -101,32 +104,37 @@ def surfaces(
 
 
 class _Line(NamedTuple):
-    """Lines through beams (n, m): how many, their middle, direction [rad], variance across and
-    along [m²]."""
+    """Lines through beams (n, m): how many, their middle, variance across and along [m²]; cosine
+    and sine of twice the direction, times the difference of the two."""
 
     size: FloatArray
     x: FloatArray
     y: FloatArray
-    along: FloatArray
     across: FloatArray
     length: FloatArray
+    cos2: FloatArray
+    sin2: FloatArray
 
 
 def _prefix_sums(values: FloatArray) -> FloatArray:
-    out = np.zeros((len(values), values.shape[1] + 1))
-    np.cumsum(values, axis=1, out=out[:, 1:])
+    """(c, n, m + 1) of (c, n, m): of all beams before each."""
+    out = np.zeros((*values.shape[:-1], values.shape[-1] + 1))
+    np.cumsum(values, axis=-1, out=out[..., 1:])
     return out
 
 
-def _line(sums: Sequence[FloatArray], low: IntArray, high: IntArray) -> _Line:
+def _line(sums: FloatArray, low: IntArray, high: IntArray) -> _Line:
     """Through beams `low` to before `high` (n, m), by sums of x, y, x², y², x y before each."""
-    rows = np.arange(len(low))[:, None]
     size = np.maximum(high - low, 1).astype(np.float64)
-    x, y, xx, yy, xy = ((total[rows, high] - total[rows, low]) / size for total in sums)
+    begin = sums.shape[2] * np.arange(len(low))[:, None]
+    low, high = begin + low, begin + high
+    x, y, xx, yy, xy = ((total.take(high) - total.take(low)) / size for total in sums)
     xx, yy, xy = xx - x * x, yy - y * y, xy - x * y
-    root = np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
-    across, length = np.maximum(0.5 * (xx + yy) - root, 0.0), 0.5 * (xx + yy) + root
-    return _Line(size, x, y, 0.5 * np.arctan2(2 * xy, xx - yy), across, length)
+    cos2, sin2 = xx - yy, 2 * xy
+    # The smaller eigenvalue by the determinant, else a root in single precision would not do.
+    length = 0.5 * (xx + yy + np.sqrt((cos2 * cos2 + sin2 * sin2).astype(np.float32)))
+    across = np.maximum(xx * yy - xy * xy, 0.0) / np.maximum(length, LEAST_M2)
+    return _Line(size, x, y, across, length, cos2, sin2)
 
 
 def _roughness(line: _Line, settings: SurfaceSettings) -> FloatArray:
@@ -145,9 +153,9 @@ def _windows(
     """First beam, and that after the last, of every point's window: unbroken, within reach."""
     n, m = distance.shape
     step = increment_rad[:, None]
-    gap = np.hypot(*np.moveaxis(np.diff(xy.astype(np.float64), axis=1), -1, 0))
+    dx, dy = (xy[:, 1:, k] - xy[:, :-1, k] for k in (0, 1))
     limit = 0.1 + settings.grazing * step * np.minimum(distance[:, 1:], distance[:, :-1])
-    broken = ~(gap < limit)
+    broken = ~(dx * dx + dy * dy < limit * limit)
     beam = np.arange(xy.shape[1])
     begins, ends = np.ones((n, m), bool), np.ones((n, m), bool)
     begins[:, 1:], ends[:, :-1] = broken, broken

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans import alignment
+from topobatch.ingest.scans import alignment, association
 from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, align, match_steps
 from topobatch.ingest.scans.association import Gate, Swept, pair_terms
+from topobatch.ingest.scans.surfaces import SurfaceSettings
 from topobatch.topology.se2 import between, compose
 
 from .building import WHOLE_TURN, Building
@@ -24,7 +25,7 @@ def test_what_is_searched_for_in_parts_is_found_the_same(monkeypatch: pytest.Mon
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (ranges[..., None] * along).astype(np.float32)
     step = np.full(len(pose), WHOLE_TURN[1] - WHOLE_TURN[0])
-    scans = Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step)
+    scans = Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step, SurfaceSettings())
     first = np.arange(1, len(pose))
     # The odometry says that the robot went straight on.
     straight = Steps(np.tile([0.1, 0.0, 0.0], (5, 1)), np.tile(np.diag([1e4, 1e4, 1e4]), (5, 1, 1)))
@@ -42,7 +43,7 @@ def room_seen_from(pose: np.ndarray) -> Swept:
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (room.ranges(pose, WHOLE_TURN)[..., None] * along).astype(np.float32)
     step = np.full(len(pose), WHOLE_TURN[1] - WHOLE_TURN[0])
-    return Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step)
+    return Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step, SurfaceSettings())
 
 
 def test_the_same_raster_begun_a_turn_later_matches_the_same() -> None:
@@ -54,6 +55,32 @@ def test_the_same_raster_begun_a_turn_later_matches_the_same() -> None:
     assert told.fit[0] > 0.95
     assert again.fit == told.fit
     np.testing.assert_allclose(again.moments, told.moments, rtol=1e-3, atol=1e-3)
+
+
+def test_every_second_beam_tells_the_same_as_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a dense scan: a point stands for the beams beside it, and in the end each has its say."""
+    bearing = np.linspace(-np.pi, np.pi, 361)[:-1]
+    room = Building.of((0.0, 0.0, 7.0, 4.0), (3.0, 3.9, 4.5, 9.0))
+    pose = np.array([(2.0, 1.5, 0.0), (2.2, 1.6, 0.1), (2.4, 1.6, 0.2)])
+    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    xy = (room.ranges(pose, bearing)[..., None] * along).astype(np.float32)
+    step = np.full(3, bearing[1] - bearing[0])
+    first, second = np.array([1, 2]), np.array([0, 1])
+    off, gate = np.array([0.02, 0.01, 0.01]), Gate(0.2, 0.05)
+    motion = between(pose[second], pose[first]) + off
+    some = Swept.of(xy, np.full(3, -np.pi), step, SurfaceSettings())
+    told = pair_terms(some, first, second, motion, gate)
+    monkeypatch.setattr(association, "POINT_RAD", step[0])
+    whole = Swept.of(xy, np.full(3, -np.pi), step, SurfaceSettings())
+    again = pair_terms(whole, first, second, motion, gate)
+    assert (some.each, whole.each) == (2, 1)
+    size = np.sqrt(np.diagonal(again.moments, axis1=1, axis2=2))
+    apart = np.abs(told.moments - again.moments) / (size[:, :, None] * size[:, None])
+    assert apart.max() < 0.02
+    assert np.abs(told.weight / again.weight - 1).max() < 0.02
+    assert np.abs(told.fit - again.fit).max() < 0.02
+    counted = [set(np.hypot(p.x, p.y)[p.valid].tolist()) for p in (some.points, whole.points)]
+    assert counted[0] == counted[1]
 
 
 def test_poses_fall_into_place_together() -> None:

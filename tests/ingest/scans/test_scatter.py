@@ -8,6 +8,7 @@ import pytest
 from topobatch.ingest.scans.alignment import Aligned, AlignmentSettings, Steps, align
 from topobatch.ingest.scans.association import Swept
 from topobatch.ingest.scans.scatter import PATCH_M, STRETCH, odometry_scores, wall_scores
+from topobatch.ingest.scans.surfaces import SurfaceSettings
 from topobatch.topology.se2 import between, wrap
 
 from .building import WHOLE_TURN, Building
@@ -26,7 +27,7 @@ def swept(noise_m: float, seed: int) -> Swept:
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (ranges[..., None] * along).astype(np.float32)
     step = np.full(N, WHOLE_TURN[1] - WHOLE_TURN[0])
-    return Swept.of(xy, np.full(N, WHOLE_TURN[0]), step)
+    return Swept.of(xy, np.full(N, WHOLE_TURN[0]), step, SurfaceSettings())
 
 
 def matched(noise_m: float, seed: int) -> Aligned:
