@@ -3,10 +3,10 @@
 Maps of some 50 junctions are made without logs (`observed.py`): ten runs in each of many sites,
 which are mazes, offices, organic ways and city blocks in turn. For every number of maps, CPU
 seconds of one process: preparing the maps, the index, matching the pairs that have a chance, all of
-a merge up to its document and the memory until then, what of that is none of these (rest); the same
-merge with one more run and a cache that knows the others, once of the site in the middle and once
-of an office, which may tell anew how copies differ; a plain loop over all pairs, and all of
-them by the matcher of many pairs at a time, both measured on a sample.
+a merge up to its document and the memory until then, what of that is none of these (rest); the
+same merge with a cache that knows all of it, with nothing new, with one more run of the site in
+the middle, and of an office, which may tell anew how copies differ; a plain loop over all pairs,
+and all of them by the matcher of many pairs at a time, both measured on a sample.
 What was joined is judged by the truth: false are runs of different sites in one component; found
 are the pairs of runs that share five junctions or more. Exponents are those between neighbouring
 rows.
@@ -150,10 +150,10 @@ def one_size(count, first):
         row["rest"] = row["merge"] - row["prepare"] - row["index"] - row["match"]
         row["MB"] = path.stat().st_size / 1e6
         row["cache MB"] = sum(p.stat().st_size for p in cache.iterdir()) / 1e6
-        for name, new in (("one more", late), ("office", office)):
+        for name, new in (("nothing", []), ("one more", [late]), ("office", [office])):
             clock.lap()
             store = ResultCache(cache, era_of(DEFAULT_ROBUST))
-            more = merge_maps([*maps, new], means=Means(store=store))
+            more = merge_maps([*maps, *new], means=Means(store=store))
             store.flush()
             write_merged(path, more)
             row[name] = clock.lap()
@@ -218,7 +218,18 @@ def beyond(count, first):
     print(f"{count} maps: {len(found)} pairs beyond chance, {lost} of which the index gives none")
 
 
-SECONDS = ("prepare", "index", "match", "rest", "merge", "one more", "office", "loop", "all")
+SECONDS = (
+    "prepare",
+    "index",
+    "match",
+    "rest",
+    "merge",
+    "nothing",
+    "one more",
+    "office",
+    "loop",
+    "all",
+)
 
 
 def table(sizes, first):
