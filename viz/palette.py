@@ -96,6 +96,12 @@ _RUNS = (
 )
 """Of runs, as different as ten colours can be."""
 
+GAMMA = 2.2
+LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
+READABLE = 0.21
+"""Of linear red, green and blue what makes a colour light (Rec. 709), and how light names must be:
+4.5 times the background, both with 0.05 more, as WCAG 2.1 asks (1.4.3), rounded up."""
+
 COUNTS = np.array(
     [(84, 98, 122), (64, 158, 205), (70, 205, 145), (240, 220, 90), (250, 250, 235)], np.uint8
 )
@@ -118,7 +124,16 @@ def of_rank(rank: int) -> Colour:
     """
     if rank < len(_RUNS):
         return _RUNS[rank]
-    return stepped(rank - len(_RUNS), 0.45, 0.95)
+    return readable(stepped(rank - len(_RUNS), 0.45, 0.95))
+
+
+def readable(colour: Colour) -> Colour:
+    """A colour with as much white as names in it need to be read on the background."""
+    linear = (np.array(colour) / 255) ** GAMMA
+    luminance = float(linear @ LUMINANCE)
+    white = max(0.0, (READABLE - luminance) / (1.0 - luminance))
+    red, green, blue = (255 * (linear + white * (1.0 - linear)) ** (1.0 / GAMMA)).tolist()
+    return round(red), round(green), round(blue)
 
 
 def stepped(step: int, saturation: float, value: float) -> Colour:
