@@ -103,7 +103,8 @@ def _say_what_is_wrong(error: TyperException) -> None:
         say_lines(text.rstrip("\n"), err=True)
         return
     context = getattr(error, "ctx", None)
-    command = getattr(context, "command_path", "topobatch")
+    named = [word for word in sys.argv[1:2] if word in dict(COMMANDS)]  # where click does not say
+    command = getattr(context, "command_path", " ".join(("topobatch", *named)))
     line = " ".join(text.split()).removesuffix(".")
     line = line.replace(": Value error, ", ": ").replace(": Input should be ", ": must be ")
     see = "" if line.endswith("?") else ";"
