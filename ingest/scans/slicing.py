@@ -51,7 +51,7 @@ class SliceSettings:
 
     def __post_init__(self) -> None:
         if self.band_m is not None and not self.band_m[0] < self.band_m[1]:
-            raise UsageError(f"a band of heights is needed, lowest first, not {self.band_m}")
+            raise UsageError(f"--cloud-band: heights must come lowest first, not {self.band_m}")
 
     def band(self, sensor_z_m: float) -> tuple[float, float]:
         """Lowest and highest z for a sensor at a height."""
