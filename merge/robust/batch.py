@@ -177,6 +177,18 @@ class Batch:
             if told.best is not None and told.reason.endswith(OTHER_SIZE)
         }
 
+    def against_copies(self) -> dict[Pair, tuple[Alignment, float]]:
+        """Alignments of pairs, and what each says against their being copies [bits]: of merged
+        ones what they have beyond the threshold, of others the answer to the second question."""
+        out = {}
+        for pair, told in chain(self.joins.items(), self.alone.items()):
+            bits = told.extra.get("same_place_bits")
+            if told.accepted:
+                bits = told.evidence_bits - (told.threshold_bits or 0.0)
+            if told.best is not None and bits is not None:
+                out[pair] = told.best, bits
+        return out
+
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""
         chance = MATCH.lead_bits

@@ -10,6 +10,7 @@ from ...topology.topomap import TopoMap
 from ..discards import Names
 from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, pairs_of
+from .across import Across
 from .alignment import Candidate, match
 from .assessment import thresholds
 from .batch import Batch, wanted_pairs
@@ -20,7 +21,6 @@ from .pairing import Means, Pair, Pairwise
 from .prepare import Prepared
 from .rematching import Rematcher, Reunion
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .sizes import Sizes
 from .verdict import Assessment
 
 
@@ -42,7 +42,7 @@ def decide(
        for sameness.
     3. Each pair by itself is merged, ambiguous or unrelated; "merged" must lead every rival
        placement and the mirror image.
-    4. Merged pairs are joined, strongest first, locks honoured, cycles and sizes checked.
+    4. Merged pairs are joined, strongest first, locks honoured, cycles and copies checked.
     5. The merged maps of components are matched again: evidence adds up over their runs, and fewer
        pairs are left that may be merged wrongly. They, too, must fit better than their mirror
        images.
@@ -71,11 +71,17 @@ def decide(
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     best, order = _strongest_first(batch, forced)
-    sizes = Sizes(
-        prepared, matcher.places, best, batch.of_other_size(), forced, settings.size_sigmas
+    across = Across(
+        prepared,
+        matcher.places,
+        best,
+        other=batch.of_other_size(),
+        against_copies=batch.against_copies(),
+        locked=forced,
+        most_sigmas=settings.size_sigmas,
     )
     names = [m.run for m in maps]
-    refused = join_all(components, order, best, matcher.places, names, refusal=sizes.refusal)
+    refused = join_all(components, order, best, matcher.places, names, refusal=across.refusal)
     kept = {pair: found for pair, found in best.items() if pair not in refused}
     rematcher = Rematcher(
         maps,

@@ -12,8 +12,8 @@ from topobatch.merge.locks import Lock
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import Means, RobustSettings, decide, match, prepare
+from topobatch.merge.robust.across import LARGER_TOGETHER
 from topobatch.merge.robust.mirror import mirrored
-from topobatch.merge.robust.sizes import LARGER_TOGETHER
 from topobatch.merge.workers import Workers
 from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance

@@ -1,13 +1,15 @@
-"""Sizes of components: a copy of another size is larger than all runs of the place.
+"""What all pairs across two components say together of whether the one is a copy of the other.
 
-Two runs with little in common may differ by 3 % and neither odometry be to blame; where several
-runs of either component can be compared, their odometries do not err alike.
+Two runs with little in common may be of a copy and neither of them show it: its size may differ by
+3 % and neither odometry be to blame. Where several runs of either component can be compared, their
+odometries do not err alike, and what differs between copies differs in most of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,33 +25,52 @@ LARGER_TOGETHER = Refusal(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sizes:
-    """The sizes of the maps of a batch, as far as pairs tell of them.
+COPY_TOGETHER = Refusal(
+    "the pairs that can be compared together differ as copies do: this may be a copy of the place"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Across:
+    """What the pairs of a batch say of copies.
 
     prepared: the maps; places: their junctions, x + iy; joins: the alignments by which pairs would
-    be joined; other: those of pairs that are not merged for the one is larger; locked: pairs that
-    a person joined; most_sigmas: by how much one may be larger.
+    be joined; other: those of pairs that are not merged for the one is larger; against_copies:
+    those of merged pairs and of pairs that were asked the second question, and what each says
+    against its being a copy [bits]; locked: pairs that a person joined; most_sigmas: by how much
+    one may be larger.
     """
 
     prepared: Sequence[Prepared]
     places: Sequence[ComplexArray]
     joins: Mapping[Pair, Alignment]
     other: Mapping[Pair, Alignment]
+    against_copies: Mapping[Pair, tuple[Alignment, float]]
     locked: Collection[Pair]
     most_sigmas: float
 
     def refusal(self, components: Components, pair: Pair) -> Refusal | None:
         """Why the components of a pair are not to be joined by it, if they are not.
 
-        Asked only where a pair across says by itself that one is larger.
+        Looked at only where a pair across says by itself that one is larger, or a copy.
         """
-        across = dict(self._across(components, pair, self.other))
-        if not across or pair in self.locked:
+        if pair in self.locked:
             return None
-        across |= self._across(components, pair, self.joins)
-        larger = self._sigmas(components, pair, across) > self.most_sigmas
-        return LARGER_TOGETHER if larger else None
+        if across := dict(self._across(components, pair, self.other)):
+            across |= self._across(components, pair, self.joins)
+            if self._sigmas(components, pair, across) > self.most_sigmas:
+                return LARGER_TOGETHER
+        if any(self._across(components, pair, self._copies)):
+            known = {other: found for other, (found, _) in self.against_copies.items()}
+            agreeing = self._across(components, pair, known)
+            if sum(self.against_copies[other][1] for other, _ in agreeing) < 0:
+                return COPY_TOGETHER
+        return None
+
+    @cached_property
+    def _copies(self) -> dict[Pair, Alignment]:
+        """Those of pairs that look more like copies than typical copies do."""
+        return {pair: found for pair, (found, bits) in self.against_copies.items() if bits < 0}
 
     def _across(
         self, components: Components, pair: Pair, known: Mapping[Pair, Alignment]

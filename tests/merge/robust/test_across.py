@@ -1,15 +1,15 @@
-"""Sizes of components, told by all pairs between them."""
+"""Copies of components, told by all pairs across them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from topobatch.merge.robust.across import COPY_TOGETHER, LARGER_TOGETHER, Across
 from topobatch.merge.robust.alignment import match
 from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.repetition import size_sigmas
-from topobatch.merge.robust.sizes import LARGER_TOGETHER, Sizes
 
 from .plans import EDGES, POINTS, SETTINGS
 
@@ -26,7 +26,8 @@ def sizes(drawn):
         (i, j): match(prepared[i], prepared[j], SETTINGS)[0] for j in range(4) for i in range(j)
     }
     joins = {pair: as_alignment(c) for pair, c in found.items()}
-    return Sizes(prepared, [m.z for m in prepared], joins, {}, (), SETTINGS.size_sigmas), found
+    places = [m.z for m in prepared]
+    return Across(prepared, places, joins, {}, {}, (), SETTINGS.size_sigmas), found
 
 
 def test_one_pair_tells_what_it_tells_alone(sizes):
@@ -61,3 +62,17 @@ def test_a_pair_that_lies_elsewhere_says_nothing(sizes):
         components.join(i, j, own.joins[i, j].transform)
     away = replace(own.joins[0, 3], transform=own.joins[0, 3].transform + np.array([9.0, 0.0, 0.0]))
     assert replace(own, other={(0, 3): away}).refusal(components, (0, 2)) is None
+
+
+def test_what_pairs_across_say_of_copies_adds_up(sizes):
+    own, _ = sizes
+    components = Components(4, ())
+    for i, j in ((0, 1), (2, 3)):
+        components.join(i, j, own.joins[i, j].transform)
+    for bits, refused in (((-9.0, 3.0), True), ((-2.0, 3.0), False), ((1.0, 3.0), False)):
+        told = dict(zip(((0, 3), (1, 2)), bits, strict=True))
+        asked = {pair: (own.joins[pair], said) for pair, said in told.items()}
+        found = replace(own, against_copies=asked).refusal(components, (0, 2))
+        assert found is (COPY_TOGETHER if refused else None)
+        locked = replace(own, against_copies=asked, locked=[(0, 2)])
+        assert locked.refusal(components, (0, 2)) is None
