@@ -130,7 +130,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"
-    text += source_told(maps[0].info.get("source", {}))
+    text += source_told(maps[0].info)
     told = maps[0].info.get("warnings", ())
     details = _details(job, topomap)
     return IngestOutcome(

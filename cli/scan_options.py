@@ -63,9 +63,9 @@ def numbers(text: str | None, flag: str, names: str) -> tuple[float, ...] | None
     return found
 
 
-def source_told(source: Mapping[str, Any]) -> str:
-    """Where the junctions of a map came from, where that needs saying."""
-    junctions = source.get("junctions", {})
+def source_told(info: Mapping[str, Any]) -> str:
+    """Where the junctions of a map came from, where that needs saying. info: of the map."""
+    junctions = info.get("source", {}).get("junctions", {})
     way, topic = junctions.get("from"), junctions.get("topic")
     others = ", ".join(junctions.get("passed_over", ()))
     if way is None:
@@ -84,4 +84,10 @@ def source_told(source: Mapping[str, Any]) -> str:
         told.append(f"drift in 20 m {after:.2f} m")
     if junctions.get("covered") is not None:
         told.append(f"{100 * junctions['covered']:.0f} % of the way covered")
+    driven = info.get("driven", {})
+    if driven.get("out_and_back"):
+        told.append(
+            f"{100 * driven['corridors']:.0f} % of it along corridors, "
+            f"{100 * driven['out_and_back']:.0f} % out of a junction and back to it"
+        )
     return ", ".join(told)

@@ -32,6 +32,7 @@ from ..topology.passes import Passes
 from ..topology.run import Run
 from ..topology.topomap import Closure, RunNoise, TopoMap
 from ..topology.vertex_errors import VertexErrors
+from .driven_shares import driven_shares
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
@@ -115,6 +116,7 @@ def build_map_with_errors(
         settings=settings.drawing,
     )
     info = _info(run, settings, calibration, reckoning, odometry)
+    info["driven"] = driven_shares(topomap, odometry)
     return replace(topomap, info=info, shows_bends=source.shows_bends), errors
 
 

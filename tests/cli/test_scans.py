@@ -117,10 +117,14 @@ def test_numbers_of_options():
 
 def test_what_is_said_of_sources():
     assert source_told({}) == ""
-    assert source_told({"junctions": {"topic": "/junctions"}}) == ""
+    assert source_told({"source": {"junctions": {"topic": "/junctions"}}}) == ""
     told = {"topic": "/junctions", "passed_over": ["/scan"]}
-    assert "from /junctions, not from /scan" in source_told({"junctions": told})
+    assert "from /junctions, not from /scan" in source_told({"source": {"junctions": told}})
     alone = {"from": "scan", "topic": "/s", "drift_after_m": 0.3, "covered": 0.5, "odometry": False}
-    assert source_told({"junctions": alone}) == (
-        "; junctions from /s, drift in 20 m 0.30 m, 50 % of the way covered"
+    map_info = {"source": {"junctions": alone}}
+    told = "; junctions from /s, drift in 20 m 0.30 m, 50 % of the way covered"
+    assert source_told(map_info) == told
+    driven = {"way_m": 100.0, "corridors": 0.68, "out_and_back": 0.3, "ends": 0.02}
+    assert source_told(map_info | {"driven": driven}) == (
+        told + ", 68 % of it along corridors, 30 % out of a junction and back to it"
     )

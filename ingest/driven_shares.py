@@ -1,0 +1,42 @@
+"""How much of the way that a robot drove the corridors of its map stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..topology.odometry import Odometry
+from ..topology.topomap import TopoMap
+from ..topology.track import way_along, way_at
+
+
+def driven_shares(topomap: TopoMap, odometry: Odometry) -> dict[str, float]:
+    """Of the way driven: how long it is [m], and the shares of it `corridors`: from junction to
+    junction; `out_and_back`: out of a junction and back to it, as into a room without a junction of
+    its own or to the middle of a corridor, which no corridor of the map stands for; `ends`: before
+    the first and after the last junction.
+
+    odometry: that which the map was made with. O(n log n).
+    """
+    way = float(way_along(odometry)[-1]) if len(odometry) else 0.0
+    times = topomap.traversal_ns or ()
+    driven = np.concatenate([np.zeros((0, 2), np.int64), *times])
+    edge = np.repeat(np.arange(len(times)), [len(t) for t in times])
+    if way == 0 or len(driven) == 0:
+        return {"way_m": round(way, 1)}
+    turned = driven[:, 0] > driven[:, 1]
+    source, target = topomap.source[edge], topomap.target[edge]
+    begin_at, end_at = np.where(turned, target, source), np.where(turned, source, target)
+    order = np.argsort(driven.min(axis=1), kind="stable")
+    begin = way_at(odometry, driven.min(axis=1)[order])
+    end = way_at(odometry, driven.max(axis=1)[order])
+    # Ways to a place are told as far as the robot's standing there: they may overlap a little.
+    between = np.maximum(begin[1:] - end[:-1], 0.0)
+    same = begin_at[order][1:] == end_at[order][:-1]
+    ends = begin[0] + max(way - end[-1], 0.0)
+    parts = {
+        "corridors": way - ends - between.sum(),
+        "out_and_back": between[same].sum(),
+        "ends": ends,
+    }
+    shares = {name: round(float(part) / way, 3) for name, part in parts.items()}
+    return {"way_m": round(way, 1), **shares}
