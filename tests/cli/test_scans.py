@@ -62,7 +62,8 @@ def test_a_log_with_scans_becomes_a_map_and_says_how(topobatch, workspace):
     (line, _) = done.out.strip().splitlines()
     assert "junctions from /scan, drift in 20 m " in line
     assert " before, " in line
-    assert line.endswith("% of the way covered")
+    assert "% of the way covered, " in line
+    assert line.endswith("% out of a junction and back to it")
     doc = json.loads((workspace / "maps" / "office-1.json").read_text())
     told = doc["graph"]["source"]["junctions"]
     assert (told["from"], told["topic"], told["scans"]) == ("scan", "/scan", told["messages"])
