@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shutil
+import sys
 
 import pytest
 
-from topobatch.cli.output import LONGEST_CELL, plain, table
+from topobatch.cli.output import LONGEST_CELL, Screen, plain, table
 
 
 @pytest.mark.parametrize(
@@ -50,3 +51,15 @@ def test_wrong_calls_are_shown_escaped(topobatch):
     assert done.code == 2
     assert r"no such option: --\x1b[31mred" in done.err
     assert "\x1b" not in done.err
+
+
+def test_results_go_to_the_standard_output_beside_a_bar(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    screen = Screen(quiet=False)
+    with screen.progress("reading", 2, "logs") as advance:
+        advance(1)
+        screen.line("run1: done")
+        screen.warn("run1: odd")
+    out, err = capsys.readouterr()
+    assert out == "run1: done\n"
+    assert "run1: odd" in err
