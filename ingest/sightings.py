@@ -28,13 +28,15 @@ class SightingSettings:
     odometry's first and last time a sighting may lie; centre_m: how far apart the poses of one
     message may lie before it is reported; steepest: sine of how far a branch may point up or down
     after a sensor's mount is taken into account, 45 degrees: beyond, its direction in the plane is
-    less of it than what is lost.
+    less of it than what is lost; farthest_m: how far from the robot it may lie, farther than any
+    sensor sees, as points of lasers (`scans/slicing.py`).
     """
 
     max_branches: int = 32
     outside_s: float = 1.0
     centre_m: float = 0.5
     steepest: float = 0.71
+    farthest_m: float = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +117,16 @@ def robot_frame_sightings(
         heading = np.where(in_odometry, T_odom_base[:, 2], 0.0)
         yaw = wrap(branches.values - heading[branches.owner])
         branches = Ragged(branches.offsets, yaw)
-    return Sightings(Detections(time, centre, branches), tuple(warnings))
+    near = np.flatnonzero(
+        _leave_out(
+            np.ones(len(centre), bool),
+            np.hypot(*centre.T) <= settings.farthest_m,
+            warnings,
+            f"lie more than {settings.farthest_m:.0f} m from the robot",
+        )
+    )
+    seen = Detections(time[near], centre[near], branches.take(near))
+    return Sightings(seen, tuple(warnings))
 
 
 @dataclass(frozen=True, slots=True)

@@ -245,3 +245,13 @@ def test_broken_transforms_join_nothing(logs, drive, tmp_path):
     ]
     with pytest.raises(LogError, match="the log holds no transforms between frames"):
         read_run(logs.mcap(tmp_path / "a.mcap", [*odometry, *seen, *tf]))
+
+
+def test_detections_that_no_sensor_reaches_are_left_out(logs, drive, tmp_path):
+    odometry, seen = drive
+    tf = transform(logs, "base_footprint", "tower", xyz=np.array([2000.0, 0.0, 0.0]))
+    seen = logs.relabelled(seen, frame="base_footprint")
+    far = logs.relabelled(seen[:4], frame="tower")
+    run = read_run(logs.mcap(tmp_path / "a.mcap", [*odometry, *far, *seen[4:], tf]))
+    assert len(run.detections) == len(seen) - 4
+    assert any("4 detections lie more than 1000 m from the robot" in text for text in run.warnings)

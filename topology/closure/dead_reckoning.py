@@ -42,7 +42,8 @@ class DeadReckoning:
     leaving: (p,) headings [rad] from the place to where the robot came from and went to, NaN where
     unknown.
     sums: (p, 13) prefix sums over the odometry up to each pass (`relative_covariance`), about
-    `origin`; jumps: (p, 7) what the odometry's jumps add to the variances among them.
+    `origin` (p, 2), the middle of the pass's piece; jumps: (p, 7) what the odometry's jumps add to
+    the variances among them.
     """
 
     passes: Passes
@@ -72,7 +73,7 @@ def dead_reckoning(
     chain = chain_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
-    origin = odometry.pose[:, :2].mean(axis=0)
+    middle, about = _about_pieces(odometry)
     return DeadReckoning(
         passes=passes,
         noise=noise,
@@ -82,9 +83,9 @@ def dead_reckoning(
         leg=leg,
         arriving=track.arriving,
         leaving=track.leaving,
-        origin=origin,
-        sums=_prefix_sums(odometry, passes, noise, origin),
-        jumps=_jump_sums(odometry, passes, origin),
+        origin=middle[chain],
+        sums=_prefix_sums(odometry, passes, noise, about),
+        jumps=_jump_sums(odometry, passes, about),
     )
 
 
@@ -105,8 +106,19 @@ def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
     return replace(reckoning, noise=noise, sums=sums)
 
 
+def _about_pieces(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
+    """(q, 2) middle of every unbroken piece, and (n, 2) positions about that of their piece.
+
+    Sums about it keep their digits wherever a reset may have put the frame.
+    """
+    position = odometry.pose[:, :2]
+    middle = np.stack([m.mean(axis=0) for m in np.split(position, odometry.breaks)])
+    piece = np.searchsorted(odometry.breaks, np.arange(len(position)), side="right")
+    return middle, position - middle[piece]
+
+
 def _prefix_sums(
-    odometry: Odometry, passes: Passes, noise: RunNoise, origin: FloatArray
+    odometry: Odometry, passes: Passes, noise: RunNoise, about: FloatArray
 ) -> FloatArray:
     """(p, 13) sums over all odometry steps before each pass.
 
@@ -114,7 +126,7 @@ def _prefix_sums(
     Σds, Σds x, Σds y; Σdθ, Σdθ x, Σdθ y.
     """
     step, turn = odometry.step_m, odometry.turn_rad
-    x, y = (odometry.pose[:, :2] - origin).T
+    x, y = about.T
     q = noise.heading_rad_per_sqrt_m**2 * step
     q = q + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
     along = noise.along_m_per_sqrt_m**2 * step
@@ -123,11 +135,11 @@ def _prefix_sums(
     return _up_to_passes(odometry, passes, spread + constant)
 
 
-def _jump_sums(odometry: Odometry, passes: Passes, origin: FloatArray) -> FloatArray:
+def _jump_sums(odometry: Odometry, passes: Passes, about: FloatArray) -> FloatArray:
     """(p, 7) the first columns of `_prefix_sums`, over the jumps."""
     q, along = np.zeros(len(odometry)), np.zeros(len(odometry))
     along[odometry.jumps], q[odometry.jumps] = odometry.jump_sigma.T**2
-    x, y = (odometry.pose[:, :2] - origin).T
+    x, y = about.T
     return _up_to_passes(odometry, passes, _variances(q, along, x, y))
 
 
@@ -153,7 +165,7 @@ def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntAr
     C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
     d = _between(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
-    c = reckoning.passes.centre[second] - reckoning.origin
+    c = (reckoning.passes.centre - reckoning.origin)[second]
     s0, s1x, s1y, s2xx, s2xy, s2yy, along = d.T
     x, y = c.T
     mxx = s0 * x * x - 2 * s1x * x + s2xx
@@ -177,7 +189,7 @@ def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray
     odometry rows, for first <= second.
     """
     d = _between(reckoning.sums, first, second)
-    c = reckoning.passes.centre[second] - reckoning.origin
+    c = (reckoning.passes.centre - reckoning.origin)[second]
     out = np.zeros((len(d), 3, 2))
     for mode, at in ((0, 7), (1, 10)):
         l0, l1x, l1y = d[:, at], d[:, at + 1], d[:, at + 2]

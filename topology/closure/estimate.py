@@ -248,10 +248,11 @@ def _information(cov: FloatArray) -> FloatArray:
     that nothing of the inverse is right. There small variances are raised until four of a double's
     sixteen digits are.
     """
-    information: FloatArray = np.linalg.inv(cov).astype(np.float64)
     variance, axes = np.linalg.eigh(cov)
     least = 1e-12 * variance[:, -1:]
     poor = variance[:, 0] < least[:, 0]
+    information = np.empty_like(cov)
+    information[~poor] = np.linalg.inv(cov[~poor])
     axes = axes[poor]
     scaled = axes / np.maximum(variance, least)[poor, None, :] @ axes.transpose(0, 2, 1)
     information[poor] = 0.5 * (scaled + scaled.transpose(0, 2, 1))

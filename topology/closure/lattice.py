@@ -154,7 +154,8 @@ def _gaussians(shift: FloatArray, centre: FloatArray, cov: FloatArray) -> FloatA
 def squared_mahalanobis(
     x: FloatArray, y: FloatArray, cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Squared distances of (x, y) by covariances (..., 2, 2), broadcast; and their determinants."""
+    """Squared distances of (x, y) by covariances (..., 2, 2), broadcast; and their determinants, no
+    less than what rounding leaves of them."""
     xx, xy, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
-    det = xx * yy - xy**2
+    det = np.maximum(xx * yy - xy**2, np.finfo(np.float64).eps * xx * yy)
     return (yy * x * x - 2 * xy * x * y + xx * y * y) / det, det

@@ -28,7 +28,7 @@ def test_dead_reckoning_covariance_is_that_of_many_drives():
     odometry, passes, _ = record(world, route)
     quiet = dead_reckoning(odometry, passes, NOISE)
     expected = relative_covariance(quiet, np.array([0]), np.array([5]))[0]
-    # The model lets positions reckoning sideways as much as along; the drive does not.
+    # The model lets positions walk sideways as much as along; the drive does not.
     slack = NOISE.along_m_per_sqrt_m**2 * quiet.way[-1]
     found = np.cov(np.array(ends).T)
     assert np.all(np.abs(found - expected[:2, :2]) < 0.25 * np.trace(expected[:2, :2]) + slack)
@@ -70,3 +70,18 @@ def test_a_jump_adds_its_own_uncertainty_and_keeps_it():
     estimate = optimise(reckoning, np.arange(len(reckoning)))
     found = estimate.relative_covariance(np.array([2]), np.array([3]))[0]
     np.testing.assert_allclose(found, relative_covariance(reckoning, [2], [3])[0], atol=1e-3)
+
+
+def test_a_reset_to_a_far_frame_changes_no_covariance():
+    odometry, passes, _ = record(grid_world(4, 4), [(0, 0), (0, 1), (1, 1), (1, 2), (2, 2), (2, 1)])
+    row = int(np.searchsorted(odometry.time_ns, passes.time_ns[3])) - 15
+
+    def reset(away_m):
+        pose, centre = odometry.pose.copy(), passes.centre.copy()
+        pose[row:, :2] += away_m
+        centre[3:] += away_m
+        broken = replace(odometry, pose=pose, breaks=np.array([row]))
+        reckoning = dead_reckoning(broken, replace(passes, centre=centre), NOISE)
+        return dead_reckoning_covariance(reckoning, np.array([0, 3]), np.array([2, 5]))
+
+    np.testing.assert_allclose(reset(1e9), reset(0.0), atol=1e-6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import _information, optimise
@@ -27,6 +28,13 @@ def test_information_of_a_leap_is_symmetric_and_positive():
     np.testing.assert_array_equal(information[0], information[0].T)
     assert np.linalg.eigvalsh(information[0])[0] >= 0
     assert not np.allclose(np.linalg.inv(cov[0]), np.linalg.inv(cov[0]).T, rtol=1e-6, atol=1e-9)
+
+
+def test_a_leap_that_leaves_no_inverse_has_an_information():
+    leap = np.full((3, 3), 2.0**50)  # the lesser variances are lost in the largest
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.inv(leap)
+    assert (np.linalg.eigvalsh(_information(leap[None])[0]) >= -1e-15).all()
 
 
 def test_layout_begins_with_the_headings_of_the_grid():
