@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -126,27 +127,40 @@ class Window:
 
 
 def gather(
-    seen: Looks, way_xy: FloatArray, centre: FloatArray, half: int, settings: GridSettings
+    seen: Looks,
+    rows: Sequence[int],
+    way_xy: FloatArray,
+    place: tuple[FloatArray, int],
+    settings: GridSettings,
+    *,
+    known: Window | None = None,
 ) -> Window:
-    """What keyframes saw within `half` cells of a place `centre` (2,); way_xy: (w, 2) the way
-    driven meanwhile, densely [m]."""
+    """What keyframes `rows` saw within so many cells of a place ((2,), half); way_xy: (w, 2) the
+    way driven meanwhile, densely [m]; known: what others saw there, to be added to."""
+    centre, half = place
     corner = np.floor(centre / settings.cell_m).astype(np.int64) - half
     side = 2 * half + 1
-    free, hit = np.zeros((side, side), np.uint16), np.zeros((side, side), np.uint16)
-    seen_free, seen_hit = seen.free.view(np.uint8), seen.hit.view(np.uint8)
+    free, hit = (np.zeros((side, side), np.int64) for _ in range(2))
+    if known is not None:
+        free, hit = known.free.copy(), known.hit.copy()
     patch = seen.free.shape[1]
-    for k in range(len(seen)):
-        x, y = seen.corner[k] - corner
-        ax, bx, ay, by = max(x, 0), min(x + patch, side), max(y, 0), min(y + patch, side)
-        if ax < bx and ay < by:
-            into, out_of = np.s_[ay:by, ax:bx], np.s_[ay - y : by - y, ax - x : bx - x]
-            free[into] += seen_free[k][out_of]
-            hit[into] += seen_hit[k][out_of]
+    # Bytes are summed up several times as fast as integers are, and hold so many looks.
+    for begin in range(0, len(rows), 255):
+        some = [np.zeros((side, side), np.uint8) for _ in range(2)]
+        for k in rows[begin : begin + 255]:
+            x, y = (seen.corner[k] - corner).tolist()
+            ax, bx, ay, by = max(x, 0), min(x + patch, side), max(y, 0), min(y + patch, side)
+            if ax < bx and ay < by:
+                into, out_of = np.s_[ay:by, ax:bx], np.s_[ay - y : by - y, ax - x : bx - x]
+                some[0][into] += seen.free[k, *out_of].view(np.uint8)
+                some[1][into] += seen.hit[k, *out_of].view(np.uint8)
+        free += some[0]
+        hit += some[1]
     driven = np.zeros((side, side), bool)
     x, y = (np.floor(way_xy / settings.cell_m).astype(np.int64) - corner).T
     inside = (x >= 0) & (x < side) & (y >= 0) & (y < side)
     driven[y[inside], x[inside]] = True
-    return Window(free.astype(np.int64), hit.astype(np.int64), driven, corner)
+    return Window(free, hit, driven, corner)
 
 
 def free_space(window: Window, settings: GridSettings) -> BoolArray:

@@ -8,7 +8,7 @@ from heapq import heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 
-from .skeleton_lines import Labels, Lines, lines_of
+from .skeleton_lines import Lines
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -100,17 +100,6 @@ def thin(free: BoolArray) -> BoolArray:
     return lines
 
 
-def trace(
-    skeleton: BoolArray,
-    clearance_m: NDArray[np.float32] | FloatArray,
-    cell_m: float,
-    settings: SkeletonSettings = SkeletonSettings(),
-    border: BoolArray | None = None,
-) -> SkeletonGraph:
-    """Turn a skeleton (h, w) into places and ways; the arguments are those of `lines_of`."""
-    return traced(lines_of(skeleton, clearance_m, cell_m, border), settings)
-
-
 def traced(lines: Lines, settings: SkeletonSettings = SkeletonSettings()) -> SkeletonGraph:
     """The places and ways of a skeleton.
 
@@ -119,7 +108,7 @@ def traced(lines: Lines, settings: SkeletonSettings = SkeletonSettings()) -> Ske
     """
     net = _net(lines)
     _simplify(net, settings)
-    return _graph(net, lines.label)
+    return _graph(net, lines)
 
 
 def _net(lines: Lines) -> _Net:
@@ -253,17 +242,16 @@ def _dissolve(net: _Net, node: int) -> None:
         table.pop(node, None)
 
 
-def _graph(net: _Net, label: Labels) -> SkeletonGraph:
+def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
     """What is left, with the cells of every way."""
-    home = np.zeros(int(label.max(initial=0)) + 1, np.int64)
+    home = np.zeros(len(lines.length_m), np.int64)
     kept = sorted(net.segments)
     for number, k in enumerate(kept, start=1):
         home[net.segments[k].parts] = number
-    rows, columns = np.nonzero(label)
-    owner = home[label[rows, columns]]
+    owner = home[lines.line]
     left = np.flatnonzero(owner > 0)
     order = left[np.argsort(owner[left], kind="stable")]
-    cells = np.stack([rows[order], columns[order]], axis=1).astype(np.int64)
+    cells = lines.cells[order]
     bounds = np.searchsorted(owner[order], np.arange(1, len(kept) + 2))
     names = {node: index for index, node in enumerate(sorted(net.centre))}
     edges = []

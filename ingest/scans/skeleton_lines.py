@@ -11,6 +11,7 @@ from scipy import ndimage
 from ...topology.errors import DataError
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Labels = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 
@@ -32,14 +33,15 @@ _AROUND = np.ones((3, 3), np.int8)
 class Lines:
     """Forks and lines of a skeleton, each numbered from 1 on.
 
-    label: (h, w) the line of each cell, 0 for none; cell_m: side of a cell; fork_xy: (f + 1, 2)
-    x, y [m] of each fork's middle, from that of the first cell; fork_clearance_m: (f + 1,) from the
-    nearest wall; fork_cells: (f + 1,) in it; length_m: (l + 1,) of each line, and from its ends
-    into the forks; touching: line and fork of every end of a line; border: lines that run into
-    where the grid ends.
+    cells: (c, 2) row and column of all cells of lines; line: (c,) of which; cell_m: side of a cell;
+    fork_xy: (f + 1, 2) x, y [m] of each fork's middle, from that of the first cell;
+    fork_clearance_m: (f + 1,) from the nearest wall; fork_cells: (f + 1,) in it; length_m: (l + 1,)
+    of each line, and from its ends into the forks; touching: line and fork of every end of a line;
+    border: lines that run into where the grid ends.
     """
 
-    label: Labels
+    cells: IntArray
+    line: Labels
     cell_m: float
     fork_xy: FloatArray
     fork_clearance_m: FloatArray
@@ -60,13 +62,13 @@ def lines_of(
 
     Raises DataError on noise, and where there are too many. O(h w).
     """
-    picture = skeleton.astype(np.int8)
-    neighbours = ndimage.convolve(picture, _AROUND, mode="constant") - picture
-    fork = skeleton & (neighbours >= 3)
+    fork = skeleton & (_around(skeleton) > 3)
     fork_label, forks = labelled(fork)
-    line_label, lines = labelled(skeleton & ~fork)
-    _check(int(np.count_nonzero(line_label)), lines)
-    rows, columns = np.nonzero(fork_label)
+    line = skeleton & ~fork
+    line_label, lines = labelled(line)
+    cells = np.argwhere(line)
+    _check(len(cells), lines)
+    rows, columns = np.nonzero(fork)
     number = fork_label[rows, columns]
     size = np.bincount(number, minlength=forks + 1)
     safe = np.maximum(size, 1)
@@ -76,7 +78,8 @@ def lines_of(
     np.maximum.at(wide, number, clearance_m[rows, columns])
     ends = np.unique(line_label[_outline(skeleton) if border is None else border])
     return Lines(
-        line_label,
+        cells,
+        line_label[tuple(cells.T)],
         cell_m,
         np.stack([x, y], axis=1),
         wide,
@@ -85,6 +88,16 @@ def lines_of(
         tuple(_touching(fork_label, line_label)),
         frozenset(ends[ends > 0].tolist()),
     )
+
+
+def _around(mask: BoolArray) -> NDArray[np.int8]:
+    """(h, w) how many of each cell and the eight around it are in a mask."""
+    h, w = mask.shape
+    padded = np.zeros((h + 2, w + 2), np.int8)
+    padded[1:-1, 1:-1] = mask
+    three = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
+    out: NDArray[np.int8] = three[:-2] + three[1:-1] + three[2:]
+    return out
 
 
 def _check(cells: int, lines: int) -> None:
@@ -145,11 +158,12 @@ def _touching(fork: Labels, line: Labels) -> list[tuple[int, int]]:
             ends_line.append(lines[there])
             ends_fork.append(number[there])
             cells.append(((rows + dy) * width + columns + dx)[there])
-    found = np.unique(
-        np.stack([np.concatenate(c) for c in (ends_line, ends_fork, cells)], axis=1), axis=0
-    )
+    # By line, fork and cell: one number of each three sorts faster than they do.
+    shape = int(line.max(initial=0)) + 1, int(fork.max(initial=0)) + 1, line.size
+    every = (np.concatenate(c) for c in (ends_line, ends_fork, cells))
+    found = np.unravel_index(np.unique(np.ravel_multi_index(tuple(every), shape)), shape)
     last: tuple[int, int, int] | None = None
-    for row, by, cell in found.tolist():
+    for row, by, cell in zip(*(column.tolist() for column in found), strict=True):
         beside = last is not None and last[:2] == (row, by) and _adjacent(last[2], cell, width)
         if not beside:
             pairs.append((row, by))

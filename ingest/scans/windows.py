@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,10 +11,11 @@ from scipy import ndimage
 
 from ...topology.se2 import compose, inverse
 from .crossing import Crossing, crossings
-from .grid import GridSettings, Looks, free_space, gather, looks
+from .grid import GridSettings, Looks, Window, free_space, gather, looks
 from .keyframes import Keyframes
 from .matching import Matched
-from .skeleton import SkeletonSettings, thin, trace
+from .skeleton import SkeletonSettings, thin, traced
+from .skeleton_lines import Lines, labelled, lines_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -178,40 +179,25 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
     cell = settings.grid.cell_m
     half = round(settings.half_m / cell)
     centre = np.array([np.interp(middle, held.way, held.body[:, k]) for k in (0, 1)])
-    masks, corner = _masks(held, middle, centre, half, variants)
+    masks, corner = _masks(held, middle, (centre, half), variants)
     side = 2 * half + 1
-    thinned = np.zeros((len(variants), side + 1, side), bool)
-    clearance = np.zeros((len(variants), side + 1, side))
-    distances: dict[int, FloatArray] = {}
     path = _dense(held, middle - settings.every_m, middle + settings.every_m, cell)
     at = np.floor(path / cell).astype(np.int64) - corner
     at = at[((at >= 0) & (at < side)).all(axis=1)]
-    for k, (variant, mask) in enumerate(zip(variants, masks, strict=True)):
-        if id(mask) not in distances:
-            away = ndimage.distance_transform_edt(_framed(mask))
-            distances[id(mask)] = np.asarray(away, np.float64)[1:-1, 1:-1] * cell
-        clearance[k, :side] = distances[id(mask)]
-        open_ = clearance[k, :side] > variant.skeleton.clearance_m
-        labels, _ = ndimage.label(open_, np.ones((3, 3)))
-        mine = np.unique(labels[at[:, 1], at[:, 0]])
-        thinned[k, :side] = np.isin(labels, mine[mine > 0])
-    stacked = thin(thinned.reshape(-1, side)).reshape(thinned.shape)
-    forks: list[tuple[int, float, Crossing]] = []
-    middles = (corner + 0.5) * cell
-    skeleton: FloatArray = np.zeros((0, 2))
+    views = _views(masks, variants, at, cell)
     span = _near(held, middle, 1.5 * settings.every_m)
-    border = np.zeros((side + 1, side), bool)
-    border[[0, side - 1]] = True
-    border[:side, [0, side - 1]] = True
-    for k, variant in enumerate(variants):
-        graph = trace(stacked[k], clearance[k], cell, variant.skeleton, border)
+    middles = (corner + 0.5) * cell
+    forks: list[tuple[int, float, Crossing]] = []
+    skeleton: FloatArray = np.zeros((0, 2))
+    for k, (variant, view) in enumerate(zip(variants, views, strict=True)):
+        graph = traced(view.lines, variant.skeleton)
         nodes = [
             number
             for number, node in enumerate(graph.nodes)
             if len(node.ends) >= 3
             and _passed(node.xy + middles, span, settings.near_m + node.clearance_m) is not None
         ]
-        places, _ = crossings(graph, nodes, clearance[k], cell, variant.skeleton)
+        places, _ = crossings(graph, nodes, view.clearance_m, cell, variant.skeleton)
         for place in places.values():
             xy = place.xy + middles
             found = _passed(xy, span, settings.near_m)
@@ -223,33 +209,80 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
     return Seen(number, middle, tuple(forks), skeleton.astype(np.float32))
 
 
-def _framed(mask: BoolArray) -> BoolArray:
-    """The mask, its border repeated: what lies beyond is no wall."""
-    return np.pad(mask, 1, mode="edge")
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """Free space that the robot drove through: (s + 1, s) distance from walls, the last row none,
+    and the lines of its skeleton."""
+
+    clearance_m: FloatArray
+    lines: Lines
+
+
+def _views(
+    masks: Sequence[BoolArray], variants: Sequence[Variant], at: IntArray, cell_m: float
+) -> list[_View]:
+    """Per variant, its free space (s, s) around cells `at` (c, 2) of the way; one for those that
+    differ in what is pruned."""
+    side = len(masks[0])
+    kinds = [(id(m), v.skeleton.clearance_m) for m, v in zip(masks, variants, strict=True)]
+    distinct = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
+    distances = {number: _distances(m, cell_m) for number, m in {id(m): m for m in masks}.items()}
+    clearance = np.zeros((len(distinct), side + 1, side))
+    open_ = np.zeros(clearance.shape, bool)
+    for (mask, least_m), k in distinct.items():
+        clearance[k, :side] = distances[mask]
+        open_[k, :side] = _driven(distances[mask] > least_m, at)
+    stacked = thin(open_.reshape(-1, side)).reshape(open_.shape)
+    border = np.zeros((side + 1, side), bool)
+    border[[0, side - 1]] = True
+    border[:side, [0, side - 1]] = True
+    views = [
+        _View(c, lines_of(s, c, cell_m, border)) for s, c in zip(stacked, clearance, strict=True)
+    ]
+    return [views[distinct[kind]] for kind in kinds]
+
+
+def _distances(mask: BoolArray, cell_m: float) -> FloatArray:
+    """(s, s) distance from the nearest wall [m]; what lies beyond the border is none."""
+    away = ndimage.distance_transform_edt(np.pad(mask, 1, mode="edge"))
+    return np.asarray(away, np.float64)[1:-1, 1:-1] * cell_m
+
+
+def _driven(open_: BoolArray, at: IntArray) -> BoolArray:
+    """What hangs together with cells `at` (c, 2), x and y."""
+    labels, count = labelled(open_)
+    mine = np.zeros(count + 1, bool)
+    mine[labels[at[:, 1], at[:, 0]]] = True
+    mine[0] = False
+    return np.asarray(mine[labels])
 
 
 def _masks(
     held: _Rolling,
     middle: float,
-    centre: FloatArray,
-    half: int,
+    place: tuple[FloatArray, int],
     variants: tuple[Variant, ...],
 ) -> tuple[list[BoolArray], IntArray]:
     """Free space for every variant, the same array for those that differ in the skeleton only."""
+    gathered: dict[float, Window] = {}
+    known, inner = None, range(-1, -1)
+    for way_m in sorted({variant.way_m for variant in variants}):
+        begin, end = middle - way_m, middle + way_m
+        a, b = (int(k) for k in np.searchsorted(held.way, [begin, end]))
+        rows = range(a, min(max(b, a + 1), len(held.way)))
+        if inner.start < rows.start or inner.stop > rows.stop:
+            # A stretch without a keyframe is told by the next one, which lies beyond it.
+            known, inner = None, range(rows.start, rows.start)
+        beyond = [*range(rows.start, inner.start), *range(inner.stop, rows.stop)]
+        path = _dense(held, begin, end, variants[0].grid.cell_m)
+        known = gather(held.seen, beyond, path, place, variants[0].grid, known=known)
+        gathered[way_m], inner = known, rows
     made: dict[tuple[GridSettings, float], BoolArray] = {}
-    gathered = {}
     for variant in variants:
         key = variant.grid, variant.way_m
-        if key in made:
-            continue
-        if variant.way_m not in gathered:
-            a, b = np.searchsorted(held.way, [middle - variant.way_m, middle + variant.way_m])
-            rows = slice(int(a), max(int(b), int(a) + 1))
-            path = _dense(held, middle - variant.way_m, middle + variant.way_m, variant.grid.cell_m)
-            gathered[variant.way_m] = gather(held.seen.take(rows), path, centre, half, variant.grid)
-        made[key] = free_space(gathered[variant.way_m], variant.grid)
-    corner = next(iter(gathered.values())).corner
-    return [made[v.grid, v.way_m] for v in variants], corner
+        if key not in made:
+            made[key] = free_space(gathered[variant.way_m], variant.grid)
+    return [made[v.grid, v.way_m] for v in variants], gathered[variants[0].way_m].corner
 
 
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:

@@ -7,7 +7,8 @@ import pytest
 from scipy import ndimage
 
 from topobatch.ingest.scans.crossing import Crossing, aside, crossing, crossings
-from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, trace
+from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, traced
+from topobatch.ingest.scans.skeleton_lines import lines_of
 from topobatch.topology.se2 import wrap
 
 CELL = 0.1
@@ -30,7 +31,7 @@ def seen(free: np.ndarray) -> tuple[Node, Crossing]:
     """The one junction of a grid, as the skeleton forks and as its corridors cross."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
-    graph = trace(thin(clearance > settings.clearance_m), clearance, CELL, settings)
+    graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
     (node,) = graph.nodes
     return node, crossing(graph, node, clearance, CELL, settings)
 
@@ -65,7 +66,7 @@ def test_cells_as_large_as_an_axis_have_none() -> None:
     cell_m = 3.0
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * cell_m
     settings = SkeletonSettings()
-    graph = trace(thin(clearance > settings.clearance_m), clearance, cell_m, settings)
+    graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, cell_m), settings)
     for node in graph.nodes:
         found = crossing(graph, node, clearance, cell_m, settings)
         assert np.array_equal(found.xy, node.xy)
@@ -77,7 +78,7 @@ def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
     """Nodes of the skeleton of a grid, and what places they are."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
-    graph = trace(thin(clearance > settings.clearance_m), clearance, CELL, settings)
+    graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
     numbers = range(len(graph.nodes))
     return len(numbers), list(crossings(graph, numbers, clearance, CELL, settings).places.values())
 
