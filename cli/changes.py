@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DocumentError
-from ..topology.wording import counted
+from ..topology.wording import counted, utc
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption
 from .output import say, say_lines
 from .workspace import MERGED, Workspace
@@ -97,11 +97,6 @@ def _lines(change: Change) -> list[str]:
 
 def _told(witness: Witness) -> str:
     """Who, how often, when (UTC)."""
-    from datetime import UTC, datetime
-
-    def date(time_ns: int) -> str:
-        return datetime.fromtimestamp(time_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M")
-
-    first, last = date(witness.first_ns), date(witness.last_ns)
+    first, last = (utc(t, "%Y-%m-%d %H:%M") for t in (witness.first_ns, witness.last_ns))
     when = first if first == last else f"{first} to {last}"
     return f"{witness.run}, {counted(witness.passes, 'pass', 'passes')}, {when}"

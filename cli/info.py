@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..topology.errors import LogError
-from ..topology.wording import counted
+from ..topology.wording import counted, utc
 from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
 from .options import JsonOption
 from .output import Screen, complain, say, say_lines, table
@@ -147,8 +146,8 @@ def described(found: LogInfo) -> list[str]:
     """The lines that describe a log, without its problems."""
     start = "no messages"
     if any(topic.messages for topic in found.topics):
-        seconds = found.start_ns // 1_000_000_000
-        start = f"{found.duration_s:,.1f} s from {_utc(seconds)}"
+        begin = utc(found.start_ns, "%Y-%m-%d %H:%M:%S UTC")
+        start = f"{found.duration_s:,.1f} s from {begin}"
     head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB, {start}"
     rows = [
         (topic.topic, topic.type_name, f"{topic.messages:,}", _use(topic.use, topic.why))
@@ -165,10 +164,3 @@ def described(found: LogInfo) -> list[str]:
 
 def _use(use: str, why: str) -> str:
     return f"{use}: {why}" if use and why else use or why
-
-
-def _utc(seconds: int) -> str:
-    try:
-        return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    except (OverflowError, ValueError, OSError):
-        return f"second {seconds}"  # a clock far outside of any calendar

@@ -7,16 +7,17 @@ import os
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 
 import typer
 
 from ..topology.errors import DataError, UsageError
-from ..topology.wording import counted
+from ..topology.wording import counted, utc
 from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
 from .output import complain, say, say_lines, table, warn
 from .version import VERSION
 from .workspace import Workspace
+
+ISO = "%Y-%m-%dT%H:%M:%S+00:00"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,7 @@ def _listed(
     except (DataError, OSError) as error:
         return Listed(
             run, None, None, None, f"unreadable: {error}", component, runs, None,
-            _utc(made_ns), tuple(old),
+            utc(made_ns, ISO), tuple(old),
         )  # fmt: skip
     times = m.observation_time_ns
     warnings = m.info.get("warnings")
@@ -128,8 +129,8 @@ def _listed(
         health=counted(told, "warning") if told else "ok",
         component=component,
         runs=runs,
-        recorded=_utc(int(times.min())) if len(times) else None,
-        ingested=_utc(made_ns),
+        recorded=utc(int(times.min()), ISO) if len(times) else None,
+        ingested=utc(made_ns, ISO),
         stale=(*old, *_log_changes(place, run)),
     )
 
@@ -165,10 +166,3 @@ def _still_there(log: str, size: int) -> bool:
     except (OSError, ValueError):
         return False
     return not stat.S_ISREG(found.st_mode) or found.st_size == size
-
-
-def _utc(time_ns: int) -> str:
-    try:
-        return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).isoformat()
-    except (OverflowError, ValueError, OSError):
-        return f"second {time_ns // 1_000_000_000}"  # a clock far outside of any calendar

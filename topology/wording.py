@@ -1,11 +1,21 @@
-"""Names and numbers in messages."""
+"""Names, numbers and times in messages."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 
 MOST_NAMES = 12
 """As many names of usual length as two lines of a terminal hold."""
+
+
+def utc(time_ns: int, form: str = "%Y-%m-%d %H:%M:%S") -> str:
+    """A time in UTC, to the second at most."""
+    seconds = time_ns // 10**9
+    try:
+        return datetime.fromtimestamp(seconds, UTC).strftime(form)
+    except (OverflowError, ValueError, OSError):
+        return f"second {seconds}"  # a clock far outside of any calendar
 
 
 def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:

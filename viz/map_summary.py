@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 
 from ..topology.topomap import TopoMap
-from ..topology.wording import counted
+from ..topology.wording import counted, utc
 from .drawing import driven_branches
 from .history import Question
 
@@ -57,14 +56,6 @@ def several(count: int, one: str, many: str = "") -> str:
     return f"**{number}** {noun}"
 
 
-def clock(time_ns: int) -> str:
-    """A time in UTC to the second; nanoseconds where no calendar reaches."""
-    try:
-        return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S}"
-    except (OverflowError, ValueError, OSError):
-        return f"{time_ns} ns"
-
-
 def minutes(span_ns: int) -> str:
     """A duration, as one says it."""
     seconds = span_ns / 1e9
@@ -100,7 +91,7 @@ def _span(topomap: TopoMap) -> str:
     if len(times) == 0:
         return ""
     first, last = int(times.min()), int(times.max())
-    return f" in {minutes(last - first)}, from {clock(first)} UTC"
+    return f" in {minutes(last - first)}, from {utc(first)} UTC"
 
 
 _COLOURS = ("", "dead ends **red**", "bends **grey**", "three **blue**", "four **green**")

@@ -11,10 +11,10 @@ import numpy as np
 
 from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
-from ..topology.wording import counted, listed
+from ..topology.wording import counted, listed, utc
 from .canvas import Canvas, legible
 from .draw import draw_map, draw_merged, draw_placements
-from .map_summary import clock, minutes
+from .map_summary import minutes
 from .report_style import script, style_sheet, text
 from .report_verdicts import page_data, pair_lists, pair_told, verdict_matrix
 from .theme import SWITCHABLE
@@ -217,7 +217,7 @@ def _health(report: Report, runs: Sequence[str]) -> str:
 
 def _measured(m: TopoMap) -> list[str]:
     times, noise = m.observation_time_ns, m.measured
-    begin = clock(int(times.min())) if len(times) else "—"
+    begin = utc(int(times.min())) if len(times) else "—"
     lasts = minutes(int(times.max() - times.min())) if len(times) else "—"
     accepted = sum(c.accepted for c in m.closures)
     refused = sum(not c.accepted and not c.revised for c in m.closures)

@@ -1,8 +1,8 @@
-"""Names in messages."""
+"""Names, numbers and times in messages."""
 
 from __future__ import annotations
 
-from topobatch.topology.wording import counted, listed
+from topobatch.topology.wording import counted, listed, utc
 
 
 def test_names_beyond_the_first_are_counted() -> None:
@@ -15,3 +15,9 @@ def test_names_beyond_the_first_are_counted() -> None:
 def test_one_thing_and_several() -> None:
     assert [counted(n, "pass", "passes") for n in (0, 1, 2)] == ["0 passes", "1 pass", "2 passes"]
     assert counted(1234, "pair") == "1,234 pairs"
+
+
+def test_times_are_told_by_the_calendar_or_beyond_it() -> None:
+    assert utc(0) == "1970-01-01 00:00:00"
+    assert utc(2**62, "%Y-%m-%d %H:%M") == "2116-02-20 23:53"
+    assert utc(10**29) == f"second {10**20}"

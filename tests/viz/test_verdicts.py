@@ -6,8 +6,9 @@ import numpy as np
 from topobatch.merge.result import FusedMap, MergeResult
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz import map_summary as map_summary_module
+from topobatch.viz import verdicts
 from topobatch.viz.history import history, questions
-from topobatch.viz.map_summary import bulleted, clock, map_summary, plain
+from topobatch.viz.map_summary import bulleted, map_summary, plain
 from topobatch.viz.steps import joining_steps
 from topobatch.viz.verdicts import (
     AMBIGUOUS,
@@ -47,6 +48,14 @@ def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
     assert "runner-up: 38.0 bits, 1.0 behind, 2 junctions" in told
     assert "a - c" in told
     assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
+
+
+def test_pairs_beyond_those_that_are_told_are_counted(merge_of: Merge, monkeypatch) -> None:
+    result, _ = merge_of([["a", "b"], ["c"]])
+    monkeypatch.setattr(verdicts, "MOST_PAIRS", 2)
+    assert "more, in `merged.json`" not in pairs_told(result)  # 2 of them are unrelated
+    monkeypatch.setattr(verdicts, "MOST_PAIRS", 1)
+    assert "… and 1 more, in `merged.json`" in pairs_told(result)
 
 
 def test_summaries_count(merge_of: Merge) -> None:
@@ -118,12 +127,6 @@ def test_text_stays_on_its_line() -> None:
 def test_long_lists_are_cut() -> None:
     told = bulleted((str(i) for i in range(50)), most=3)
     assert told.splitlines()[-1] == "- … and 47 more, in the JSON document"
-
-
-def test_times_beyond_the_calendar_are_told() -> None:
-    assert clock(0) == "1970-01-01 00:00:00"
-    assert clock(2**62) == "2116-02-20 23:53:38"
-    assert clock(10**29) == f"{10**29} ns"
 
 
 def test_nothing_is_spoken_of_that_is_not_there(merge_of: Merge, one_vertex: TopoMap) -> None:

@@ -7,7 +7,6 @@ trajectory: a NURBS of degree 1, whose control points are the points of the line
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from ...topology.digits import METRES, rounded, significant
 from ...topology.polyline import way_of
 from ...topology.topomap import TopoMap
+from ...topology.wording import utc
 from .route_graph import corridor_line, driving_speed, last_pass_ns
 
 LIF_VERSION = "1.0.0"
@@ -28,7 +28,6 @@ def lif_json(topomap: TopoMap, max_error_m: float) -> str:
     """
     speed = driving_speed(topomap).tolist()
     xy = rounded(topomap.xy, METRES)
-    stamp = datetime.fromtimestamp(last_pass_ns(topomap) // 10**9, UTC)
     edges = []
     for e, (u, v) in enumerate(zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)):
         way = corridor_line(topomap, e, max_error_m)
@@ -45,7 +44,7 @@ def lif_json(topomap: TopoMap, max_error_m: float) -> str:
         "metaInformation": {
             "projectIdentification": topomap.run,
             "creator": "topobatch",
-            "exportTimestamp": stamp.strftime("%Y-%m-%dT%H:%M:%SZ"),
+            "exportTimestamp": utc(last_pass_ns(topomap), "%Y-%m-%dT%H:%M:%SZ"),
             "lifVersion": LIF_VERSION,
         },
         "layouts": [

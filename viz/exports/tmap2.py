@@ -11,13 +11,13 @@ routes are the lightest by `properties.weight`: metres here, as its A* guesses t
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from ...topology.digits import METRES, rounded, significant
 from ...topology.topomap import TopoMap
+from ...topology.wording import utc
 from .route_graph import VIA, RouteGraph, last_pass_ns, route_graph
 from .yaml_lines import yaml_text
 
@@ -49,7 +49,6 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
     for a frame of that robot's odometry.
     """
     graph, name = route_graph(topomap, max_error_m), topomap.run
-    stamp = datetime.fromtimestamp(last_pass_ns(topomap) // 10**9, UTC)
     names = _names(graph)
     edges = _edges(graph, names)
     zone = _zones(graph.xy)
@@ -76,7 +75,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
         }
         nodes.append({"meta": {"map": name, "node": names[k], "pointset": name}, "node": node})
     document = {
-        "meta": {"last_updated": stamp.strftime("%d-%m-%Y_%H-%M-%S")},
+        "meta": {"last_updated": utc(last_pass_ns(topomap), "%d-%m-%Y_%H-%M-%S")},
         "metric_map": name,
         "name": name,
         "pointset": name,
