@@ -15,7 +15,7 @@ it was. It is found at the far end of the corridor that is left (`_lookalikes`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from itertools import combinations
 from typing import Any
@@ -369,13 +369,6 @@ def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -
 
 def change_to_document(change: Change) -> dict[str, Any]:
     """A change as JSON values."""
-
-    def witnesses(of: Sequence[Witness]) -> list[dict[str, Any]]:
-        return [
-            {"run": w.run, "passes": w.passes, "first_ns": w.first_ns, "last_ns": w.last_ns}
-            for w in of
-        ]
-
     return {
         "thing": change.thing,
         "kind": str(change.kind),
@@ -384,8 +377,8 @@ def change_to_document(change: Change) -> dict[str, Any]:
         "x": change.xy[0],
         "y": change.xy[1],
         "length": change.length,
-        "there": witnesses(change.there),
-        "missing": witnesses(change.missing),
+        "there": [asdict(witness) for witness in change.there],
+        "missing": [asdict(witness) for witness in change.missing],
         "bits": rounded(change.bits, BITS),
         "needed_bits": rounded(change.needed, BITS),
         "sure": change.sure,

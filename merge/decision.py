@@ -7,7 +7,7 @@ placement add up to its evidence, and the evidence is compared with the threshol
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import floor
 from typing import Any, Literal
 
@@ -144,7 +144,6 @@ def rounded_terms(bits: Sequence[float], digits: int, total: float | None = None
 def to_document(decision: Decision) -> dict[str, Any]:
     """The decision as JSON values; angles in radians."""
     said, need = decision.said, decision.requirement
-    start = decision.start
     return {
         "schema": DECISION_SCHEMA,
         "a": said.a,
@@ -176,14 +175,7 @@ def to_document(decision: Decision) -> dict[str, Any]:
             "same_place_needed": _rounded_or_none(need.same_place_needed),
         },
         "placements": [_placement(p) for p in decision.placements],
-        "start": None
-        if start is None
-        else {
-            "found": start.found,
-            "expected": start.expected,
-            "needed": start.needed,
-            "hypotheses": start.hypotheses,
-        },
+        "start": decision.start and asdict(decision.start),
         "notes": list(decision.notes),
     }
 

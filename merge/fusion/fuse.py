@@ -21,7 +21,7 @@ from ..digests import DIGEST, digested
 from ..discards import Names
 from ..document import places_text
 from ..packs import Kept, Kind
-from ..result import Component, FusedMap, PairVerdict, Spread, by_run
+from ..result import Component, FusedMap, PairVerdict, by_run
 from .component import FusedComponent, from_bytes, observations_of, to_bytes
 from .data_association import DEFAULT_COINCIDENCE, CoincidenceSettings, coincident
 from .edge_splitting import DEFAULT_PASSAGE, PassageSettings, split_at_places
@@ -197,27 +197,14 @@ def fuse_component(
         corridors = split_at_places(corridors, xy, headings, settings.passages, settings.corridors)
     poses = fitted_poses(pool, pose)
     fused = _fused_map(pool, xy, places, corridors)
-    if sure is not None:
-        fused = replace(fused, position_sigma=_sigmas(pool, label, joint))
-    return FusedComponent(
-        {run: poses[run] for run in sorted(poses)},
-        fused,
-        None if sure is None else _spread(pool, label, joint, sure),
-    )
-
-
-def _sigmas(pool: Pool, label: IntArray, joint: Joint) -> FloatArray | None:
-    """(places,) how sure the places of a component are; of one run what its map says."""
-    if joint.graph is None or joint.solution is None:
-        return pool.maps[0].position_sigma
-    return place_sigmas(pool, label, joint.graph, joint.solution)
-
-
-def _spread(pool: Pool, label: IntArray, joint: Joint, key: IntArray) -> Spread | None:
-    """How surely a component's runs are placed; None where it is one run."""
-    if joint.graph is None or joint.solution is None:
-        return None
-    return spread(pool, label, joint.graph, joint.solution, key)
+    own = {run: poses[run] for run in sorted(poses)}
+    if sure is None:
+        return FusedComponent(own, fused)
+    if joint.graph is None or joint.solution is None:  # of one run what its map says
+        return FusedComponent(own, replace(fused, position_sigma=pool.maps[0].position_sigma))
+    sigmas = place_sigmas(pool, label, joint.graph, joint.solution)
+    errors = spread(pool, label, joint.graph, joint.solution, sure)
+    return FusedComponent(own, replace(fused, position_sigma=sigmas), errors)
 
 
 def _settle(
