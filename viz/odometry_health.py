@@ -73,8 +73,9 @@ def _motion(odometry: Odometry) -> Lane:
     """Standing where the way of the next STANDING_S is too short; O(n)."""
     times = odometry.time_ns
     way = np.cumsum(odometry.step_m)
-    ahead = np.searchsorted(times, times + round(STANDING_S * 1e9)).clip(max=len(times) - 1)
-    stands = way[ahead] - way < STANDING_M_PER_S * STANDING_S
+    end = times + round(STANDING_S * 1e9)
+    ahead = np.searchsorted(times, end).clip(max=len(times) - 1)
+    stands = (way[ahead] - way < STANDING_M_PER_S * STANDING_S) & (end <= times[-1])
     # A row stands if one of the windows that hold it does.
     rises = np.zeros(len(times) + 1, np.int64)
     np.add.at(rises, np.flatnonzero(stands), 1)

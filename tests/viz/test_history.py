@@ -96,6 +96,26 @@ def test_gaps_jumps_and_breaks_are_seen(straight, empty_map) -> None:
     assert found[4][0] - found[3][0] == pytest.approx(3.0, rel=0.01)  # long enough to be seen
 
 
+def test_a_silence_is_a_gap_beside_the_usual_step_and_in_itself(straight, empty_map) -> None:
+    def with_hole(rows: int, hz: int) -> list[str]:
+        keep = np.r_[0:1000, 1000 + rows : 6000]
+        times = straight.time_ns[keep] * 10 // hz
+        hurt = Odometry(times, straight.pose[keep], np.zeros(0, np.int64))
+        return [state for _, state in states(hurt, empty_map, "odometry")]
+
+    assert with_hole(20, 100) == ["steady"]  # 0.2 s, of many short steps
+    assert GAP in with_hole(60, 100)
+    assert with_hole(3, 1) == ["steady"]  # 4 s, of few long steps
+    assert GAP in with_hole(6, 1)
+
+
+def test_creeping_is_no_standing(straight, empty_map) -> None:
+    slow = replace(straight, pose=straight.pose * [0.05, 1.0, 1.0])
+    assert states(slow, empty_map, "motion") == [(0.0, "driving")]
+    still = replace(straight, pose=straight.pose * [0.01, 1.0, 1.0])
+    assert states(still, empty_map, "motion")[0] == (0.0, STANDING)
+
+
 def test_standing_is_seen(straight, empty_map) -> None:
     pose = np.array(straight.pose)
     pose[2000:2600, 0] = pose[2000, 0]
