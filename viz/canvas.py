@@ -378,6 +378,6 @@ def round_length(most_m: float) -> float:
 def _columns(keys: Sequence[Key], room_pt: float) -> _Block:
     """As many columns as the longest label lets fit; one of them takes half of the page at most."""
     longest = max(width_of(legible(key.label), TEXT_PT) for key in keys)
-    step = min(longest, 0.45 * room_pt) + HANDLE_PT + GAP_PT
+    step = min(longest + HANDLE_PT + GAP_PT, room_pt / 2)
     columns = max(1, floor(room_pt / step))
     return _Block(keys, step, ceil(len(keys) / columns))

@@ -83,6 +83,16 @@ def test_names_that_do_not_fit_are_shortened_in_the_middle() -> None:
     assert width_of(wide, SMALL_PT) <= 100.0
 
 
+def test_long_labels_of_a_legend_stand_in_two_columns() -> None:
+    def height(labels: int) -> float:
+        drawn = Canvas(np.array([0.0, 0.0]), np.array([40.0, 20.0]), LIGHT)
+        drawn.finish([], [[Key("line", LIGHT.run(k), f"{k} " * 300) for k in range(labels)]])
+        return float(drawn.figure.get_figheight()) * 72.0
+
+    assert height(2) == height(1)
+    assert height(3) == height(4) > height(2)
+
+
 def test_text_is_folded_into_lines() -> None:
     lines = folded("one two three four five six seven", 60.0, SMALL_PT)
     assert len(lines) > 1
