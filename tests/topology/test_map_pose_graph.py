@@ -64,3 +64,15 @@ def test_single_passes_differ_only_as_far_as_the_odometry_lets_them(
     told = [np.linalg.inv(map_pose_graph(m).information[0])[0, 0] for m in (often, once)]
     # Of a hundred passes at both ends the one that drove here differs by nearly all of its own.
     assert told[0] - told[1] == pytest.approx(2 * passes, rel=0.02, abs=2e-6)
+
+
+def test_a_heading_that_walks_at_random_turns_a_corridor_by_a_third() -> None:
+    walk, turns = 0.01**2, 0.02**2
+    noise = RunNoise(1e-6, walk**0.5, turns**0.5, 0.0, 0.0, 0.05)
+    graph = map_pose_graph(replace(elbow(1), fitted_noise=noise))
+    covariance = np.linalg.inv(graph.information[0])
+    # Across a corridor of 8 m; half of the turns of a quarter of π in the mean are at each end.
+    swing = turns * np.pi / 8
+    assert covariance[1, 1] == pytest.approx((walk * 8 / 3 + swing) * 64, rel=0.01)
+    assert covariance[1, 2] == pytest.approx((walk * 8 / 2 + swing) * 8, rel=0.01)
+    assert covariance[2, 2] == pytest.approx(walk * 8 + 2 * swing, rel=0.01)

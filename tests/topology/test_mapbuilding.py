@@ -129,6 +129,15 @@ def test_branches_stay_by_majority_or_because_they_were_driven():
     np.testing.assert_allclose(driven.branches[1], [WEST, NORTH])
 
 
+def test_a_junction_that_shows_otherwise_each_time_keeps_the_branch_seen_most() -> None:
+    odometry, rows = track(*[(8.0 * (k % 2), 0.0) for k in range(12)])
+    looks = [[EAST], [NORTH]] * 6
+    for k, branch in enumerate((1.0, 2.2, 2.2, -1.0, -2.2, 1.6)):
+        looks[2 * k + 1] = [branch]
+    m = build(odometry, seen(odometry, rows, looks), [0, 1] * 6)
+    np.testing.assert_allclose(m.branches[1], [2.2])
+
+
 def test_the_confidence_of_a_junction_is_the_mean_of_its_passes():
     odometry, rows = track((0, 0), (8, 0), (0, 0), (8, 0))
     passes = seen(odometry, rows, [[EAST], [WEST], [EAST], [WEST]])

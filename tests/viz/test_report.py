@@ -133,6 +133,16 @@ def test_runs_that_were_not_merged_yet_are_told(make_map, empty_map) -> None:
     assert "<b>0</b>runs" in result_page
 
 
+def test_an_answer_that_was_taken_back_is_not_counted_as_refused(make_map) -> None:
+    asked = make_map("a")
+    back = replace(asked.closures[1], revised=True)
+    shown = [
+        page_of(None, [m]) for m in (asked, replace(asked, closures=(asked.closures[0], back)))
+    ]
+    cells = [re.findall(r"<td>([^<]*)</td>", html)[7:9] for html in shown]
+    assert cells == [["1", "1"], ["1", "0"]]
+
+
 def test_a_run_that_the_merge_left_out_is_told(merge_of, make_map) -> None:
     result, maps = merge_of([["a", "b"]])
     html = page_of(result, [*maps, make_map("late")])
