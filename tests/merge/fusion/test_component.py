@@ -11,7 +11,13 @@ from topobatch.merge.digests import digest_of
 from topobatch.merge.document import places_text
 from topobatch.merge.fusion import fuse as fusing
 from topobatch.merge.fusion.component import from_bytes, to_bytes
-from topobatch.merge.fusion.fuse import component_digest, fuse, fuse_component, fused_once
+from topobatch.merge.fusion.fuse import (
+    DEFAULT_FUSION,
+    component_digest,
+    fuse,
+    fuse_component,
+    fused_once,
+)
 from topobatch.merge.packs import Kept, Kind
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
@@ -102,7 +108,7 @@ def test_a_component_kept_with_other_pairs_is_fused_again(joined, new_store):
     maps, inside = joined
     store, other = new_store(), new_store()
     first = fuse(maps, inside, how_sure=True, kept=Kept(store))
-    fused_once(maps, inside, sure=FIRST_WITH_SECOND[:0], kept=Kept(other))
+    fused_once(maps, inside, DEFAULT_FUSION, FIRST_WITH_SECOND[:0], Kept(other))
     (theirs,) = (payload for (kind, _), payload in other.known.items() if kind is Kind.COMPONENT)
     store.known = {k: theirs if k[0] is Kind.COMPONENT else v for k, v in store.known.items()}
     same(fuse(maps, inside, how_sure=True, kept=Kept(store)), first)
