@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,15 +82,24 @@ class Odometry:
         return turn
 
     def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(m, 3) poses at any times, linear between rows, held at the ends. O(m log n)."""
-        query = np.asarray(time_ns, np.int64)
+        """(m, 3) poses at any times, linear between rows, held at the ends. O(n + m log n)."""
+        return self.interpolator()(time_ns)
+
+    def interpolator(self) -> Callable[[NDArray[np.int64]], NDArray[np.float64]]:
+        """`at`, for many questions: what all of them need is made once. O(n), then O(m log n)."""
         origin = self.time_ns[0]
-        t, q = (self.time_ns - origin).astype(np.float64), (query - origin).astype(np.float64)
+        t = (self.time_ns - origin).astype(np.float64)
         theta = self.pose[0, 2] + np.concatenate([[0.0], np.cumsum(wrap(np.diff(self.pose[:, 2])))])
-        columns = (self.pose[:, 0], self.pose[:, 1], theta)
-        out = np.stack([np.interp(q, t, column) for column in columns], axis=-1)
-        out[..., 2] = wrap(out[..., 2])
-        return out
+        # Copied to be one after the other: `interp` would do so for every question.
+        columns = (*(self.pose[:, k].copy() for k in (0, 1)), theta)
+
+        def at(time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+            q = (np.asarray(time_ns, np.int64) - origin).astype(np.float64)
+            out = np.stack([np.interp(q, t, column) for column in columns], axis=-1)
+            out[..., 2] = wrap(out[..., 2])
+            return out
+
+        return at
 
 
 def _rows_within(rows: NDArray[np.int64], count: int) -> bool:

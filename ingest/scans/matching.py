@@ -56,19 +56,20 @@ def posed(
     odometry: Odometry, batches: Iterable[ScanBatch], settings: MatchingSettings
 ) -> Iterator[Posed]:
     """The robot's pose at every scan, by the odometry."""
+    at = odometry.interpolator()
     for batch in batches:
         if len(batch) == 0:
             continue
         half = np.int64(0.5e9 * batch.sweep_s)
         around = np.int64(1e8)
         t = batch.times_ns
-        turned = wrap(odometry.at(t + around)[:, 2] - odometry.at(t - around)[:, 2])
+        turned = wrap(at(t + around)[:, 2] - at(t - around)[:, 2])
         outside = np.int64(settings.outside_s * 1e9)
         first, last = odometry.time_ns[[0, -1]] + np.array([-outside, outside])
         yield Posed(
             batch,
-            odometry.at(t),
-            between(odometry.at(t - half), odometry.at(t + half)),
+            at(t),
+            between(at(t - half), at(t + half)),
             turned / (2e-9 * around),
             (t >= first) & (t <= last),
             chain_of(odometry, t),
