@@ -195,10 +195,11 @@ def align(
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
     # What walls and odometry ask for at poses that all of them together agree on.
     walls, curvature = wall_scores(scans, pose, pairs, gate, scans.each * worth)
+    back, _ = wall_scores(scans, pose, pairs[::-1], gate, scans.each * worth)
     off, information = _odometry(pose, steps)
     odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off))
     band, _ = equations.at(pose, steps, quadratic, curvature * worth)
-    return Aligned(pose, Scatter(band, walls, odometry))
+    return Aligned(pose, Scatter(band, walls, back, odometry))
 
 
 def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:

@@ -27,6 +27,12 @@ LEAST_HEADING = 1e-4
 USUAL_HEADING = 1e-3
 """Heading noise [rad per root metre, or radian] of scans in twelve buildings, 0.0005 to 0.0024: as
 much as one long span tells. Of a drive of a few metres little else is known."""
+USUAL_TOGETHER, TOGETHER_SPREAD = 1.3, 0.5
+"""Variance of what all patches of wall ask for, by what it were if each erred by itself: mean and
+1 sigma over five kinds of simulated world and two buildings, 0.3 (aces) to 1.8 (organic ways),
+`benchmarks/headings.py`."""
+LEAST_SEEN = 0.25
+"""Share of the walls' errors that is seen at least: of scans that see hardly any walls."""
 ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
 """Of scans without odometry, at least: what bare corridors leave open [m, rad per root metre]."""
 
@@ -45,7 +51,7 @@ def matched_noise(
     if told is None or len(told.way) == 0:
         return replace(PRIOR, branch_fault_rate=fault)
     along = float(np.sqrt(np.median(told.along / np.maximum(told.way, 0.1))))
-    walk = _heading_walk(told.far, told.turned, told.heading)
+    walk = _heading_walk(told.far, told.turned, _variance(told))
     heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
     return replace(
         PRIOR,
@@ -54,6 +60,28 @@ def matched_noise(
         heading_rad_per_sqrt_rad=significant(max(float(np.sqrt(walk[1])), LEAST_HEADING)),
         branch_fault_rate=significant(fault),
     )
+
+
+def _variance(told: SpanErrors) -> FloatArray:
+    """(r,) of the turns of spans [rad²].
+
+    With scores s of patches, M the sum of their variances and κ M that of their sum, what is left
+    of them at the poses fitted, s - A H⁻¹ Σ s, has squares that sum up to M (1 - 2 κ l + κ l), l
+    the share that poses absorb (if a patch has as much of the errors as of the curvature): patches
+    that err together take the poses along the more.
+    """
+    together = _together(told)
+    seen = np.maximum(1 - together * told.absorbed, LEAST_SEEN)
+    return np.asarray(together * told.walls / seen + told.odometry)
+
+
+def _together(told: SpanErrors) -> float:
+    """By how much all patches of wall err more than each by itself, of what is usual and of the
+    spans, each by what it tells: a square of one normal number has twice its mean as variance."""
+    usual = 2 * (USUAL_TOGETHER / TOGETHER_SPREAD) ** 2
+    spans = len(told.apart) * SHORT / LONG
+    own = float(told.apart.sum()) / max(float(told.apart_alone.sum()), 1e-12)
+    return (usual * USUAL_TOGETHER + spans * own) / (usual + spans)
 
 
 def _heading_walk(way: FloatArray, turned: FloatArray, variance: FloatArray) -> FloatArray:

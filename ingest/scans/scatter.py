@@ -10,11 +10,17 @@ groups, independent of each other whatever hangs together within, has the covari
 (Huber, The behavior of maximum likelihood estimates under nonstandard conditions, 1967; Liang and
 Zeger, Longitudinal data analysis using generalized linear models, 1986). Groups are patches of wall
 and stretches of odometry.
+
+Patches of one bent wall err together. How much shows when pairs of scans are held against each
+other the other way round, points of the one before against surfaces of the one after: those err
+otherwise, as lines through bent walls lie to one side of them. Where patches are independent, the
+square of all differences' sum is the sum of their squares; else it is more, the design effect of
+clusters (Kish, Survey sampling, 1965), here without any truth.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,22 +56,46 @@ NO_SCORES = Scores(_NONE, _NONE, _NONE, np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TurnErrors:
+    """Of turns (q,), sum of squares [rad²] of what patches of walls and stretches of odometry ask
+    for; absorbed: share of the patches' errors that poses follow, so that it is not seen; apart:
+    square [rad²] of what both ways to hold scans against each other differ by, apart_alone: the sum
+    of every patch's own square."""
+
+    walls: FloatArray
+    absorbed: FloatArray
+    odometry: FloatArray
+    apart: FloatArray
+    apart_alone: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """curvature: banded (lower form, 3 n columns); what walls and odometry ask for."""
+    """curvature: banded (lower form, 3 n columns); what walls and odometry ask for; back: walls,
+    where the points of the scan before are held against the surfaces of the one after."""
 
     curvature: FloatArray
     walls: Scores
+    back: Scores
     odometry: Scores
 
-    def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-        """(q,) variance [rad²] of the turn from poses `first` (q,) to `last`, by how far the groups
-        pull it apart."""
+    def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> TurnErrors:
+        """Of the turns from poses `first` (q,) to `last`, by how far the groups pull them apart."""
         q = np.arange(len(first))
         onto = np.zeros((3 * len(pose), len(q)))
         onto[3 * last + 2, q], onto[3 * first + 2, q] = 1.0, -1.0
         moved = self._solved(onto)
-        walls, odometry = (_pulled(pose, s, moved) for s in (self.walls, self.odometry))
-        return walls / _freedom(self.walls) + odometry
+        apart = joined([self.back, replace(self.walls, gradient=-self.walls.gradient)])
+        walls, odometry, apart_by = (
+            _pulls(pose, scores, moved) for scores in (self.walls, self.odometry, apart)
+        )
+        return TurnErrors(
+            np.sum(walls**2, axis=0),
+            np.full(len(first), _absorbed(self.walls)),
+            np.sum(odometry**2, axis=0),
+            np.sum(apart_by, axis=0) ** 2,
+            np.sum(apart_by**2, axis=0),
+        )
 
     def ways(self, pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
         """(q,) variance [m²] of the way ahead from poses `first` (q,) to `last`, by the curvature
@@ -83,34 +113,28 @@ class Scatter:
         return solved.reshape(len(onto) // 3, 3, -1)
 
 
-def _pulled(pose: FloatArray, scores: Scores, moved: FloatArray) -> FloatArray:
-    """(s,) squares of how far every group moves what `moved` (n, 3, s) stands for, summed up."""
+def _pulls(pose: FloatArray, scores: Scores, moved: FloatArray) -> FloatArray:
+    """(g, s) how far every group moves what `moved` (n, 3, s) stands for."""
     if len(scores.group) == 0:
-        return np.zeros(moved.shape[2])
-    asked = _asked(pose, scores, moved)
-    order = np.argsort(scores.group, kind="stable")
-    begins = np.flatnonzero(np.diff(scores.group[order], prepend=-1))
-    return np.asarray(np.sum(np.add.reduceat(asked[order], begins, axis=0) ** 2, axis=0))
+        return np.zeros((0, moved.shape[2]))
+    ends = motion_by_ends(pose, scores.first, scores.second)
+    asks = np.concatenate([np.einsum("ekl,ek->el", by, scores.gradient) for by in ends])
+    # What a group asks of a pose, of all its pairs at once: they are many times as many.
+    rows = np.concatenate([scores.first, scores.second])
+    where = np.tile(scores.group, 2) * len(pose) + rows
+    order = np.argsort(where, kind="stable")
+    begins = np.flatnonzero(np.diff(where[order], prepend=-1))
+    asks = np.add.reduceat(asks[order], begins, axis=0)
+    group, row = np.divmod(where[order][begins], len(pose))
+    by_pose = np.einsum("ek,eks->es", asks, moved[row])
+    return np.asarray(np.add.reduceat(by_pose, np.flatnonzero(np.diff(group, prepend=-1)), axis=0))
 
 
-def _freedom(walls: Scores) -> float:
-    """Share of the scans' errors that their poses leave to be seen: a scan that sees k patches
-    has three of as many (MacKinnon and White, 1985); of scans that see hardly any, a quarter."""
+def _absorbed(walls: Scores) -> float:
+    """Share of the scans' errors that their poses follow: a scan that sees k patches has three of
+    as many (MacKinnon and White, 1985)."""
     looks = len(np.unique(walls.first * (4 * SPREAD**2) + walls.group))
-    scans = len(np.unique(walls.first))
-    return max(1 - 3 * scans / max(looks, 1), 0.25)
-
-
-def _asked(pose: FloatArray, scores: Scores, moved: FloatArray) -> FloatArray:
-    """(e, s) how far every entry moves what `moved` (n, 3, s) stands for."""
-    by_first, by_second = motion_by_ends(pose, scores.first, scores.second)
-    at_first = np.einsum("ekl,ek->el", by_first, scores.gradient)
-    at_second = np.einsum("ekl,ek->el", by_second, scores.gradient)
-    out = np.zeros((len(scores.first), moved.shape[2]))
-    for k in range(3):
-        out += at_first[:, k, None] * moved[scores.first, k]
-        out += at_second[:, k, None] * moved[scores.second, k]
-    return out
+    return min(3 * len(np.unique(walls.first)) / max(looks, 1), 1.0)
 
 
 def motion_by_ends(

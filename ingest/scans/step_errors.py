@@ -137,15 +137,20 @@ off (`benchmarks/laser.py`): it takes the looks of a scan for more alike than th
 class SpanErrors:
     """Stretches of corrected odometry and how well they are known by the scans' own account.
 
-    way: (q,) [m]; along: (q,) variance of the way [m²]; far: (r,) [m], turned: (r,) [rad summed up]
-    and heading: (r,) variance of the turn [rad²] of other stretches, longer where there are any.
+    way: (q,) [m]; along: (q,) variance of the way [m²]; far: (r,) [m] and turned: (r,) [rad summed
+    up] of other stretches, longer where there are any; walls, absorbed, odometry, apart,
+    apart_alone: (r,) of their turns (`TurnErrors`).
     """
 
     way: FloatArray
     along: FloatArray
     far: FloatArray
     turned: FloatArray
-    heading: FloatArray
+    walls: FloatArray
+    absorbed: FloatArray
+    odometry: FloatArray
+    apart: FloatArray
+    apart_alone: FloatArray
 
 
 def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
@@ -155,12 +160,17 @@ def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
     begin, end = _spans(rows, min(LONG, max(rows.stop - rows.start - 1, SHORT)))
     step = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
+    headings = scatter.headings(pose, begin, end)
     return SpanErrors(
         step[last] - step[first],
         SURER_ALONG * scatter.ways(pose, first, last),
         step[end] - step[begin],
         turn[end] - turn[begin],
-        scatter.headings(pose, begin, end),
+        headings.walls,
+        headings.absorbed,
+        headings.odometry,
+        headings.apart,
+        headings.apart_alone,
     )
 
 

@@ -69,14 +69,32 @@ def test_a_walk_is_as_uncertain_as_its_spans() -> None:
         clearance_m=np.zeros(0),
     )
 
-    def noise(loud: float) -> RunNoise:
+    def noise(loud: float, together: float = 1.3) -> RunNoise:
         heading = loud**2 * (2e-6 * far + 4e-6 * around) * rng.chisquare(20, 300) / 20
-        return matched_noise([SpanErrors(way, 4e-4 * way, far, around, heading)], none)
+        told = SpanErrors(
+            way,
+            4e-4 * way,
+            far,
+            around,
+            walls=heading / 2 / 1.3,
+            absorbed=np.zeros(300),
+            odometry=heading / 2,
+            apart=together * heading,
+            apart_alone=heading,
+        )
+        return matched_noise([told], none)
 
     quiet, loud = noise(1.0), noise(2.0)
     assert quiet.heading_rad_per_sqrt_m**2 == pytest.approx(2e-6, rel=0.2)
     assert quiet.heading_rad_per_sqrt_rad**2 == pytest.approx(4e-6, rel=0.2)
     assert loud.heading_rad_per_sqrt_m == pytest.approx(2 * quiet.heading_rad_per_sqrt_m, rel=0.1)
-    few = matched_noise([SpanErrors(*(np.array([x]) for x in (4.0, 1e-4, 4.0, 0.1, 1e-12)))], none)
+    # Of the spans' own 3.0 and the usual 1.3, by what either tells: 2.7 times half of the variance.
+    bent = noise(1.0, together=3.0)
+    total = [
+        20 * n.heading_rad_per_sqrt_m**2 + 5 * n.heading_rad_per_sqrt_rad**2 for n in (bent, quiet)
+    ]
+    assert total[0] / total[1] == pytest.approx(0.5 + 0.5 * 2.7 / 1.3, rel=0.05)
+    short = (np.array([x]) for x in (4.0, 1e-4, 4.0, 0.1, 1e-12, 1.0, *3 * [1e-12]))
+    few = matched_noise([SpanErrors(*short)], none)
     assert few.heading_rad_per_sqrt_m > 8e-4
     assert loud.along_m_per_sqrt_m == quiet.along_m_per_sqrt_m == pytest.approx(0.02, rel=0.01)

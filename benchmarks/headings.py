@@ -1,0 +1,118 @@
+"""Headings of scan matching alone: python benchmarks/headings.py FOLDER... [--real FOLDER...]
+
+Folders as `laser.py` takes them. Of all runs of a folder, and of all: share of heading errors after
+20 m within 68.3, 95.4 and 99.7 % of what the run's noise claims, with standard errors as if
+stretches that do not overlap were independent; 1 sigma claimed over error (root mean squares,
+pooled); by how much patches of wall err together (`TurnErrors`: apart over apart_alone). Real logs
+are judged by what all their scans agree on (`revisits.py`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from laser import Log, Stretches, bent_onto, central, logs
+from numpy.typing import NDArray
+from revisits import revisits
+
+from topobatch.ingest.scans.keyframes import join
+from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
+from topobatch.ingest.scans.noise import matched_noise
+from topobatch.ingest.scans.scan import ScanPasses
+from topobatch.topology.columns import joined
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import compose, inverse
+from topobatch.topology.track import way_at
+
+FloatArray = NDArray[np.float64]
+LEVELS = (0.683, 0.954, 0.997)
+FAR_M = 20.0
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Of stretches: share of errors that the noise expects to be smaller, variance claimed and
+    square of the error [rad²]; independent: how many do not overlap; apart, alone: sums."""
+
+    p: FloatArray
+    claimed: FloatArray
+    square: FloatArray
+    independent: float
+    apart: float
+    alone: float
+
+
+def judged(log: Log) -> Judged:
+    """A run's headings, matched but without junctions."""
+    settings = MatchingSettings()
+    parts = list(matched(posed(log.odometry, log.scans, settings), settings))
+    frames, spans = join([part.keyframes for part in parts]), joined([p.spans for p in parts])
+    pose = compose(np.concatenate([part.pose for part in parts]), inverse(frames.mount))
+    noise = matched_noise([part.spans for part in parts], _no_passes())
+    t = log.truth.time_ns
+    t = t[(t >= frames.time_ns[0]) & (t <= frames.time_ns[-1])]
+    ours = bent_onto(Odometry(frames.time_ns, pose, np.zeros(0, np.int64)), log, t)
+    far = Stretches.of(log, t, ours, FAR_M)
+    walk = noise.heading_rad_per_sqrt_m**2 * FAR_M
+    walk = walk + noise.heading_rad_per_sqrt_rad**2 * far.turned
+    return Judged(
+        central(log, noise, t, ours)["all"],
+        np.asarray(walk),
+        far.error[:, 2] ** 2,
+        float(way_at(log.truth, t)[-1]) / FAR_M,
+        float(spans.apart.sum()),
+        float(spans.apart_alone.sum()),
+    )
+
+
+def _no_passes() -> ScanPasses:
+    none, rows = np.zeros(0, np.int64), Ragged.from_rows([])
+    return ScanPasses(
+        none, none, none, np.zeros((0, 2)), rows, rows, np.zeros(0), none, np.zeros(0)
+    )
+
+
+def told(name: str, runs: list[Judged]) -> None:
+    """One line about some runs."""
+    p = np.concatenate([run.p for run in runs])
+    n = sum(run.independent for run in runs)
+    shares = [float(np.mean(p < level)) for level in LEVELS]
+    errors = [float(np.sqrt(level * (1 - level) / n)) for level in LEVELS]
+    claimed = np.concatenate([run.claimed for run in runs]).mean()
+    square = np.concatenate([run.square for run in runs]).mean()
+    together = sum(run.apart for run in runs) / sum(run.alone for run in runs)
+    print(
+        f"{name:24s} {len(runs):2d} runs, {n:4.0f} stretches: within "
+        + ", ".join(f"{a:.3f} ({b:.3f})" for a, b in zip(shares, errors, strict=True))
+        + f"; claimed / error {np.sqrt(claimed / square):.2f}"
+        + f" ({1e3 * np.sqrt(square):.2f} mrad); together {together:.2f}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--real", nargs="*", type=Path, default=[], help="logs without exact truth")
+    options = parser.parse_args()
+    every: list[Judged] = []
+    for folder in options.folders:
+        runs = [judged(log) for log in logs(folder)]
+        told(folder.name, runs)
+        every += runs
+    if every:
+        told("all", every)
+    for folder in options.real:
+        for log in logs(folder):
+            seen = revisits(log.odometry, log.scans, log.truth)
+            told(f"{folder.name} {log.name}", [judged(replace(log, truth=seen.path))])
+
+
+if __name__ == "__main__":
+    main()
