@@ -17,7 +17,7 @@ from scipy.linalg import solveh_banded
 
 from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
-from .scatter import Scatter, odometry_scores, wall_scores
+from .scatter import BACK, Scatter, odometry_scores, wall_scores
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -195,7 +195,9 @@ def align(
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
     # What walls and odometry ask for at poses that all of them together agree on.
     walls, curvature = wall_scores(scans, pose, pairs, gate, scans.each * worth)
-    back, _ = wall_scores(scans, pose, pairs[::-1], gate, scans.each * worth)
+    some = looks.first % BACK == 0
+    turned = looks.second[some], looks.first[some]
+    back, _ = wall_scores(scans, pose, turned, gate, scans.each * worth)
     off, information = _odometry(pose, steps)
     odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off))
     band, _ = equations.at(pose, steps, quadratic, curvature * worth)
