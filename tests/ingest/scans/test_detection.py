@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -227,3 +228,15 @@ def test_turning_on_the_spot_for_long_holds_no_more(monkeypatch: pytest.MonkeyPa
     result = detect(truth, parts(scans(RING, truth), 100))
     off = between(truth.at(result.odometry.time_ns), result.odometry.pose)
     assert np.abs(off).max() < 0.1
+
+
+@pytest.mark.parametrize(("half_deg", "told"), [(30, True), (75, False)])
+def test_a_narrow_view_is_told(half_deg: int, told: bool) -> None:
+    way = drive((0, 0), (6, 0))
+    whole = scans(RING, way)
+    view = np.abs(np.degrees(whole.angles_rad)) <= half_deg
+    batch = replace(whole, ranges_m=whole.ranges_m[:, view], angles_rad=whole.angles_rad[view])
+    warnings = detect(way, [batch]).warnings
+    said = [line for line in warnings if "degrees of what is around the robot" in line]
+    assert len(said) == told
+    assert all(line.startswith("the scans see some 70 degrees") for line in said)
