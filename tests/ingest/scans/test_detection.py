@@ -230,7 +230,7 @@ def test_turning_on_the_spot_for_long_holds_no_more(monkeypatch: pytest.MonkeyPa
     assert np.abs(off).max() < 0.1
 
 
-@pytest.mark.parametrize(("half_deg", "told"), [(30, True), (75, False)])
+@pytest.mark.parametrize(("half_deg", "told"), [(35, True), (75, False)])
 def test_a_narrow_view_is_told(half_deg: int, told: bool) -> None:
     way = drive((0, 0), (6, 0))
     whole = scans(RING, way)
@@ -239,4 +239,4 @@ def test_a_narrow_view_is_told(half_deg: int, told: bool) -> None:
     warnings = detect(way, [batch]).warnings
     said = [line for line in warnings if "degrees of what is around the robot" in line]
     assert len(said) == told
-    assert all(line.startswith("the scans see some 70 degrees") for line in said)
+    assert all(line.startswith("the scans see some 80 degrees") for line in said)
