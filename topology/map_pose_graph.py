@@ -41,10 +41,9 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
 
     For a pose graph whose vertices are centres as this map saw them: an error of a vertex's centre
     is common to all of its corridors, and enters where that vertex is tied to other maps. What the
-    single passes by a junction differ by remains in each corridor, as far as the odometry allows:
-    a pass between two legs of variance q lies where it saw a centre to σ² only by q / (q + 2 σ²).
-    Errors of turns: a robot enters a corridor straight or at a right angle, a quarter of π in the
-    mean, half of it at each end.
+    single passes by a junction differ by remains in each corridor as far as the odometry lets it
+    (`_followed`). Errors of turns: a robot enters a corridor straight or at a right angle, a
+    quarter of π in the mean, half of it at each end.
     """
     noise, length = topomap.measured, topomap.length
     times = np.maximum(topomap.traversals, 1)
@@ -57,9 +56,10 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
     along = noise.along_m_per_sqrt_m**2 * length
     across = (walk / 3 + swing) * length**2
     cov = np.zeros((len(length), 3, 3))
+    # What is along one corridor may be across the next.
+    followed = _followed((along + across) / 2 + LEAST_STEP_M**2, noise.centre_m**2)
+    passes = noise.centre_m**2 * differ * followed
     for axis, leg in ((0, along), (1, across)):
-        allowed = (leg + LEAST_STEP_M**2) / (leg + LEAST_STEP_M**2 + 2 * noise.centre_m**2)
-        passes = noise.centre_m**2 * differ * allowed
         cov[:, axis, axis] = (leg + passes) / times + LEAST_STEP_M**2
     cov[:, 1, 2] = cov[:, 2, 1] = (walk / 2 + swing) * length / times
     cov[:, 2, 2] = (walk + 2 * swing) / times + LEAST_TURN_RAD**2
@@ -74,6 +74,18 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
         np.column_stack([step, np.zeros(len(keep))]),
         0.5 * (information + information.transpose(0, 2, 1)),
     )
+
+
+def _followed(leg: FloatArray, seen: float) -> FloatArray:
+    """(k,) share of the variance `seen` of a centre by which a pass is placed, between legs of an
+    odometry of variances `leg` [m²] each.
+
+    A random walk of q per leg that is observed at every pass to r: predicted from the passes before
+    it is known to P = (q + √(q² + 4 q r)) / 2 (where the Riccati equation of its Kalman filter
+    stands still), from those after it likewise, and smoothed to r · P / (P + 2 r).
+    """
+    ahead = (leg + np.sqrt(leg * (leg + 4 * seen))) / 2
+    return np.asarray(ahead / (ahead + 2 * seen))
 
 
 def map_pose_graph(topomap: TopoMap) -> PoseGraph:
