@@ -47,7 +47,7 @@ class AlignmentSettings:
     leads (without it, drift by scans alone is a quarter more)."""
     settled_share: float = 0.02
     """All poses stand when no more pairs than these still move: what the others do is not seen in
-    the drift of twelve logs."""
+    the drift of thirteen logs."""
     settled_m: float = 0.01
     """Points that a round moves by less have the same counterparts in the next …"""
     settled_at_m: float = 5.0
