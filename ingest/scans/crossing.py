@@ -36,31 +36,47 @@ class Crossing(Node):
     headings: FloatArray
 
 
-def crossing(
+Known = dict[tuple[bytes, ...], FloatArray]
+"""Centres of the nodes of a grid, by what they hang on: graphs of one grid share most of them."""
+
+
+def placed(
     graph: SkeletonGraph,
     node: Node,
     clearance_m: NDArray[np.float32] | FloatArray,
     cell_m: float,
-    settings: SkeletonSettings,
-) -> Crossing:
-    """A node of a graph as a place: its centre by the axes of its branches, headings from there.
+    known: Known | None = None,
+) -> Node:
+    """A node of a graph where the axes of its branches cross.
 
-    clearance_m: (h, w) distance from walls, as the graph was traced with.
+    clearance_m: (h, w) distance from walls, as the graph was traced with; known: centres worked out
+    before in the same grid, to which its own is added.
     """
-    branches = [_branch(graph, node, way, clearance_m, cell_m) for way in node.ends]
-    xy = _centre(node, branches)
+    known = {} if known is None else known
+    own = (*node.xy, node.clearance_m)
+    key = (np.array(own).tobytes(), *(graph.edges[way].cells.tobytes() for way in node.ends))
+    if key not in known:
+        branches = [_branch(graph, node, way, clearance_m, cell_m) for way in node.ends]
+        known[key] = _centre(node, branches)
+    return Node(known[key], node.clearance_m, node.ends)
+
+
+def crossing(
+    graph: SkeletonGraph, node: Node, cell_m: float, settings: SkeletonSettings
+) -> Crossing:
+    """A placed node of a graph with the headings of its branches."""
     reach = max(settings.chord_m, node.clearance_m + settings.chord_beyond_m)
-    headings = _headings(xy, graph, node.ends, reach, cell_m)
+    headings = _headings(node.xy, graph, node.ends, reach, cell_m)
     order = np.argsort(headings, kind="stable")
     ends = tuple(node.ends[k] for k in order)
-    return Crossing(xy, node.clearance_m, ends, headings[order])
+    return Crossing(node.xy, node.clearance_m, ends, headings[order])
 
 
 class Crossings(NamedTuple):
-    """Nodes of a graph as places, by number; joints: of every way that lies within one place, the
+    """Placed nodes of a graph, by number; joints: of every way that lies within one place, the
     number of the node that it leads to, and of that which stands for both."""
 
-    places: dict[int, Crossing]
+    places: dict[int, Node]
     joints: dict[int, tuple[int, int]]
 
 
@@ -70,11 +86,13 @@ def crossings(
     clearance_m: NDArray[np.float32] | FloatArray,
     cell_m: float,
     settings: SkeletonSettings,
+    *,
+    known: Known | None = None,
 ) -> Crossings:
-    """Nodes `numbers` of a graph as places. Two ends of one way whose axes cross at one place are
+    """Nodes `numbers` of a graph, placed. Two ends of one way whose axes cross at one place are
     one: a skeleton may take a crossing of many branches for two forks farther apart than
     `join_m`, their centres lie nearer."""
-    found = {k: crossing(graph, graph.nodes[k], clearance_m, cell_m, settings) for k in numbers}
+    found = {k: placed(graph, graph.nodes[k], clearance_m, cell_m, known) for k in numbers}
     joints: dict[int, tuple[int, int]] = {}
     for way, edge in enumerate(graph.edges):
         a, b = edge.nodes
@@ -86,7 +104,7 @@ def crossings(
             continue
         ends = tuple(k for k in (*one.ends, *other.ends) if k != way)
         amid = Node(0.5 * (one.xy + other.xy), max(one.clearance_m, other.clearance_m), ends)
-        found[a] = crossing(graph, amid, clearance_m, cell_m, settings)
+        found[a] = placed(graph, amid, clearance_m, cell_m, known)
         del found[b]
         joints[way] = b, a
     return Crossings(found, joints)
@@ -97,20 +115,21 @@ def with_crossings(
     clearance_m: NDArray[np.float32] | FloatArray,
     cell_m: float,
     settings: SkeletonSettings,
+    *,
+    known: Known | None = None,
 ) -> tuple[SkeletonGraph, tuple[Crossing, ...]]:
     """A graph whose nodes are places, and these: two forks of one crossing are one of its nodes,
     without the way between them."""
     every = range(len(graph.nodes))
-    found, joints = crossings(graph, every, clearance_m, cell_m, settings)
+    found, joints = crossings(graph, every, clearance_m, cell_m, settings, known=known)
     kept, ways = sorted(found), [k for k in range(len(graph.edges)) if k not in joints]
     number = {k: new for new, k in enumerate(kept)}
     # What a node was joined to may have been joined to another one later.
     for gone, into in reversed(joints.values()):
         number[gone] = number[into]
     way_number = {k: new for new, k in enumerate(ways)}
-    places = tuple(
-        replace(found[k], ends=tuple(way_number[way] for way in found[k].ends)) for k in kept
-    )
+    crossed = [crossing(graph, found[k], cell_m, settings) for k in kept]
+    places = tuple(replace(c, ends=tuple(way_number[way] for way in c.ends)) for c in crossed)
     edges = []
     for edge in (graph.edges[way] for way in ways):
         a, b = (number.get(node, -1) for node in edge.nodes)
@@ -144,7 +163,7 @@ def _branch(
     distance = np.hypot(away[:, 0], away[:, 1])
     beyond = (distance >= node.clearance_m) & (distance <= node.clearance_m + AXIS_M)
     own = away[beyond] if beyond.any() else away
-    x, y = middle = own.mean(axis=0) if len(own) else np.zeros(2)
+    x, y = middle = own.sum(axis=0) / max(len(own), 1)
     bearing = float(np.arctan2(y, x))
     # Two cells make a line, where cells are large.
     short = np.count_nonzero(beyond) < max(0.4 * AXIS_M / cell_m, 2)

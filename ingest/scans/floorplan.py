@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
@@ -13,9 +14,9 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ...topology.se2 import wrap
-from .crossing import Crossing, with_crossings
+from .crossing import Known, crossings, with_crossings
 from .grid import GridSettings
-from .skeleton import Edge, SkeletonGraph, SkeletonSettings, thin, traced
+from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, lines_of
 
 FloatArray = NDArray[np.float64]
@@ -101,19 +102,21 @@ def _places(
     lines: list[Lines], clearance_m: FloatArray, cell_m: float, settings: FloorplanSettings
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
     """lines: of the skeleton under each of the variants."""
-    graph, crossings = with_crossings(
-        traced(lines[0], settings.skeleton), clearance_m, cell_m, settings.skeleton
+    known: Known = {}
+    graph, own = with_crossings(
+        traced(lines[0], settings.skeleton), clearance_m, cell_m, settings.skeleton, known=known
     )
-    shown = [
-        with_crossings(traced(found, variant), clearance_m, cell_m, variant)[1]
-        for found, variant in zip(lines[1:], settings.variants[1:], strict=True)
-    ]
-    agreement = _agreement(crossings, shown, settings)
+    shown = []
+    for found, variant in zip(lines[1:], settings.variants[1:], strict=True):
+        other = traced(found, variant)
+        every = crossings(other, range(len(other.nodes)), clearance_m, cell_m, variant, known=known)
+        shown.append(list(every.places.values()))
+    agreement = _agreement(own, shown, settings)
     # The middle of the padded grid's first cell lies half a cell before the corner.
     shift = np.array([-0.5, -0.5]) * cell_m
     places = [
         Place(place.xy + shift, place.headings, "junction", share)
-        for place, share in zip(crossings, agreement, strict=True)
+        for place, share in zip(own, agreement, strict=True)
     ]
     corridors = []
     used = [[False] * len(node.ends) for node in graph.nodes]
@@ -143,7 +146,7 @@ def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) ->
 
 
 def _agreement(
-    places: tuple[Crossing, ...], shown: list[tuple[Crossing, ...]], settings: FloorplanSettings
+    places: Sequence[Node], shown: Sequence[Sequence[Node]], settings: FloorplanSettings
 ) -> list[float]:
     """Share of the variants that have each place of the first one, the first included: near
     enough, and with as many branches. shown: places of the others."""
@@ -156,7 +159,7 @@ def _agreement(
     return shares
 
 
-def _placed(places: tuple[Crossing, ...], settings: FloorplanSettings) -> FloatArray:
+def _placed(places: Sequence[Node], settings: FloorplanSettings) -> FloatArray:
     """(n, 3) x, y [m], and what keeps places of different numbers of branches apart."""
     xy = np.array([place.xy for place in places]).reshape(-1, 2)
     branches = np.array([len(place.ends) for place in places])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.se2 import compose, inverse
-from .crossing import Crossing, crossings
+from .crossing import Crossing, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
 from .keyframes import Keyframes
 from .matching import Matched
@@ -202,7 +202,8 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
             xy = place.xy + middles
             found = _passed(xy, span, settings.near_m)
             if found is not None:
-                forks.append((k, found, replace(place, xy=xy)))
+                fork = crossing(graph, place, cell, variant.skeleton)
+                forks.append((k, found, replace(fork, xy=xy)))
         if k == 0:
             skeleton = np.asarray(graph.pixels[:, ::-1] * cell + middles, np.float64)
             skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from topobatch.ingest.scans.crossing import Crossing, aside, crossing, crossings
+from topobatch.ingest.scans.crossing import Crossing, aside, crossing, crossings, placed
 from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, traced
 from topobatch.ingest.scans.skeleton_lines import lines_of
 from topobatch.topology.se2 import wrap
@@ -33,7 +33,7 @@ def seen(free: np.ndarray) -> tuple[Node, Crossing]:
     settings = SkeletonSettings()
     graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
     (node,) = graph.nodes
-    return node, crossing(graph, node, clearance, CELL, settings)
+    return node, crossing(graph, placed(graph, node, clearance, CELL), CELL, settings)
 
 
 @pytest.mark.parametrize("sharp", [40, 50, 60, 75])
@@ -68,7 +68,7 @@ def test_cells_as_large_as_an_axis_have_none() -> None:
     settings = SkeletonSettings()
     graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, cell_m), settings)
     for node in graph.nodes:
-        found = crossing(graph, node, clearance, cell_m, settings)
+        found = crossing(graph, placed(graph, node, clearance, cell_m), cell_m, settings)
         assert np.array_equal(found.xy, node.xy)
         assert np.isfinite(found.headings).all()
     assert graph.nodes
@@ -80,7 +80,8 @@ def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
     settings = SkeletonSettings()
     graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
     numbers = range(len(graph.nodes))
-    return len(numbers), list(crossings(graph, numbers, clearance, CELL, settings).places.values())
+    found = crossings(graph, numbers, clearance, CELL, settings).places.values()
+    return len(numbers), [crossing(graph, node, CELL, settings) for node in found]
 
 
 @pytest.mark.parametrize("sharp", [44, 47, 50])
