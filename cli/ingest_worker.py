@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..ingest.grid_log import GridLog
-from ..ingest.mapping import build_map
+from ..ingest.mapping import map_of_log
 from ..ingest.mapping_settings import MappingSettings
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..ingest.remote.path import LogPath, RemotePath
@@ -104,13 +104,10 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
     found = read_log(job.log, job.read, on_bytes=on_bytes)
     found = found if found.name == job.run else replace(found, name=job.run)
+    topomap = map_of_log(found, job.mapping)
     if isinstance(found, GridLog):
-        from ..ingest.grid_map import map_of_grid
-
-        topomap = map_of_grid(found)
         beside: dict[str, Any] = {"grid": found.grid}
     else:
-        topomap = build_map(found, job.mapping)
         beside = {name: getattr(found, name) for name in ("odometry", "detections", "scanned")}
     maps = _in_one_piece(topomap)
     runs = [m.run for m in maps]

@@ -6,6 +6,7 @@ Nothing here prints, exits, or writes a file. Everything raised on purpose is a 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from .workspace import Workspace
 
 if TYPE_CHECKING:
+    from ..ingest.read_settings import Stamp, Way
     from ..merge.locks import Lock
     from ..merge.result import MergeResult
     from ..topology.topomap import TopoMap
@@ -27,20 +29,34 @@ def ingest(
     odometry_topic: str | None = None,
     junction_topic: str | None = None,
     junction_fields: str | None = None,
+    junctions_from: Way | None = None,
+    scan_topic: str | None = None,
+    laser_pose: tuple[float, float, float] | None = None,
+    scan_stamp: Stamp = "begin",
+    cloud_band: tuple[float, float] | None = None,
     base_frame: str | None = None,
     time: Literal["header", "log"] = "header",
+    closure: Literal["none", "gated", "full"] = "full",
     strict: bool = False,
+    allow_scan: bool = False,
 ) -> tuple[TopoMap, ...]:
     """Turn one log into its topological map.
+
+    Linear algebra runs on one thread meanwhile: its matrices are small.
 
     Parameters
     ----------
     log
-        An MCAP file, a ROS 1 bag, or a ROS 2 bag folder; or the address of one elsewhere
-        (``s3://bucket/run1.mcap``; docs/remote.md).
+        An MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a saved map; or the address of one
+        elsewhere (``s3://bucket/run1.mcap``; docs/remote.md).
     name
         What to call the run; after the log by default.
-    odometry_topic, junction_topic, junction_fields, base_frame, time, strict
+    laser_pose
+        x, y [m] and yaw [rad] of the laser on the robot.
+    cloud_band
+        Lowest and highest points of a cloud that make a scan, above the robot's frame [m].
+    odometry_topic, junction_topic, junction_fields, junctions_from, scan_topic, scan_stamp, \
+    base_frame, time, closure, strict, allow_scan
         As the options of ``topobatch ingest``; by default the log tells them.
 
     Returns
@@ -64,9 +80,11 @@ def ingest(
     >>> len(maze), len(maze.source)
     (26, 29)
     """
-    from ..ingest.mapping import build_map
-    from ..ingest.reading import ReadSettings, read_run
+    from ..ingest.mapping import map_of_log
+    from ..ingest.mapping_settings import MappingSettings
+    from ..ingest.reading import ReadSettings, read_log
     from ..ingest.remote.path import log_path
+    from ..ingest.scans.slicing import SliceSettings
     from ..merge.pieces import joined_pieces
     from .workspace import checked_run_name
 
@@ -74,14 +92,20 @@ def ingest(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
+        junctions_from=junctions_from,
+        scan_topic=scan_topic,
+        laser_pose=laser_pose,
+        scan_stamp=scan_stamp,
+        slices=SliceSettings(cloud_band),
         base_frame=base_frame,
         time=time,
         strict=strict,
     )
-    run = read_run(log_path(log), settings)
-    if name is not None:
-        run = replace(run, name=checked_run_name(name))
-    return joined_pieces(build_map(run))
+    with _on_one_thread():
+        found = read_log(log_path(log, allow_scan=allow_scan), settings)
+        if name is not None:
+            found = replace(found, name=checked_run_name(name))
+        return joined_pieces(map_of_log(found, MappingSettings(closure=closure)))
 
 
 def read_map(path: str | Path) -> TopoMap:
@@ -159,7 +183,8 @@ def merge(
             raise UsageError(f"false_merge_rate must lie in 0 … 0.5, not {false_merge_rate}")
         robust = replace(settings.robust, false_merge_rate=false_merge_rate)
         settings = replace(settings, robust=robust)
-    return merge_maps(maps, settings, locks=locks)
+    with _on_one_thread():
+        return merge_maps(maps, settings, locks=locks)
 
 
 def to_networkx(graph: TopoMap | MergeResult) -> Any:
@@ -195,3 +220,12 @@ def to_networkx(graph: TopoMap | MergeResult) -> Any:
         return nx.node_link_graph(merged_to_document(graph), edges="edges")
     document = map_to_document(graph)
     return nx.node_link_graph(document, edges="edges")
+
+
+def _on_one_thread() -> AbstractContextManager[object]:
+    """What `cli.main` sets for the command before numpy is loaded, and why."""
+    import scipy.linalg  # noqa: F401  loads a library of its own, which is to be held as well
+    from threadpoolctl import threadpool_limits
+
+    held: AbstractContextManager[object] = threadpool_limits(limits=1)
+    return held

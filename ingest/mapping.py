@@ -33,6 +33,7 @@ from ..topology.run import Run
 from ..topology.topomap import Closure, RunNoise, TopoMap
 from ..topology.vertex_errors import VertexErrors
 from .driven_shares import driven_shares
+from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
@@ -42,6 +43,15 @@ from .pass_source import PassSource, pass_source
 IntArray = NDArray[np.int64]
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
+
+
+def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
+    """The map of what a log holds: of a run by `build_map`, of a grid by its skeleton."""
+    if isinstance(log, GridLog):
+        from .grid_map import map_of_grid
+
+        return map_of_grid(log)
+    return build_map(log, settings)
 
 
 def build_map(

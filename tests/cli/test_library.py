@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import doctest
+import inspect
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 import topobatch
+from topobatch.cli import ingest as command
 from topobatch.cli import library
 
 ROOT = Path(__file__).parents[2]
@@ -68,6 +73,38 @@ def test_importing_it_loads_nothing() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['topobatch'] False"
+
+
+def test_ingest_takes_what_the_command_takes() -> None:
+    of_the_command = {"logs", "workspace", "jobs", "force", "quiet", "verbose"}
+    offered = set(inspect.signature(library.ingest).parameters) - {"log"}
+    assert offered == set(inspect.signature(command.ingest).parameters) - of_the_command
+
+
+def test_a_saved_map_is_a_log_as_well(tmp_path) -> None:
+    cells = np.full((120, 300), 0, np.uint8)
+    cells[50:75, 20:280] = cells[10:110, 140:165] = 254
+    Image.fromarray(cells).save(tmp_path / "site.png")
+    text = "image: site.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+    (tmp_path / "site.yaml").write_text(text)
+    (found,) = topobatch.ingest(tmp_path / "site.yaml", name="ground-floor")
+    assert found.run == "ground-floor"
+    assert found.kind.count("junction") == 1
+    assert found.traversals.sum() == 0
+
+
+def test_linear_algebra_is_held_to_one_thread() -> None:
+    """However many threads the caller gives it; and it is let go afterwards."""
+    code = (
+        "import topobatch; from topobatch.cli import library; from threadpoolctl import *\n"
+        "def threads(): return {pool['num_threads'] for pool in threadpool_info()}\n"
+        "with library._on_one_thread(): within = threads()\n"
+        "print(within, threads())"
+    )
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
+    call = [sys.executable, "-c", code]
+    done = subprocess.run(call, capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.strip() == "{1} {2}"
 
 
 def test_calls_that_cannot_be(tmp_path) -> None:
