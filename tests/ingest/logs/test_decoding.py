@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.logs.columns import Growing
@@ -31,7 +31,7 @@ def types_of(logs):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("encoding", ["little", "big", "ros1"])
 @given(data=st.data())
-@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12)
 def test_columns_equal_the_library_bit_for_bit(logs, kind, encoding, data):
     ros1 = encoding == "ros1"
     store, type_name = logs.store_of(ros1), types_of(logs)[kind]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -105,7 +105,7 @@ def test_the_fingerprint_follows_the_picture(tmp_path: Path) -> None:
     assert log_fingerprint(path) != before
 
 
-@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=120)
 @given(st.data())
 def test_any_bytes_are_a_map_or_an_error(tmp_path: Path, data: st.DataObject) -> None:
     """Flipped and cut bytes of a description and of its picture, in every format."""
