@@ -9,17 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.columns import joined, take
-from ...topology.matching.association import Growth, SingleMatches, grow, single_matches
+from ...topology.matching.association import (
+    Growth,
+    SingleMatches,
+    grow,
+    holding,
+    single_matches,
+)
 from ...topology.matching.correspondence import (
     DEFAULT_GROWTH,
     GrowthSettings,
     Nodes,
     candidate_nodes,
     is_rectilinear,
+    node_codes,
     node_rotations,
     shared_branches,
 )
-from ...topology.matching.local_growth import grow_from
 from ...topology.matching.structure import Structure
 from ...topology.se2 import apply
 from .registration import Weights, fit_groups
@@ -129,12 +135,14 @@ def _grown(
     settings: GrowthSettings,
     near: tuple[IntArray, IntArray] | None,
 ) -> tuple[Growth, SingleMatches]:
-    """All matches, or those that begin near a meeting."""
+    """All matches, or those that hold a pair of vertices near a meeting: growing from any pair of a
+    match gives all of it."""
+    growth = grow(a, b, settings)
     if near is None:
-        growth = grow(a, b, settings)
         return growth, single_matches(a, b, growth, settings)
     seeds = candidate_nodes(a, b, settings, near)
-    growth = grow_from(a, b, seeds, settings)
+    seeded = np.isin(*(node_codes(a, b, n, growth.rectilinear) for n in (growth.nodes, seeds)))
+    growth = holding(growth, seeded)
     untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
     pairs = len(np.unique(seeds.vertex_a * len(b) + seeds.vertex_b))
     return growth, SingleMatches(take(seeds, untested), len(seeds), pairs)

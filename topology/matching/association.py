@@ -74,13 +74,31 @@ def grow(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) 
 
     O((m_a + m_b) log m_b + L log L) with L the compatible pairs of corridors. Deterministic.
     """
-    return assemble(a, b, find_links(a, b, settings), settings)
+    return _assembled(a, b, _find_links(a, b, settings), settings)
+
+
+def holding(growth: Growth, chosen: NDArray[np.bool_]) -> Growth:
+    """The matches that hold one of the chosen nodes (N,), renumbered in their order (§4.2)."""
+    kept = np.zeros(len(growth.rejected), np.bool_)
+    kept[growth.component[chosen]] = True
+    number = np.cumsum(kept) - 1
+    node, link = kept[growth.component], kept[growth.link_component]
+    return Growth(
+        nodes=take(growth.nodes, node),
+        component=number[growth.component[node]],
+        rejected=growth.rejected[kept],
+        tested=growth.tested[kept],
+        agreed=growth.agreed[kept],
+        links=Links(*(column[link] for column in growth.links)),
+        link_component=number[growth.link_component[link]],
+        rectilinear=growth.rectilinear,
+    )
 
 
 # --- links: compatible pairs of corridors ---------------------------------------------------------
 
 
-def find_links(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) -> Links:
+def _find_links(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) -> Links:
     """Pairs of corridors that agree in length and in the vertices at both ends."""
     rectilinear = is_rectilinear(a, b, settings)
     rows_a = np.arange(0, len(a.start), 2)
@@ -89,14 +107,15 @@ def find_links(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GR
         none = np.zeros(0, np.int64)
         return Links(none, none, none, none)
     i, j = _equal_lengths(
-        _Measured(dart_kind(a, rows_a, settings, rectilinear), a.length[rows_a], a.sigma[rows_a]),
-        _Measured(dart_kind(b, rows_b, settings, rectilinear), b.length[rows_b], b.sigma[rows_b]),
-        search_bound(a, b, settings),
+        _Measured(_dart_kind(a, rows_a, settings, rectilinear), a.length[rows_a], a.sigma[rows_a]),
+        _Measured(_dart_kind(b, rows_b, settings, rectilinear), b.length[rows_b], b.sigma[rows_b]),
+        _search_bound(a, b, settings),
     )
-    return confirm_links(a, b, rows_a[i], rows_b[j], settings)
+    nodes = _slot_nodes if rectilinear else _angle_nodes
+    return nodes(a, b, rows_a[i], rows_b[j], settings)
 
 
-def search_bound(a: Structure, b: Structure, settings: GrowthSettings) -> float:
+def _search_bound(a: Structure, b: Structure, settings: GrowthSettings) -> float:
     """Standard deviations within which corridors are compared at all.
 
     That of the largest match there can be: all corridors of the smaller map. The count is rounded
@@ -106,26 +125,7 @@ def search_bound(a: Structure, b: Structure, settings: GrowthSettings) -> float:
     return settings.bound_sigmas(1 << (most - 1).bit_length())
 
 
-def confirm_links(
-    a: Structure,
-    b: Structure,
-    dart_a: IntArray,
-    dart_b: IntArray,
-    settings: GrowthSettings = DEFAULT_GROWTH,
-) -> Links:
-    """Links of darts whose lengths agree: those of which the vertices at both ends pair, too."""
-    node = _slot_nodes if is_rectilinear(a, b, settings) else _angle_nodes
-    return node(a, b, dart_a, dart_b, settings)
-
-
-def join_links(parts: list[Links]) -> Links:
-    """Links found in parts, as if found at once, in the order of their darts."""
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    order = np.lexsort((columns[1], columns[0]))
-    return Links(*(column[order] for column in columns))
-
-
-def dart_kind(
+def _dart_kind(
     s: Structure, darts: IntArray, settings: GrowthSettings, rectilinear: bool
 ) -> FloatArray:
     """(k,) what two darts must share to be compared at all, as one number.
@@ -217,7 +217,7 @@ def _angle_nodes(
 # --- components: the grown matches ----------------------------------------------------------------
 
 
-def assemble(a: Structure, b: Structure, links: Links, settings: GrowthSettings) -> Growth:
+def _assembled(a: Structure, b: Structure, links: Links, settings: GrowthSettings) -> Growth:
     """Connected components of the links, and which of them an incompatibility rejects (§2.2)."""
     rectilinear = is_rectilinear(a, b, settings)
     size = len(links.start)

@@ -218,18 +218,6 @@ def node_codes(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> I
     return (nodes.vertex_a * len(b) + nodes.vertex_b) * size + nodes.correspondence
 
 
-def leaves_alike(
-    a: Structure, b: Structure, nodes: Nodes, darts: tuple[IntArray, IntArray], rectilinear: bool
-) -> NDArray[np.bool_]:
-    """(N,) whether two darts leave the vertices of each node by corresponding branches."""
-    dart_a, dart_b = darts
-    if rectilinear:
-        turn = (a.out_slot[dart_a] - b.out_slot[dart_b]) % 4
-        return np.asarray(turn == nodes.correspondence)
-    partner = partners(a, b, nodes.correspondence)
-    return np.asarray(partner[np.arange(len(nodes)), a.out_branch[dart_a]] == b.out_branch[dart_b])
-
-
 def candidate_nodes(
     a: Structure,
     b: Structure,

@@ -13,6 +13,7 @@ from topobatch.topology.errors import UsageError
 from topobatch.topology.matching.association import (
     Growth,
     grow,
+    holding,
     single_matches,
 )
 from topobatch.topology.matching.correspondence import (
@@ -454,6 +455,22 @@ def grown(growth: Growth, kept):
         )
         for c in np.flatnonzero(kept).tolist()
     )
+
+
+@pytest.mark.parametrize("rectilinear", [True, False])
+def test_matches_that_hold_a_node_are_whole(rectilinear):
+    some = left_out = 0
+    for seed in range(60):
+        a, b = (prepare(m) for m in random_pair(seed, rectilinear))
+        whole = grow(a, b, GrowthSettings(world="auto" if rectilinear else "general"))
+        chosen = np.random.default_rng(seed).random(len(whole.nodes)) < 0.2
+        kept = np.isin(np.arange(len(whole.rejected)), whole.component[chosen])
+        part = holding(whole, chosen)
+        assert grown(part, np.ones(len(part.rejected), bool)) == grown(whole, kept)
+        some += np.count_nonzero(kept)
+        left_out += np.count_nonzero(~kept)
+    assert some > 10
+    assert left_out > 10
 
 
 def test_the_bound_on_lengths_holds_for_the_whole_match():
