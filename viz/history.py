@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +10,6 @@ from numpy.typing import NDArray
 from ..topology.topomap import Closure, TopoMap
 
 IntArray = NDArray[np.int64]
-
-LONGEST_DETOUR = 3
-"""Corridors between two passes at most: more junctions are hardly missed one after the other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,24 +23,19 @@ class History:
 
 
 def history(topomap: TopoMap) -> History:
-    """When vertices and corridors of a map were first met. O(observations + edges).
+    """When vertices and corridors of a map were first met. O(observations + drives).
 
-    A corridor counts from the second of two passes in a row between which it lies. Of several
-    between the same two vertices the first that was not driven yet is taken, so that these may be
-    swapped. What no two passes explain counts from when both its ends are known.
+    A corridor counts from when it was first driven to its end; where that is not known, from when
+    both its ends were.
     """
     times, at = topomap.observation_time_ns, topomap.observation_vertex
     last = int(times.max()) if len(times) else 0
     vertex_ns = np.full(len(topomap), np.iinfo(np.int64).max)
     np.minimum.at(vertex_ns, at, times)
-    driven: dict[int, int] = {}
-    around = _around(topomap)
-    for u, v, time_ns in zip(at[:-1].tolist(), at[1:].tolist(), times[1:].tolist(), strict=True):
-        for edge in _between(around, u, v, driven):
-            driven.setdefault(edge, time_ns)
     corridor_ns = np.maximum(vertex_ns[topomap.source], vertex_ns[topomap.target])
-    for edge, time_ns in driven.items():
-        corridor_ns[edge] = time_ns
+    for edge, driven in enumerate(topomap.traversal_ns or ()):
+        if len(driven):
+            corridor_ns[edge] = driven.max(axis=1).min()
     corridor_ns = np.minimum(corridor_ns, last)
     # Junctions that were driven by unseen are known as soon as a corridor leads there.
     for ends in (topomap.source, topomap.target):
@@ -59,42 +50,6 @@ def _visits(at: IntArray, n: int) -> IntArray:
         seen[vertex] += 1
         out[k] = seen[vertex]
     return out
-
-
-Around = dict[int, list[tuple[int, int]]]
-
-
-def _around(topomap: TopoMap) -> Around:
-    """For each vertex its (edge, other end), in the order of the edges."""
-    around: Around = {}
-    ends = zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)
-    for edge, (u, v) in enumerate(ends):
-        around.setdefault(u, []).append((edge, v))
-        if u != v:
-            around.setdefault(v, []).append((edge, u))
-    return around
-
-
-def _between(around: Around, u: int, v: int, driven: dict[int, int]) -> list[int]:
-    """The edges driven between passes of u and v: one, or the shortest chain of a few."""
-    direct = [edge for edge, other in around.get(u, []) if other == v]
-    if direct:
-        return [next((edge for edge in direct if edge not in driven), direct[0])]
-    before: dict[int, tuple[int, int]] = {u: (-1, u)}
-    queue = deque([(u, 0)])
-    while queue and v not in before:
-        vertex, hops = queue.popleft()
-        if hops == LONGEST_DETOUR:
-            continue
-        for edge, other in around.get(vertex, []):
-            if other not in before:
-                before[other] = (edge, vertex)
-                queue.append((other, hops + 1))
-    chain: list[int] = []
-    while v in before and v != u:
-        edge, v = before[v]
-        chain.append(edge)
-    return chain
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,10 @@ def _turned(headings: list[float], turn: float) -> np.ndarray:
     return np.sort(wrap(np.array(headings) + turn))
 
 
+DRIVEN = (((10, 11), (16, 17)), ((11, 12),), ((14, 15),), ((15, 16),), ((12, 13), (14, 13)))
+"""When the square's robot was at either end of each corridor, in steps."""
+
+
 @pytest.fixture
 def make_map() -> Callable[..., TopoMap]:
     """make_map(run, T_map_world): the square in a run's own frame, driven round once and a half."""
@@ -59,6 +63,7 @@ def make_map() -> Callable[..., TopoMap]:
             paths=tuple(xy[[u, v]] for u, v in ENDS),
             observation_vertex=seen,
             observation_time_ns=(10 + np.arange(len(seen))) * STEP_NS,
+            traversal_ns=tuple(np.array(driven) * STEP_NS for driven in DRIVEN),
             closures=(
                 Closure(10 * STEP_NS, 16 * STEP_NS, True, 21.5, "the square closes"),
                 Closure(12 * STEP_NS, 17 * STEP_NS, False, -3.0, "2 | 1 have *other* branches"),

@@ -11,11 +11,16 @@ from topobatch.viz.odometry_health import BROKEN, GAP, JUMP, STANDING, lanes
 S = 10**9
 
 
-def test_corridors_count_from_the_pass_that_ended_them(make_map) -> None:
+def test_corridors_count_from_their_first_drive(make_map) -> None:
     known = history(make_map("a"))  # 0, 1, 2, 4, 2, 3, 0, 1 at 10 … 17 s
     assert (known.vertex_ns // S).tolist() == [10, 11, 12, 15, 13]
     assert (known.corridor_ns // S).tolist() == [11, 12, 15, 16, 13]
     assert known.visit.tolist() == [1, 1, 1, 1, 2, 1, 2, 2]
+
+
+def test_corridors_of_a_map_without_times_count_from_both_their_ends(make_map) -> None:
+    known = history(replace(make_map("a"), traversal_ns=None))
+    assert (known.corridor_ns // S).tolist() == [11, 12, 15, 15, 13]
 
 
 def test_a_junction_driven_by_unseen_counts_with_its_corridors(make_map) -> None:
@@ -27,8 +32,8 @@ def test_a_junction_driven_by_unseen_counts_with_its_corridors(make_map) -> None
         observation_time_ns=topomap.observation_time_ns[seen],
     )
     known = history(missed)  # from 0 to 2 by two corridors, past 1
-    assert (known.corridor_ns[:2] // S).tolist() == [12, 12]
-    assert known.vertex_ns[1] // S == 12
+    assert (known.corridor_ns[:2] // S).tolist() == [11, 12]
+    assert known.vertex_ns[1] // S == 11
 
 
 def test_every_part_is_known_at_the_end(make_map, empty_map, one_vertex) -> None:
