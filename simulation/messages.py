@@ -7,12 +7,13 @@ time of their first beam, its place on the robot one message on /tf_static.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .chance import Chance, quantised
 from .laser import Scans
@@ -56,7 +57,7 @@ class Topic:
 
 
 def topics_of(simulated: SimulatedRun, ros: str) -> tuple[Topic, ...]:
-    """The topics of a run, serialized for ROS 1 or as the CDR of ROS 2. O(n), vectorised.
+    """The topics of a run, serialized for ROS 1 or as the CDR of ROS 2. O(n).
 
     Messages reach the log some milliseconds after their stamp, like those of a real recorder.
     """
@@ -96,107 +97,59 @@ def _quaternion(yaw: FloatArray) -> FloatArray:
     )
 
 
-class _Layout:
-    """Builds the numpy dtype of a message, with the alignment of CDR or packed as in ROS 1."""
-
-    def __init__(self, ros: str) -> None:
-        self.cdr = ros == "ros2"
-        self.fields: list[tuple[str, Any, int]] = []
-        # CDR payloads begin with four bytes that say "little endian"; alignment counts from there.
-        self.origin = self.end = 4 if self.cdr else 0
-
-    def add(self, name: str, kind: str, count: int = 1) -> None:
-        """Append `count` values of a numpy kind."""
-        size = np.dtype(kind).itemsize
-        if self.cdr and not kind.startswith("S"):
-            self.end += -(self.end - self.origin) % size
-        self.fields.append((name, (kind, count) if count > 1 else kind, self.end))
-        self.end += size * count
-
-    def add_text(self, name: str, text: str) -> None:
-        """Append a string: its length, then the bytes (in CDR with a zero at the end)."""
-        self.add(f"{name}_size", "<u4")
-        self.add(name, f"S{len(text) + (1 if self.cdr else 0)}")
-
-    def add_header(self, frame: str) -> None:
-        """Append std_msgs/Header."""
-        if not self.cdr:
-            self.add("seq", "<u4")
-        self.add("sec", "<u4")
-        self.add("nanosec", "<u4")
-        self.add_text("frame", frame)
-
-    def rows(self, count: int) -> NDArray[Any]:
-        """`count` messages, all zero but for the encapsulation of CDR."""
-        names, formats, offsets = zip(*self.fields, strict=True)
-        spec: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": self.end}
-        raw = np.zeros((count, self.end), np.uint8)
-        if self.cdr:
-            raw[:, 1] = 1
-        rows: NDArray[Any] = raw.view(np.dtype(spec))[:, 0]
-        return rows
+@cache
+def _named(ros: str) -> Any:
+    """The classes of the messages, by their names without the packages."""
+    packages = ("geometry_msgs/", "nav_msgs/", "sensor_msgs/", "tf2_msgs/", "builtin_interfaces/")
+    known = typestore(ros).types
+    kinds = {n.rpartition("/")[2]: kind for n, kind in known.items() if n.startswith(packages)}
+    return SimpleNamespace(**kinds, Header=known["std_msgs/msg/Header"])
 
 
-def _fill_header(rows: NDArray[Any], time_ns: IntArray, seq: IntArray, frame: str) -> None:
-    if "seq" in (rows.dtype.names or ()):
-        rows["seq"] = seq
-    rows["sec"], rows["nanosec"] = time_ns // 10**9, time_ns % 10**9
-    _fill_text(rows, "frame", frame)
+def _header(ros: str, time_ns: int, frame: str, seq: int = 0) -> Any:
+    m = _named(ros)
+    number = {"seq": seq} if ros == "ros1" else {}
+    return m.Header(stamp=m.Time(*divmod(time_ns, 10**9)), frame_id=frame, **number)
 
 
-def _fill_text(rows: NDArray[Any], name: str, text: str) -> None:
-    rows[f"{name}_size"] = rows.dtype[name].itemsize
-    rows[name] = text.encode()
+def _pose(ros: str, xy: Sequence[float], quaternion: Sequence[float]) -> Any:
+    m = _named(ros)
+    return m.Pose(m.Point(*xy, 0.0), m.Quaternion(*quaternion))
 
 
-def _payloads(rows: NDArray[Any]) -> list[bytes]:
-    raw, size = rows.tobytes(), rows.dtype.itemsize
-    return [raw[i : i + size] for i in range(0, len(raw), size)]
+def _payload(ros: str, message: Any) -> bytes:
+    store = typestore(ros)
+    serialize = store.serialize_ros1 if ros == "ros1" else store.serialize_cdr
+    return bytes(serialize(message, message.__msgtype__))
 
 
 def _odometry(simulated: SimulatedRun, ros: str) -> list[bytes]:
-    odometry = simulated.run.odometry
-    layout = _Layout(ros)
-    layout.add_header(odometry.frame)
-    layout.add_text("child", odometry.child_frame)
-    for name, count in (("position", 3), ("quaternion", 4), ("pose_covariance", 36)):
-        layout.add(name, "<f8", count)
-    for name, count in (("linear", 3), ("angular", 3), ("twist_covariance", 36)):
-        layout.add(name, "<f8", count)
-    rows = layout.rows(len(odometry))
-    _fill_header(rows, odometry.time_ns, np.arange(len(odometry)), odometry.frame)
-    _fill_text(rows, "child", odometry.child_frame)
-    rows["position"][:, :2] = odometry.pose[:, :2]
-    rows["quaternion"] = _quaternion(odometry.pose[:, 2])
-    twist = quantised(simulated.twist, 12)
-    rows["linear"][:, 0], rows["angular"][:, 2] = twist[:, 0], twist[:, 1]
-    rows["pose_covariance"] = rows["twist_covariance"] = COVARIANCE
-    return _payloads(rows)
+    m, odometry, out = _named(ros), simulated.run.odometry, []
+    rows = zip(
+        odometry.time_ns.tolist(),
+        odometry.pose[:, :2].tolist(),
+        _quaternion(odometry.pose[:, 2]).tolist(),
+        quantised(simulated.twist, 12).tolist(),
+        strict=True,
+    )
+    for seq, (time_ns, xy, turn, (forward, turning)) in enumerate(rows):
+        header = _header(ros, time_ns, odometry.frame, seq)
+        pose = m.PoseWithCovariance(_pose(ros, xy, turn), COVARIANCE)
+        twist = m.Twist(m.Vector3(forward, 0.0, 0.0), m.Vector3(0.0, 0.0, turning))
+        speed = m.TwistWithCovariance(twist, COVARIANCE)
+        out.append(_payload(ros, m.Odometry(header, odometry.child_frame, pose, speed)))
+    return out
 
 
 def _detections(simulated: SimulatedRun, ros: str) -> list[bytes]:
-    """One structured array per number of branches, put back in order."""
-    run = simulated.run
-    seen, frame = run.detections, run.odometry.child_frame
-    counts = seen.branches.counts
-    out = [b""] * len(seen)
-    for count in np.unique(counts).tolist():
-        which = np.flatnonzero(counts == count)
-        layout = _Layout(ros)
-        layout.add_header(frame)
-        layout.add("count", "<u4")
-        for k in range(count):
-            layout.add(f"position{k}", "<f8", 3)
-            layout.add(f"quaternion{k}", "<f8", 4)
-        rows = layout.rows(len(which))
-        _fill_header(rows, seen.time_ns[which], which, frame)
-        rows["count"] = count
-        yaw = seen.branches.take(which).values.reshape(len(which), count)
-        for k in range(count):
-            rows[f"position{k}"][:, :2] = seen.centre[which]
-            rows[f"quaternion{k}"] = _quaternion(yaw[:, k])
-        for i, payload in zip(which.tolist(), _payloads(rows), strict=True):
-            out[i] = payload
+    m, run, out = _named(ros), simulated.run, []
+    seen = run.detections
+    turns, stops = _quaternion(seen.branches.values).tolist(), seen.branches.offsets.tolist()
+    for k, time_ns in enumerate(seen.time_ns.tolist()):
+        xy = seen.centre[k].tolist()
+        poses = [_pose(ros, xy, turn) for turn in turns[stops[k] : stops[k + 1]]]
+        header = _header(ros, time_ns, run.odometry.child_frame, k)
+        out.append(_payload(ros, m.PoseArray(header, poses)))
     return out
 
 
@@ -215,47 +168,28 @@ def _laser(simulated: SimulatedRun, scans: Scans, ros: str) -> tuple[Topic, Topi
 
 
 def _scans(scans: Scans, stamp_ns: IntArray, ros: str) -> list[bytes]:
-    settings, angles = scans.settings, scans.angles_rad
-    layout = _Layout(ros)
-    layout.add_header(LASER_FRAME)
+    settings, angles, m = scans.settings, scans.angles_rad, _named(ros)
     about = {
-        "angle_min": angles[0],
-        "angle_max": angles[-1],
-        "angle_increment": (angles[-1] - angles[0]) / (len(angles) - 1),
+        "angle_min": float(angles[0]),
+        "angle_max": float(angles[-1]),
+        "angle_increment": float(angles[-1] - angles[0]) / (len(angles) - 1),
         "time_increment": settings.sweep_s / (len(angles) - 1),
         "scan_time": 1 / settings.rate_hz,
         "range_min": settings.range_min_m,
         "range_max": settings.range_max_m,
+        "intensities": np.zeros(0, np.float32),
     }
-    for name in about:
-        layout.add(name, "<f4")
-    layout.add("count", "<u4")
-    layout.add("ranges", "<f4", len(angles))
-    layout.add("no_intensities", "<u4")
-    rows = layout.rows(len(scans))
-    _fill_header(rows, stamp_ns, np.arange(len(scans)), LASER_FRAME)
-    for name, value in about.items():
-        rows[name] = value
-    rows["count"], rows["ranges"] = len(angles), scans.ranges_m
-    return _payloads(rows)
+    headers = (_header(ros, t, LASER_FRAME, k) for k, t in enumerate(stamp_ns.tolist()))
+    rows = zip(headers, scans.ranges_m, strict=True)
+    return [_payload(ros, m.LaserScan(header=h, ranges=r, **about)) for h, r in rows]
 
 
 def _mount(simulated: SimulatedRun, scans: Scans, time_ns: int, ros: str) -> bytes:
-    x, y, yaw = scans.settings.mount
-    layout = _Layout(ros)
-    layout.add("transforms", "<u4")
-    layout.add_header(simulated.run.odometry.child_frame)
-    layout.add_text("child", LASER_FRAME)
-    layout.add("translation", "<f8", 3)
-    layout.add("rotation", "<f8", 4)
-    rows = layout.rows(1)
-    _fill_header(
-        rows, np.array([time_ns]), np.zeros(1, np.int64), simulated.run.odometry.child_frame
-    )
-    _fill_text(rows, "child", LASER_FRAME)
-    rows["transforms"] = 1
-    rows["translation"] = x, y, 0.2
-    turn = _quaternion(np.array([yaw]))[0]
-    # Half a turn about the x axis after the yaw: (z, w) becomes (y, x).
-    rows["rotation"] = [turn[3], turn[2], 0.0, 0.0] if scans.settings.upside_down else turn
-    return _payloads(rows)[0]
+    (x, y, yaw), m = scans.settings.mount, _named(ros)
+    turn = _quaternion(np.array([yaw]))[0].tolist()
+    if scans.settings.upside_down:
+        # Half a turn about the x axis after the yaw: (z, w) becomes (y, x).
+        turn = [turn[3], turn[2], 0.0, 0.0]
+    header = _header(ros, time_ns, simulated.run.odometry.child_frame)
+    place = m.Transform(m.Vector3(x, y, 0.2), m.Quaternion(*turn))
+    return _payload(ros, m.TFMessage([m.TransformStamped(header, LASER_FRAME, place)]))
