@@ -8,8 +8,8 @@ scenario.truth            # what really happened
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -34,35 +34,46 @@ EPOCH_NS = 1_700_000_000 * 10**9
 BETWEEN_RUNS_NS = 7200 * 10**9
 """From the begin of a run to that of the next: two hours."""
 LAYOUTS = ("chain", "scatter")
+Level = TypeVar("Level", Drift, Faults, LaserSettings)
 
 
-@dataclass(frozen=True, slots=True)
+LEVELS: Mapping[str, Mapping[str, Any]] = {"drift": DRIFTS, "faults": FAULTS, "laser": LASERS}
+"""Settings that may be named."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RunSettings:
-    """How one run is driven and recorded."""
+    """How a run is driven and recorded. Raises UsageError on what makes no sense."""
 
-    drift: Drift = DRIFTS["mid"]
-    faults: Faults = FAULTS["mild"]
+    drift: str | Drift = "mid"
+    """A level (none, low, mid, high, real) or a Drift."""
+    faults: str | Faults = "mild"
+    """A level (none, mild, harsh) or a Faults."""
     walk: WalkSettings = field(default_factory=WalkSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     odometry_hz: float = 20.0
     detector_hz: float = 7.0
-    laser: LaserSettings | None = None
-    """None: there is no laser."""
+    laser: str | LaserSettings | None = None
+    """A level (none, mild, harsh) or a LaserSettings; None: there is no laser."""
     tells_junctions: bool = True
     """Whether the log holds what the detector reports."""
 
     def __post_init__(self) -> None:
+        for name, known in LEVELS.items():
+            value = getattr(self, name)
+            if isinstance(value, str):
+                _one_of(name, value, known)
         for name in ("odometry_hz", "detector_hz"):
-            if not 1 <= getattr(self, name) <= 1000:
-                raise UsageError(f"{name} must lie in 1 … 1000, not {getattr(self, name)}")
+            _check_range(self, name, 1, 1000)
 
 
 @dataclass(frozen=True, slots=True)
-class ScenarioSettings:
-    """What to simulate. Raises UsageError on what makes no sense."""
+class ScenarioSettings(RunSettings):
+    """What to simulate: worlds, and runs that are all driven and recorded the same way. Raises
+    UsageError on what makes no sense."""
 
     world: str = "maze"
-    """Kind of world: maze, office, organic, city or rows."""
+    """Kind of world: maze, office, organic, city, rows or tiles."""
     runs: int = 3
     overlap: float = 0.4
     """Chain layout: share of a run's junctions that the run before it also visits, 0 … 0.9."""
@@ -73,59 +84,30 @@ class ScenarioSettings:
     """"chain": each run overlaps with the one before; "scatter": runs anywhere in the world."""
     world_junctions: int | None = None
     """Size of the world; by default the chain just fits, or three runs' worth for "scatter"."""
-    drift: str | Drift = "mid"
-    """A level (none, low, mid, high, real) or a Drift."""
-    faults: str | Faults = "mild"
-    """A level (none, mild, harsh) or a Faults."""
-    walk: WalkSettings = field(default_factory=WalkSettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)
-    odometry_hz: float = 20.0
-    detector_hz: float = 7.0
-    laser: str | LaserSettings | None = None
-    """A level (none, mild, harsh) or a LaserSettings; None: the robots have no laser."""
-    tells_junctions: bool = True
-    """Whether the logs hold what the detectors report."""
     prefix: str = "run"
     """Runs are named prefix + number."""
     seed: int = 0
     """Another seed is another world, other ways and other errors."""
 
     def __post_init__(self) -> None:
+        RunSettings.__post_init__(self)
         _one_of("world", self.world, WORLDS)
         _one_of("layout", self.layout, LAYOUTS)
-        if isinstance(self.drift, str):
-            _one_of("drift", self.drift, DRIFTS)
-        if isinstance(self.faults, str):
-            _one_of("faults", self.faults, FAULTS)
-        if isinstance(self.laser, str):
-            _one_of("laser", self.laser, LASERS)
-        for name, least, most in (
-            ("runs", 1, 10_000),
-            ("unrelated_runs", 0, 10_000),
-            ("junctions_per_run", 5, 100_000),
-            ("world_junctions", 5, 1_000_000),
-            ("overlap", 0.0, 0.9),
-            ("seed", 0, 2**63 - 1),
-        ):
-            value = getattr(self, name)
-            if value is not None and not least <= value <= most:
-                raise UsageError(f"{name} must lie in {least} … {most}, not {value}")
+        _check_range(self, "runs", 1, 10_000)
+        _check_range(self, "unrelated_runs", 0, 10_000)
+        _check_range(self, "junctions_per_run", 5, 100_000)
+        if self.world_junctions is not None:
+            _check_range(self, "world_junctions", 5, 1_000_000)
+        _check_range(self, "overlap", 0.0, 0.9)
+        _check_range(self, "seed", 0, 2**63 - 1)
         if not self.prefix or "/" in self.prefix or self.prefix.startswith("."):
             raise UsageError(f"prefix {self.prefix!r} cannot begin the name of a file")
-        self.of_run()
 
-    def of_run(self) -> RunSettings:
-        """The settings of every single run."""
-        return RunSettings(
-            drift=DRIFTS[self.drift] if isinstance(self.drift, str) else self.drift,
-            faults=FAULTS[self.faults] if isinstance(self.faults, str) else self.faults,
-            walk=self.walk,
-            motion=self.motion,
-            odometry_hz=self.odometry_hz,
-            detector_hz=self.detector_hz,
-            laser=LASERS[self.laser] if isinstance(self.laser, str) else self.laser,
-            tells_junctions=self.tells_junctions,
-        )
+
+def _check_range(settings: RunSettings, name: str, least: float, most: float) -> None:
+    value = getattr(settings, name)
+    if not least <= value <= most:
+        raise UsageError(f"{name} must lie in {least} … {most}, not {value}")
 
 
 def _one_of(name: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> None:
@@ -203,7 +185,7 @@ def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
             simulate_run(
                 worlds[where],
                 region,
-                s.of_run(),
+                s,
                 name=f"{s.prefix}{number:0{digits}d}",
                 seed=Chance("run", s.seed, place).index(2**31),
                 world_name=where,
@@ -252,14 +234,16 @@ def simulate_run(
     no corridor to drive in.
     """
     s = settings or RunSettings()
+    drift, faults = _level(DRIFTS, s.drift), _level(FAULTS, s.faults)
+    laser = None if s.laser is None else _level(LASERS, s.laser)
     inside = set(range(len(world))) if region is None else region
-    legs, closed = explore(world, inside, s.walk, s.faults, Chance("walk", seed))
+    legs, closed = explore(world, inside, s.walk, faults, Chance("walk", seed))
     if not legs:
         raise UsageError(f"{name}: the region of {len(inside)} junctions has no corridor to drive")
     driven = drive(world, legs, s.motion, Chance("motion", seed))
-    track = measured(driven, s.drift, s.odometry_hz, Chance("odometry", seed))
+    track = measured(driven, drift, s.odometry_hz, Chance("odometry", seed))
     seen = sightings(
-        world, driven, closed, s.faults, rate_hz=s.detector_hz, chance=Chance("detector", seed)
+        world, driven, closed, faults, rate_hz=s.detector_hz, chance=Chance("detector", seed)
     )
 
     def stamps(time_s: FloatArray) -> Any:
@@ -267,9 +251,7 @@ def simulate_run(
 
     odometry = Odometry(time_ns=stamps(track.time_s), pose=track.pose, breaks=track.breaks)
     detections = Detections(stamps(seen.time_s), seen.centre, seen.branches)
-    seen_by_laser = (
-        scans(world, driven, closed, s.laser, Chance("laser", seed)) if s.laser else None
-    )
+    seen_by_laser = scans(world, driven, closed, laser, Chance("laser", seed)) if laser else None
     every = np.arange(0, len(track.time_s), max(1, round(s.odometry_hz / 2)))
     wrapped = np.column_stack([track.true_pose[:, :2], wrap(track.true_pose[:, 2])])
     truth = RunTruth(
@@ -287,7 +269,7 @@ def simulate_run(
         closed_edges=tuple(sorted(closed)),
         **_events(track, odometry),
         doors=_shut(seen_by_laser, stamps),
-        settings={"seed": seed, **_told(s)},
+        settings={"seed": seed, **_told(s, drift, faults, laser)},
     )
     return SimulatedRun(
         Run(name, odometry, detections),
@@ -299,10 +281,17 @@ def simulate_run(
     )
 
 
-def _told(settings: RunSettings) -> dict[str, Any]:
-    """The settings for the truth; without a laser nothing is said of one."""
-    told = asdict(settings)
-    if settings.laser is None:
+def _level(known: Mapping[str, Level], value: str | Level) -> Level:
+    return known[value] if isinstance(value, str) else value
+
+
+def _told(
+    settings: RunSettings, drift: Drift, faults: Faults, laser: LaserSettings | None
+) -> dict[str, Any]:
+    """The settings of a run for the truth, written out; without a laser nothing is said of one."""
+    by_name = {f.name: getattr(settings, f.name) for f in fields(RunSettings)}
+    told = asdict(RunSettings(**by_name | {"drift": drift, "faults": faults, "laser": laser}))
+    if laser is None:
         del told["laser"], told["tells_junctions"]
     return told
 

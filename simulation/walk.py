@@ -6,6 +6,7 @@ import heapq
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 
 from ..topology.errors import UsageError
 from ..topology.se2 import wrap
@@ -82,22 +83,13 @@ def _closed(world: World, inside: list[int], share: float, chance: Chance) -> se
         return set()
     drawn = {e for e, hit in zip(inside, chance.happens(share, len(inside)), strict=True) if hit}
     degree = world.branches.counts
-    root = list(range(len(world)))
-
-    def find(v: int) -> int:
-        while root[v] != v:
-            root[v] = root[root[v]]
-            v = root[v]
-        return v
-
-    closed = set()
+    joined, closed = DisjointSet(range(len(world))), set()
     for e in sorted(inside, key=lambda e: (e in drawn, e)):
         u, v = int(world.source[e]), int(world.target[e])
-        apart = find(u) != find(v)
-        if e in drawn and (not apart or min(degree[u], degree[v]) == 1):
+        if e in drawn and (joined.connected(u, v) or min(degree[u], degree[v]) == 1):
             closed.add(e)
-        elif apart:
-            root[find(u)] = find(v)
+        else:
+            joined.merge(u, v)
     return closed
 
 

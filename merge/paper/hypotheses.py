@@ -141,8 +141,8 @@ def _grown(
     if near is None:
         return growth, single_matches(a, b, growth, settings)
     seeds = candidate_nodes(a, b, settings, near)
-    seeded = np.isin(*(node_codes(a, b, n, growth.rectilinear) for n in (growth.nodes, seeds)))
-    growth = holding(growth, seeded)
+    reached, asked = (node_codes(a, b, n, growth.rectilinear) for n in (growth.nodes, seeds))
+    growth = holding(growth, np.isin(reached, asked))
     untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
     pairs = len(np.unique(seeds.vertex_a * len(b) + seeds.vertex_b))
     return growth, SingleMatches(take(seeds, untested), len(seeds), pairs)
