@@ -21,6 +21,7 @@ from ...topology.polyline import way_of
 from ...topology.se2 import wrap
 from .edges import (
     DEFAULT_CORRIDOR,
+    SHORTEST_M,
     Corridor,
     CorridorSettings,
     fuse_corridors,
@@ -271,7 +272,7 @@ def _cut(
                 v=v,
                 branch_u=out,
                 branch_v=into,
-                length=max((s1 - s0) * scale, 1e-3),
+                length=max((s1 - s0) * scale, SHORTEST_M),
                 sigma=float(np.hypot(c.sigma * np.sqrt(share), 0.1)),
                 path=points[i : j + 1].copy() if j > i else points[[i, min(i + 1, j)]].copy(),
             )

@@ -36,6 +36,9 @@ class CorridorSettings:
 
 DEFAULT_CORRIDOR = CorridorSettings()
 
+SHORTEST_M = 1e-3
+"""Lengths are positive, also of a corridor whose ends were one place to the millimetre."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corridor:
@@ -72,12 +75,14 @@ def corridors_of(
             branch_t = int(branch_of[t][j]) if j != NO_BRANCH else NO_BRANCH
             ends = (m.xy[m.source[e]], m.xy[m.target[e]])
             path = _drawn(m.paths[e], ends, pose[[s, t]], place_xy[label[[s, t]]])
+            # All runs told where the ends lie: the length changes by what its path is bent by.
+            bent = float(way_of(path)[-1] - way_of(m.paths[e])[-1])
             corridor = Corridor(
                 u=int(label[s]),
                 v=int(label[t]),
                 branch_u=branch_s,
                 branch_v=branch_t,
-                length=float(m.length[e]),
+                length=max(float(m.length[e]) + bent, SHORTEST_M),
                 sigma=float(m.length_sigma[e]),
                 traversals=int(m.traversals[e]),
                 path=path,

@@ -27,8 +27,8 @@ class RouteGraph:
 
     xy: (p, 2) [m], the map's n vertices first, then points on the way; vertex: (p,) their vertex,
     or VIA. source, target: (s,) points of each piece, along the direction of its edge; edge: (s,)
-    of the map; length, length_sigma: (s,) [m]; seconds, seconds_sigma: (s,) that driving it takes,
-    NaN where that is not known.
+    of the map; length, length_sigma: (s,) [m], its share of the corridor's; seconds, seconds_sigma:
+    (s,) that driving it takes, NaN where that is not known.
     """
 
     xy: FloatArray
@@ -43,8 +43,9 @@ class RouteGraph:
 
 
 def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGraph:
-    """The straight pieces of all corridors. A piece takes its share of its corridor's time, and of
-    the variances of its length and time: errors along a route add up by their squares.
+    """The straight pieces of all corridors. A piece takes its share of its corridor's length and
+    time, and of their variances: errors along a route add up by their squares. The pieces
+    themselves cut a bend short, by up to 0.5 %; the length was measured before it was cut.
 
     Raises ValueError unless max_error_m is positive. O(points of all paths).
     """
@@ -75,7 +76,7 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
         source=np.concatenate(source) if some else none,
         target=np.concatenate(target) if some else none,
         edge=of,
-        length=lengths,
+        length=share * topomap.length[of],
         length_sigma=np.sqrt(share) * topomap.length_sigma[of],
         seconds=share * driving_seconds(topomap)[of],
         seconds_sigma=np.sqrt(share) * seconds_sigma(topomap)[of],

@@ -11,6 +11,7 @@ import pytest
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.passes import NO_BRANCH
+from topobatch.topology.polyline import way_of
 from topobatch.topology.posegraph.solve import Priors
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, fit_rigid, inverse
@@ -90,6 +91,24 @@ def test_lengths_are_combined_by_inverse_variance_with_provenance(draw):
     assert fused.traversals[k] == 2
     alone = [m for m in fused.edge_members if len(m) == 1]
     assert len(alone) == 4
+
+
+def test_lengths_reach_from_fused_vertex_to_fused_vertex(draw):
+    """All runs tell where a corridor ends, also those that did not drive it."""
+    west, east = part(draw, "west", WEST), part(draw, "east", EAST, MOVED)
+    off = west.xy.copy()
+    off[1] += (-0.3, 0.0)
+    seen = replace(
+        west,
+        xy=off,
+        length=west.length - [0.3, 0.0, 0.0, 0.0, 0.0],
+        paths=(off[[0, 1]], off[[1, 2]], *west.paths[2:]),
+    )
+    _, fused = fuse([seen, east], [verdict(east, seen, common(EAST, WEST))])
+    (alone,) = [k for k, m in enumerate(fused.edge_members) if m == (("east", 4),)]
+    assert 8.05 < fused.length[alone] < 8.3  # from q, which west saw farther away, to t
+    drawn = [float(way_of(path)[-1]) for path in fused.paths]
+    assert fused.length == pytest.approx(drawn, abs=0.01)
 
 
 def test_branches_are_averaged_on_the_circle_and_unexplored_ones_kept(town):

@@ -55,3 +55,15 @@ def test_the_variances_of_the_pieces_add_up_to_those_of_the_corridors(driven) ->
             for *_, data in READERS[form](text_of(topomap, form)).edges(data=True)
         )
         assert told == pytest.approx(2 * float((topomap.length_sigma**2).sum()), rel=0.05)
+
+
+def test_the_lengths_of_the_pieces_add_up_to_those_of_the_corridors(driven) -> None:
+    """However coarse the pieces: they cut bends short, which is no part of the way."""
+    topomap = driven[1]
+    for bound in (0.02, 0.3):
+        graph = route_graph(topomap, bound)
+        assert np.bincount(graph.edge, graph.length) == pytest.approx(topomap.length)
+    for form in ("nav2", "tmap2"):
+        edges = READERS[form](text_of(topomap, form)).edges(data=True)
+        told = sum(data["length"] for *_, data in edges)
+        assert told == pytest.approx(2 * float(topomap.length.sum()), rel=1e-3)
