@@ -6,7 +6,7 @@ import json
 import os
 import stat
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import typer
 
@@ -14,6 +14,7 @@ from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted, utc
 from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
 from .output import complain, say, say_lines, table, warn
+from .unchanged import contents
 from .version import VERSION
 from .workspace import Workspace
 
@@ -53,8 +54,8 @@ def list_runs(
       topobatch list --json
     """
     place = Workspace(workspace)
-    home, merged_ns = _merge(place)
-    rows = [_listed(place, run, home, merged_ns) for run in place.runs()]
+    merged = _merge(place)
+    rows = [_listed(place, run, merged) for run in place.runs()]
     if not rows:
         raise place.no_maps()
     if as_json:
@@ -64,7 +65,7 @@ def list_runs(
     head = ("run", "junctions", "corridors", "component", "from (UTC)", "health", "stale")
     for line in table(head, [_row(row) for row in rows], indent=""):
         say(line)
-    gone = sorted(set(home) - {row.run for row in rows})
+    gone = sorted(set(merged.home) - {row.run for row in rows})
     if gone:
         say(f"in the last merge, but not here any more: {counted(len(gone), 'run')}")
     stale = sum(bool(row.stale) for row in rows)
@@ -87,30 +88,44 @@ def _row(row: Listed) -> tuple[str, ...]:
     return (row.run, junctions, corridors, home, recorded, row.health, "; ".join(row.stale))
 
 
-def _merge(place: Workspace) -> tuple[Mapping[str, tuple[int, int]], int | None]:
-    """Component and its size of every run of the last merge, and when that was [ns]."""
+@dataclass(frozen=True, slots=True)
+class _Merge:
+    """Of the last merge: component and its size of every run, `contents` of the maps that were
+    merged where it says so, and when it was [ns], None where there is none."""
+
+    home: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    documents: Mapping[str, str] = field(default_factory=dict)
+    when_ns: int | None = None
+
+    def change(self, place: Workspace, run: str, made_ns: int) -> list[str]:
+        """What became of a map since; without its content, by when it was made."""
+        if self.when_ns is None:
+            return []
+        if run not in self.home:
+            return ["not merged"]
+        known = self.documents.get(run)
+        same = made_ns <= self.when_ns if known is None else known == contents(place, [run])[run]
+        return [] if same else ["map changed since the merge"]
+
+
+def _merge(place: Workspace) -> _Merge:
     if not os.path.lexists(place.merged_json):
-        return {}, None
+        return _Merge()
     try:
-        components = place.read_merged().graph.components
+        graph = place.read_merged().graph
         when = os.stat(place.merged_json).st_mtime_ns
     except (DataError, OSError) as error:
         warn(f"{error}; listed without it")
-        return {}, None
-    return {run: (c.id, len(c.runs)) for c in components for run in c.runs}, when
+        return _Merge()
+    home = {run: (c.id, len(c.runs)) for c in graph.components for run in c.runs}
+    return _Merge(home, graph.maps or {}, when)
 
 
-def _listed(
-    place: Workspace, run: str, home: Mapping[str, tuple[int, int]], merged_ns: int | None
-) -> Listed:
+def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
     path = place.maps / f"{run}.json"
     made_ns = os.lstat(path).st_mtime_ns
-    old = []
-    if merged_ns is not None and run not in home:
-        old.append("not merged")
-    elif merged_ns is not None and made_ns > merged_ns:
-        old.append("map changed since the merge")
-    component, runs = home.get(run, (None, None))
+    old = merged.change(place, run, made_ns)
+    component, runs = merged.home.get(run, (None, None))
     try:
         m = place.read_map(run)
     except (DataError, OSError) as error:

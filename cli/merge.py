@@ -124,7 +124,7 @@ def merge(
       topobatch merge --all
       topobatch merge run1 run2 --output two
     """
-    from .unchanged import Said, made_from, recalled, remember
+    from .unchanged import Said, contents, made_from, recalled, remember
 
     place, screen = Workspace(workspace), Screen(quiet, verbose)
     if output is not None:
@@ -146,7 +146,8 @@ def merge(
         return
     with place.held(screen.warn, make=False), _seldom_collected():
         chosen = place.chosen_runs(runs or [], everything)
-        asked = made_from(place, chosen, (method, false_merge_rate, options))
+        documents = contents(place, chosen)
+        asked = made_from(place, documents, (method, false_merge_rate, options))
         broken: list[str] = []
         said = recalled(place, asked)
         if said is None:
@@ -157,7 +158,7 @@ def merge(
             store = _store(place, settings, screen)
             maps, broken = read_maps(place, chosen, screen, store)
             result = _merged(place, maps, settings, workers, everything, screen, store)
-            _write(place, result, maps)
+            _write(place, result, maps, documents)
             told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
             said = Said(tuple(_summary(result, place)), told)
             if not broken:
@@ -189,6 +190,7 @@ def merge_again(
     """Merge anew what the last merge had of runs that are still there, as it was merged, if it had
     one of the affected runs; new: names that runs have now. The workspace is held."""
     from ..merge.document import read_merged
+    from .unchanged import contents
 
     if not os.path.lexists(place.merged_json):
         return
@@ -206,11 +208,11 @@ def merge_again(
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
         return
-    store = _store(place, settings, screen)
+    documents, store = contents(place, runs), _store(place, settings, screen)
     maps, _ = read_maps(place, runs, screen, store)
     everything = runs == place.runs()
     result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen, store)
-    _write(place, result, maps)
+    _write(place, result, maps, documents)
     screen.line(f"merged again: {counted(len(maps), 'run')}, {_counts(result)}")
 
 
@@ -319,11 +321,19 @@ def _executor(workers: int) -> Iterator[Executor]:
             raise
 
 
-def _write(place: Workspace, result: MergeResult, maps: list[TopoMap]) -> None:
+def _write(
+    place: Workspace,
+    result: MergeResult,
+    maps: list[TopoMap],
+    documents: Mapping[str, str | None],
+) -> None:
+    """The files of a merge. documents: `contents` of the maps, which tell later what changed."""
     from ..merge.document import write_merged
     from ..topology.files import write_together
     from ..viz import write_merged_recording
 
+    merged = {m.run: documents[m.run] for m in maps}
+    result = replace(result, info={**result.info, "maps": merged})
     write_together(
         {
             place.merged_json: partial(write_merged, result=result),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -46,15 +46,19 @@ class Said:
                     screen.line(line)
 
 
-def made_from(place: Workspace, runs: Sequence[str], options: object) -> str:
-    """Changes with all that the merge of some runs follows from."""
-    documents = {run: _content(place.maps / f"{run}.json") for run in runs}
+def contents(place: Workspace, runs: Sequence[str]) -> dict[str, str | None]:
+    """What changes with the document of each run's map; None where it cannot be read."""
+    return {run: _content(place.maps / f"{run}.json") for run in runs}
+
+
+def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
+    """Changes with all that the merge of some runs follows from; documents: their `contents`."""
     spoken = [
         (os.path.lexists(path), _content(path)) for path in (place.locks_json, place.discards_json)
     ]
     libraries = [sys.version, *map(version, LIBRARIES)]
     where = [str(place.root), place.merge]  # which is said
-    every = [_program(), libraries, where, repr(options), documents, spoken]
+    every = [_program(), libraries, where, repr(options), dict(documents), spoken]
     return hashlib.blake2b(encoded(every), digest_size=16).hexdigest()
 
 

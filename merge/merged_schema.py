@@ -65,6 +65,11 @@ class MergedGraph(Attributes):
     settings: dict[str, Any] | None = Field(
         None, description="What the method was tuned to; false_merge_rate and others."
     )
+    maps: dict[str, str] | None = Field(
+        None,
+        description="By run, the BLAKE2b digest (128 bits, hexadecimal) of the file of its map, as "
+        "it was merged: b2sum --length 128 maps/RUN.json.",
+    )
 
 
 class MergedNode(Model):

@@ -63,7 +63,7 @@ def test_list(topobatch, merged):
 
 def test_list_tells_what_is_stale(topobatch, merged):
     maps = sorted((merged / "maps").glob("*.json"))
-    os.utime(maps[0], (4e9, 4e9))
+    maps[0].write_bytes(maps[0].read_bytes() + b"\n")
     maps[1].write_text("{}")
     shutil.copy(maps[2], merged / "maps" / "copy.json")
     (merged / "cache" / "ingest").mkdir(parents=True)
@@ -74,6 +74,21 @@ def test_list_tells_what_is_stale(topobatch, merged):
     assert rows[maps[1].stem]["health"].startswith("unreadable: ")
     assert rows["copy"]["stale"][0] == "not merged"
     assert rows[maps[3].stem]["stale"] == ["made by another version", "log changed, or gone"]
+
+
+def test_a_copied_workspace_is_not_stale(topobatch, merged):
+    """Content tells, and only of merges that do not state it the time of the files."""
+    for path in (merged / "maps").glob("*.json"):
+        os.utime(path, (4e9, 4e9))
+
+    def stale():
+        return [row["stale"] for row in json.loads(topobatch("list", "--json", "-w", merged).out)]
+
+    assert not any(stale())
+    document = json.loads((merged / "merged.json").read_text())
+    del document["graph"]["maps"]
+    (merged / "merged.json").write_text(json.dumps(document))
+    assert all(why == ["map changed since the merge"] for why in stale())
 
 
 def test_a_discarded_run_leaves_nothing(topobatch, merged, building_maps, tmp_path):
