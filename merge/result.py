@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.digits import BITS
-from ..topology.frozen import frozen_array
+from ..topology.frozen import freeze
 from ..topology.ragged import Ragged
 from ..topology.topomap import ALL_SURE, TopoMap
 
@@ -66,10 +66,9 @@ class Alignment:
     contradicting: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = ()
 
     def __post_init__(self) -> None:
-        transform = frozen_array(self.transform, np.float64, (3,), "transform")
-        object.__setattr__(self, "transform", transform)
-        matched = frozen_array(np.reshape(self.matched, (-1, 2)), np.int64, (None, 2), "matched")
-        object.__setattr__(self, "matched", matched)
+        object.__setattr__(self, "matched", np.reshape(self.matched, (-1, 2)))
+        freeze(self, np.float64, transform=(3,))
+        freeze(self, np.int64, matched=(None, 2))
         if self.contradicting and len(self.contradicting) != len(self.contradictions):
             raise ValueError("every contradiction needs its vertices, or none of them")
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..topology.frozen import frozen_array
+from ..topology.frozen import freeze
 from ..topology.matching.structure import padded_branches
 from ..topology.se2 import fit_rigid, wrap
 from ..topology.topomap import TopoMap
@@ -69,9 +69,7 @@ class MatchedJunctions:
 
     def __post_init__(self) -> None:
         k = len(self.source)
-        for name, shape in (("source", (k, 2)), ("target", (k, 2)), ("sigma", (k,))):
-            value = frozen_array(getattr(self, name), np.float64, shape, name)
-            object.__setattr__(self, name, value)
+        freeze(self, np.float64, source=(k, 2), target=(k, 2), sigma=(k,))
         if len(self.turn) != k or len(self.turn_sigma) != k:
             raise ValueError("one turn for every junction is needed")
 

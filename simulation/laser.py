@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.errors import UsageError
-from ..topology.frozen import frozen_array
+from ..topology.frozen import freeze
 from ..topology.se2 import compose
 from .chance import Chance, quantised
 from .motion import Drive
@@ -110,13 +110,10 @@ class Scans:
     doors: Doors
 
     def __post_init__(self) -> None:
-        time_s = frozen_array(self.time_s, np.float64, (None,), "time_s")
-        angles = frozen_array(self.angles_rad, np.float64, (None,), "angles_rad")
-        if self.ranges_m.shape != (len(time_s), len(angles)):
+        freeze(self, np.float64, time_s=(None,), angles_rad=(None,))
+        if self.ranges_m.shape != (len(self.time_s), len(self.angles_rad)):
             raise ValueError("one range per scan and beam is needed")
         self.ranges_m.flags.writeable = False
-        object.__setattr__(self, "time_s", time_s)
-        object.__setattr__(self, "angles_rad", angles)
 
     def __len__(self) -> int:
         return len(self.time_s)

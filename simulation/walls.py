@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..topology.frozen import frozen_array
+from ..topology.frozen import freeze
 from ..topology.se2 import wrap
 from .world import FloatArray, IntArray, World, polyline_at
 
@@ -40,9 +40,7 @@ class Segments:
     b: FloatArray
 
     def __post_init__(self) -> None:
-        a = frozen_array(self.a, np.float64, (None, 2), "a")
-        object.__setattr__(self, "a", a)
-        object.__setattr__(self, "b", frozen_array(self.b, np.float64, (len(a), 2), "b"))
+        freeze(self, np.float64, a=(None, 2), b=(len(self.a), 2))
 
     def __len__(self) -> int:
         return len(self.a)

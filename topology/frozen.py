@@ -31,6 +31,12 @@ def frozen_array(array: Any, dtype: Any, shape: tuple[int | None, ...], name: st
     return out
 
 
+def freeze(value: Any, dtype: Any, /, **shapes: tuple[int | None, ...]) -> None:
+    """Put `frozen_array` in the place of fields of a frozen dataclass, at its birth."""
+    for name, shape in shapes.items():
+        object.__setattr__(value, name, frozen_array(getattr(value, name), dtype, shape, name))
+
+
 def _fits(want: int | None, got: int) -> bool:
     return want is None or want == got
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .frozen import frozen_array
+from .frozen import freeze
 from .se2 import wrap
 
 
@@ -35,27 +35,14 @@ class Odometry:
     jump_other: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
-        time_ns = frozen_array(self.time_ns, np.int64, (None,), "time_ns")
-        pose = frozen_array(self.pose, np.float64, (len(time_ns), 3), "pose")
-        breaks = frozen_array(self.breaks, np.int64, (None,), "breaks")
-        if np.any(time_ns[1:] <= time_ns[:-1]):
+        n, j = len(self.time_ns), len(self.jumps)
+        freeze(self, np.int64, time_ns=(n,), breaks=(None,), jumps=(j,))
+        if np.any(self.time_ns[1:] <= self.time_ns[:-1]):
             raise ValueError("odometry times must ascend strictly")
-        if not _rows_within(breaks, len(time_ns)):
-            raise ValueError("breaks must ascend and lie within the track")
-        jumps = frozen_array(self.jumps, np.int64, (None,), "jumps")
-        if not _rows_within(jumps, len(time_ns)):
-            raise ValueError("jumps must ascend and lie within the track")
-        jump_sigma = frozen_array(self.jump_sigma, np.float64, (len(jumps), 2), "jump_sigma")
-        jump_other = frozen_array(self.jump_other, np.float64, (len(jumps), 3), "jump_other")
-        for name, value in (
-            ("time_ns", time_ns),
-            ("pose", pose),
-            ("breaks", breaks),
-            ("jumps", jumps),
-            ("jump_sigma", jump_sigma),
-            ("jump_other", jump_other),
-        ):
-            object.__setattr__(self, name, value)
+        for name, rows in (("breaks", self.breaks), ("jumps", self.jumps)):
+            if not _rows_within(rows, n):
+                raise ValueError(f"{name} must ascend and lie within the track")
+        freeze(self, np.float64, pose=(n, 3), jump_sigma=(j, 2), jump_other=(j, 3))
 
     def __len__(self) -> int:
         return len(self.time_ns)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .frozen import frozen_array
+from .frozen import freeze
 from .ragged import Ragged
 from .se2 import wrap
 
@@ -40,12 +40,9 @@ class Passes:
 
     def __post_init__(self) -> None:
         p = len(self.time_ns)
-        for name in ("time_ns", "start_ns", "end_ns", "entry", "exit", "messages"):
-            value = frozen_array(getattr(self, name), np.int64, (p,), name)
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "centre", frozen_array(self.centre, np.float64, (p, 2), "centre"))
-        confidence = frozen_array(self.confidence, np.float64, (p,), "confidence")
-        object.__setattr__(self, "confidence", confidence)
+        freeze(self, np.int64, time_ns=(p,), start_ns=(p,), end_ns=(p,))
+        freeze(self, np.int64, entry=(p,), exit=(p,), messages=(p,))
+        freeze(self, np.float64, centre=(p, 2), confidence=(p,))
         if len(self.branches) != p or not np.array_equal(
             self.branches.offsets, self.support.offsets
         ):

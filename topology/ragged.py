@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .frozen import frozen_array
+from .frozen import freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,14 +24,13 @@ class Ragged:
     values: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        offsets = frozen_array(self.offsets, np.int64, (None,), "offsets")
-        values = frozen_array(self.values, np.float64, (None,), "values")
+        freeze(self, np.int64, offsets=(None,))
+        freeze(self, np.float64, values=(None,))
+        offsets, values = self.offsets, self.values
         if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != len(values):
             raise ValueError(f"offsets do not span the {len(values)} values")
         if (offsets[1:] < offsets[:-1]).any():
             raise ValueError("offsets must not descend")
-        object.__setattr__(self, "offsets", offsets)
-        object.__setattr__(self, "values", values)
 
     @classmethod
     def from_rows(cls, rows: Iterable[Sequence[float] | NDArray[Any]]) -> Ragged:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .frozen import frozen_array
+from .frozen import freeze
 from .odometry import Odometry
 from .ragged import Ragged
 from .topomap import RunNoise
@@ -32,14 +32,12 @@ class Detections:
     branches: Ragged
 
     def __post_init__(self) -> None:
-        time_ns = frozen_array(self.time_ns, np.int64, (None,), "time_ns")
-        centre = frozen_array(self.centre, np.float64, (len(time_ns), 2), "centre")
-        if len(self.branches) != len(time_ns):
+        freeze(self, np.int64, time_ns=(None,))
+        freeze(self, np.float64, centre=(len(self), 2))
+        if len(self.branches) != len(self):
             raise ValueError("one row of branches per detection is needed")
-        if np.any(np.diff(time_ns) < 0):
+        if np.any(np.diff(self.time_ns) < 0):
             raise ValueError("detections must be in the order of time")
-        object.__setattr__(self, "time_ns", time_ns)
-        object.__setattr__(self, "centre", centre)
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -70,12 +68,8 @@ class ScanPasses:
 
     def __post_init__(self) -> None:
         p = len(self.time_ns)
-        for name in ("time_ns", "start_ns", "end_ns", "windows"):
-            value = frozen_array(getattr(self, name), np.int64, (p,), name)
-            object.__setattr__(self, name, value)
-        for name, shape in (("centre", (p, 2)), ("confidence", (p,)), ("clearance_m", (p,))):
-            value = frozen_array(getattr(self, name), np.float64, shape, name)
-            object.__setattr__(self, name, value)
+        freeze(self, np.int64, time_ns=(p,), start_ns=(p,), end_ns=(p,), windows=(p,))
+        freeze(self, np.float64, centre=(p, 2), confidence=(p,), clearance_m=(p,))
         if len(self.branches) != p or not np.array_equal(
             self.branches.offsets, self.support.offsets
         ):
@@ -100,13 +94,10 @@ class Anchored:
     xy: NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        anchor_ns = frozen_array(self.anchor_ns, np.int64, (None,), "anchor_ns")
-        anchor = frozen_array(self.anchor, np.int64, (None,), "anchor")
-        xy = frozen_array(self.xy, np.float32, (len(anchor), 2), "xy")
-        if len(anchor) and not 0 <= int(anchor.min()) <= int(anchor.max()) < len(anchor_ns):
+        freeze(self, np.int64, anchor_ns=(None,), anchor=(None,))
+        freeze(self, np.float32, xy=(len(self), 2))
+        if len(self) and not 0 <= self.anchor.min() <= self.anchor.max() < len(self.anchor_ns):
             raise ValueError("every point must hang on one of the times")
-        for name, value in (("anchor_ns", anchor_ns), ("anchor", anchor), ("xy", xy)):
-            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.anchor)

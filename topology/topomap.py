@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .frozen import frozen_array, frozen_rows
+from .frozen import freeze, frozen_array, frozen_rows
 from .passes import NO_BRANCH
 from .ragged import Ragged
 
@@ -112,21 +112,10 @@ class TopoMap:
 
     def __post_init__(self) -> None:
         n, m, k = len(self.xy), len(self.source), len(self.observation_vertex)
-        shapes: dict[str, tuple[Any, tuple[int | None, ...]]] = {
-            "xy": (np.float64, (n, 2)),
-            "source": (np.int64, (m,)),
-            "target": (np.int64, (m,)),
-            "source_branch": (np.int64, (m,)),
-            "target_branch": (np.int64, (m,)),
-            "length": (np.float64, (m,)),
-            "length_sigma": (np.float64, (m,)),
-            "traversals": (np.int64, (m,)),
-            "observation_vertex": (np.int64, (k,)),
-            "observation_time_ns": (np.int64, (k,)),
-        }
-        for name, (dtype, shape) in shapes.items():
-            value = frozen_array(getattr(self, name), dtype, shape, name)
-            object.__setattr__(self, name, value)
+        freeze(self, np.float64, xy=(n, 2), length=(m,), length_sigma=(m,))
+        freeze(self, np.int64, source=(m,), target=(m,), traversals=(m,))
+        freeze(self, np.int64, source_branch=(m,), target_branch=(m,))
+        freeze(self, np.int64, observation_vertex=(k,), observation_time_ns=(k,))
         paths = frozen_rows(self.paths, np.float64, 2, "path")
         object.__setattr__(self, "paths", paths)
         if len(self.branches) != n or len(self.kind) != n or len(paths) != m:
@@ -153,16 +142,16 @@ class TopoMap:
 
     def _check_certainty(self, n: int) -> None:
         if self.position_sigma is not None:
-            sigma = frozen_array(self.position_sigma, np.float64, (n,), "position_sigma")
-            object.__setattr__(self, "position_sigma", sigma)
+            freeze(self, np.float64, position_sigma=(n,))
         if self.branch_sigma is not None and not np.array_equal(
             self.branch_sigma.offsets, self.branches.offsets
         ):
             raise ValueError("branch_sigma needs one value per branch")
         given = np.asarray(self.confidence, np.float64)
-        sure = np.full(n, given) if given.size == 1 else given
-        object.__setattr__(self, "confidence", frozen_array(sure, np.float64, (n,), "confidence"))
-        if np.any(sure <= 0) or np.any(sure > 1):
+        if given.size == 1:
+            object.__setattr__(self, "confidence", np.full(n, given))
+        freeze(self, np.float64, confidence=(n,))
+        if np.any(self.confidence <= 0) or np.any(self.confidence > 1):
             raise ValueError("a confidence lies between 0 and 1")
 
     def __len__(self) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .frozen import frozen_array
+from .frozen import freeze
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,10 +32,10 @@ class VertexErrors:
     own: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        sample = frozen_array(self.sample, np.float64, (None, 3, None), "sample")
-        object.__setattr__(self, "sample", sample)
-        own = np.zeros(len(sample)) if self.own is None else self.own
-        object.__setattr__(self, "own", frozen_array(own, np.float64, (len(sample),), "own"))
+        freeze(self, np.float64, sample=(None, 3, None))
+        if self.own is None:
+            object.__setattr__(self, "own", np.zeros(len(self.sample)))
+        freeze(self, np.float64, own=(len(self.sample),))
 
     @classmethod
     def none(cls, count: int) -> VertexErrors:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frozen import frozen_array
+from ..frozen import freeze
 from ..se2 import FloatArray, wrap
 
 
@@ -60,11 +60,9 @@ class Priors:
 
     def __post_init__(self) -> None:
         u = len(self.node)
-        object.__setattr__(self, "node", frozen_array(self.node, np.int64, (u,), "node"))
-        object.__setattr__(self, "value", frozen_array(self.value, np.float64, (u, 3), "value"))
-        information = frozen_array(self.information, np.float64, (u, 3, 3), "information")
-        _symmetric(information, "information of the priors")
-        object.__setattr__(self, "information", information)
+        freeze(self, np.int64, node=(u,))
+        freeze(self, np.float64, value=(u, 3), information=(u, 3, 3))
+        _symmetric(self.information, "information of the priors")
         object.__setattr__(self, "kernel", _kernel(self.kernel, u, "kernel of the priors"))
 
     def __len__(self) -> int:
@@ -105,11 +103,8 @@ class SharedErrors:
     sigma: FloatArray
 
     def __post_init__(self) -> None:
-        k = len(self.sigma)
-        m = len(self.sensitivity)
-        given = frozen_array(self.sensitivity, np.float64, (m, 3, k), "sensitivity")
-        object.__setattr__(self, "sensitivity", given)
-        object.__setattr__(self, "sigma", frozen_array(self.sigma, np.float64, (k,), "sigma"))
+        k, m = len(self.sigma), len(self.sensitivity)
+        freeze(self, np.float64, sensitivity=(m, 3, k), sigma=(k,))
         if np.any(self.sigma <= 0):
             raise ValueError("the sigma of a shared error must be positive")
 
@@ -145,25 +140,18 @@ class PoseGraph:
 
     def __post_init__(self) -> None:
         n, m = len(self.pose), len(self.source)
-        shared = self.shared if len(self.shared) else SharedErrors.none(m)
-        checked = {
-            "pose": frozen_array(self.pose, np.float64, (n, 3), "pose"),
-            "source": frozen_array(self.source, np.int64, (m,), "source"),
-            "target": frozen_array(self.target, np.int64, (m,), "target"),
-            "measurement": frozen_array(self.measurement, np.float64, (m, 3), "measurement"),
-            "information": frozen_array(self.information, np.float64, (m, 3, 3), "information"),
-            "kernel": _kernel(self.kernel, m, "kernel of the edges"),
-            "shared": shared,
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        freeze(self, np.int64, source=(m,), target=(m,))
+        freeze(self, np.float64, pose=(n, 3), measurement=(m, 3), information=(m, 3, 3))
+        object.__setattr__(self, "kernel", _kernel(self.kernel, m, "kernel of the edges"))
+        if not len(self.shared):
+            object.__setattr__(self, "shared", SharedErrors.none(m))
         _symmetric(self.information, "information of the edges")
         ends = np.concatenate([self.source, self.target, self.priors.node])
         if np.any(ends < 0) or np.any(ends >= n):
             raise ValueError("an edge or a prior names a pose that does not exist")
         if np.any(self.source == self.target):
             raise ValueError("an edge joins a pose to itself")
-        if len(shared.sensitivity) != m:
+        if len(self.shared.sensitivity) != m:
             raise ValueError("shared errors need one sensitivity per edge")
 
     def __len__(self) -> int:
