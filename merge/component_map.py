@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.document import all_known, branches_named
+from ..topology.document import edge_fields, vertex_fields
 from ..topology.map_pose_graph import map_pose_graph
-from ..topology.map_schema import FARTHEST_M
 from ..topology.posegraph.graph import PoseGraph
-from ..topology.ragged import Ragged
 from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
 from .document import poses_from_document
 from .fusion.joint_graph import settle
@@ -48,23 +45,21 @@ def component_map(
     strange = named - runs
     if strange:
         raise ValueError(f"run {min(strange)!r} is a member of what is not its component")
-    if any(max(abs(node.x), abs(node.y)) > FARTHEST_M for node in chosen):
-        raise ValueError(f"a vertex lies farther away than {FARTHEST_M:.0e} m")
     if any(e.target not in number for e in edges):
         raise ValueError("a corridor joins two components")
     seen = sorted((o.time_ns, number[node.id]) for node in chosen for o in node.observations)
-    length = np.array([e.length for e in edges], np.float64)
-    source = np.array([number[e.source] for e in edges], np.int64)
-    target = np.array([number[e.target] for e in edges], np.int64)
+    corridors = edge_fields(edges)
+    for end in ("source", "target"):
+        corridors[end] = np.array([number[node] for node in corridors[end].tolist()], np.int64)
     times, sure, noise = None, ALL_SURE, RunNoise()
     if maps is not None and not stale_runs(document, component, maps):
         times = member_times(
             maps,
             [[(run, k) for run, ids in sorted(e.members.items()) for k in ids] for e in edges],
             fused_of=_fused_of(chosen),
-            source=source,
-            target=target,
-            length=length,
+            source=corridors["source"],
+            target=corridors["target"],
+            length=corridors["length"],
         )
         sure = fused_confidence([node.members for node in chosen], maps)
         # Robots of one kind err alike: their scales do not average out.
@@ -73,20 +68,10 @@ def component_map(
     return TopoMap(
         run=name,
         frame=name,
-        xy=np.array([(node.x, node.y) for node in chosen], np.float64).reshape(-1, 2),
-        branches=Ragged.from_rows(node.branches for node in chosen),
-        kind=tuple(_kind(node) for node in chosen),
-        source=source,
-        target=target,
-        source_branch=branches_named(edges, "source_branch"),
-        target_branch=branches_named(edges, "target_branch"),
-        length=length,
-        length_sigma=np.array([e.length_sigma for e in edges], np.float64),
-        traversals=np.array([e.traversals for e in edges], np.int64),
-        paths=tuple(np.array(e.path, np.float64) for e in edges),
+        **vertex_fields(chosen),
+        **corridors,
         observation_vertex=np.array([v for _, v in seen], np.int64),
         observation_time_ns=np.array([t for t, _ in seen], np.int64),
-        position_sigma=all_known([node.sigma_m for node in chosen]),
         traversal_ns=times,
         confidence=sure,
         noise=noise,
@@ -133,11 +118,6 @@ def _fused_of(nodes: list[MergedNode]) -> dict[tuple[str, int], int]:
         for run, ids in node.members.items()
         for v in ids
     }
-
-
-def _kind(node: MergedNode) -> str:
-    found: Any = (node.model_extra or {}).get("kind", "junction")
-    return found if isinstance(found, str) else "junction"
 
 
 def component_pose_graph(

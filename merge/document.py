@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
-from ..topology.document import branches_named, edges_to_document
+from ..topology.document import edge_fields, edges_to_document, vertex_fields
 from ..topology.files import Json, encoded, read_json, write_json
-from ..topology.map_schema import FARTHEST_M, validated
-from ..topology.ragged import Ragged
+from ..topology.map_schema import validated
 from .merged_schema import (
     MERGED_SCHEMA,
     MergedDocument,
@@ -247,39 +246,23 @@ def _fused_from(document: MergedDocument) -> FusedMap:
     nodes, edges = document.nodes, document.edges
     if [node.id for node in nodes] != list(range(len(nodes))):
         raise ValueError("node ids must be 0, 1, 2, … in order")
-    xy = np.array([(node.x, node.y) for node in nodes], np.float64).reshape(-1, 2)
-    if np.any(np.abs(xy) > FARTHEST_M):
-        raise ValueError(f"a node lies farther than {FARTHEST_M / 1000:.0f} km from its origin")
-    branches = Ragged.from_rows(node.branches for node in nodes)
-    ends: dict[str, NDArray[np.int64]] = {}
+    places, corridors = vertex_fields(nodes), edge_fields(edges)
     for name in ("source", "target"):
-        vertex = np.array([getattr(e, name) for e in edges], np.int64)
-        if np.any(vertex >= len(nodes)):
+        if np.any(corridors[name] >= len(nodes)):
             raise ValueError(f"an edge's {name} is no node")
-        branch = branches_named(edges, f"{name}_branch")
-        if np.any(branch >= branches.counts[vertex]):
+        if np.any(corridors[f"{name}_branch"] >= places["branches"].counts[corridors[name]]):
             raise ValueError(f"an edge's {name}_branch is none of its node's")
-        ends |= {name: vertex, f"{name}_branch": branch}
     sigma = [np.nan if node.sigma_m is None else node.sigma_m for node in nodes]
+    places["position_sigma"] = np.array(sigma) if np.isfinite(sigma).any() else None
     return FusedMap(
         component=np.array([node.component for node in nodes], np.int64),
-        xy=xy,
-        branches=branches,
-        kind=tuple(str((node.model_extra or {}).get("kind", "junction")) for node in nodes),
         members=tuple({run: tuple(ids) for run, ids in node.members.items()} for node in nodes),
         observations=tuple(tuple((o.run, o.time_ns) for o in node.observations) for node in nodes),
-        source=ends["source"],
-        target=ends["target"],
-        source_branch=ends["source_branch"],
-        target_branch=ends["target_branch"],
-        length=np.array([e.length for e in edges], np.float64),
-        length_sigma=np.array([e.length_sigma for e in edges], np.float64),
-        traversals=np.array([e.traversals for e in edges], np.int64),
-        paths=tuple(np.array(e.path, np.float64) for e in edges),
         edge_members=tuple(
             tuple(sorted((run, k) for run, rows in e.members.items() for k in rows)) for e in edges
         ),
-        position_sigma=np.array(sigma) if np.isfinite(sigma).any() else None,
+        **places,
+        **corridors,
     )
 
 

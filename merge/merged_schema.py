@@ -13,9 +13,8 @@ from ..topology.map_schema import (
     MapEdge,
     Model,
     Multigraph,
-    Noise,
-    Observation,
     Undirected,
+    Vertex,
 )
 from .result import AcceptedBy, Verdict
 
@@ -72,24 +71,12 @@ class MergedGraph(Attributes):
     )
 
 
-class MergedNode(Model):
+class MergedNode(Vertex):
     """A fused vertex."""
 
-    id: Index = Field(description="Number of the vertex.")
     component: Index = Field(description="Component in whose frame it is.")
-    x: Finite = Field(description="Position in the component's frame, metres.")
-    y: Finite = Field(description="Position in the component's frame, metres.")
-    branches: list[Finite] = Field(
-        description="Direction in which each branch leaves: radians in the component's frame."
-    )
     members: dict[str, list[Index]] = Field(
         description="By run, the vertices of its map that are this place."
-    )
-    observations: list[Observation] = Field(description="The passes of all runs.")
-    sigma_m: Noise | None = Field(
-        None,
-        description="1 sigma of each coordinate, metres, with the component as a whole laid over "
-        "the truth.",
     )
 
 

@@ -25,6 +25,7 @@ from .map_schema import (
     MapDocument,
     MapEdge,
     MapGraph,
+    Vertex,
     validated,
 )
 from .passes import NO_BRANCH
@@ -157,8 +158,8 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     known = set(MapGraph.model_fields) - {"pieces"}
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise, fitted = _noise(d.graph.noise), d.graph.fitted_noise
-    paths = _in_rows([e.path for e in d.edges], np.float64)
-    lengths = _lengths(paths)
+    edges = edge_fields(d.edges)
+    lengths = _lengths(edges["paths"])
     for k, length in enumerate(lengths.tolist()):
         if length > LONGEST_M:
             raise DocumentError(f"{name}: edges.{k}.path: is longer than {LONGEST_M / 1000:.0f} km")
@@ -170,22 +171,12 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         return TopoMap(
             run=d.graph.run,
             frame=d.graph.frame,
-            xy=np.array([(node.x, node.y) for node in d.nodes]).reshape(-1, 2),
-            branches=Ragged.from_rows(node.branches for node in d.nodes),
-            kind=tuple(node.kind for node in d.nodes),
-            source=np.array([e.source for e in d.edges], np.int64),
-            target=np.array([e.target for e in d.edges], np.int64),
-            source_branch=branches_named(d.edges, "source_branch"),
-            target_branch=branches_named(d.edges, "target_branch"),
-            length=np.array([e.length for e in d.edges], np.float64),
-            length_sigma=np.array([e.length_sigma for e in d.edges], np.float64),
-            traversals=np.array([e.traversals for e in d.edges], np.int64),
-            paths=paths,
+            **vertex_fields(d.nodes),
+            **edges,
             observation_vertex=np.array([v for _, v in seen], np.int64),
             observation_time_ns=np.array([t for t, _ in seen], np.int64),
             noise=noise,
             fitted_noise=None if fitted is None else _noise(fitted),
-            position_sigma=all_known([node.sigma_m for node in d.nodes]),
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
             traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
             confidence=np.array([node.confidence for node in d.nodes], np.float64),
@@ -223,16 +214,35 @@ def _noise(values: dict[str, float]) -> RunNoise:
     return RunNoise(**{k: v for k, v in values.items() if k in RunNoise.__dataclass_fields__})
 
 
-def branches_named(edges: Sequence[MapEdge], name: str) -> NDArray[np.int64]:
-    """(m,) branches of edges of a document, NO_BRANCH for null."""
-    found = (getattr(edge, name) for edge in edges)
-    return np.array([NO_BRANCH if branch is None else branch for branch in found], np.int64)
+def vertex_fields(nodes: Sequence[Vertex]) -> dict[str, Any]:
+    """What nodes of a document say, as fields of a TopoMap."""
+    sigma = [node.sigma_m for node in nodes if node.sigma_m is not None]
+    return {
+        "xy": np.array([(node.x, node.y) for node in nodes], np.float64).reshape(-1, 2),
+        "branches": Ragged.from_rows(node.branches for node in nodes),
+        "kind": tuple(node.kind for node in nodes),
+        "position_sigma": np.array(sigma) if sigma and len(sigma) == len(nodes) else None,
+    }
 
 
-def all_known(values: Sequence[float | None]) -> NDArray[np.float64] | None:
-    """The values as an array; None if one of them is not known, or there are none."""
-    known = [v for v in values if v is not None]
-    return np.array(known) if known and len(known) == len(values) else None
+def edge_fields(edges: Sequence[MapEdge]) -> dict[str, Any]:
+    """What edges of a document say, as fields of a TopoMap; ends by the ids of their nodes."""
+    whole = ("source", "target", "traversals")
+    branches = ("source_branch", "target_branch")
+    return {
+        **{name: np.array([getattr(e, name) for e in edges], np.int64) for name in whole},
+        **{
+            name: np.array([_branch(getattr(e, name)) for e in edges], np.int64)
+            for name in branches
+        },
+        "length": np.array([e.length for e in edges], np.float64),
+        "length_sigma": np.array([e.length_sigma for e in edges], np.float64),
+        "paths": _in_rows([e.path for e in edges], np.float64),
+    }
+
+
+def _branch(named: int | None) -> int:
+    return NO_BRANCH if named is None else named
 
 
 def _rows_known(rows: Sequence[list[float] | None]) -> Ragged | None:

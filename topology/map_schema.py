@@ -77,23 +77,30 @@ class Observation(Model):
     )
 
 
-class MapNode(Model):
-    """A vertex of a map."""
+class Vertex(Model):
+    """A vertex, of a map or fused, in the frame of its map or component."""
 
     id: Index = Field(description="0, 1, 2, … in the order of the list.")
-    x: Metres = Field(description="Position in the map's frame, metres.")
-    y: Metres = Field(description="Position in the map's frame, metres.")
+    x: Metres = Field(description="Position in the frame, metres.")
+    y: Metres = Field(description="Position in the frame, metres.")
     kind: str = Field(description="junction, dead_end (one branch) or bend (two, not opposite).")
     branches: list[Finite] = Field(
-        max_length=MOST_BRANCHES,
         description="Direction in which each branch leaves, driven or only seen: radians in the "
-        "map's frame, ascending in [-π, π).",
+        "frame, ascending in [-π, π)."
     )
-    observations: list[Observation] = Field(description="The passes of the robot, by time.")
+    observations: list[Observation] = Field(description="The passes of the robots, by time.")
     sigma_m: Noise | None = Field(
         None,
-        description="1 sigma of each coordinate, metres, with the map as a whole laid over the "
-        "truth; absent where it is not known.",
+        description="1 sigma of each coordinate, metres, with the map or component as a whole laid "
+        "over the truth; absent where it is not known.",
+    )
+
+
+class MapNode(Vertex):
+    """A vertex of a map."""
+
+    branches: list[Finite] = Field(
+        max_length=MOST_BRANCHES, description=Vertex.model_fields["branches"].description
     )
     branch_sigmas: list[Noise] | None = Field(
         None, description="1 sigma of each branch's direction, radians, likewise."

@@ -57,7 +57,7 @@ def test_fewer_runs_and_none_can_be_read(document) -> None:
     [
         ("nodes", "component", 99, "no component 99"),
         ("nodes", "id", 7, "node ids"),
-        ("nodes", "y", -1e300, "farther than"),
+        ("nodes", "y", -1e300, "nodes.0.y"),
         ("edges", "target", 10**9, "target is no node"),
         ("edges", "source_branch", 10**9, "source_branch is none"),
     ],
