@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.digits import BITS, METRES, rounded, significant
-from .document import pose_to_document
+from ..topology.digits import BITS, METRES, rounded
+from .document import bits_to_document, pose_to_document, sigmas_to_document
 from .result import Alignment, PairVerdict
 
 DECISION_SCHEMA: Literal["topobatch.decision/1"] = "topobatch.decision/1"
@@ -158,12 +158,11 @@ def to_document(decision: Decision) -> dict[str, Any]:
         "locked": said.locked,
         "through": list(said.through),
         "together": said.together and [list(side) for side in said.together],
-        "placed": said.placed
-        and {"sigma_m": significant(said.placed[0]), "sigma_rad": significant(said.placed[1])},
+        "placed": sigmas_to_document(said.placed),
         "by_others": None if decision.by_others is None else pose_to_document(decision.by_others),
         "evidence_bits": rounded(said.evidence_bits, BITS),
         "threshold_bits": rounded(need.threshold_bits, BITS),
-        "margin_bits": None if said.margin_bits is None else rounded(said.margin_bits, BITS),
+        "margin_bits": bits_to_document(said.margin_bits),
         "requirement": {
             "pairs": need.pairs,
             "false_merge_rate": need.false_merge_rate,
@@ -171,17 +170,13 @@ def to_document(decision: Decision) -> dict[str, Any]:
             "lead_bits": need.lead_bits,
             "junction_bits": need.junction_bits,
             "repetition": rounded(need.repetition, 4),
-            "same_place_bits": _rounded_or_none(need.same_place_bits),
-            "same_place_needed": _rounded_or_none(need.same_place_needed),
+            "same_place_bits": bits_to_document(need.same_place_bits),
+            "same_place_needed": bits_to_document(need.same_place_needed),
         },
         "placements": [_placement(p) for p in decision.placements],
         "start": decision.start and asdict(decision.start),
         "notes": list(decision.notes),
     }
-
-
-def _rounded_or_none(bits: float | None) -> float | None:
-    return None if bits is None else float(rounded(bits, BITS))
 
 
 def _placement(placement: Placement) -> dict[str, Any]:

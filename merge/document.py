@@ -63,8 +63,14 @@ def _contradicting(alignment: Alignment) -> dict[str, Any]:
     return {"contradicting": found} if found else {}
 
 
-def _sigmas(placed: tuple[float, float]) -> dict[str, float]:
-    return {"sigma_m": significant(placed[0]), "sigma_rad": significant(placed[1])}
+def sigmas_to_document(placed: tuple[float, float] | None) -> dict[str, float] | None:
+    """{"sigma_m", "sigma_rad"}, or null."""
+    return placed and {"sigma_m": significant(placed[0]), "sigma_rad": significant(placed[1])}
+
+
+def bits_to_document(bits: float | None) -> float | None:
+    """Evidence as documents have it, or null."""
+    return None if bits is None else float(rounded(bits, BITS))
 
 
 def entry_of(pair: PairVerdict) -> dict[str, Any]:
@@ -77,33 +83,29 @@ def entry_of(pair: PairVerdict) -> dict[str, Any]:
         "evidence_bits": rounded(pair.evidence_bits, BITS),
         "reason": pair.reason,
     }
-    if pair.threshold_bits is not None:
-        entry["threshold_bits"] = rounded(pair.threshold_bits, BITS)
-    if pair.accepted_by is not None:
-        entry["accepted_by"] = pair.accepted_by
-    if pair.together is not None:
-        entry["together"] = [list(runs) for runs in pair.together]
-    if pair.through:
-        entry["through"] = list(pair.through)
-    if pair.placed is not None:
-        entry["placed"] = _sigmas(pair.placed)
-    if pair.transform_sigma is not None:
-        entry["transform_sigma"] = _sigmas(pair.transform_sigma)
-    if pair.locked is not None:
-        entry["locked"] = pair.locked
+    entry |= _known(
+        threshold_bits=bits_to_document(pair.threshold_bits),
+        accepted_by=pair.accepted_by,
+        together=pair.together and [list(runs) for runs in pair.together],
+        through=list(pair.through) or None,
+        placed=sigmas_to_document(pair.placed),
+        transform_sigma=sigmas_to_document(pair.transform_sigma),
+        locked=pair.locked,
+    )
     if pair.verdict is Verdict.UNRELATED:
         return entry  # in short: most pairs of a fleet are unrelated
     if pair.best is not None:
-        best = _alignment(pair.best)
-        del best["evidence_bits"]
-        entry |= best
-    if pair.runner_up is not None:
-        entry["runner_up"] = _alignment(pair.runner_up)
-    if pair.margin_bits is not None:
-        entry["margin_bits"] = rounded(pair.margin_bits, BITS)
-    if pair.advice is not None:
-        entry["advice"] = pair.advice
+        entry |= {**_alignment(pair.best), "evidence_bits": entry["evidence_bits"]}
+    entry |= _known(
+        runner_up=pair.runner_up and _alignment(pair.runner_up),
+        margin_bits=bits_to_document(pair.margin_bits),
+        advice=pair.advice,
+    )
     return entry | dict(pair.extra)
+
+
+def _known(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def merged_to_document(result: MergeResult) -> dict[str, Any]:

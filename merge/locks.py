@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from pydantic import Field
 
 from ..topology.errors import DocumentError, UsageError
-from ..topology.map_schema import Index, Model, validated
+from ..topology.map_schema import Model, validated
 
 LOCKS_SCHEMA: Literal["topobatch.locks/1"] = "topobatch.locks/1"
 
@@ -72,37 +72,24 @@ def without_lock(locks: Sequence[Lock], a: str, b: str) -> tuple[Lock, ...]:
     return tuple(k for k in locks if (k.a, k.b) != pair)
 
 
-class LockEntry(Model):
-    """One lock in the document."""
-
-    a: str
-    b: str
-    decision: Literal["same", "never"]
-    at: tuple[Index, Index] | None = None
-
-
 class LocksDocument(Model):
     """`locks.json`."""
 
     schema_name: Literal["topobatch.locks/1"] = Field(alias="schema")
-    locks: list[LockEntry]
+    locks: list[Lock]
 
 
 def locks_to_document(locks: Sequence[Lock]) -> dict[str, Any]:
     """The document of a set of locks, sorted; inverse of `locks_from_document`."""
-    ordered = sorted(lock_table(locks).items())
-    entries: list[Mapping[str, Any]] = []
-    for _, lock in ordered:
-        at = {} if lock.at is None else {"at": list(lock.at)}
-        entries.append({"a": lock.a, "b": lock.b, "decision": lock.decision, **at})
-    return {"schema": LOCKS_SCHEMA, "locks": entries}
+    entries = (asdict(lock) for _, lock in sorted(lock_table(locks).items()))
+    known = [{name: v for name, v in entry.items() if v is not None} for entry in entries]
+    return {"schema": LOCKS_SCHEMA, "locks": known}
 
 
 def locks_from_document(doc: Any, name: str = "locks document") -> tuple[Lock, ...]:
     """The locks that a parsed document holds; DocumentError if it follows no such schema."""
-    entries = validated(LocksDocument, doc, name).locks
     try:
-        table = lock_table(Lock(e.a, e.b, e.decision, e.at) for e in entries)
+        table = lock_table(validated(LocksDocument, doc, name).locks)
     except UsageError as error:
         raise DocumentError(f"{name}: {error}") from error
     return tuple(table[pair] for pair in sorted(table))
