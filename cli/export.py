@@ -185,6 +185,7 @@ def _texts(
     place: Workspace, source: _Source, form: Format, tolerance: float, log: Path | None
 ) -> dict[str, str]:
     """What to write, by the ending of its file's name."""
+    from ..topology.turning_vertices import with_turning_points
     from ..viz.exports import MAP_FORMATS
 
     if form == "tum":
@@ -193,8 +194,8 @@ def _texts(
         raise UsageError("--log goes with --format tum")
     if form == "g2o":
         return {".g2o": _pose_graph(source)}
-    writers = MAP_FORMATS[form]
-    return {ending: text_of(source.topomap, tolerance) for ending, text_of in writers.items()}
+    whole = with_turning_points(source.topomap)
+    return {ending: text_of(whole, tolerance) for ending, text_of in MAP_FORMATS[form].items()}
 
 
 def _pose_graph(source: _Source) -> str:

@@ -7,17 +7,19 @@ import numpy as np
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.track import way_along, way_at
+from ..topology.turning_vertices import with_turning_points
 
 
 def driven_shares(topomap: TopoMap, odometry: Odometry) -> dict[str, float]:
     """Of the way driven: how long it is [m], and the shares of it `corridors`: from junction to
-    junction; `out_and_back`: out of a junction and back to it, as into a room without a junction of
-    its own or to the middle of a corridor, which no corridor of the map stands for; `ends`: before
-    the first and after the last junction.
+    junction, and to turning points and back; `out_and_back`: out of a junction and back to it,
+    which no corridor of the map stands for as far as that; `ends`: before the first and after the
+    last place of the map.
 
     odometry: that which the map was made with. O(n log n).
     """
     way = float(way_along(odometry)[-1]) if len(odometry) else 0.0
+    topomap = with_turning_points(topomap)
     times = topomap.traversal_ns or ()
     driven = np.concatenate([np.zeros((0, 2), np.int64), *times])
     edge = np.repeat(np.arange(len(times)), [len(t) for t in times])

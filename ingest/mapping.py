@@ -31,6 +31,7 @@ from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run
 from ..topology.topomap import Closure, RunNoise, TopoMap
+from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
 from .driven_shares import driven_shares
 from .grid_log import GridLog
@@ -125,6 +126,11 @@ def build_map_with_errors(
         closures=_closures(closed, corrected, reckoning.passes),
         settings=settings.drawing,
     )
+    if not source.shows_bends:
+        ends = turning_points(
+            topomap, odometry, corrected.visits, source.resolution_m, settings.drawing
+        )
+        topomap = replace(topomap, turning_points=ends)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry)
     return replace(topomap, info=info, shows_bends=source.shows_bends), errors

@@ -11,7 +11,7 @@ from ..topology.topomap import TopoMap
 DIGEST = 16
 """Bytes of a digest: two contents in 2⁶⁴ share one."""
 
-NOT_CONTENT = frozenset({"run", "frame", "closures", "info"})
+NOT_CONTENT = frozenset({"run", "frame", "closures", "info", "turning_points"})
 """What a map says about itself and matching never asks."""
 
 

@@ -19,6 +19,7 @@ from ..topology.document import map_from_document
 from ..topology.files import document_bytes, encoded, parsed
 from ..topology.ragged import Ragged
 from ..topology.topomap import Closure, RunNoise, TopoMap
+from ..topology.turning_points import TurningPoints
 from .digests import digested
 from .packs import Kind, PackWriter, Store, arrays_from_bytes, arrays_to_bytes
 
@@ -34,6 +35,13 @@ ARRAYS = "iiiiiiiffffififiiffff"
 """What `FLAT` names; positions; branches, points of paths and times of traversals, of each the
 numbers of a row and all rows end to end; noise, fitted noise, sigmas of positions and branches.
 What is not known is empty, and named in the words."""
+
+TURNED = tuple(TurningPoints.__dataclass_fields__)
+TURNED_ROWS: dict[str, tuple[type, int]] = {
+    "paths": (np.float64, 2),
+    "traversal_ns": (np.int64, 2),
+    "time_ns": (np.int64, 1),
+}
 
 NOT_ALWAYS = ("fitted_noise", "position_sigma", "branch_sigma", "traversal_ns")
 
@@ -69,6 +77,7 @@ def to_bytes(topomap: TopoMap) -> bytes:
     """A map as it is kept."""
     words: dict[str, Any] = {name: getattr(topomap, name) for name in WORDS}
     words["closures"] = [astuple(closure) for closure in topomap.closures]
+    words["turning_points"] = _words_of(topomap.turning_points)
     words["unknown"] = [name for name in NOT_ALWAYS if getattr(topomap, name) is None]
     text = encoded(words)
     nothing, turn, fitted = np.zeros(0), topomap.branch_sigma, topomap.fitted_noise
@@ -99,7 +108,7 @@ def from_bytes(data: bytes) -> TopoMap | None:
 
 
 def _map(words: Any, arrays: list[NDArray[Any]]) -> TopoMap:
-    flat = dict(zip(FLAT, arrays, strict=False))
+    flat: dict[str, Any] = dict(zip(FLAT, arrays, strict=False))
     xy, degree, branches, steps, points, visits, times, noise, *sure = arrays[len(FLAT) :]
     fitted, sigma, turn = sure
     unknown, stops = words["unknown"], np.cumsum([0, *degree])
@@ -118,8 +127,31 @@ def _map(words: Any, arrays: list[NDArray[Any]]) -> TopoMap:
         position_sigma=None if "position_sigma" in unknown else sigma,
         branch_sigma=None if "branch_sigma" in unknown else Ragged(stops, turn),
         traversal_ns=None if "traversal_ns" in unknown else _rows(visits, times),
+        turning_points=_turning_points(words["turning_points"]),
         **flat,
     )
+
+
+def _words_of(points: TurningPoints) -> dict[str, list[Any]]:
+    """Turning points, of which a map has a few, as lists."""
+    rows = {name: getattr(points, name) for name in TURNED}
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else [_as_list(v) for v in value]
+        for name, value in rows.items()
+    }
+
+
+def _as_list(value: str | NDArray[Any]) -> Any:
+    return value if isinstance(value, str) else value.tolist()
+
+
+def _turning_points(words: Any) -> TurningPoints:
+    def rows(name: str, dtype: type, columns: int) -> tuple[NDArray[Any], ...]:
+        return tuple(np.array(row, dtype).reshape(-1, columns) for row in words[name])
+
+    kept: dict[str, Any] = {name: words[name] for name in TURNED}
+    kept |= {name: rows(name, *kind) for name, kind in TURNED_ROWS.items()}
+    return TurningPoints(**kept | {"kind": tuple(map(str, words["kind"]))})
 
 
 def _end_to_end(rows: Sequence[NDArray[Any]], dtype: type) -> Iterator[NDArray[Any]]:

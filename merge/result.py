@@ -16,6 +16,7 @@ from ..topology.digits import BITS
 from ..topology.frozen import freeze
 from ..topology.ragged import Ragged
 from ..topology.topomap import ALL_SURE, TopoMap
+from ..topology.turning_points import NO_TURNING_POINTS
 
 
 class Verdict(StrEnum):
@@ -228,6 +229,10 @@ def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str
     number = np.cumsum(chosen) - 1
     times = graph.traversal_ns if isinstance(graph, TopoMap) else None
     rows, edges = np.flatnonzero(chosen), np.flatnonzero(chosen[graph.source])
+    turned = NO_TURNING_POINTS
+    if isinstance(graph, TopoMap):
+        at = graph.turning_points.vertex
+        turned = graph.turning_points.taken(np.flatnonzero(chosen[at]), number[at[chosen[at]]])
     return {
         "xy": graph.xy[rows],
         "branches": graph.branches.take(rows),
@@ -242,6 +247,7 @@ def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str
         "paths": tuple(graph.paths[e] for e in edges.tolist()),
         "traversal_ns": None if times is None else tuple(times[e] for e in edges.tolist()),
         "confidence": graph.confidence[rows] if isinstance(graph, TopoMap) else ALL_SURE,
+        "turning_points": turned,
     }
 
 

@@ -31,6 +31,7 @@ from .map_schema import (
 from .passes import NO_BRANCH
 from .ragged import Ragged
 from .topomap import Closure, RunNoise, TopoMap
+from .turning_vertices import with_turning_points, without_turning_points
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -47,7 +48,9 @@ def edge_keys(source: NDArray[np.int64], target: NDArray[np.int64]) -> list[int]
 
 
 def map_to_document(topomap: TopoMap) -> dict[str, Any]:
-    """The node-link dict of a map, ready for `json`; inverse of `map_from_document`."""
+    """The node-link dict of a map, ready for `json`; inverse of `map_from_document`. Turning points
+    are its last nodes."""
+    topomap = with_turning_points(topomap)
     observations: list[list[dict[str, Any]]] = [[] for _ in range(len(topomap))]
     for vertex, time_ns in zip(
         topomap.observation_vertex.tolist(), topomap.observation_time_ns.tolist(), strict=True
@@ -168,7 +171,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         raise DocumentError(f"{name}: edges: all paths together are longer than {most}")
 
     try:
-        return TopoMap(
+        topomap = TopoMap(
             run=d.graph.run,
             frame=d.graph.frame,
             **vertex_fields(d.nodes),
@@ -195,6 +198,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             ),
             info=info,
         )
+        return without_turning_points(topomap)
     except ValueError as error:
         raise DocumentError(f"{name}: {error}") from error
 

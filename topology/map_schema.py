@@ -83,7 +83,12 @@ class Vertex(Model):
     id: Index = Field(description="0, 1, 2, … in the order of the list.")
     x: Metres = Field(description="Position in the frame, metres.")
     y: Metres = Field(description="Position in the frame, metres.")
-    kind: str = Field(description="junction, dead_end (one branch) or bend (two, not opposite).")
+    kind: str = Field(
+        description="junction, dead_end (one branch) or bend (two, not opposite). Of runs with "
+        "scans also turning_point (the robot drove there out of a junction and back) and track_end "
+        "(its log begins or ends there): whether the way leads on is not said, they are matched "
+        "with nothing, and come after all others, as their corridors do."
+    )
     branches: list[Finite] = Field(
         description="Direction in which each branch leaves, driven or only seen: radians in the "
         "frame, ascending in [-π, π)."

@@ -227,11 +227,7 @@ def _legs(
     fine = (np.diff(visits.chain) == 0) & ~loop & driven
     path = _between_centres(odometry, visits, xy, first[fine], settings)
     length = np.array([way_of(p)[-1] for p in path])
-    # Who turns about, in a junction or on the way, may seem to leave it by one branch and to enter
-    # by another: a loop has something in its middle.
-    width = np.array([loop_width(p) for p in path])
-    ring = (length > 2 * settings.junction_m) & (width > settings.passable_m)
-    away = (u != v)[fine] | ring
+    away = (u != v)[fine] | np.array([is_ring(p, settings) for p in path], bool)
     first, u, v, a, b = (x[fine][away] for x in (first, u, v, a, b))
     path, length = [p for p, some in zip(path, away.tolist(), strict=True) if some], length[away]
     # Each corridor in one direction: from the smaller (vertex, branch).
@@ -260,14 +256,35 @@ def _between_centres(
     for k, visit in enumerate(first.tolist()):
         drawn = track.xy[track.offsets[k] : track.offsets[k + 1]]
         begin, end = xy[visits.vertex[visit : visit + 2]]
-        path = join_centres(drawn, begin, end, settings.junction_m)
-        # Where a track was joined to a centre it has an angle, but nobody cut a corner there.
-        inner = path[1:-1]
-        if visits.vertex[visit] != visits.vertex[visit + 1]:  # a loop comes back, that is all it is
-            inner = loop_erased(inner, settings.passable_m)
-        inner = with_corners(inner, settings.corner_m, settings.corner_rad)
-        out.append(np.concatenate([path[:1], inner, path[-1:]]))
+        loop = visits.vertex[visit] == visits.vertex[visit + 1]
+        out.append(centre_line(drawn, begin, end, settings, loop=bool(loop)))
     return out
+
+
+def centre_line(
+    drawn: FloatArray,
+    begin: FloatArray,
+    end: FloatArray,
+    settings: MapBuildingSettings,
+    *,
+    loop: bool = False,
+) -> FloatArray:
+    """(p, 2) the corridor between the centres of two junctions, or of one that it comes back to
+    (loop), from a track drawn (k, 2) in the map that led from one to the other."""
+    path = join_centres(drawn, begin, end, settings.junction_m)
+    # Where a track was joined to a centre it has an angle, but nobody cut a corner there.
+    inner = path[1:-1]
+    if not loop:  # a loop comes back, that is all it is
+        inner = loop_erased(inner, settings.passable_m)
+    inner = with_corners(inner, settings.corner_m, settings.corner_rad)
+    return np.concatenate([path[:1], inner, path[-1:]])
+
+
+def is_ring(path: FloatArray, settings: MapBuildingSettings) -> bool:
+    """Whether a path back to where it began goes round something: who turns about, in a junction
+    or on the way, may seem to leave it by one branch and to enter by another."""
+    long = float(way_of(path)[-1]) > 2 * settings.junction_m
+    return long and loop_width(path) > settings.passable_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)

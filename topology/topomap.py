@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .frozen import freeze, frozen_array, frozen_rows
 from .passes import NO_BRANCH
 from .ragged import Ragged
+from .turning_points import NO_TURNING_POINTS, TurningPoints
 
 ALL_SURE = frozen_array(np.ones(1), np.float64, (1,), "confidence")
 """In place of a confidence for every vertex."""
@@ -81,6 +82,8 @@ class TopoMap:
     confidence: (n,) in (0, 1], how sure the detector is that a vertex has the branches that it
     gives it, or one number for all: 1 for maps from detections. shows_bends: whether its detector
     shows places with two branches; those of scans and grids show where ways fork or end alone.
+    turning_points: ends of ways that lead from a vertex to no other one; `with_turning_points` of
+    `turning_vertices.py` makes vertices of them.
     Raises ValueError where shapes, indices or values do not fit.
     """
 
@@ -107,6 +110,7 @@ class TopoMap:
     traversal_ns: tuple[NDArray[np.int64], ...] | None = None
     confidence: NDArray[np.float64] = field(default_factory=lambda: ALL_SURE)
     shows_bends: bool = True
+    turning_points: TurningPoints = NO_TURNING_POINTS
     info: Mapping[str, Any] = field(default_factory=dict)
     """What else the document's `graph` holds: source, settings, warnings. JSON values only."""
 
@@ -139,6 +143,11 @@ class TopoMap:
                 raise ValueError("traversal_ns needs one array per edge")
         if np.any(self.length <= 0) or np.any(self.length_sigma <= 0):
             raise ValueError("lengths and their sigmas must be positive")
+        turned = self.turning_points
+        if np.any(turned.vertex >= n) or np.any(
+            turned.branch >= self.branches.counts[turned.vertex]
+        ):
+            raise ValueError("a turning point names a vertex or a branch that does not exist")
 
     def _check_certainty(self, n: int) -> None:
         if self.position_sigma is not None:

@@ -18,6 +18,8 @@ from ..merge.result import (
 )
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
+from ..topology.turning_points import TRACK_END, TURNING_POINT
+from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
 from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_branches, strands
@@ -45,15 +47,15 @@ _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches"
 
 def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     """One run's map: corridors, junctions by their branches, branches that were never driven."""
-    turn = np.array([0.0, 0.0, upright_rad(topomap.paths)])
-    points = [apply(turn, topomap.xy), *(apply(turn, p) for p in topomap.paths)]
+    turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
+    points = [apply(turn, whole.xy), *(apply(turn, p) for p in whole.paths)]
     low, high = bounds(points)
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
-    keys = [*_corridors_of(canvas, topomap, turn), *_unexplored(canvas, topomap, turn)]
-    keys += _junctions_of(canvas, topomap, turn)
-    way_m = float(topomap.length.sum())
+    keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
+    keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
+    way_m = float(whole.length.sum())
     told = (
-        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
+        f"{counted(len(topomap), 'junction')}, {counted(len(whole.source), 'corridor')}, "
         f"{way_m:.0f} m; {counted(len(topomap.observation_vertex), 'pass', 'passes')}"
     )
     canvas.finish([topomap.run, told], [keys])
@@ -117,6 +119,19 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
         for i, where in enumerate(_beside(m, T, xy, 8.0 / canvas.points_per_m)):
             canvas.words((float(where[0]), float(where[1])), str(i), size_pt=SMALL_PT)
     return keys
+
+
+_TURNED = {TURNING_POINT: "robot turned round", TRACK_END: "log begins or ends"}
+
+
+def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+    """Where the robot turned round, and where its log begins and ends between junctions."""
+    points, colour = m.turning_points, canvas.theme["degree 1"]
+    xy = apply(T, points.xy)
+    for k, kind in enumerate(points.kind):
+        told = f"{_TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
+        canvas.dots(xy[k : k + 1], colour, 4.0, told=told)
+    return [Key("dot", colour, label) for kind, label in _TURNED.items() if kind in points.kind]
 
 
 def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatArray:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Grid, Scanned
 from ..topology.topomap import TopoMap
+from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .detections import write_detections
 from .drawing import MOST_NUMBERED, branch_arrows, driven_branches, pen_m
@@ -67,13 +68,15 @@ def write(
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
+        whole = with_turning_points(topomap)
+        grown = history(whole)
         if grid is not None:
             write_grid(recording, MAP, grid)
         begin = int(odometry.time_ns[0]) if odometry is not None and len(odometry) else None
-        _corridors(recording, topomap, known, begin)
-        _branches(recording, topomap, known, begin)
-        _junctions(recording, topomap, known, begin)
-        _graph(recording, topomap)
+        _corridors(recording, whole, grown, begin)
+        _branches(recording, whole, grown, begin)
+        _junctions(recording, whole, grown, begin)
+        _graph(recording, whole)
         _closures(recording, topomap, asked, begin)
         _visits(recording, topomap, known, asked)
         if track is not None:

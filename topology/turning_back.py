@@ -1,0 +1,277 @@
+"""Ways that were driven out of a junction and back, or only to it or from it: where they end.
+
+Scans show junctions, and no dead ends. Where the robot came back to the junction that it left, as
+out of a room, the farthest that it drove is the end of a way; so are the first and the last place
+of its track. Whether the way leads on there is not said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .mapbuilding import MapBuildingSettings, centre_line, is_ring
+from .odometry import Odometry
+from .passes import NO_BRANCH, nearest_branch
+from .polyline import simplify, way_of
+from .topomap import TopoMap
+from .track import times_between, track_directions, way_along, way_at
+from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
+from .visits import Visits, draw_track
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LEAVING_M = 1.5
+"""A turning point's heading is that of so much of its way: where scans take those of branches."""
+
+
+class _Excursion(NamedTuple):
+    """One drive from a vertex to where it was farthest from it, and back unless the track begins or
+    ends there. path: (p, 2) [m] from the vertex, length: of it [m]; time_ns: when the robot came to
+    its end; traversal_ns: (t, 2) when it was at the vertex and at the end."""
+
+    vertex: int
+    branch: int
+    kind: str
+    path: FloatArray
+    length: float
+    time_ns: int
+    traversal_ns: IntArray
+
+
+def turning_points(
+    topomap: TopoMap,
+    odometry: Odometry,
+    visits: Visits,
+    least_m: float,
+    settings: MapBuildingSettings,
+) -> TurningPoints:
+    """The ends of ways longer than `least_m` [m] that no corridor of the map stands for.
+
+    Of several drives by one branch the deepest tells where the way ends; those that came as far,
+    to within `sound_m`, are its traversals. The way of a branch that a corridor leaves by is known;
+    so is one by no branch that stays within `least_m` of known ways.
+    """
+    found = [e for e in _excursions(topomap, odometry, visits, settings) if e.length > least_m]
+    found.sort(key=lambda e: (-e.length, e.time_ns))
+    ends = (
+        (topomap.source, topomap.source_branch),
+        (topomap.target, topomap.target_branch),
+    )
+    known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
+    ways, kept = list(topomap.paths), dict[tuple[int, int, int], list[_Excursion]]()
+    for e in found:
+        key = (e.vertex, e.branch, e.time_ns if e.branch == NO_BRANCH else 0)
+        if e.branch == NO_BRANCH:
+            if _beside(e.path, ways, least_m):
+                continue
+        elif (e.vertex, e.branch) in known:
+            continue
+        deepest = kept.setdefault(key, [e])[0]
+        if deepest is e:
+            ways.append(e.path)
+        elif deepest.length - e.length <= settings.sound_m:
+            kept[key].append(e)
+    return _as_points([kept[key] for key in sorted(kept)], topomap, settings)
+
+
+def _excursions(
+    topomap: TopoMap, odometry: Odometry, visits: Visits, settings: MapBuildingSettings
+) -> Iterator[_Excursion]:
+    """Every drive between two visits of one vertex, and before the first and after the last visit
+    of each unbroken track."""
+    n = len(topomap)
+    branches = _branches_driven(topomap, odometry, visits, settings)
+    visits, real, xy = _with_ends(odometry, visits, topomap.xy)
+    away, home = (np.full(len(real), NO_BRANCH) for _ in range(2))
+    away[real], home[real] = branches
+    way, u, v = way_at(odometry, visits.time_ns), visits.vertex[:-1], visits.vertex[1:]
+    within = (np.diff(visits.chain) == 0) & (np.diff(way) > settings.moved_m)
+    first = np.flatnonzero(within & (((u == v) & (u < n)) | ((u >= n) != (v >= n))))
+    track = draw_track(odometry, visits, xy, first, settings.path_step_m)
+    for k, visit in enumerate(first.tolist()):
+        rows = slice(track.offsets[k], track.offsets[k + 1])
+        points, at = track.xy[rows], track.way[rows]
+        out, back = int(away[visit]), int(home[visit + 1])
+        begins, ends = not real[visit], not real[visit + 1]
+        if not (begins or ends) and _is_corridor(points, out, back, settings):
+            continue
+        far = farthest(points[::-1] if begins else points, settings.passable_m)
+        far = len(points) - 1 - far if begins else far
+        vertex = int(v[visit] if begins else u[visit])
+        halves = [] if begins else [(points[: far + 1], out if out != NO_BRANCH else back)]
+        halves += [] if ends else [(points[far:][::-1], back if back != NO_BRANCH else out)]
+        # Who wanders drives farther, nobody less far.
+        path, branch = min(
+            ((_line(half, xy[vertex], settings), branch) for half, branch in halves),
+            key=lambda line: float(way_of(line[0])[-1]),
+        )
+        beyond = at[far] - at[0] if begins else at[-1] - at[far]
+        last = (begins or ends) and beyond <= settings.passable_m
+        come, gone = _standing(odometry, float(at[far]))
+        times = [visits.time_ns[visit], come, gone, visits.time_ns[visit + 1]]
+        drives = times_between(odometry, np.array(times), np.array([0, 2]), settings.standing_m)
+        both = np.array([drives[0], drives[1, ::-1]])
+        yield _Excursion(
+            vertex=vertex,
+            branch=branch,
+            kind=TRACK_END if last else TURNING_POINT,
+            path=path,
+            length=float(way_of(path)[-1]),
+            time_ns=come,
+            traversal_ns=both[int(begins) : 2 - int(ends)],
+        )
+
+
+def _is_corridor(points: FloatArray, out: int, back: int, settings: MapBuildingSettings) -> bool:
+    """Whether a drive back to where it began went round something, by two branches: a corridor."""
+    return out != back and NO_BRANCH not in (out, back) and is_ring(points, settings)
+
+
+def _line(half: FloatArray, centre: FloatArray, settings: MapBuildingSettings) -> FloatArray:
+    """(p, 2) the way from a vertex to the last of the points that were driven from it on."""
+    return centre_line(half, centre, half[-1], settings)
+
+
+def _branches_driven(
+    topomap: TopoMap, odometry: Odometry, visits: Visits, settings: MapBuildingSettings
+) -> tuple[IntArray, IntArray]:
+    """(v,) branches by which the robot left its visits, and came to them."""
+    track = track_directions(odometry, visits.time_ns, visits.centre)
+    there, turn = topomap.branches.take(visits.vertex), visits.pose[:, 2]
+    leaving = nearest_branch(there, track.leaving + turn, settings.match_rad)
+    return leaving, nearest_branch(there, track.arriving + turn, settings.match_rad)
+
+
+def _with_ends(
+    odometry: Odometry, visits: Visits, xy: FloatArray
+) -> tuple[Visits, NDArray[np.bool_], FloatArray]:
+    """Visits with the begin and the end of each unbroken track among them, as vertices of their
+    own, where the next visit sees them; which of them are visits; and where all vertices lie."""
+    chains = np.unique(visits.chain)
+    rows = np.concatenate([[0], odometry.breaks, [len(odometry)]])
+    row = np.concatenate([rows[chains], rows[chains + 1] - 1])
+    nearest = np.concatenate(
+        [
+            np.searchsorted(visits.chain, chains, side="left"),
+            np.searchsorted(visits.chain, chains, side="right") - 1,
+        ]
+    )
+    turn, at = visits.pose[nearest, 2], odometry.pose[row, :2]
+    c, s = np.cos(turn), np.sin(turn)
+    x, y = (at - visits.centre[nearest]).T
+    where = xy[visits.vertex[nearest]] + np.column_stack([c * x - s * y, s * x + c * y])
+    own = np.arange(len(xy), len(xy) + len(row))
+    time_ns = np.concatenate([visits.time_ns, odometry.time_ns[row]])
+    # A visit at the very begin comes after it, one at the very end before.
+    rank = np.concatenate([np.ones(len(visits.time_ns)), np.repeat([0, 2], len(chains))])
+    order = np.lexsort((rank, time_ns, np.concatenate([visits.chain, chains, chains])))
+    ends = Visits(
+        time_ns=time_ns[order],
+        vertex=np.concatenate([visits.vertex, own])[order],
+        seen=np.concatenate([visits.seen, np.zeros(len(row), bool)])[order],
+        pose=np.concatenate([visits.pose, np.column_stack([where, turn])])[order],
+        centre=np.concatenate([visits.centre, at])[order],
+        chain=np.concatenate([visits.chain, chains, chains])[order],
+    )
+    return ends, (order < len(visits.time_ns)), np.concatenate([xy, where])
+
+
+def farthest(points: FloatArray, near_m: float) -> int:
+    """The point of a track (p, 2) that is the farthest from its first one along what it shows to
+    be passable: between any two of its points within `near_m` [m]. O(area covered / near²).
+
+    A robot goes round corners: what is farthest as the crow flies need not be the end of a way.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+    from scipy.spatial import cKDTree
+
+    cells = np.round(points / (near_m / 5)).astype(np.int64)
+    one = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    some = points[one]
+    pairs = cKDTree(some).query_pairs(near_m, output_type="ndarray")
+    step = np.maximum(np.hypot(*(some[pairs[:, 0]] - some[pairs[:, 1]]).T), 1e-9)
+    graph = coo_array((step, (pairs[:, 0], pairs[:, 1])), shape=(len(some),) * 2)
+    away: FloatArray = dijkstra(graph.tocsr(), directed=False, indices=[0])[0]
+    return int(one[int(np.argmax(np.where(np.isfinite(away), away, -1.0)))])
+
+
+def _standing(odometry: Odometry, way_m: float) -> tuple[int, int]:
+    """When the robot had driven so far first, and last: in between it stood."""
+    way, seconds = way_along(odometry), (odometry.time_ns - odometry.time_ns[0]) * 1e-9
+    moved = np.diff(way) > 0
+    come, last = np.concatenate([[True], moved]), np.append(moved, True)
+    first = np.interp(way_m, way[come], seconds[come])
+    until = max(float(np.interp(way_m, way[last], seconds[last])), float(first))
+    origin = int(odometry.time_ns[0])
+    return origin + round(float(first) * 1e3) * 10**6, origin + round(until * 1e3) * 10**6
+
+
+def _beside(path: FloatArray, ways: list[FloatArray], near_m: float) -> bool:
+    """Whether a way leads nowhere but along others."""
+    from scipy.spatial import cKDTree
+
+    if not ways:
+        return False
+    # Points at least as dense as what counts as near, so that no wide gaps lie between them.
+    dense = np.concatenate([_dense(way, near_m / 4) for way in ways])
+    off = np.asarray(cKDTree(dense).query(_dense(path, near_m / 4))[0])
+    return bool(off.max() <= near_m)
+
+
+def _dense(path: FloatArray, step_m: float) -> FloatArray:
+    way = way_of(path)
+    at = np.linspace(0, way[-1], max(int(way[-1] / step_m) + 1, 2))
+    return np.column_stack([np.interp(at, way, path[:, k]) for k in (0, 1)])
+
+
+def _as_points(
+    kept: list[list[_Excursion]], topomap: TopoMap, settings: MapBuildingSettings
+) -> TurningPoints:
+    """Drives to the same ends, the deepest first, as turning points."""
+    if not kept:
+        return NO_TURNING_POINTS
+    deepest = [group[0] for group in kept]
+    vertex = np.array([e.vertex for e in deepest])
+    length = np.array([e.length for e in deepest])
+    paths = tuple(simplify(e.path, settings.path_tolerance_m) for e in deepest)
+    noise = topomap.measured
+    way = noise.along_m_per_sqrt_m**2 * length + (noise.scale * length) ** 2
+    sigma = np.sqrt(way + noise.centre_m**2)
+    turn = _turn_sigma(topomap, vertex)
+    own = np.zeros(len(topomap)) if topomap.position_sigma is None else topomap.position_sigma
+    times = [np.concatenate([e.traversal_ns for e in group]) for group in kept]
+    return TurningPoints(
+        kind=tuple(e.kind for e in deepest),
+        vertex=vertex,
+        branch=np.array([e.branch for e in deepest]),
+        heading=np.array([_heading(path) for path in paths]),
+        length=length,
+        length_sigma=sigma,
+        position_sigma=np.sqrt(own[vertex] ** 2 + (sigma**2 + (turn * length) ** 2) / 2),
+        branch_sigma=turn,
+        paths=paths,
+        traversal_ns=tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times),
+        time_ns=tuple(np.sort([e.time_ns for e in group])[:, None] for group in kept),
+    )
+
+
+def _turn_sigma(topomap: TopoMap, vertex: IntArray) -> FloatArray:
+    """(k,) 1 sigma [rad] of directions told from a vertex: no surer than any of its branches."""
+    if topomap.branch_sigma is None:
+        return np.full(len(vertex), topomap.measured.branch_rad)
+    return np.array([topomap.branch_sigma[v].max(initial=0.0) for v in vertex.tolist()])
+
+
+def _heading(path: FloatArray) -> float:
+    """Direction [rad] from the last point of a path to where it comes from."""
+    back = path[::-1]
+    way = way_of(back)
+    at = min(LEAVING_M, float(way[-1]))
+    x, y = (np.interp(at, way, back[:, k]) - back[0, k] for k in (0, 1))
+    return float(np.arctan2(y, x))

@@ -1,0 +1,115 @@
+"""Ends of ways that the robot did not drive on from: it turned round, or its log begins or ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frozen import frozen_array, frozen_rows
+from .passes import NO_BRANCH
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+TURNING_POINT, TRACK_END = "turning_point", "track_end"
+KINDS = (TURNING_POINT, TRACK_END)
+"""Where the robot turned round; where its log begins or ends."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurningPoints:
+    """The ends of k ways that were driven out of a junction and back to it, or only to it or from
+    it, beside the vertices of a map: where a robot turns round is its own choice, says nothing of
+    the building, and takes no part in telling places apart.
+
+    kind: k of `KINDS`; vertex: (k,) of the map, that the way leads to; branch: (k,) row-local
+    branch of it, NO_BRANCH where unknown; heading: (k,) direction [rad] in which the way leaves the
+    point; length, length_sigma: (k,) [m] of the way, along paths: k polylines (p, 2) [m] from the
+    vertex to the point; position_sigma: (k,) [m] and branch_sigma: (k,) [rad], of the point and of
+    its heading; traversal_ns: k arrays (t, 2), by time: when the robot was at the vertex and at the
+    point each time that it drove the way; time_ns: k arrays (q, 1): when it was there.
+    Raises ValueError where shapes or values do not fit.
+    """
+
+    kind: tuple[str, ...]
+    vertex: IntArray
+    branch: IntArray
+    heading: FloatArray
+    length: FloatArray
+    length_sigma: FloatArray
+    position_sigma: FloatArray
+    branch_sigma: FloatArray
+    paths: tuple[FloatArray, ...]
+    traversal_ns: tuple[IntArray, ...]
+    time_ns: tuple[IntArray, ...]
+
+    def __post_init__(self) -> None:
+        k = len(self.kind)
+        for name in ("vertex", "branch"):
+            value = frozen_array(getattr(self, name), np.int64, (k,), name)
+            object.__setattr__(self, name, value)
+        for name in ("heading", "length", "length_sigma", "position_sigma", "branch_sigma"):
+            value = frozen_array(getattr(self, name), np.float64, (k,), name)
+            object.__setattr__(self, name, value)
+        rows = (("paths", np.float64, 2), ("traversal_ns", np.int64, 2), ("time_ns", np.int64, 1))
+        for name, dtype, columns in rows:
+            parts = frozen_rows(getattr(self, name), dtype, columns, name)
+            object.__setattr__(self, name, parts)
+            if len(parts) != k:
+                raise ValueError(f"{name} needs one array for each of {k} turning points")
+        if any(len(path) < 2 for path in self.paths):
+            raise ValueError("a path needs two points or more")
+        if not set(self.kind) <= set(KINDS):
+            raise ValueError(f"turning points are of the kinds {', '.join(KINDS)}")
+        if np.any(self.vertex < 0) or np.any(self.branch < NO_BRANCH):
+            raise ValueError("a turning point names no vertex, or no branch")
+        if np.any(self.length <= 0) or np.any(self.length_sigma <= 0):
+            raise ValueError("lengths and their sigmas must be positive")
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @property
+    def xy(self) -> FloatArray:
+        """(k, 2) where they are [m]."""
+        return np.array([path[-1] for path in self.paths], np.float64).reshape(-1, 2)
+
+    @property
+    def traversals(self) -> IntArray:
+        """(k,) how often each way was driven."""
+        return np.array([len(times) for times in self.traversal_ns], np.int64)
+
+    def taken(self, rows: IntArray, vertex: IntArray) -> TurningPoints:
+        """Those in `rows`, as ends of ways from vertices of other numbers."""
+        some = rows.tolist()
+        return TurningPoints(
+            kind=tuple(self.kind[k] for k in some),
+            vertex=vertex,
+            branch=self.branch[rows],
+            heading=self.heading[rows],
+            length=self.length[rows],
+            length_sigma=self.length_sigma[rows],
+            position_sigma=self.position_sigma[rows],
+            branch_sigma=self.branch_sigma[rows],
+            paths=tuple(self.paths[k] for k in some),
+            traversal_ns=tuple(self.traversal_ns[k] for k in some),
+            time_ns=tuple(self.time_ns[k] for k in some),
+        )
+
+
+_NO_INTS, _NO_FLOATS = np.zeros(0, np.int64), np.zeros(0)
+NO_TURNING_POINTS = TurningPoints(
+    kind=(),
+    vertex=_NO_INTS,
+    branch=_NO_INTS,
+    heading=_NO_FLOATS,
+    length=_NO_FLOATS,
+    length_sigma=_NO_FLOATS,
+    position_sigma=_NO_FLOATS,
+    branch_sigma=_NO_FLOATS,
+    paths=(),
+    traversal_ns=(),
+    time_ns=(),
+)
