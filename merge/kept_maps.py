@@ -103,7 +103,7 @@ def from_bytes(data: bytes) -> TopoMap | None:
         words = from_json(data[SIZE:stop], allow_inf_nan=False)
         arrays = arrays_from_bytes(data[stop:], ARRAYS)
         return None if arrays is None else _map(words, arrays)
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, OverflowError):
         return None
 
 

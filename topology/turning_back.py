@@ -255,6 +255,7 @@ def _as_points(
         length_sigma=sigma,
         position_sigma=np.sqrt(own[vertex] ** 2 + (sigma**2 + (turn * length) ** 2) / 2),
         branch_sigma=turn,
+        traversals=np.array([len(t) for t in times]),
         paths=paths,
         traversal_ns=tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times),
         time_ns=tuple(np.sort([e.time_ns for e in group])[:, None] for group in kept),

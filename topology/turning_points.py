@@ -28,8 +28,9 @@ class TurningPoints:
     branch of it, NO_BRANCH where unknown; heading: (k,) direction [rad] in which the way leaves the
     point; length, length_sigma: (k,) [m] of the way, along paths: k polylines (p, 2) [m] from the
     vertex to the point; position_sigma: (k,) [m] and branch_sigma: (k,) [rad], of the point and of
-    its heading; traversal_ns: k arrays (t, 2), by time: when the robot was at the vertex and at the
-    point each time that it drove the way; time_ns: k arrays (q, 1): when it was there.
+    its heading; traversals: (k,) times driven; traversal_ns: k arrays (t, 2), by time: when the
+    robot was at the vertex and at the point each time, none where that is not known; time_ns: k
+    arrays (q, 1): when it was there.
     Raises ValueError where shapes or values do not fit.
     """
 
@@ -41,13 +42,14 @@ class TurningPoints:
     length_sigma: FloatArray
     position_sigma: FloatArray
     branch_sigma: FloatArray
+    traversals: IntArray
     paths: tuple[FloatArray, ...]
     traversal_ns: tuple[IntArray, ...]
     time_ns: tuple[IntArray, ...]
 
     def __post_init__(self) -> None:
         k = len(self.kind)
-        for name in ("vertex", "branch"):
+        for name in ("vertex", "branch", "traversals"):
             value = frozen_array(getattr(self, name), np.int64, (k,), name)
             object.__setattr__(self, name, value)
         for name in ("heading", "length", "length_sigma", "position_sigma", "branch_sigma"):
@@ -76,11 +78,6 @@ class TurningPoints:
         """(k, 2) where they are [m]."""
         return np.array([path[-1] for path in self.paths], np.float64).reshape(-1, 2)
 
-    @property
-    def traversals(self) -> IntArray:
-        """(k,) how often each way was driven."""
-        return np.array([len(times) for times in self.traversal_ns], np.int64)
-
     def taken(self, rows: IntArray, vertex: IntArray) -> TurningPoints:
         """Those in `rows`, as ends of ways from vertices of other numbers."""
         some = rows.tolist()
@@ -93,6 +90,7 @@ class TurningPoints:
             length_sigma=self.length_sigma[rows],
             position_sigma=self.position_sigma[rows],
             branch_sigma=self.branch_sigma[rows],
+            traversals=self.traversals[rows],
             paths=tuple(self.paths[k] for k in some),
             traversal_ns=tuple(self.traversal_ns[k] for k in some),
             time_ns=tuple(self.time_ns[k] for k in some),
@@ -109,6 +107,7 @@ NO_TURNING_POINTS = TurningPoints(
     length_sigma=_NO_FLOATS,
     position_sigma=_NO_FLOATS,
     branch_sigma=_NO_FLOATS,
+    traversals=_NO_INTS,
     paths=(),
     traversal_ns=(),
     time_ns=(),

@@ -81,6 +81,7 @@ def without_turning_points(topomap: TopoMap) -> TopoMap:
         length_sigma=topomap.length_sigma[m:],
         position_sigma=topomap.length_sigma[m:] if own is None else own[n:],
         branch_sigma=np.zeros(k) if turn is None else turn.take(np.arange(n, n + k)).values,
+        traversals=topomap.traversals[m:],
         paths=topomap.paths[m:],
         traversal_ns=none if times is None else times[m:],
         time_ns=tuple(seen[whose == n + i][:, None] for i in range(k)),

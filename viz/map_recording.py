@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Grid, Scanned
 from ..topology.topomap import TopoMap
+from ..topology.turning_points import KINDS
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .detections import write_detections
@@ -154,7 +155,7 @@ def _junctions(
         path,
         rr.Points2D.from_fields(
             positions=topomap.xy,
-            radii=np.where(topomap.degree >= 3, 2.2, 1.6) * pen_m([topomap]),
+            radii=_dot(topomap) * pen_m([topomap]),
             labels=[str(i) for i in range(n)],
             show_labels=n <= MOST_NUMBERED,
             draw_order=palette.Order.JUNCTION,
@@ -173,6 +174,12 @@ def _junctions(
     )
     colours = palette.by_degree(topomap.degree)
     light_up(recording, path, rr.Points2D, known.vertex_ns, colours, begin_ns=begin_ns)
+
+
+def _dot(topomap: TopoMap) -> NDArray[np.float64]:
+    """(n,) radii of the dots of vertices, in pens."""
+    turned = np.array([kind in KINDS for kind in topomap.kind])
+    return np.where(turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
 
 
 def _graph(recording: Recording, topomap: TopoMap) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..topology.topomap import TopoMap
+from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, utc
 from .drawing import driven_branches
 from .history import Question
@@ -72,13 +73,14 @@ def bulleted(lines: Iterable[str], most: int = MOST_LINES) -> str:
 
 
 def _counts(topomap: TopoMap) -> str:
-    kinds = Counter(topomap.kind)
+    whole = with_turning_points(topomap)
+    kinds = Counter(whole.kind)
     named = ", ".join(counted(n, kind.replace("_", " ")) for kind, n in sorted(kinds.items()))
-    unseen = int((~driven_branches(topomap)).sum())
+    unseen = int((~driven_branches(whole)).sum())
     doubt = int(np.count_nonzero(topomap.confidence < 1))
     rows = [
-        several(len(topomap), "vertex", "vertices") + (f" ({plain(named)})" if named else ""),
-        f"{several(len(topomap.source), 'corridor')}, {topomap.length.sum():.0f} m in all",
+        several(len(whole), "vertex", "vertices") + (f" ({plain(named)})" if named else ""),
+        f"{several(len(whole.source), 'corridor')}, {whole.length.sum():.0f} m in all",
         several(len(topomap.observation_vertex), "pass", "passes") + _span(topomap),
         f"{several(unseen, 'branch', 'branches')} seen and never driven",
         f"{several(doubt, 'vertex', 'vertices')} that not all looks show so (confidence below 1)",
@@ -103,7 +105,9 @@ def _legend(topomap: TopoMap, shown: Shown) -> str:
     degrees = np.unique(np.minimum(topomap.degree, len(_COLOURS)))
     named = [_COLOURS[d] if d < len(_COLOURS) else "more **violet**" for d in degrees.tolist() if d]
     lines = [f"Junctions are coloured by their branches: {', '.join(named)}."] if named else []
-    if (~driven_branches(topomap)).any():
+    if len(topomap.turning_points):
+        lines.append("Small **red** dots: the robot turned round, or its log begins or ends.")
+    if (~driven_branches(with_turning_points(topomap))).any():
         lines.append("**Amber** arrows: branches never driven.")
     if len(topomap.traversals) and topomap.traversals.max() > 1:
         lines.append("Corridors are brighter the more often they were driven.")

@@ -13,6 +13,7 @@ from topobatch.topology.errors import DocumentError
 from topobatch.topology.files import encoded
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import Closure, RunNoise
+from topobatch.topology.turning_points import TurningPoints
 
 
 @pytest.fixture
@@ -41,6 +42,20 @@ def full(plain):
         traversal_ns=times,
         confidence=np.linspace(0.5, 1.0, n),
         shows_bends=False,
+        turning_points=TurningPoints(
+            kind=("turning_point", "track_end"),
+            vertex=np.array([0, 3]),
+            branch=np.array([0, -1]),
+            heading=np.array([1 / 3, -3.0]),
+            length=np.array([2.0, 1 / 7]),
+            length_sigma=np.array([0.1, 0.2]),
+            position_sigma=np.array([0.1, 1e-7]),
+            branch_sigma=np.array([0.0, 0.3]),
+            traversals=np.array([2, 5]),
+            paths=(np.array([[0, 1 / 3], [2.0, 0]]), np.zeros((3, 2))),
+            traversal_ns=(np.array([[1, 2], [4, 2**62]]), np.zeros((0, 2), np.int64)),
+            time_ns=(np.array([[2]]), np.array([[5], [7]])),
+        ),
         info={"source": {"log": "a\\b"}, "warnings": ["x", None, 1e-300, 2**70]},
     )
 

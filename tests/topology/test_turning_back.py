@@ -1,0 +1,202 @@
+"""Ways driven out of a junction and back, on tracks drawn by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.topology.document import map_from_document, map_to_document
+from topobatch.topology.errors import DocumentError
+from topobatch.topology.mapbuilding import MapBuildingSettings, build_topomap
+from topobatch.topology.passes import NO_BRANCH, Passes
+from topobatch.topology.polyline import way_of
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.topomap import RunNoise, TopoMap
+from topobatch.topology.turning_back import farthest, turning_points
+from topobatch.topology.turning_points import TRACK_END, TURNING_POINT
+from topobatch.topology.turning_vertices import with_turning_points, without_turning_points
+from topobatch.topology.vertex_errors import VertexErrors
+from topobatch.topology.visits import Visits
+
+from .tracks import EAST, NORTH, SOUTH, WEST, track
+
+LEAST_M = 1.0
+SETTINGS = MapBuildingSettings()
+
+
+def driven(
+    corners: list[tuple[float, float]],
+    at: list[int],
+    vertex: list[int],
+    branches: dict[int, list[float]],
+) -> TopoMap:
+    """The map of a track through `corners`, which passed vertices at some of them."""
+    odometry, rows = track(*corners)
+    rows, of = rows[at], np.array(vertex)
+    when, n = odometry.time_ns[rows], len(set(vertex))
+    table = Ragged.from_rows([branches[v] for v in vertex])
+    unknown = np.full(len(rows), NO_BRANCH)
+    centre = odometry.pose[rows, :2]
+    passes = Passes(
+        when,
+        when,
+        when,
+        centre,
+        table,
+        Ragged(table.offsets, np.ones(len(table.values))),
+        unknown,
+        unknown,
+        np.ones(len(rows), int),
+        np.ones(len(rows)),
+    )
+    pose = np.column_stack([centre, np.zeros(len(rows))])
+    seen, chain = np.ones(len(rows), bool), np.zeros(len(rows), int)
+    visits = Visits(when, of, seen, pose, centre, chain)
+    m = build_topomap(
+        "hand",
+        odometry,
+        passes,
+        xy=centre[[vertex.index(v) for v in range(n)]],
+        visits=visits,
+        pass_vertex=of,
+        pass_fair=np.ones(len(rows), bool),
+        pass_turn=np.zeros(len(rows)),
+        noise=RunNoise(),
+        errors=VertexErrors.none(n),
+    )
+    return replace(m, turning_points=turning_points(m, odometry, visits, LEAST_M, SETTINGS))
+
+
+CORRIDOR = {0: [EAST, NORTH, WEST], 1: [EAST, NORTH, WEST]}
+
+
+def with_room(deep: float = 4.0) -> TopoMap:
+    """Junction 0, a room to its north driven into and out of, and a corridor to junction 1."""
+    corners = [(0, 0), (0, deep), (0, 0), (10, 0)]
+    return driven(corners, [0, 2, 3], [0, 0, 1], CORRIDOR)
+
+
+def test_a_room_driven_into_and_out_of_ends_at_a_turning_point():
+    m = with_room()
+    t = m.turning_points
+    assert (t.kind, t.vertex.tolist(), t.traversals.tolist()) == ((TURNING_POINT,), [0], [2])
+    assert m.branches[0][t.branch[0]] == pytest.approx(NORTH)
+    np.testing.assert_allclose(t.xy, [[0, 4]], atol=0.05)
+    assert t.length[0] == pytest.approx(4.0, abs=0.05)
+    assert t.heading[0] == pytest.approx(SOUTH, abs=0.05)
+    assert len(m.source) == 1
+    # There and back: the robot is at the point in between.
+    (out, there), (back, left) = t.traversal_ns[0].tolist()
+    assert out < there <= left < back
+    assert abs(t.time_ns[0][0, 0] - there) < 1e9
+
+
+def test_what_is_no_farther_than_junctions_are_told_apart_is_no_way():
+    assert len(with_room(0.9).turning_points) == 0
+
+
+def test_a_branch_with_a_corridor_has_no_turning_point():
+    corners = [(0, 0), (4, 0), (0, 0), (10, 0)]
+    m = driven(corners, [0, 2, 3], [0, 0, 1], CORRIDOR)
+    assert (len(m.source), len(m.turning_points)) == (1, 0)
+
+
+def test_the_deepest_of_several_drives_tells_where_a_way_ends():
+    corners = [(0, 0), (0, 4), (0, 0), (0, 2), (0, 0), (0, 3.5), (0, 0), (10, 0)]
+    t = driven(corners, [0, 2, 4, 6, 7], [0, 0, 0, 0, 1], CORRIDOR).turning_points
+    np.testing.assert_allclose(t.xy, [[0, 4]], atol=0.05)
+    assert t.traversals.tolist() == [4]
+    assert [len(times) for times in t.time_ns] == [2]
+
+
+def test_a_way_round_corners_ends_where_it_is_the_longest_way_back():
+    corners = [(0, 0), (0, 6), (3, 6), (3, 2), (3, 6), (0, 6), (0, 0), (10, 0)]
+    t = driven(corners, [0, 6, 7], [0, 0, 1], CORRIDOR).turning_points
+    np.testing.assert_allclose(t.xy, [[3, 2]], atol=0.1)
+    assert t.length[0] == pytest.approx(13.0, abs=0.3)
+    assert way_of(t.paths[0])[-1] == pytest.approx(t.length[0], abs=0.2)
+
+
+def test_wandering_in_a_room_makes_no_way_longer():
+    ring = [(0, 4), (1, 4), (1, 5), (0, 5), (0, 4)]
+    corners = [(0, 0), *ring, *ring[1:], (0, 0), (10, 0)]
+    n = len(corners)
+    t = driven(corners, [0, n - 2, n - 1], [0, 0, 1], CORRIDOR).turning_points
+    assert t.length[0] == pytest.approx(6.0, abs=0.5)
+
+
+def test_a_log_that_begins_and_ends_between_junctions():
+    corners = [(-5, 0), (0, 0), (10, 0), (10, 6)]
+    t = driven(corners, [1, 2], [0, 1], CORRIDOR).turning_points
+    assert t.kind == (TRACK_END, TRACK_END)
+    np.testing.assert_allclose(t.xy, [[-5, 0], [10, 6]], atol=0.05)
+    assert t.traversals.tolist() == [1, 1]
+    (at, begin), (leave, end) = t.traversal_ns[0][0].tolist(), t.traversal_ns[1][0].tolist()
+    assert begin < at < leave < end
+
+
+def test_a_log_that_turned_round_before_it_ended():
+    corners = [(0, 0), (10, 0), (10, 6), (10, 3)]
+    t = driven(corners, [0, 1], [0, 1], CORRIDOR).turning_points
+    assert t.kind == (TURNING_POINT,)
+    np.testing.assert_allclose(t.xy, [[10, 6]], atol=0.05)
+
+
+def test_a_way_by_no_branch_along_a_known_one_is_known():
+    corners = [(0, 0), (10, 0), (6, 0.1), (10, 0)]
+    known = driven(corners, [0, 1, 3], [0, 1, 1], {0: [EAST, NORTH], 1: [NORTH, EAST]})
+    assert len(known.turning_points) == 0
+    corners = [(0, 0), (10, 0), (10, -4), (10, 0)]
+    m = driven(corners, [0, 1, 3], [0, 1, 1], {0: [EAST, NORTH], 1: [NORTH, WEST]})
+    assert m.turning_points.branch.tolist() == [NO_BRANCH]
+
+
+def test_the_document_has_them_as_its_last_nodes():
+    m = with_room()
+    doc = map_to_document(m)
+    node, edge = doc["nodes"][-1], doc["edges"][-1]
+    assert (node["kind"], len(node["branches"]), len(doc["nodes"])) == ("turning_point", 1, 3)
+    assert (edge["source"], edge["target"], edge["traversals"]) == (0, 2, 2)
+    again = map_from_document(doc)
+    assert len(again) == 2
+    assert map_to_document(again) == doc
+    np.testing.assert_array_equal(again.observation_vertex, m.observation_vertex)
+
+
+def test_a_document_whose_turning_points_are_none_is_refused():
+    doc = map_to_document(with_room())
+    doc["nodes"][0]["kind"] = "turning_point"
+    with pytest.raises(DocumentError, match="turning points come last"):
+        map_from_document(doc)
+
+
+def test_vertices_of_turning_points_and_back():
+    m = with_room()
+    whole = with_turning_points(m)
+    assert (len(whole), len(whole.source), len(whole.turning_points)) == (3, 2, 0)
+    back = without_turning_points(whole)
+    assert map_to_document(back) == map_to_document(m)
+    assert without_turning_points(back) is back
+
+
+def test_of_a_track_what_is_far_is_so_along_the_way():
+    way = np.linspace(0, 1, 200)
+    u = np.concatenate(
+        [
+            np.column_stack([0 * way, 6 * way]),
+            np.column_stack([2 * way, 6 + 0 * way]),
+            np.column_stack([2 + 0 * way, 6 - 6 * way]),
+        ]
+    )
+    np.testing.assert_allclose(u[farthest(u, 0.5)], u[-1], atol=0.1)
+    assert farthest(u[:1], 0.5) == 0
+
+
+def test_a_run_without_visits_has_none():
+    odometry, _ = track((0, 0), (8, 0))
+    none = np.zeros(0, np.int64)
+    flat = np.zeros((0, 3))
+    visits = Visits(none, none, np.zeros(0, bool), flat, flat[:, :2], none)
+    assert len(turning_points(with_room(), odometry, visits, LEAST_M, SETTINGS)) == 0
