@@ -90,7 +90,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     """Explain the decision of the robust method."""
     from ..merge.decision import to_document
     from ..merge.decision_text import lines
-    from ..viz import write_decision_recording
+    from ..viz.decision_recording import write_decision_recording
 
     maps = {run: place.read_map(run) for run in pair}
     decision = decided(place, pair, maps)
@@ -193,7 +193,7 @@ def _by_paper(
     from ..merge.paper.explain import explain as explained
     from ..merge.paper.explain import lines, to_document
     from ..merge.paper.method import DEFAULT_PAPER
-    from ..viz import write_explain_recording
+    from ..viz.explain_recording import write_explain_recording
 
     map_a, map_b = (place.read_map(run) for run in pair)
     document = _last_merge(place)

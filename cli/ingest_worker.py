@@ -24,7 +24,6 @@ from ..topology.files import read_json, write_json, write_together
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
-from ..viz import write_map_recording
 from .scan_options import source_told
 from .version import VERSION
 from .workspace import Workspace, checked_run_name
@@ -109,6 +108,8 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         beside: dict[str, Any] = {"grid": found.grid}
     else:
         beside = {name: getattr(found, name) for name in ("odometry", "detections", "scanned")}
+    from ..viz.map_recording import write_map_recording  # which loads rerun
+
     maps = _in_one_piece(topomap)
     runs = [m.run for m in maps]
     docs = {m.run: map_to_document(m) for m in maps}

@@ -330,7 +330,7 @@ def _write(
     """The files of a merge. documents: `contents` of the maps, which tell later what changed."""
     from ..merge.document import write_merged
     from ..topology.files import write_together
-    from ..viz import write_merged_recording
+    from ..viz.merged_recording import write_merged_recording
 
     merged = {m.run: documents[m.run] for m in maps}
     result = replace(result, info={**result.info, "maps": merged})

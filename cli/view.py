@@ -82,7 +82,7 @@ def _recording(place: Workspace, run: str | None) -> Path:
 def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]]:
     """The recording of a run with the log that its map was made from, and the views of both: kept
     in the workspace or, where that cannot be written, as long as the viewer is open."""
-    from ..viz import write_raw_log
+    from ..viz.raw_log import write_raw_log
 
     log = place.log_of(run)
     if not isinstance(log, Path):

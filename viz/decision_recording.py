@@ -55,8 +55,12 @@ FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
 
 
-def write(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
-    """Write the recording of a decision; see `topobatch.viz.write_decision_recording`."""
+def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
+    """Write why two runs were merged or not, atomically: the placements with the matched junctions
+    tied, the evidence term by term, the threshold.
+
+    Raises OSError if the file cannot be written.
+    """
 
     def fill(recording: Recording) -> rrb.Blueprint:
         cells = _pictures(recording, a, b, decision)

@@ -48,8 +48,12 @@ HEIGHT = 0.6
 """A full turn in transform space is this share of the extent of x and y high."""
 
 
-def write(path: Path, a: TopoMap, b: TopoMap, e: Explanation) -> None:
-    """Write the recording of a match; see `topobatch.viz.write_explain_recording`."""
+def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, e: Explanation) -> None:
+    """Write what structural matching found between two maps, atomically: the table of vertex
+    pairs, the clusters in transform space, and where the best clusters place b over a.
+
+    Raises OSError if the file cannot be written.
+    """
 
     def fill(recording: Recording) -> rrb.Blueprint:
         _table(recording, a, b, e)

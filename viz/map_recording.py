@@ -24,7 +24,7 @@ from .growing import light_up
 from .history import History, Question, history, questions
 from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
 from .map_sheet import corridors_told
-from .map_summary import Shown, map_summary
+from .map_summary import MapLayers, map_summary
 from .odometry_health import Lane, lanes
 from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
@@ -49,16 +49,22 @@ HEALTH_COLOURS = {
 }
 
 
-def write(
+def write_map_recording(
     path: Path,
     topomap: TopoMap,
     *,
-    odometry: Odometry | None,
-    detections: Detections | None,
-    scanned: Scanned | None,
-    grid: Grid | None,
+    odometry: Odometry | None = None,
+    detections: Detections | None = None,
+    scanned: Scanned | None = None,
+    grid: Grid | None = None,
 ) -> None:
-    """Write the recording of a map; see `topobatch.viz.write_map_recording`."""
+    """Write the recording of one run's map, `maps/<run>.rrd`, atomically.
+
+    odometry, detections, scanned: the run's own, as recorded; with them the recording shows what
+    closing the loops changed, where the robot is on the map at any time, and what its detector or
+    its laser saw there. grid: that the map was made from, in place of a run. Raises OSError if the
+    file cannot be written.
+    """
     track = robot_track(topomap, odometry) if odometry is not None else None
     known = history(topomap)
     asked = questions(topomap, known.visit)
@@ -89,7 +95,7 @@ def write(
             write_scans(recording, MAP, seen)
         for lane in health:
             _lane(recording, lane)
-        shown = Shown(
+        shown = MapLayers(
             odometry=track is not None,
             detections=track is not None and detections is not None and len(detections) > 0,
             accepted=any(q.closure.accepted for q in asked),

@@ -19,7 +19,7 @@ MOST_LINES = 40
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class MapLayers:
     """What a recording holds besides the map: nothing else is spoken of."""
 
     odometry: bool = False
@@ -31,7 +31,7 @@ class Shown:
     grid: bool = False
 
 
-def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: Shown) -> str:
+def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: MapLayers) -> str:
     """A page of markdown about one map: counts, loops, noise, warnings, how to read the picture."""
     parts = [
         f"# {plain(topomap.run)}",
@@ -99,7 +99,7 @@ def _span(topomap: TopoMap) -> str:
 _COLOURS = ("", "dead ends **red**", "bends **grey**", "three **blue**", "four **green**")
 
 
-def _legend(topomap: TopoMap, shown: Shown) -> str:
+def _legend(topomap: TopoMap, shown: MapLayers) -> str:
     if len(topomap) == 0:
         return "The map is empty: no junction was found in this run."
     degrees = np.unique(np.minimum(topomap.degree, len(_COLOURS)))

@@ -36,7 +36,7 @@ from .steps import joining_steps
 from .story import STORY, write_story
 from .verdicts import (
     MOST_PLACEMENTS,
-    Shown,
+    MergeLayers,
     merge_summary,
     pairs_told,
     runs_in_order,
@@ -46,8 +46,12 @@ from .verdicts import (
 RECORDING_ID = "merged"
 
 
-def write(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
-    """Write the recording of a merge; see `topobatch.viz.write_merged_recording`."""
+def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
+    """Write the recording of a merge, `merged.rrd`, atomically.
+
+    maps: the map of every run that the result speaks of, in any order. Raises ValueError if one
+    is missing or two share a name, OSError if the file cannot be written.
+    """
     by_name = _by_name(result, maps)
     runs = runs_in_order(result)
     colours = colours_of(result)
@@ -73,7 +77,7 @@ def write(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
         if steps:
             write_story(recording, FUSED, steps, parts, by_name)
         write_matrix(recording, result, runs, colours)
-        shown = Shown(
+        shown = MergeLayers(
             story=bool(steps),
             undecided=bool(pairs),
             contradictions=contradicted,

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ..merge.result import MergeResult, PairVerdict, shown_bits
+from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
@@ -23,15 +23,7 @@ from .map_sheet import (
 from .placements import contradiction_spots
 from .recording import HAIR, UP, Recording
 from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
-from .verdicts import (
-    AMBIGUOUS,
-    DIAGONAL,
-    JOINED,
-    MERGED,
-    NOT_ACCEPTED,
-    UNRELATED,
-    verdict_matrix,
-)
+from .verdicts import CLASS, DIAGONAL, verdict_matrix
 
 MATRIX, UNDECIDED = "verdicts", "undecided"
 """Roots of the pictures of the pairs."""
@@ -59,11 +51,11 @@ FULL_DOT_BITS = 100.0
 
 _CLASSES = (
     (DIAGONAL, "same run", palette.DIAGONAL),
-    (UNRELATED, "unrelated", palette.UNRELATED),
-    (AMBIGUOUS, "ambiguous", palette.AMBIGUOUS),
-    (NOT_ACCEPTED, "fits, but kept out by a later check", palette.NOT_ACCEPTED),
-    (JOINED, "joined through other runs", palette.JOINED),
-    (MERGED, "merged", palette.MERGED),
+    (CLASS[Standing.UNRELATED], "unrelated", palette.UNRELATED),
+    (CLASS[Standing.AMBIGUOUS], "ambiguous", palette.AMBIGUOUS),
+    (CLASS[Standing.KEPT_OUT], "fits, but kept out by a later check", palette.NOT_ACCEPTED),
+    (CLASS[Standing.JOINED], "joined through other runs", palette.JOINED),
+    (CLASS[Standing.MERGED], "merged", palette.MERGED),
 )
 
 

@@ -51,8 +51,13 @@ Drawn = dict[str, tuple[Any, Any]]
 below the topic's."""
 
 
-def write(path: Path, views: Path, log: Path, recording: Path, topomap: TopoMap) -> None:
-    """Write the recording with a raw log, and its views; see `topobatch.viz.write_raw_log`."""
+def write_raw_log(path: Path, views: Path, log: Path, recording: Path, topomap: TopoMap) -> None:
+    """Write the recording of a run's map together with its raw log, an MCAP file or a folder of
+    them: topics lie below /log, and share the map's time.
+
+    recording: of the map; views: a recording to open before `path`, which says how to show both.
+    Raises LogError if the viewer cannot read the log, OSError if a file cannot be written.
+    """
     files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
     if not files or not all(map(_is_mcap, files)):
         raise LogError(

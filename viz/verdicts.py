@@ -14,9 +14,9 @@ from ..topology.wording import listed
 from .map_summary import bulleted, plain, several
 from .steps import Step
 
-DIAGONAL, UNRELATED, AMBIGUOUS, NOT_ACCEPTED, JOINED, MERGED = range(6)
-"""Classes of the verdict matrix. NOT_ACCEPTED: the pair fits, but a later check kept it out;
-JOINED: unrelated by itself, but other runs place the two in one component."""
+DIAGONAL = 0
+CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
+"""Classes of the verdict matrix."""
 
 MOST_PAIRS = 60
 """Pairs told in full in the recording; `merged.json` has them all."""
@@ -28,14 +28,6 @@ there is room for their names."""
 STORY_BEFORE, STORY_AFTER = 8, 12
 """Steps that a page of the story shows around its own."""
 
-_CLASSES = {
-    Standing.UNRELATED: UNRELATED,
-    Standing.AMBIGUOUS: AMBIGUOUS,
-    Standing.KEPT_OUT: NOT_ACCEPTED,
-    Standing.JOINED: JOINED,
-    Standing.MERGED: MERGED,
-}
-
 
 def runs_in_order(result: MergeResult) -> list[str]:
     """All runs: those of one component together, large components first."""
@@ -43,29 +35,24 @@ def runs_in_order(result: MergeResult) -> list[str]:
     return [run for component in components for run in sorted(component.poses)]
 
 
-def verdict_class(pair: PairVerdict) -> int:
-    """The class of a pair in the matrix."""
-    return _CLASSES[pair.standing]
-
-
 def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8]:
     """(n, n) classes of all pairs, symmetric, rows and columns in the given order."""
     row = {run: i for i, run in enumerate(runs)}
-    matrix = np.full((len(runs), len(runs)), UNRELATED, np.uint8)
+    matrix = np.full((len(runs), len(runs)), CLASS[Standing.UNRELATED], np.uint8)
     if result.unlisted is not None:
         for component in result.components:  # what is not listed is joined, or unrelated
             rows = [row[run] for run in component.poses if run in row]
-            matrix[np.ix_(rows, rows)] = JOINED
+            matrix[np.ix_(rows, rows)] = CLASS[Standing.JOINED]
     np.fill_diagonal(matrix, DIAGONAL)
     for pair in result.verdicts:
         if pair.a in row and pair.b in row:
             i, j = row[pair.a], row[pair.b]
-            matrix[i, j] = matrix[j, i] = verdict_class(pair)
+            matrix[i, j] = matrix[j, i] = CLASS[pair.standing]
     return matrix
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class MergeLayers:
     """What a recording of a merge holds besides the map: nothing else is spoken of."""
 
     story: bool = False
@@ -77,20 +64,22 @@ class Shown:
     marks: bool = False
 
 
-def merge_summary(result: MergeResult, shown: Shown) -> str:
+def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     """A page of markdown: counts, how to read the picture, components, warnings."""
-    count = {_CLASSES[standing]: pairs for standing, pairs in result.standings().items()}
+    count = result.standings()
     fused = result.fused
     shared = sum(len(members) > 1 for members in fused.members)
     runs = sum(len(c.poses) for c in result.components)
-    kept_out = f", **{count[NOT_ACCEPTED]:,}** kept out" if count[NOT_ACCEPTED] else ""
-    joined = f"**{count[JOINED]:,}** joined through others, " if count[JOINED] else ""
+    out, others = count[Standing.KEPT_OUT], count[Standing.JOINED]
+    kept_out = f", **{out:,}** kept out" if out else ""
+    joined = f"**{others:,}** joined through others, " if others else ""
     rows = [
         f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
         f"{several(len(fused), 'junction')}, {shared:,} of them seen by several runs",
         f"{several(len(fused.source), 'corridor')}, {float(fused.length.sum()):,.0f} m in all",
-        f"pairs of runs: **{count[MERGED]:,}** merged, {joined}**{count[AMBIGUOUS]:,}** ambiguous, "
-        f"**{count[UNRELATED]:,}** unrelated{kept_out}",
+        f"pairs of runs: **{count[Standing.MERGED]:,}** merged, {joined}"
+        f"**{count[Standing.AMBIGUOUS]:,}** ambiguous, "
+        f"**{count[Standing.UNRELATED]:,}** unrelated{kept_out}",
     ]
     if "method" in result.info:
         rows.append(f"method: {plain(result.info['method'])}")
@@ -99,16 +88,16 @@ def merge_summary(result: MergeResult, shown: Shown) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-_CLASS_NAMES = {
-    MERGED: "**green** merged",
-    JOINED: "**dark green** joined through other runs",
-    AMBIGUOUS: "**orange** ambiguous",
-    NOT_ACCEPTED: "**red** fitting, but kept out by a later check",
-    UNRELATED: "**grey** unrelated",
+_COLOURS = {
+    Standing.MERGED: "**green** merged",
+    Standing.JOINED: "**dark green** joined through other runs",
+    Standing.AMBIGUOUS: "**orange** ambiguous",
+    Standing.KEPT_OUT: "**red** fitting, but kept out by a later check",
+    Standing.UNRELATED: "**grey** unrelated",
 }
 
 
-def _legend(result: MergeResult, shown: Shown) -> list[str]:
+def _legend(result: MergeResult, shown: MergeLayers) -> list[str]:
     shared = any(len(members) > 1 for members in result.fused.members)
     seen = "; junctions seen by several runs are white, others grey" if shared else ""
     where = " The names are in *Legend*." if shown.legend else ""
@@ -143,12 +132,12 @@ def _legend(result: MergeResult, shown: Shown) -> list[str]:
     return [part for part in (" ".join(filter(None, views)), matrix, pointing) if part]
 
 
-def _matrix_legend(result: MergeResult, shown: Shown) -> str:
+def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
     """What the matrix shows, and nothing that it does not."""
     if not result.verdicts:
         return ""
-    classes = {_CLASSES[standing] for standing, pairs in result.standings().items() if pairs}
-    named = ", ".join(name for kind, name in _CLASS_NAMES.items() if kind in classes)
+    count = result.standings()
+    named = ", ".join(told for standing, told in _COLOURS.items() if count[standing])
     lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
     if shown.numbers:
         lines.append("Numbers above the diagonal: bits of evidence.")

@@ -6,7 +6,7 @@ import pytest
 
 from topobatch.merge.decision import Decision, Placement, Requirement, Start, Term
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
-from topobatch.viz import write_decision_recording
+from topobatch.viz.decision_recording import write_decision_recording
 
 from .readback import Readback
 

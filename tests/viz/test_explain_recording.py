@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import write_explain_recording
-from topobatch.viz.explain_recording import DROPPED, OTHER, pair_classes
+from topobatch.viz.explain_recording import DROPPED, OTHER, pair_classes, write_explain_recording
 
 from .readback import Readback
 

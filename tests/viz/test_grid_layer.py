@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from topobatch.topology.run import Grid
-from topobatch.viz import grid_layer, palette, write_map_recording
+from topobatch.viz import grid_layer, palette
+from topobatch.viz.map_recording import write_map_recording
 
 from .readback import Readback
 

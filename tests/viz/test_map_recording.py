@@ -14,8 +14,9 @@ from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import palette, write_map_recording
+from topobatch.viz import palette
 from topobatch.viz.history import history
+from topobatch.viz.map_recording import write_map_recording
 from topobatch.viz.recording import Recording
 
 from .readback import Readback

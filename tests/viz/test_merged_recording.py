@@ -7,7 +7,8 @@ import pytest
 
 from topobatch.merge.result import Component, FusedMap, MergeResult, PairVerdict
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import palette, write_merged_recording
+from topobatch.viz import palette
+from topobatch.viz.merged_recording import write_merged_recording
 
 from .readback import Readback
 

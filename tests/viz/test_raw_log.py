@@ -13,8 +13,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from topobatch.simulation import ScenarioSettings, simulate_scenario, write_run
 from topobatch.topology.errors import LogError
-from topobatch.viz import write_map_recording
-from topobatch.viz.raw_log import write
+from topobatch.viz.map_recording import write_map_recording
+from topobatch.viz.raw_log import write_raw_log
 from topobatch.viz.recording import APPLICATION_ID
 
 from .readback import Readback
@@ -49,7 +49,7 @@ def test_topics_lie_below_one_name_beside_the_map(
     tmp_path: Path, recording: Path, topomap, container: str
 ) -> None:
     log = small_log(tmp_path, container)
-    write(tmp_path / "raw.rrd", tmp_path / "views.rrd", log, recording, topomap)
+    write_raw_log(tmp_path / "raw.rrd", tmp_path / "views.rrd", log, recording, topomap)
     both = Readback(tmp_path / "raw.rrd")
     assert both.identity == (APPLICATION_ID, "monday") == Readback(tmp_path / "views.rrd").identity
     added = both.entities - Readback(recording).entities
@@ -65,7 +65,7 @@ def test_speeds_and_echoes_are_drawn_as_the_log_has_them(
     tmp_path: Path, recording: Path, topomap
 ) -> None:
     log = small_log(tmp_path, "ros2-mcap", laser="none")
-    write(tmp_path / "raw.rrd", tmp_path / "views.rrd", log, recording, topomap)
+    write_raw_log(tmp_path / "raw.rrd", tmp_path / "views.rrd", log, recording, topomap)
     both, store = Readback(tmp_path / "raw.rrd"), get_typestore(Stores.ROS2_HUMBLE)
     turning, echoes, times = [], [], []
     with Reader(log) as reader:
@@ -93,7 +93,7 @@ def test_speeds_and_echoes_are_drawn_as_the_log_has_them(
 
 def test_what_is_not_drawn_is_a_table(tmp_path: Path, recording: Path, topomap) -> None:
     log = small_log(tmp_path, "ros2-mcap")
-    write(tmp_path / "raw.rrd", tmp_path / "views.rrd", log, recording, topomap)
+    write_raw_log(tmp_path / "raw.rrd", tmp_path / "views.rrd", log, recording, topomap)
     assert "/junctions" in names_of_views(tmp_path / "views.rrd")
 
 
@@ -105,11 +105,11 @@ def test_of_a_split_log_all_files_are_shown(tmp_path: Path, recording: Path, top
         log = small_log(tmp_path / str(seed), "mcap", seed=seed)
         log.rename(folder / f"{seed}.mcap")
         views = tmp_path / "views.rrd"
-        write(tmp_path / "one.rrd", views, folder / f"{seed}.mcap", recording, topomap)
+        write_raw_log(tmp_path / "one.rrd", views, folder / f"{seed}.mcap", recording, topomap)
         whole["/log/odom"] += len(
             Readback(tmp_path / "one.rrd").times("/log/odom", "ros2_timestamp")
         )
-    write(tmp_path / "raw.rrd", tmp_path / "views.rrd", folder, recording, topomap)
+    write_raw_log(tmp_path / "raw.rrd", tmp_path / "views.rrd", folder, recording, topomap)
     both = RrdReader(tmp_path / "raw.rrd")
     rows = sum(
         c.num_rows for c in both.stream() if c.entity_path == "/log/odom" and not c.is_static
@@ -122,5 +122,7 @@ def test_logs_that_the_viewer_does_not_read_are_refused(
 ) -> None:
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(LogError, match="in MCAP only"):
-        write(tmp_path / "raw.rrd", tmp_path / "views.rrd", tmp_path / "a.bag", recording, topomap)
+        write_raw_log(
+            tmp_path / "raw.rrd", tmp_path / "views.rrd", tmp_path / "a.bag", recording, topomap
+        )
     assert not (tmp_path / "raw.rrd").exists()

@@ -12,7 +12,8 @@ from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Anchored, Scanned, ScanPasses, ScanPicture
 from topobatch.topology.se2 import apply
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import scan_layers, write_map_recording
+from topobatch.viz import scan_layers
+from topobatch.viz.map_recording import write_map_recording
 
 from .readback import Readback
 

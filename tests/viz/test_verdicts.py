@@ -3,20 +3,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.merge.result import FusedMap, MergeResult
+from topobatch.merge.result import FusedMap, MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import map_summary as map_summary_module
 from topobatch.viz import verdicts
 from topobatch.viz.history import history, questions
-from topobatch.viz.map_summary import bulleted, map_summary, plain
+from topobatch.viz.map_summary import MapLayers, bulleted, map_summary, plain
 from topobatch.viz.steps import joining_steps
 from topobatch.viz.verdicts import (
-    AMBIGUOUS,
+    CLASS,
     DIAGONAL,
-    JOINED,
-    MERGED,
-    UNRELATED,
-    Shown,
+    MergeLayers,
     joining_told,
     merge_summary,
     pairs_told,
@@ -32,9 +28,9 @@ def test_the_matrix_says_what_the_verdicts_say(merge_of: Merge) -> None:
     runs = runs_in_order(result)
     assert runs == ["a", "c", "z"]
     expected = [
-        [DIAGONAL, MERGED, UNRELATED],
-        [MERGED, DIAGONAL, AMBIGUOUS],
-        [UNRELATED, AMBIGUOUS, DIAGONAL],
+        [DIAGONAL, CLASS[Standing.MERGED], CLASS[Standing.UNRELATED]],
+        [CLASS[Standing.MERGED], DIAGONAL, CLASS[Standing.AMBIGUOUS]],
+        [CLASS[Standing.UNRELATED], CLASS[Standing.AMBIGUOUS], DIAGONAL],
     ]
     assert np.array_equal(verdict_matrix(result, runs), expected)
 
@@ -60,7 +56,7 @@ def test_pairs_beyond_those_that_are_told_are_counted(merge_of: Merge, monkeypat
 
 def test_summaries_count(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
-    told = merge_summary(result, Shown())
+    told = merge_summary(result, MergeLayers())
     assert "**3** runs in **2** components" in told
     assert "**10** junctions, 5 of them seen by several runs" in told
     assert "**1** merged, **0** ambiguous, **2** unrelated" in told
@@ -71,23 +67,25 @@ def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -
     result, _ = merge_of([["a", "b"], ["c"]])
     joined = tuple(replace(v, through=("b",)) if v.b == "c" else v for v in result.verdicts)
     result = replace(result, verdicts=joined)
-    assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == JOINED
+    assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == CLASS[Standing.JOINED]
     assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(
-        result, Shown()
+        result, MergeLayers()
     )
     assert "Joined through others (2)" in pairs_told(result)
 
 
 def test_the_threshold_is_told_with_the_matrix(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"]])
-    assert "Merging needs" not in merge_summary(result, Shown())
+    assert "Merging needs" not in merge_summary(result, MergeLayers())
     needing = tuple(replace(v, threshold_bits=12.55) for v in result.verdicts)
-    assert "Merging needs 12.6 bits." in merge_summary(replace(result, verdicts=needing), Shown())
+    assert "Merging needs 12.6 bits." in merge_summary(
+        replace(result, verdicts=needing), MergeLayers()
+    )
 
 
 def test_a_merge_of_nothing_is_told(no_fused: FusedMap) -> None:
     nothing = MergeResult((), no_fused, ())
-    assert "**0** runs" in merge_summary(nothing, Shown())
+    assert "**0** runs" in merge_summary(nothing, MergeLayers())
     assert "no pair" in pairs_told(nothing)
 
 
@@ -104,7 +102,7 @@ def test_the_story_has_a_page_for_every_step(merge_of: Merge) -> None:
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
     topomap = make_map("lab_2*")
     asked = questions(topomap, history(topomap).visit)
-    told = map_summary(topomap, asked, map_summary_module.Shown(refused=True))
+    told = map_summary(topomap, asked, MapLayers(refused=True))
     assert "# lab\\_2\\*" in told
     assert "**5** vertices (2 bends, 1 dead end, 2 junctions)" in told
     assert "**1** branch seen and never driven" in told
@@ -117,7 +115,7 @@ def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMa
 
 
 def test_an_empty_map_is_told(empty_map: TopoMap) -> None:
-    assert "The map is empty" in map_summary(empty_map, [], map_summary_module.Shown())
+    assert "The map is empty" in map_summary(empty_map, [], MapLayers())
 
 
 def test_text_stays_on_its_line() -> None:
@@ -130,16 +128,16 @@ def test_long_lists_are_cut() -> None:
 
 
 def test_nothing_is_spoken_of_that_is_not_there(merge_of: Merge, one_vertex: TopoMap) -> None:
-    alone = merge_summary(merge_of([["a"]])[0], Shown())
+    alone = merge_summary(merge_of([["a"]])[0], MergeLayers())
     for word in ("Agreement", "Undecided", "Story", "Legend", "Verdicts", "Red", "dot"):
         assert word not in alone, word
-    shown = Shown(story=True, undecided=True, contradictions=True, legend=True, numbers=True)
+    shown = MergeLayers(story=True, undecided=True, contradictions=True, legend=True, numbers=True)
     told = merge_summary(merge_of([["a", "b"], ["c"]], [("a", "c")])[0], shown)
     for word in ("Agreement", "Undecided", "Story", "Legend", "**Red** dots", "above the diagonal"):
         assert word in told, word
     for word in ("kept out", "joined through", "A dot"):
         assert word not in told, word
-    one = map_summary(one_vertex, [], map_summary_module.Shown())
+    one = map_summary(one_vertex, [], MapLayers())
     for word in ("Drift", "Health", "grey** tracks", "detections", "rings", "Red", "more often"):
         assert word not in one, word
     assert "bends **grey**" in one
