@@ -118,7 +118,9 @@ def judge_map(truth, topomap, errors, seed):
         chosen = rng.permutation(len(i))[:MOST_PAIRS]
         i, j = i[chosen], j[chosen]
         step = off[j] - off[i]
-        told = np.linalg.inv(shape.between(known[i], known[j]) + 1e-9 * np.eye(2))
+        error = shape.sample[known[j], :2] - shape.sample[known[i], :2]
+        spread = np.einsum("kis,kjs->kij", error, error) / error.shape[2]
+        told = np.linalg.inv(spread + 1e-9 * np.eye(2))
         out[name] = quantiles(np.einsum("ki,kij,kj->k", step, told, step), 2)
     z2 = []
     for n in known.tolist():

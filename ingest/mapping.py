@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -55,36 +54,25 @@ def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) 
     return build_map(log, settings)
 
 
-def build_map(
-    run: Run,
-    settings: MappingSettings = DEFAULT_MAPPING,
-    *,
-    on_step: Callable[[str], None] | None = None,
-) -> TopoMap:
+def build_map(run: Run, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
     """The topological map of a run.
 
     Where the odometry broke, the map is in several `pieces`, drawn side by side: how they lie to
     each other is for `merge.pieces` to find out. Raises DataError if the run has no junction pass,
-    or its odometry does not move. `on_step` hears the name of each step before it begins.
+    or its odometry does not move.
     """
-    return build_map_with_errors(run, settings, on_step=on_step)[0]
+    return build_map_with_errors(run, settings)[0]
 
 
 def build_map_with_errors(
-    run: Run,
-    settings: MappingSettings = DEFAULT_MAPPING,
-    *,
-    on_step: Callable[[str], None] | None = None,
+    run: Run, settings: MappingSettings = DEFAULT_MAPPING
 ) -> tuple[TopoMap, VertexErrors]:
     """`build_map`, and how far off its vertices may be, together: what its sigmas come from."""
-    step = on_step or (lambda name: None)
     source = pass_source(run, settings)
-    odometry, reckoning, calibration = dead_reckoned(run, source, settings, step)
-    step("loop closure")
+    odometry, reckoning, calibration = dead_reckoned(run, source, settings)
     if len(odometry.jumps) and settings.closure == "full":
         odometry, reckoning = _with_jumps_measured(odometry, reckoning, source, settings)
     closed = _closed(reckoning, settings)
-    step("map")
     fit = fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
     estimate = set_apart(reckoning, closed.place, fit.estimate)
     corrected = correct_detections(
@@ -137,23 +125,17 @@ def build_map_with_errors(
 
 
 def dead_reckoned(
-    run: Run,
-    source: PassSource,
-    settings: MappingSettings = DEFAULT_MAPPING,
-    step: Callable[[str], None] = lambda name: None,
+    run: Run, source: PassSource, settings: MappingSettings = DEFAULT_MAPPING
 ) -> tuple[Odometry, DeadReckoning, Calibration]:
     """The calibrated odometry of a run, and its passes with all that is known of their noise."""
-    step("calibration")
     calibration = source.calibration()
     odometry = apply_calibration(run.odometry, calibration)
-    step("passes")
     passes = source.passes(odometry)
     if len(passes) == 0:
         why = source.why_none if len(run.odometry) else "holds no odometry; nothing can be mapped"
         # What is missing may be what was found wrong.
         raise DataError("; ".join((f"run {run.name}: {why}", *run.warnings)))
     _require_motion(run, settings.passes.reach_m)
-    step("noise")
     noise = source.noise(odometry, passes)
     reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))
     return odometry, reckoning, calibration

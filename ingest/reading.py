@@ -79,24 +79,16 @@ def read_log(
     recording = recording_at(path)
     if is_saved_map(recording.path):
         return _saved_map(recording, recording.path, on_bytes)
-    recording, survey = surveyed(recording)
-    counts = survey.counts if survey else {}
-    progress = Progress(recording.bytes, walks(counts, settings, log), on_bytes)
-    try:
-        intake, findings = _walked(recording, settings, progress, survey)
-        believed = survey is None or not findings.misdescribed
-    except (LogError, UsageError):
-        believed = survey is None or survey.sure
-        if believed:
-            raise
-    if not believed:
-        # What the index says led to nothing, or to something else than the data say.
-        intake, findings = _walked(recording, settings, progress, None)
+    recording, index = surveyed(recording)
+    progress = Progress(
+        recording.bytes, walks(index.counts if index else {}, settings, log), on_bytes
+    )
+    intake, findings = _kept(recording, settings, progress, index)
     warnings = _damage(recording, findings, settings)
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     try:
         source = junction_source(findings.counts, settings, log)
-        return WAYS[source.way](read, source)
+        return READERS[source.way](read, source)
     except LogError as error:
         # What is missing may be what is damaged.
         raise LogError("; ".join([str(error), *warnings])) from error
@@ -104,10 +96,26 @@ def read_log(
         progress.finish()
 
 
+def _kept(
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
+) -> tuple[Intake, Findings]:
+    """What is kept and found, by the index as long as it can be believed."""
+    if index is not None:
+        try:
+            intake, findings = _walked(recording, settings, progress, index)
+            if not findings.misdescribed:
+                return intake, findings
+        except (LogError, UsageError):
+            if index.sure:
+                raise
+    # There is no index, or what it says led to nothing, or to something else than the data say.
+    return _walked(recording, settings, progress, None)
+
+
 def _walked(
     recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
 ) -> tuple[Intake, Findings]:
-    """What a walk through a recording keeps and finds; index: what is said to be in it."""
+    """What one walk through a recording keeps and finds; index: what is said to be in it."""
     log = str(recording.path)
     counts = index.counts if index is not None else None
     accept = acceptance(counts, settings, log)
@@ -229,7 +237,7 @@ def _sightings(
     return Sightings(sightings.detections, tuple(warnings))
 
 
-WAYS: Mapping[str, Callable[[LogRead, JunctionSource], Run | GridLog]] = {
+READERS: Mapping[str, Callable[[LogRead, JunctionSource], Run | GridLog]] = {
     "topic": _with_detections,
     "scan": _with_scans,
     "cloud": _with_scans,

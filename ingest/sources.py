@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.columns import take
+from ..topology.columns import joined, take
 from ..topology.wording import listed
 from .logs.intake import PoseColumns, Sink, no_columns
 from .odometry.jumps import times
@@ -58,7 +58,7 @@ class Source:
             parts.append(columns)
             before += sink.messages
         return cls(
-            _joined(parts),
+            _by_log_time(parts),
             tuple(frames),
             sinks[0].channel.type_name if sinks else "",
             before,
@@ -109,16 +109,14 @@ def told_pairs(pairs: Sequence[tuple[str, str]]) -> str:
     return listed([f"{parent} → {child}" if child else parent for parent, child in pairs], 5)
 
 
-def _joined(parts: Sequence[PoseColumns]) -> PoseColumns:
+def _by_log_time(parts: Sequence[PoseColumns]) -> PoseColumns:
     """Columns of several channels in the order of log time."""
     if len(parts) == 1:
         return parts[0]
     if not parts:
         return no_columns()
-    names = tuple(PoseColumns.__dataclass_fields__)
-    joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
-    order = np.argsort(joined[2], kind="stable")
-    return PoseColumns(*(column[order] for column in joined))
+    columns = joined(parts)
+    return take(columns, np.argsort(columns.log_ns, kind="stable"))
 
 
 def pair_of_transforms(source: Source, base: str | None = None) -> int | None:

@@ -73,18 +73,18 @@ def merge_maps(
     ordered = _sorted_by_run(maps)
     means = means or Means()
     verdicts = _decided(ordered, settings, locks, discarded, means)
-    listed = _listed_pairs(len(ordered), verdicts, discarded)
-    asked = ((v.a, v.b) for v in listed)
+    shown = _worth_listing(len(ordered), verdicts, discarded)
+    asked = ((v.a, v.b) for v in shown)
     components, fused = fuse(
         ordered, verdicts, settings.fusion, how_sure=True, asked=asked, kept=means.kept
     )
-    told = _with_placements(listed, components)
+    told = _with_placements(shown, components)
     return MergeResult(
         components,
         fused,
         told,
         info=_info(settings, components, told),
-        unlisted=_unlisted(len(ordered), verdicts, listed, components),
+        unlisted=_unlisted(len(ordered), verdicts, shown, components),
         kept_entry=means.kept_entry,
     )
 
@@ -134,7 +134,7 @@ def _taken_back(verdict: PairVerdict) -> PairVerdict:
     )
 
 
-def _listed_pairs(
+def _worth_listing(
     runs: int, verdicts: tuple[PairVerdict, ...], discarded: Collection[Names]
 ) -> tuple[PairVerdict, ...]:
     """The verdicts to list: all of a small merge, of a large one those with something to say."""

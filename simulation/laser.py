@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.columns import take
 from ..topology.errors import UsageError
 from ..topology.frozen import freeze
 from ..topology.se2 import compose
@@ -197,11 +198,11 @@ def _cast(
     low = origin.min(axis=0) - settings.range_max_m
     high = origin.max(axis=0) + settings.range_max_m
     walls = _reached(scene.walls, low, high)
-    way, wall, at = cast_at_segments(origin, direction, _rows(scene.walls, walls))
+    way, wall, at = cast_at_segments(origin, direction, take(scene.walls, walls))
     way = np.where(_through_glass(direction, wall, at, walls, scene), np.inf, way)
     doors = _reached(scene.doors.walls, low, high)
     shut = np.repeat(scene.doors.shut(start_s)[:, doors], len(beam_s), axis=0)
-    to_door, _, _ = cast_at_segments(origin, direction, _rows(scene.doors.walls, doors), shut)
+    to_door, _, _ = cast_at_segments(origin, direction, take(scene.doors.walls, doors), shut)
     people = np.repeat(_people_seen(scene.people, start_s, drive), len(beam_s), axis=0)
     to_person = cast_at_circles(origin, direction, people, PERSON_M)
     return np.minimum(np.minimum(way, to_door), to_person).reshape(len(start_s), -1)
@@ -211,10 +212,6 @@ def _reached(segments: Segments, low: FloatArray, high: FloatArray) -> IntArray:
     """Numbers of the segments that may reach into a box."""
     least, most = np.minimum(segments.a, segments.b), np.maximum(segments.a, segments.b)
     return np.flatnonzero(((least <= high) & (most >= low)).all(axis=1)).astype(np.int64)
-
-
-def _rows(segments: Segments, which: IntArray) -> Segments:
-    return Segments(segments.a[which], segments.b[which])
 
 
 def _through_glass(

@@ -57,13 +57,6 @@ class Passes:
     def __len__(self) -> int:
         return len(self.time_ns)
 
-    def between(self, begin: int, end: int) -> Passes:
-        """The passes from `begin` to before `end`."""
-        rows = np.arange(begin, min(end, len(self)))
-        columns = ("time_ns", "start_ns", "end_ns", "centre", "entry", "exit")
-        taken = {name: getattr(self, name)[rows] for name in (*columns, "messages", "confidence")}
-        return Passes(**taken, branches=self.branches.take(rows), support=self.support.take(rows))
-
 
 def nearest_branch(
     branches: Ragged, direction: NDArray[np.float64], match_rad: float

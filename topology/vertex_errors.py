@@ -87,11 +87,6 @@ class VertexErrors:
         turn = self.turn_sigma() ** 2 * (1 - 2 * own)
         return np.asarray(np.sqrt(np.maximum(reading**2 + turn[owner], 0.25 * reading**2)))
 
-    def between(self, a: IntArray, b: IntArray) -> FloatArray:
-        """(k, 2, 2) covariance [m²] of the step from vertices a to vertices b."""
-        off = self.sample[b, :2] - self.sample[a, :2]
-        return np.asarray(np.einsum("kis,kjs->kij", off, off) / off.shape[2])
-
 
 def _without_rigid_motion(sample: FloatArray, xy: FloatArray) -> FloatArray:
     """(n, 3, s) errors less the shift and turn that fit them best; of one vertex, all of them."""

@@ -150,12 +150,6 @@ def test_without_closure_every_pass_is_a_vertex(run, topomap):
     assert np.bincount(open_map.observation_vertex).max() == 1
 
 
-def test_steps_are_announced_in_order(run):
-    heard: list[str] = []
-    build_map(run, MappingSettings(closure="gated"), on_step=heard.append)
-    assert heard == ["calibration", "passes", "noise", "loop closure", "map"]
-
-
 def test_a_run_without_passes_is_named():
     nothing = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
     none = Odometry(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
