@@ -7,6 +7,7 @@ odometries do not err alike, and what differs between copies differs in most of 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,6 +29,28 @@ LARGER_TOGETHER = Refusal(
 COPY_TOGETHER = Refusal(
     "the pairs that can be compared together differ as copies do: this may be a copy of the place"
 )
+
+
+class _ByRun:
+    """Alignments of pairs, found by the runs that they are of: of most joins few pairs lie across,
+    and a large batch has too many to look through for each."""
+
+    def __init__(self, alignments: Mapping[Pair, Alignment]) -> None:
+        self.alignments = alignments
+        self._pairs: dict[int, list[Pair]] = defaultdict(list)
+        for pair in alignments:
+            for run in pair:
+                self._pairs[run].append(pair)
+
+    def between(self, components: Components, pair: Pair) -> list[Pair]:
+        """The pairs between the two components of a pair, sorted. O(pairs of the smaller one)."""
+        few, many = sorted((components.head[k] for k in pair), key=components.size)
+        return sorted(
+            (x, y)
+            for run in components.members[few]
+            for x, y in self._pairs.get(run, ())
+            if components.head[y if run == x else x] == many
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,33 +79,43 @@ class Across:
         """
         if pair in self.locked:
             return None
-        if across := dict(self._across(components, pair, self.other)):
-            across |= self._across(components, pair, self.joins)
+        if across := dict(self._across(components, pair, self._other_size)):
+            across |= self._across(components, pair, self._joined)
             if self._sigmas(components, pair, across) > self.most_sigmas:
                 return LARGER_TOGETHER
         if any(self._across(components, pair, self._copies)):
-            known = {other: found for other, (found, _) in self.against_copies.items()}
-            agreeing = self._across(components, pair, known)
+            agreeing = self._across(components, pair, self._asked)
             if sum(self.against_copies[other][1] for other, _ in agreeing) < 0:
                 return COPY_TOGETHER
         return None
 
     @cached_property
-    def _copies(self) -> dict[Pair, Alignment]:
+    def _other_size(self) -> _ByRun:
+        return _ByRun(self.other)
+
+    @cached_property
+    def _joined(self) -> _ByRun:
+        return _ByRun(self.joins)
+
+    @cached_property
+    def _asked(self) -> _ByRun:
+        return _ByRun({pair: found for pair, (found, _) in self.against_copies.items()})
+
+    @cached_property
+    def _copies(self) -> _ByRun:
         """Those of pairs that look more like copies than typical copies do."""
-        return {pair: found for pair, (found, bits) in self.against_copies.items() if bits < 0}
+        known = self.against_copies.items()
+        return _ByRun({pair: found for pair, (found, bits) in known if bits < 0})
 
     def _across(
-        self, components: Components, pair: Pair, known: Mapping[Pair, Alignment]
+        self, components: Components, pair: Pair, known: _ByRun
     ) -> Iterator[tuple[Pair, Alignment]]:
         """Alignments between the two components that place them as the pair does."""
         i, j = pair
-        one, two = (components.head[k] for k in pair)
-        for (x, y), found in known.items():
-            ends = components.head[x], components.head[y]
-            if ends not in ((one, two), (two, one)):
-                continue
-            u, v = (x, y) if ends == (one, two) else (y, x)
+        one = components.head[i]
+        for x, y in known.between(components, pair):
+            found = known.alignments[x, y]
+            u, v = (x, y) if components.head[x] == one else (y, x)
             T_u_j = compose(components.relative(u, i), self.joins[pair].transform)
             T_u_v = compose(T_u_j, components.relative(j, v))
             if agrees(found, T_u_v if u == x else inverse(T_u_v), self.places[y]):

@@ -34,6 +34,10 @@ class Components:
         """Do runs i and j share a component?"""
         return self.head[i] == self.head[j]
 
+    def size(self, head: int) -> int:
+        """How many runs a component has."""
+        return len(self.members[head])
+
     def relative(self, i: int, j: int) -> NDArray[np.float64]:
         """T_i_j of two runs of one component."""
         return compose(inverse(self.pose[i]), self.pose[j])
