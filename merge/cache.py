@@ -31,7 +31,8 @@ LEAST_LIVE = 0.5
 """More files than this, or a smaller share of records that are of use, and all are made one."""
 
 
-Record = tuple[Pack, int]
+Record = tuple[Pack, int, int, int]
+"""A pack, and of the payload in it where it begins, its bytes and their checksum."""
 
 
 @dataclass(slots=True, eq=False)
@@ -61,8 +62,11 @@ class ResultCache:
     def find(self, kind: Kind, key: Key) -> bytes | None:
         """The payload of a record, wanted from now on; None if there is no undamaged one."""
         self._wanted.update(key)
-        known = self._of(kind).get(key)
-        return None if known is None else next(_undamaged(known), None)
+        for pack, *where in self._of(kind).get(key, ()):
+            payload = pack.read(*where)
+            if payload is not None:
+                return payload
+        return None
 
     def every(self, kind: Kind) -> Iterator[bytes]:
         """The payloads of all undamaged records of a kind."""
@@ -130,11 +134,11 @@ class ResultCache:
 
     def _enter(self, pack: Pack, kind: Kind) -> None:
         """Find the records of a kind by their keys from now on."""
-        chosen = np.flatnonzero(pack.rows["kind"] == kind)
-        ends = (pack.rows[name][chosen].tolist() for name in ("a", "b"))
-        for row, a, b in zip(chosen.tolist(), *ends, strict=True):
+        chosen = pack.rows[pack.rows["kind"] == kind]
+        columns = (chosen[name].tolist() for name in ("a", "b", "start", "size", "check"))
+        for a, b, *where in zip(*columns, strict=True):
             key = pack.digests[a], pack.digests[b]
-            self._rows[kind].setdefault(key, []).append((pack, row))
+            self._rows[kind].setdefault(key, []).append((pack, *where))
 
     def _files(self) -> Iterator[Path]:
         if self.folder.is_dir():
@@ -228,7 +232,7 @@ def _firsts(parts: Sequence[Rows]) -> tuple[Rows, NDArray[np.int64]]:
 
 def _undamaged(records: Iterable[Record]) -> Iterator[bytes]:
     """The payloads of records, as far as they are whole."""
-    for pack, row in records:
-        payload = pack.payload(row)
+    for pack, *where in records:
+        payload = pack.read(*where)
         if payload is not None:
             yield payload

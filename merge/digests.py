@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 
 import numpy as np
 
+from ..topology.ragged import Ragged
 from ..topology.topomap import TopoMap
 
 DIGEST = 16
@@ -22,26 +24,30 @@ def digested(*parts: bytes) -> bytes:
 
 def digest_of(topomap: TopoMap) -> bytes:
     """16 bytes that are the same for maps of the same content, whatever the run is called."""
-    out = hashlib.blake2b(digest_size=DIGEST)
-    for name in TopoMap.__dataclass_fields__:
-        if name not in NOT_CONTENT:
-            out.update(f"{name}:".encode())
-            _feed(out, getattr(topomap, name))
-    return out.digest()
+    parts: list[bytes] = []
+    for name, told in _CONTENT:
+        parts.append(told)
+        parts += _parts(getattr(topomap, name))
+    return digested(*parts)
 
 
-def _feed(out: hashlib.blake2b, value: object) -> None:
+_CONTENT = [
+    (name, f"{name}:".encode()) for name in TopoMap.__dataclass_fields__ if name not in NOT_CONTENT
+]
+
+
+def _parts(value: object) -> Iterator[bytes]:
     if isinstance(value, np.ndarray):
-        out.update(f"{value.dtype.str}{value.shape}".encode())
-        out.update(np.ascontiguousarray(value).tobytes())
+        yield f"{value.dtype.str}{value.shape}".encode()
+        yield value.tobytes()
     elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
-        out.update(str([len(part) for part in value]).encode())
-        out.update(np.concatenate(value).tobytes())
-    elif hasattr(value, "offsets"):
-        _feed(out, value.offsets)
-        _feed(out, np.asarray(value.values))  # type: ignore[attr-defined]
+        yield str([*map(len, value)]).encode()
+        yield np.concatenate(value).tobytes()
+    elif isinstance(value, Ragged):
+        yield from _parts(value.offsets)
+        yield from _parts(np.asarray(value.values))
     else:
-        out.update(repr(value).encode())
+        yield repr(value).encode()
 
 
 class Digests:

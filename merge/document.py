@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -139,20 +138,13 @@ def _parts(result: MergeResult) -> dict[str, Any]:
 def _places(result: MergeResult) -> dict[str, Iterator[Any]]:
     """The fused vertices and corridors, as text where that of all components is known."""
     fused = result.fused
-    nodes: list[bytes] = []
-    edges: list[bytes] = []
-    for component in result.components:
-        some, _, more = component.text.partition(BETWEEN)
-        nodes += some.splitlines()
-        edges += more.splitlines()
-    if len(nodes) != len(fused) or len(edges) != len(fused.source):
+    texts = [component.text.partition(BETWEEN) for component in result.components]
+    nodes, edges = ([text[k].splitlines() for text in texts] for k in (0, 2))
+    if sum(map(len, nodes)) != len(fused) or sum(map(len, edges)) != len(fused.source):
         return {"nodes": _nodes(fused), "edges": _edges(fused)}
     numbers = enumerate(fused.component.tolist())
     ends = zip(fused.source.tolist(), fused.target.tolist(), strict=True)
-    return {
-        "nodes": map(partial(_numbered, NODE), numbers, nodes),
-        "edges": map(partial(_numbered, EDGE), ends, edges),
-    }
+    return {"nodes": _numbered(NODE, numbers, nodes), "edges": _numbered(EDGE, ends, edges)}
 
 
 BETWEEN = b"\n\n"
@@ -173,8 +165,14 @@ def _without_numbers(entry: dict[str, Any]) -> bytes:
     return encoded(dict(islice(entry.items(), 2, None)))[1:]
 
 
-def _numbered(begin: bytes, numbers: tuple[int, int], rest: bytes) -> Json:
-    return Json(begin % numbers + rest)
+def _numbered(
+    begin: bytes, numbers: Iterator[tuple[int, int]], texts: Iterable[Sequence[bytes]]
+) -> Iterator[Json]:
+    """The entries of every component, in a row."""
+    for lines in texts:
+        if lines:
+            own = islice(numbers, len(lines))
+            yield Json(b",".join([begin % n + rest for n, rest in zip(own, lines, strict=True)]))
 
 
 def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
@@ -25,7 +25,6 @@ from .result import (
     Component,
     MergeResult,
     PairVerdict,
-    Spread,
     Unlisted,
     Verdict,
     pairs_of,
@@ -172,19 +171,19 @@ def _with_placements(
     only others place through which."""
     home = {run: c for c in components for run in c.poses}
     chains = joined_through(verdicts)
+    sigmas = _relative_sigmas(verdicts, chains, home)
     out = []
     for v in verdicts:
-        spread = home[v.a].spread if home[v.a] is home[v.b] else None
-        if v.accepted and spread is not None:
-            out.append(replace(v, transform_sigma=_relative_sigmas(spread, v)))
+        placed = sigmas.get((v.a, v.b))
+        if v.accepted:
+            out.append(v if placed is None else replace(v, transform_sigma=placed))
             continue
         if (v.a, v.b) not in chains or home[v.a] is not home[v.b]:
             out.append(v)
             continue
         through = chains[v.a, v.b]
-        told, placed = f"joined through {listed(through, 3)}", None
-        if spread is not None:
-            placed = _relative_sigmas(spread, v)
+        told = f"joined through {listed(through, 3)}"
+        if placed is not None:
             vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
             told = (
                 f"{told}, placed to {placed[0]:.1f} m and {np.degrees(placed[1]):.1f}° (1 sigma)"
@@ -195,12 +194,24 @@ def _with_placements(
     return tuple(out)
 
 
-def _relative_sigmas(spread: Spread, pair: PairVerdict) -> tuple[float, float]:
-    """1 sigma [m, rad] of how a pair lies to each other: the mean square of both ways to see it."""
-    (off_m, off_rad), (back_m, _) = (
-        spread.between(a, b) for a, b in ((pair.a, pair.b), (pair.b, pair.a))
-    )
-    return float(np.hypot(off_m, back_m) / np.sqrt(2)), off_rad
+def _relative_sigmas(
+    verdicts: Sequence[PairVerdict], chains: Collection[Names], home: Mapping[str, Component]
+) -> dict[Names, tuple[float, float]]:
+    """1 sigma [m, rad] of how the pairs of one component that are accepted, or joined by chains of
+    others, lie to each other: the mean square of both ways to see it."""
+    pairs: dict[int, list[Names]] = {}
+    for v in verdicts:
+        one, names = home[v.a], (v.a, v.b)
+        if one is home[v.b] and one.spread is not None and (v.accepted or names in chains):
+            pairs.setdefault(one.id, []).append(names)
+    out: dict[Names, tuple[float, float]] = {}
+    for own in pairs.values():
+        spread = home[own[0][0]].spread
+        assert spread is not None
+        off, back = (spread.between_all(p) for p in (own, [(b, a) for a, b in own]))
+        metres = np.hypot(off[:, 0], back[:, 0]) / np.sqrt(2)
+        out.update(zip(own, zip(metres.tolist(), off[:, 1].tolist(), strict=True), strict=True))
+    return out
 
 
 def _info(

@@ -128,6 +128,8 @@ class InFile:
 
     def __getitem__(self, part: slice, /) -> bytes:
         first, stop, _ = part.indices(self.size)
+        if stop <= first:
+            return b""
         try:
             self.file.seek(self.start + first)
             return self.file.read(stop - first)
@@ -149,9 +151,12 @@ class Pack:
 
     def payload(self, row: int) -> bytes | None:
         """The payload of a record; None where it is damaged."""
-        start, size = int(self.rows["start"][row]), int(self.rows["size"][row])
+        return self.read(*(int(self.rows[name][row]) for name in ("start", "size", "check")))
+
+    def read(self, start: int, size: int, check: int) -> bytes | None:
+        """The same by what its record says."""
         found = self.payloads[start : start + size]
-        return found if not size or checksum(found) == int(self.rows["check"][row]) else None
+        return found if not size or checksum(found) == check else None
 
     def to_bytes(self) -> bytes:
         """The pack as it is kept and sent."""

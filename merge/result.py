@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from ..topology.frozen import freeze
 from ..topology.ragged import Ragged
 from ..topology.topomap import ALL_SURE, TopoMap
 from ..topology.turning_points import NO_TURNING_POINTS
+
+T = TypeVar("T")
 
 
 class Verdict(StrEnum):
@@ -150,21 +152,34 @@ class Spread:
     def between(self, a: str, b: str) -> tuple[float, float]:
         """1 sigma [m] of where the middle of b's map lies, seen from a's, and [rad] of the turn.
         Raises KeyError of pairs that were not asked for."""
-        i, j = (bisect_left(self.runs, run) for run in (a, b))
-        x, y = self.middle[j] - self.middle[i]
-        # What is seen is A e_i + e_j, of the errors of the two.
-        A = np.array([[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]])
-        both = A @ self._cross(i, j)
-        variance = np.diag(A @ self.own[i] @ A.T + both + both.T + self.own[j])
-        return float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2]))
+        ((metres, radians),) = self.between_all([(a, b)]).tolist()
+        return metres, radians
 
-    def _cross(self, i: int, j: int) -> NDArray[np.float64]:
-        """(3, 3) covariance of run i with run j."""
-        key = min(i, j) * len(self.runs) + max(i, j)
-        row = int(np.searchsorted(self.key, key))
-        if row == len(self.key) or self.key[row] != key:
-            raise KeyError((self.runs[i], self.runs[j]))
-        return np.asarray(self.cross[row] if i < j else self.cross[row].T)
+    def between_all(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.float64]:
+        """(k, 2) the same of several pairs."""
+        ends = [[bisect_left(self.runs, run) for run in pair] for pair in pairs]
+        i, j = np.array(ends, np.int64).reshape(-1, 2).T
+        x, y = (self.middle[j] - self.middle[i]).T
+        # What is seen is A e_i + e_j, of the errors of the two.
+        A = np.zeros((len(i), 3, 3)) - np.eye(3)
+        A[:, 0, 2], A[:, 1, 2] = y, -x
+        cross = self._cross(i, j)
+        both = A @ cross
+        whole = A @ self.own[i] @ A.transpose(0, 2, 1) + both + both.transpose(0, 2, 1)
+        variance = np.diagonal(whole + self.own[j], axis1=1, axis2=2)
+        return np.sqrt(np.column_stack([variance[:, 0] + variance[:, 1], variance[:, 2]]))
+
+    def _cross(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(k, 3, 3) covariances of runs i with runs j."""
+        key = np.minimum(i, j) * len(self.runs) + np.maximum(i, j)
+        row = np.searchsorted(self.key, key)
+        known = row < len(self.key)
+        known[known] = self.key[row[known]] == key[known]
+        if not known.all():
+            k = int(np.argmin(known))
+            raise KeyError((self.runs[i[k]], self.runs[j[k]]))
+        cross = self.cross[row]
+        return np.where((i < j)[:, None, None], cross, cross.transpose(0, 2, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +192,41 @@ class Component:
     poses: Mapping[str, NDArray[np.float64]]
     spread: Spread | None = None
     text: bytes = b""
+
+
+class Late(Sequence[T]):
+    """Some entries, which are made when somebody first asks for one: of a component that was kept
+    nobody may ever ask."""
+
+    __slots__ = ("_count", "_made", "_make")
+
+    def __init__(self, count: int, make: Callable[[], Sequence[T]]) -> None:
+        self._count = count
+        self._make = make
+        self._made: Sequence[T] | None = None
+
+    def _whole(self) -> Sequence[T]:
+        if self._made is None:
+            self._made = self._make()
+        return self._made
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, k: int) -> T: ...
+    @overload
+    def __getitem__(self, k: slice) -> Sequence[T]: ...
+    def __getitem__(self, k: int | slice) -> T | Sequence[T]:
+        return self._whole()[k]
+
+    def __iter__(self) -> Iterator[T]:
+        return iter(self._whole())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,8 +243,8 @@ class FusedMap:
     xy: NDArray[np.float64]
     branches: Ragged
     kind: tuple[str, ...]
-    members: tuple[Mapping[str, tuple[int, ...]], ...]
-    observations: tuple[tuple[tuple[str, int], ...], ...]
+    members: Sequence[Mapping[str, tuple[int, ...]]]
+    observations: Sequence[tuple[tuple[str, int], ...]]
     source: NDArray[np.int64]
     target: NDArray[np.int64]
     source_branch: NDArray[np.int64]
@@ -203,7 +253,7 @@ class FusedMap:
     length_sigma: NDArray[np.float64]
     traversals: NDArray[np.int64]
     paths: tuple[NDArray[np.float64], ...]
-    edge_members: tuple[tuple[tuple[str, int], ...], ...]
+    edge_members: Sequence[tuple[tuple[str, int], ...]]
     position_sigma: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:

@@ -98,7 +98,7 @@ def write_json(path: Path, doc: Any) -> None:
     """Write a document atomically: after a crash the old file or the new one is there, whole.
 
     Lists in it that are iterators are made, and written, some entries at a time; of their entries
-    some may be `Json` already.
+    some may be `Json` already, or several in a row.
     """
 
     def fill(temporary: Path) -> None:

@@ -17,7 +17,7 @@ from ...topology.passes import NO_BRANCH
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..packs import arrays_from_bytes, arrays_to_bytes
-from ..result import FusedMap, Spread, by_run
+from ..result import FusedMap, Late, Spread, by_run
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -119,10 +119,11 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     )  # fmt: skip
     if not all(((low <= x) & (x < high)).all() for x, low, high in bounds):
         return None
-    behind, along = _rows(places, maps, vertices), _rows(corridors, maps, edges)
-    if behind is None or along is None or sum(map(len, behind)) != sum(vertices):
+    if not (_are_rows(places, vertices) and _are_rows(corridors, edges)) or (
+        len(places[1]) != sum(vertices)
+    ):
         return None
-    members = tuple(by_run(own) for own in behind)
+    members = Late(n, lambda: tuple(by_run(own) for own in _rows(places, maps)))
     runs = tuple(x.run for x in maps)
     fused = FusedMap(
         component=np.zeros(n, np.int64),
@@ -130,7 +131,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
         branches=Ragged(np.cumsum([0, *degree]), branches),
         kind=tuple(kinds[k] for k in kind.tolist()),
         members=members,
-        observations=observations_of(maps, members),
+        observations=Late(n, lambda: observations_of(maps, members)),
         source=source,
         target=target,
         source_branch=leave[0],
@@ -139,7 +140,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
         length_sigma=sigma,
         traversals=traversals,
         paths=_parts(points.reshape(-1, 2), steps),
-        edge_members=along,
+        edge_members=Late(m, lambda: _rows(corridors, maps)),
         position_sigma=off if len(off) else None,
     )
     spread = None
@@ -167,15 +168,19 @@ def _flat(rows: Iterable[Sequence[tuple[str, int]]], maps: Sequence[TopoMap]) ->
     return [np.array([len(row) for row in listed], np.int64), flat[:, 0], flat[:, 1]]
 
 
-def _rows(flat: Sequence[IntArray], maps: Sequence[TopoMap], most: Sequence[int]) -> Rows | None:
-    """The reverse; None where there is no such run, or it has not so many of what is numbered."""
+def _are_rows(flat: Sequence[IntArray], most: Sequence[int]) -> bool:
+    """Whether numbers can be the rows of some runs; most: how much each has of what is numbered."""
     size, run, number = flat
     if len(run) != len(number) or ((size < 0) | (size > len(run))).any() or size.sum() != len(run):
-        return None
-    if ((run < 0) | (run >= len(maps)) | (number < 0)).any() or (
-        number >= np.array(most)[run]
-    ).any():
-        return None
+        return False
+    if ((run < 0) | (run >= len(most)) | (number < 0)).any():
+        return False
+    return bool((number < np.array(most)[run]).all())
+
+
+def _rows(flat: Sequence[IntArray], maps: Sequence[TopoMap]) -> Rows:
+    """The reverse of `_flat`."""
+    size, run, number = flat
     names = [m.run for m in maps]
     pairs = [(names[r], k) for r, k in zip(run.tolist(), number.tolist(), strict=True)]
     stops = np.cumsum([0, *size.tolist()]).tolist()

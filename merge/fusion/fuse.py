@@ -21,7 +21,7 @@ from ..digests import DIGEST, digested
 from ..discards import Names
 from ..document import places_text
 from ..packs import Kept, Kind
-from ..result import Component, FusedMap, PairVerdict, by_run
+from ..result import Component, FusedMap, Late, PairVerdict, by_run
 from .component import FusedComponent, from_bytes, observations_of, to_bytes
 from .data_association import DEFAULT_COINCIDENCE, CoincidenceSettings, coincident
 from .edge_splitting import DEFAULT_PASSAGE, PassageSettings, split_at_places
@@ -276,14 +276,17 @@ def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
     def chained(name: str) -> tuple[Any, ...]:
         return tuple(chain.from_iterable(getattr(p, name) for p in parts))
 
+    def late(name: str) -> Late[Any]:
+        return Late(sum(len(getattr(p, name)) for p in parts), lambda: chained(name))
+
     ints, floats = np.zeros(0, np.int64), np.zeros(0)
     return FusedMap(
         component=np.repeat(np.arange(len(parts)), sizes),
         xy=joined("xy", np.zeros((0, 2))),
         branches=Ragged.joined([p.branches for p in parts]),
         kind=chained("kind"),
-        members=chained("members"),
-        observations=chained("observations"),
+        members=late("members"),
+        observations=late("observations"),
         source=joined("source", ints) + first,
         target=joined("target", ints) + first,
         source_branch=joined("source_branch", ints),
@@ -292,7 +295,7 @@ def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
         length_sigma=joined("length_sigma", floats),
         traversals=joined("traversals", ints),
         paths=chained("paths"),
-        edge_members=chained("edge_members"),
+        edge_members=late("edge_members"),
         position_sigma=_sigmas_in_a_row(parts),
     )
 

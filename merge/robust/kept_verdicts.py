@@ -59,6 +59,11 @@ def entry_text(data: bytes) -> Json:
     return Json(data[HEAD.size :])
 
 
+def held_text(verdict: PairVerdict) -> Json | None:
+    """The same of a verdict that was made of its bytes, if its alignment holds them."""
+    return entry_text(verdict.best.data) if isinstance(verdict.best, _Late) else None
+
+
 Ends = Annotated[list[Index], Field(min_length=1, max_length=2)]
 
 
@@ -147,20 +152,22 @@ class _Late(Alignment):
     """An alignment of a verdict that was kept, made of its bytes when somebody asks for anything of
     it: of most nobody does, and the bytes take less memory."""
 
-    __slots__ = ("_data", "_which")
+    __slots__ = ("_which", "data")
+
+    data: bytes
 
     @classmethod
     def of(cls, data: bytes, which: Literal["best", "runner_up"]) -> _Late:
         """data: of the verdict, found to be one."""
         out = object.__new__(cls)
-        object.__setattr__(out, "_data", data)
+        object.__setattr__(out, "data", data)
         object.__setattr__(out, "_which", which)
         return out
 
     def __getattr__(self, name: str) -> Any:
         """Called for what is not set yet."""
-        numbers = np.array(HEAD.unpack_from(self._data))
-        entry = _PLACED.validate_json(self._data[HEAD.size :])
+        numbers = np.array(HEAD.unpack_from(self.data))
+        entry = _PLACED.validate_json(self.data[HEAD.size :])
         best = self._which == "best"
         part, own = (entry, numbers[3:8]) if best else (entry["runner_up"], numbers[8:])
         made = _aligned(part, own)
@@ -173,9 +180,11 @@ def _fits(part: _Aligned, sizes: tuple[int, int]) -> bool:
     """Whether an alignment speaks of vertices that maps of such sizes have, and says of each
     contradiction where it lies, if of any."""
     n, m = sizes
-    where = part.get("contradicting", ())
+    matched, where = part["matched"], part.get("contradicting", ())
+    own, others = zip(*matched, strict=True) if matched else ((-1,), (-1,))
     return (
-        all(i < n and j < m for i, j in part["matched"])
+        max(own) < n
+        and max(others) < m
         and all(max(sides["a"]) < n and max(sides["b"]) < m for sides in where)
         and (not where or len(where) == len(part["contradictions"]))
     )
@@ -204,6 +213,10 @@ class KeptVerdicts:
     threshold: Callable[[Pair], Threshold]
     keys: dict[PairVerdict, Key]
     _thresholds: dict[tuple[float, bool], bytes] = field(default_factory=dict)
+    _names: list[bytes] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._names = [f"{m.run}\n".encode() for m in self.maps]
 
     def find(
         self, pairs: Iterable[Pair], which: Mapping[Pair, int] = NONE
@@ -235,8 +248,8 @@ class KeptVerdicts:
     def _of(self, pair: Pair, second: int | None) -> bytes:
         """Changes with the maps, with their names, which stand in the words, and with the
         candidate."""
-        names = "\n".join([*(self.maps[k].run for k in pair), str(second)]).encode()
-        return digested(*(self.digests[k] for k in pair), names)
+        (i, j), own, names = pair, self.digests, self._names
+        return digested(own[i], own[j], names[i], names[j], str(second).encode())
 
     def _threshold(self, threshold: Threshold, *, copies: bool) -> bytes:
         """Changes with what is asked; copies: of verdicts to which it matters how copies differ."""

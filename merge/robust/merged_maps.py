@@ -57,7 +57,7 @@ class MergedMap:
         return fuse(list(self.maps.values()), self._inside, kept=self._kept)[1]
 
     @cached_property
-    def members(self) -> tuple[Mapping[str, tuple[int, ...]], ...]:
+    def members(self) -> Sequence[Mapping[str, tuple[int, ...]]]:
         """The vertices of its runs behind each vertex."""
         if len(self.runs) > 1:
             return self._fused.members
@@ -73,7 +73,7 @@ class MergedMap:
     @cached_property
     def extent(self) -> Extent:
         """How large it is."""
-        return Extent.of(self.as_map)
+        return Extent.of(self._fused if len(self.runs) > 1 else self.as_map)
 
     @cached_property
     def prepared(self) -> Prepared:

@@ -19,7 +19,7 @@ from ..result import PairVerdict
 from ..workers import Workers
 from .alignment import Candidate
 from .index import Probes
-from .kept_verdicts import entry_text
+from .kept_verdicts import entry_text, held_text
 from .mirror import mirrored
 from .prepare import Extent, Prepared, prepare
 from .records import from_bytes
@@ -69,11 +69,13 @@ class Means:
         return None if self.store is None else Kept(self.store, self.digest)
 
     def kept_entry(self, verdict: PairVerdict) -> Json | None:
-        """The entry of a verdict in the merged document, where it is kept: read anew, for all of
-        them together are as large as the document."""
+        """The entry of a verdict in the merged document, where it is kept: that of a new one is
+        read anew, for all of them together are as large as the document."""
         key = self.verdict_keys.get(verdict)
         if key is None or self.store is None:
             return None
+        if (text := held_text(verdict)) is not None:
+            return text
         data = self.store.find(Kind.VERDICT, key)
         return None if data is None else entry_text(data)
 

@@ -15,6 +15,7 @@ from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
+from ..result import FusedMap
 from .halves import halves
 from .nearest_neighbours import NearestNeighbours
 from .settings import MATCH
@@ -41,7 +42,7 @@ class Extent(NamedTuple):
     corridors: int
 
     @classmethod
-    def of(cls, topomap: TopoMap) -> Extent:
+    def of(cls, topomap: TopoMap | FusedMap) -> Extent:
         """That of a map when it is prepared."""
         return cls(
             len(topomap), 2 * len(_corridors(topomap, topomap.xy[:, 0] + 1j * topomap.xy[:, 1]))
@@ -138,7 +139,7 @@ class Prepared:
         return Extent(len(self), len(self.tail))
 
 
-def _corridors(m: TopoMap, z: ComplexArray) -> IntArray:
+def _corridors(m: TopoMap | FusedMap, z: ComplexArray) -> IntArray:
     """Rows of the corridors that matching observations at: no loops, and none without a length."""
     long = np.abs(z[m.source] - z[m.target]) > LEAST_M
     return np.flatnonzero((m.source != m.target) & long)

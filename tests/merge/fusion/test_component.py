@@ -19,7 +19,7 @@ from topobatch.merge.fusion.fuse import (
     fused_once,
 )
 from topobatch.merge.packs import Kept, Kind
-from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.merge.result import Alignment, Late, PairVerdict, Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 
 
@@ -38,7 +38,7 @@ def flat(value):
         return [x for name in value.__dataclass_fields__ for x in flat(getattr(value, name))]
     if isinstance(value, dict):
         return [x for key, part in value.items() for x in (key, *flat(part))]
-    if isinstance(value, tuple):
+    if isinstance(value, (tuple, Late)):
         return [x for part in value for x in flat(part)]
     return [np.asarray(value)]
 
@@ -123,3 +123,14 @@ def test_a_component_is_known_by_all_that_it_follows_from(joined):
     assert component_digest(digests, (a, b), [verdict], "other") != plain
     fewer = replace(verdict.best, matched=verdict.best.matched[:-1])
     assert component_digest(digests, (a, b), [replace(verdict, best=fewer)]) != plain
+
+
+def test_what_is_behind_the_places_is_made_when_it_is_asked_for():
+    asked = []
+    late = Late(2, lambda: asked.append(1) or ("a", "b"))
+    assert len(late) == 2
+    assert not asked
+    assert late == ("a", "b")
+    assert late != ("a", "c")
+    assert (late[1], late[:1], list(late)) == ("b", ("a",), ["a", "b"])
+    assert len(asked) == 1

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.robust.across import COPY_TOGETHER, LARGER_TOGETHER, Across
+from topobatch.merge.robust.across import COPY_TOGETHER, LARGER_TOGETHER, Across, _ByRun
 from topobatch.merge.robust.alignment import match
 from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.prepare import prepare
@@ -76,3 +76,22 @@ def test_what_pairs_across_say_of_copies_adds_up(sizes):
         assert found is (COPY_TOGETHER if refused else None)
         locked = replace(own, against_copies=asked, locked=[(0, 2)])
         assert locked.refusal(components, (0, 2)) is None
+
+
+def test_pairs_across_two_components_are_found_by_their_runs(sizes):
+    """The same as all that are looked through, whatever they were known in the order of."""
+    own, _ = sizes
+    rng = np.random.default_rng(3)
+    pairs = [(i, j) for j in range(12) for i in range(j) if rng.random() < 0.5]
+    some = own.joins[0, 1]
+    components = Components(12, ())
+    for i, j in ((0, 5), (5, 7), (2, 3), (3, 11), (1, 4)):
+        components.join(i, j, some.transform)
+    head = components.head
+    for order in (pairs, pairs[::-1]):
+        known = _ByRun(dict.fromkeys(order, some))
+        for i, j in pairs:
+            if head[i] != head[j]:
+                ends = {head[i], head[j]}
+                across = [(x, y) for x, y in pairs if {head[x], head[y]} == ends]
+                assert known.between(components, (i, j)) == sorted(across)
