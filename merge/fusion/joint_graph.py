@@ -80,7 +80,7 @@ _LEAST_BEND = 0.03
 """Lower bound of the share of a map's stated variances that bending explains: they are estimated
 from 256 samples, and known no better."""
 
-SOLVER = SolverSettings(start="given", relative_tolerance=1e-5, max_iterations=25)
+SOLVER = SolverSettings(relative_tolerance=1e-5, max_iterations=25)
 """Cauchy kernels converge slowly in their last digits, which are far below a millimetre."""
 
 

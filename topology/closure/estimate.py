@@ -182,9 +182,7 @@ def _solved(
 ) -> tuple[PoseGraph, Solution, FloatArray]:
     """Believe every sighting at first: a new identification may pull places together from afar,
     where a robust kernel would let go of it. Then let go of those that do not fit."""
-    given = SolverSettings(
-        start="given", relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2
-    )
+    given = SolverSettings(relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2)
     solution = solve(graph, given)
     gate = LIKELIHOOD.gate_sigmas
     if np.all(solution.edge_chi2[sighting] < gate**2):

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ..se2 import FloatArray
 from .graph import PoseGraph
-from .initialisation import skeleton
 from .normal_equations import Factor, Point, build_pattern, linearise
+from .skeleton import skeleton
 
 _CHUNK = 128
 """Poses whose columns are solved for at once: 3 · 128 right sides of the size of the graph."""

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from ..se2 import FloatArray
 from .graph import PoseGraph, corrected_measurement, edge_errors, prior_errors
-from .initialisation import Skeleton, summed
+from .skeleton import Skeleton, summed
 
 _FIXED = -1
 """Number of a component of a pose that is no variable."""

@@ -17,9 +17,9 @@ from scipy import sparse
 
 from ..se2 import FloatArray, IntArray, turned_axes
 from .graph import PoseGraph, corrected_measurement, edge_errors
-from .initialisation import skeleton
 from .marginals import relative_jacobians
 from .normal_equations import Pattern, Point, build_pattern, linearise
+from .skeleton import skeleton
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,6 @@ step would raise the cost.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -25,9 +24,9 @@ from .graph import (
     prior_errors,
     squared,
 )
-from .initialisation import chordal_start, skeleton
 from .marginals import Marginals
 from .normal_equations import Factor, NormalEquations, build_pattern, linearise
+from .skeleton import skeleton
 
 __all__ = [
     "Marginals",
@@ -44,8 +43,6 @@ __all__ = [
 class SolverSettings:
     """How `solve` iterates."""
 
-    start: Literal["chordal", "given"] = "chordal"
-    """Begin from the chordal start, or from the graph's own poses (a warm start)."""
     max_iterations: int = 50
     relative_tolerance: float = 1e-7
     """Converged when the cost lies above its minimum by less than this share …"""
@@ -91,15 +88,14 @@ class Solution:
 
 
 def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solution:
-    """The poses that the measurements make most likely, in the frame of what is known.
+    """The poses that the measurements make most likely, begun from those of the graph and in the
+    frame of what is known.
 
     Disconnected parts are solved side by side, each about its first pose. Complexity: a few sparse
     factorisations of size 3n; 1,700 poses and 2,500 edges take some 30 ms. Never raises on a hard
     graph: `converged` and `chi2` tell.
     """
-    problem = _Problem(graph)
-    pose, shared = problem.start(settings)
-    return problem.minimise(pose, shared, settings)
+    return _Problem(graph).minimise(settings)
 
 
 def _excess(promised: float, before: float) -> float:
@@ -155,20 +151,13 @@ class _Problem:
         self.frame = skeleton(graph)
         self.pattern = build_pattern(graph, self.frame)
 
-    def start(self, settings: SolverSettings) -> tuple[FloatArray, FloatArray]:
-        """Poses and shared errors to begin with."""
-        shared = np.zeros(len(self.graph.shared))
-        if settings.start == "given" or len(self.graph) == 0:
-            return np.array(self.graph.pose), shared
-        return chordal_start(self.graph, self.frame, shared), shared
-
-    def minimise(self, pose: FloatArray, shared: FloatArray, settings: SolverSettings) -> Solution:
+    def minimise(self, settings: SolverSettings) -> Solution:
         """Gauss–Newton with a watchdog (Chamberlain, Powell, Lemaréchal, Pedersen 1982).
 
         A full step may raise the cost, as long as a few more full steps end below the best point
         so far: the way into a narrow curved valley. Else back to the best point and damp.
         """
-        best = here = self._evaluate(pose, shared)
+        best = here = self._evaluate(np.array(self.graph.pose), np.zeros(len(self.graph.shared)))
         damping = _Damping(settings.first_damping)
         leaps, iterations, chords, before = 0, 0, 0, 0.0
         factor: Factor | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +17,11 @@ from topobatch.topology.posegraph.solve import (
     Priors,
     SharedErrors,
     Solution,
-    SolverSettings,
     solve,
 )
 from topobatch.topology.se2 import between, compose
+
+from . import chordal
 
 
 def piece(rng: np.random.Generator, poses: int, loops: int, marks: int, noise: float) -> PoseGraph:
@@ -117,10 +119,10 @@ class Problem:
         return np.array(gradient), np.array(curvature)
 
 
-@given(graphs(), st.sampled_from(["chordal", "given"]))
+@given(graphs(), st.sampled_from([solve, chordal.solve]))
 @settings(max_examples=40, derandomize=True)
-def test_what_is_called_converged_is_a_minimum(graph: PoseGraph, start: str) -> None:
-    solution = solve(graph, SolverSettings(start=start))
+def test_what_is_called_converged_is_a_minimum(graph: PoseGraph, solved: Any) -> None:
+    solution = solved(graph)
     problem = Problem(graph, solution)
     cost = problem.cost(problem.found)
     assert solution.cost == pytest.approx(cost, rel=1e-6, abs=1e-9)

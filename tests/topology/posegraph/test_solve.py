@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,19 +13,19 @@ from scipy.optimize import least_squares
 from scipy.sparse import csc_array
 
 from topobatch.topology.posegraph.graph import edge_errors, prior_errors
-from topobatch.topology.posegraph.initialisation import chordal_start, skeleton
 from topobatch.topology.posegraph.normal_equations import build_pattern, linearise
+from topobatch.topology.posegraph.skeleton import skeleton
 from topobatch.topology.posegraph.solve import (
     Marginals,
     PoseGraph,
     Priors,
     SharedErrors,
     Solution,
-    SolverSettings,
-    solve,
 )
+from topobatch.topology.posegraph.solve import solve as from_given
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, wrap
 
+from .chordal import solve
 from .public_graphs import read_g2o
 
 SHARED = Path(os.environ.get("TOPOBATCH_SHARED", Path(__file__).parents[3].parent / "shared"))
@@ -293,8 +294,8 @@ def test_point_landmarks_fix_the_poses_that_see_them() -> None:
     np.testing.assert_array_equal(solution.pose[n:, 2], 0)
 
 
-@pytest.mark.parametrize("start", ["chordal", "given"])
-def test_a_shared_heading_bias_is_found(start: str) -> None:
+@pytest.mark.parametrize("solved", [from_given, solve])
+def test_a_shared_heading_bias_is_found(solved: Callable[[PoseGraph], Solution]) -> None:
     graph, _ = loop_graph(9, n=30, loops=30, noise=0.2)
     odometry = np.arange(len(graph.source)) < len(graph) - 1
     way = np.where(odometry, np.hypot(graph.measurement[:, 0], graph.measurement[:, 1]), 0.0)
@@ -304,7 +305,7 @@ def test_a_shared_heading_bias_is_found(start: str) -> None:
         measurement=graph.measurement - sensitivity[:, :, 0] * 0.05,
         shared=SharedErrors(sensitivity, np.array([0.1])),
     )
-    solution = solve(spoiled, SolverSettings(start=start))
+    solution = solved(spoiled)
     assert solution.converged
     sigma = np.sqrt(Marginals.of(spoiled, solution).shared()[0, 0])
     assert abs(solution.shared[0] - 0.05) < 4 * sigma
@@ -394,13 +395,6 @@ def test_columns_in_many_chunks_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = marginals.relative(a, b)
     monkeypatch.setattr("topobatch.topology.posegraph.marginals._CHUNK", 4)
     np.testing.assert_allclose(marginals.relative(a, b), whole, rtol=1e-9, atol=1e-12)
-
-
-def test_chordal_start_is_near_the_minimum() -> None:
-    graph, _ = loop_graph(13, n=200, loops=100)
-    frame = skeleton(graph)
-    start = chordal_start(graph, frame, np.zeros(0))
-    assert np.abs(wrap(start - solve(graph).pose)[:, 2]).max() < 0.3
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])

@@ -1,0 +1,111 @@
+"""What of a pose graph stays while it is solved: the order in which poses are eliminated, and which
+of them do not move, so that its frame is not free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from ..se2 import FloatArray
+from .graph import PoseGraph
+
+_THIN = 1e-9
+"""Information with a smaller determinant than this, as that of a correlation, may be singular."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skeleton:
+    """What of a pose graph does not change while it is solved.
+
+    order: (n,) poses in an order of elimination that keeps the factors sparse (minimum degree);
+    fixed: (n, 3) components of poses that do not move: of one pose per connected piece where its
+    frame would be free; rigid: whether that surely leaves no freedom anywhere.
+    """
+
+    order: NDArray[np.int64]
+    fixed: NDArray[np.bool_]
+    rigid: bool
+
+
+def skeleton(graph: PoseGraph) -> Skeleton:
+    """Elimination order and gauge of a graph. O(edges) and one n × n factorisation."""
+    n = len(graph)
+    order = np.arange(n, dtype=np.int64)
+    if n > 1:
+        # The fill of the 3n × 3n system follows that of the n × n graph: order the small one.
+        i, j, links = graph.source, graph.target, -np.ones(len(graph.source))
+        beside = 1.0 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
+        ends = np.concatenate([i, j, order]), np.concatenate([j, i, order])
+        laplacian = sparse.csc_array((np.concatenate([links, links, beside]), ends), shape=(n, n))
+        factors = splu(
+            laplacian,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        order = np.argsort(factors.perm_c).astype(np.int64)
+    piece = _groups(graph, graph.information[:, 0, 0] + graph.information[:, 1, 1] > 0)
+    fixed = _gauge(graph, piece)
+    return Skeleton(order, fixed, _is_rigid(graph, piece, fixed))
+
+
+def summed(where: NDArray[np.int64], values: NDArray[Any], size: int) -> FloatArray:
+    """(size,) sums of `values` by their index `where`."""
+    return np.bincount(where, values, size).astype(np.float64, copy=False)
+
+
+def _groups(graph: PoseGraph, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) connected component of every pose by the edges that are `joined` (m,)."""
+    n, ends = len(graph), (graph.source[joined], graph.target[joined])
+    links = sparse.csr_array((np.ones(len(ends[0])), ends), shape=(n, n))
+    return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def _gauge(graph: PoseGraph, piece: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(n, 3) components of single poses that make up for a frame that is free.
+
+    piece: (n,) numbers of the pieces that positions tie together. One may be shifted unless a
+    position in it is known, and turned about the only one that is. A heading that nothing measures
+    fixes nothing and is fixed itself. What else may be free (a pose that sees one landmark only)
+    depends on where the poses are: the factors find out (`NormalEquations.factorise`).
+    """
+    n, prior, weight = len(graph), graph.priors, graph.information
+    known = np.zeros((n, 3), bool)
+    np.logical_or.at(known, prior.node, np.einsum("kii->ki", prior.information) > 0)
+    shifts, turns = weight[:, 0, 0] + weight[:, 1, 1] > 0, weight[:, 2, 2] > 0
+    measured = np.zeros(n, bool)
+    measured[graph.source[shifts | turns]] = measured[graph.target[turns]] = True
+    body = _groups(graph, shifts | turns) if np.any(turns & ~shifts) else piece
+    fixed = np.zeros((n, 3), bool)
+    fixed[:, 2] |= ~(measured | known[:, 2])
+    for axis in range(2):
+        fixed[_first_without(piece, known[:, axis]), axis] = True
+    # A body of several pieces turns if each of them does, about a point of its own.
+    anchors = summed(piece, known[:, 0] | known[:, 1], n)[piece] > 1
+    stays = anchors | (known[:, 2] & measured)
+    fixed[_first_without(body, stays, measured), 2] = True
+    return fixed
+
+
+def _is_rigid(graph: PoseGraph, piece: NDArray[np.int64], fixed: NDArray[np.bool_]) -> bool:
+    """Whether edges that tell a whole pose join every pose to a fixed x, y and heading."""
+    xx, xy, xt, _, yy, yt, _, _, tt = graph.information.reshape(-1, 9).T
+    volume = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
+    whole = (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy)
+    body = piece if whole.all() else _groups(graph, whole)
+    return not any(len(_first_without(body, fixed[:, k])) for k in range(3))
+
+
+def _first_without(
+    group: NDArray[np.int64], has: NDArray[np.bool_], among: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """First member (`among` some) of every group in which nobody `has` it."""
+    lacks = summed(group, has, len(group))[group] == 0
+    rows = np.flatnonzero(lacks if among is None else lacks & among)
+    return rows[np.unique(group[rows], return_index=True)[1]]
