@@ -171,3 +171,24 @@ def test_alignments_made_late_are_alignments(pair):
     assert changed.matched.tolist() == unclear.best.matched.tolist()
     with pytest.raises(AttributeError, match="nothing_of_the_kind"):
         _ = late.nothing_of_the_kind
+
+
+def test_matched_junctions_stand_where_the_entry_has_them(pair):
+    """In the right order, and a reason that reads like them is left alone."""
+    a, b = pair
+    unclear = replace(verdicts(a, b)[1], reason='as "matched":[] says')
+    data = to_bytes(unclear)
+    assert (
+        entry_text(data)
+        == json.dumps(
+            json.loads(entry_text(data)), separators=(",", ":"), ensure_ascii=False
+        ).encode()
+    )
+    assert json.loads(entry_text(data)) == json.loads(json.dumps(entry_of(unclear)))
+    start = len(data) - len(data[data.index(b'{"a"') :])
+    for forged in (
+        data[:start] + data[start:].replace(b'"matched":[]', b'"matched" :[]'),
+        data[:start] + data[start:].replace(b'"matched":[]', b'"matched":[[0,1]]'),
+        data[:start] + data[start:].replace(b'"matched":[],', b""),
+    ):
+        assert from_bytes(forged, a, b) is None
