@@ -8,7 +8,6 @@ a rotation counts at a single vertex too. In metres squared, like the errors it 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +28,8 @@ IntArray = NDArray[np.int64]
 class ClusterSettings:
     """Thresholds of clustering in transform space."""
 
-    threshold: Literal["error", "shortest_edge"] = "error"
-    """error: three times the largest mean squared error of a hypothesis (§5); shortest_edge: the
-    square of a fraction of the shortest corridor (§3.2)."""
     error_factor: float = 3.0
-    edge_fraction: float = 0.25
+    """The threshold is so many times the largest mean squared error of a hypothesis (§5)."""
     floor_m: float = 0.1
     """Transforms this close are always one: exact hypotheses have no error to set a threshold."""
     lever_m: float = 5.0
@@ -76,32 +72,23 @@ class Clusters:
 def cluster(
     h: Hypotheses,
     xy: tuple[FloatArray, FloatArray],
-    shortest_edge_m: float = np.inf,
     settings: ClusterSettings = DEFAULT_CLUSTERS,
 ) -> Clusters:
     """Cluster hypotheses by complete linkage: any two of a cluster are within the threshold.
 
-    xy: positions (n, 2) of a's vertices and of b's; shortest_edge_m: shortest corridor of either
-    map. O(H log H) in the hypotheses of a rectilinear world, O(H²) on general angles.
+    xy: positions (n, 2) of a's vertices and of b's. O(H log H) in the hypotheses of a rectilinear
+    world, O(H²) on general angles.
     """
     kept = np.arange(len(h))
     if not h.rectilinear and len(h) > settings.largest_dense:
         kept = np.flatnonzero(h.size > 1)[: settings.largest_dense]
-    threshold = _threshold(h, kept, shortest_edge_m, settings)
+    largest = float(h.error[kept].max(initial=0.0))
+    threshold = max(settings.floor_m**2, settings.error_factor * largest)
     of = np.full(len(h), -1, np.int64)
     of[kept] = _complete_linkage(h, kept, xy[1], threshold, settings)
     if settings.iterative:
         of = _readmitted(h, of, xy, threshold, settings)
     return _ranked(h, of, xy, threshold, settings)
-
-
-def _threshold(
-    h: Hypotheses, kept: IntArray, shortest_edge_m: float, settings: ClusterSettings
-) -> float:
-    floor = settings.floor_m**2
-    if settings.threshold == "shortest_edge":
-        return max(floor, (settings.edge_fraction * shortest_edge_m) ** 2)
-    return max(floor, settings.error_factor * float(h.error[kept].max(initial=0.0)))
 
 
 def _complete_linkage(

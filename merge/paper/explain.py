@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.digits import rounded
-from ...topology.matching.correspondence import candidate_nodes, node_rotations
+from ...topology.matching.correspondence import candidate_nodes, node_codes, node_rotations
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..document import pose_to_document
 from .clustering import Clusters
 from .hypotheses import Hypotheses
-from .method import DEFAULT_PAPER, PaperSettings, PreparedMap, match, prepare_map
+from .method import DEFAULT_PAPER, PaperSettings, match, prepare_map
 
 IntArray = NDArray[np.int64]
 
@@ -59,6 +59,10 @@ def explain(a: TopoMap, b: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> 
     nodes = candidate_nodes(pa.structure, pb.structure, settings.growth)
     h = found.hypotheses
     turn = node_rotations(pa.structure, pb.structure, nodes, h.rectilinear)
+    codes = [
+        node_codes(pa.structure, pb.structure, n, h.rectilinear).tolist() for n in (h.nodes, nodes)
+    ]
+    of = dict(zip(codes[0], h.of.tolist(), strict=True))
     return Explanation(
         a=a.run,
         b=b.run,
@@ -67,28 +71,12 @@ def explain(a: TopoMap, b: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> 
         candidate_a=nodes.vertex_a,
         candidate_b=nodes.vertex_b,
         turn_rad=turn,
-        hypothesis=_hypothesis_of(pa, pb, h, nodes),
+        hypothesis=np.array([of.get(code, -1) for code in codes[1]], np.int64),
         degree_a=a.degree,
         degree_b=b.degree,
         bits=found.bits,
         settings=settings,
     )
-
-
-def _hypothesis_of(a: PreparedMap, b: PreparedMap, h: Hypotheses, nodes: Any) -> IntArray:
-    """(K,) the hypothesis that holds each candidate, -1 for none."""
-    column = {"vertex_a": len(a.xy), "vertex_b": len(b.xy)}
-    size = int(max(nodes.correspondence.max(initial=0), h.nodes.correspondence.max(initial=0))) + 1
-
-    def key(n: Any) -> IntArray:
-        pair = n.vertex_a * column["vertex_b"] + n.vertex_b
-        return np.asarray(pair * size + n.correspondence)
-
-    held, wanted = key(h.nodes), key(nodes)
-    order = np.argsort(held)
-    place = np.searchsorted(held[order], wanted)
-    known = np.append(held[order], -1)[np.minimum(place, len(held))] == wanted
-    return np.where(known, np.append(h.of[order], -1)[np.minimum(place, len(held))], -1)
 
 
 def lines(e: Explanation, most: int = 20) -> list[str]:

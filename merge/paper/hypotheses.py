@@ -87,15 +87,14 @@ def hypothesise(
     xy: tuple[FloatArray, FloatArray],
     settings: GrowthSettings = DEFAULT_GROWTH,
     *,
-    single_vertex: bool = True,
     near: tuple[IntArray, IntArray] | None = None,
     alike: tuple[SelfSimilarity, SelfSimilarity] | None = None,
     weights: Weights = "equal",
 ) -> Hypotheses:
     """All valid hypotheses of two maps and their transforms.
 
-    xy: embedded vertices of a and of b (§3.1). single_vertex: with the pairs of vertices that no
-    corridor tests (§2.3: "cannot be grown further"). near: vertices of a and of b from which alone
+    With the pairs of vertices that no corridor tests (§2.3: "cannot be grown further"). xy:
+    embedded vertices of a and of b (§3.1). near: vertices of a and of b from which alone
     matches are grown (§4.2). alike: how each map resembles itself, if at hand. weights:
     of the vertices in registration.
     """
@@ -105,9 +104,7 @@ def hypothesise(
     share = 1.0 if near is None else len(near[0]) * len(near[1]) / (len(a) * len(b))
     matches = _surviving(grown, match_bits(grown, a, b, alike, share))
     candidates = singles.candidates
-    if single_vertex:
-        matches = _with_singles(matches, singles.nodes, single_bits(candidates))
-    matches = _ordered(matches)
+    matches = _ordered(_with_singles(matches, singles.nodes, single_bits(candidates)))
     of, nodes = matches.of, matches.nodes
     rectilinear = is_rectilinear(a, b, settings)
     rotation = node_rotations(a, b, nodes, rectilinear)

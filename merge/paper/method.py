@@ -44,8 +44,6 @@ class PaperSettings:
 
     growth: GrowthSettings = DEFAULT_GROWTH
     clusters: ClusterSettings = DEFAULT_CLUSTERS
-    single_vertex: bool = True
-    """Hypotheses of one vertex that no corridor tests (§2.3) take part."""
     false_merge_rate: float = 1e-3
     """Share of batches of maps that may hold any false merge. Clusters of which chance offers more
     are "generally not significant" (§3.2)."""
@@ -83,7 +81,6 @@ class PreparedMap:
     run: str
     structure: Structure
     xy: FloatArray
-    shortest_edge_m: float
     alike: SelfSimilarity
     near: Mapping[Meeting, IntArray] = field(default_factory=dict)
     """Vertices near the robot at each of its meetings."""
@@ -104,7 +101,6 @@ class Matching:
 
 def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> PreparedMap:
     """Prepare a map for any number of comparisons."""
-    shortest = float(topomap.length.min()) if len(topomap.length) else np.inf
     near = {}
     for m in settings.meetings:
         if topomap.run in (m.run_a, m.run_b):
@@ -112,7 +108,7 @@ def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> Pr
             near[m] = near_vertices(topomap, time_ns, m.range_m)
     structure = prepare(topomap)
     alike = self_similarity(structure, settings.growth)
-    return PreparedMap(topomap.run, structure, topomap.xy, shortest, alike, near)
+    return PreparedMap(topomap.run, structure, topomap.xy, alike, near)
 
 
 def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
@@ -123,13 +119,11 @@ def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPE
         b.structure,
         (a.xy, b.xy),
         settings.growth,
-        single_vertex=settings.single_vertex,
         near=None if meeting is None else (a.near[meeting], b.near[meeting]),
         alike=(a.alike, b.alike),
         weights=settings.clusters.weights,
     )
-    shortest = min(a.shortest_edge_m, b.shortest_edge_m)
-    return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), shortest, settings.clusters))
+    return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), settings.clusters))
 
 
 def decide(

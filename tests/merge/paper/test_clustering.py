@@ -75,10 +75,10 @@ def test_error_ranks_clusters_of_equal_size():
 def test_linkage_is_complete_no_chain_stretches_a_cluster():
     groups = [[(k, k)] for k in range(5)]
     chain = [[0.4 * k, 0, 0] for k in range(5)]
-    settings = ClusterSettings(threshold="shortest_edge", edge_fraction=1.0)
+    settings = ClusterSettings(floor_m=0.5)
     for rectilinear in (False, True):
         h = hypotheses(groups, chain, rectilinear=rectilinear)
-        c = cluster(h, (XY, XY), 0.5, settings)
+        c = cluster(h, (XY, XY), settings)
         assert c.threshold == pytest.approx(0.25)
         spans = [np.ptp(h.transform[c.of == k, 0]) for k in range(len(c))]
         assert max(spans) <= 0.5
