@@ -29,7 +29,7 @@ from ..topology.passes import NO_BRANCH
 from ..topology.polyline import way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
-from .component_map import component_map
+from .component_map import component_map, places_of
 from .document import poses_from_document
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
 from .merged_schema import MergedDocument
@@ -125,7 +125,7 @@ def changes(
 
     maps: of all its runs, as they were merged (`stale_runs`). O(corridors · runs).
     """
-    ids = [node.id for node in document.nodes if node.component == component]
+    ids = [node.id for node in places_of(document, component)]
     merged = component_map(document, component, "merged", maps)
     poses = poses_from_document(document)
     seen = _Seen(merged, dict(sorted(maps.items())), poses, settings)
@@ -150,8 +150,10 @@ class _Seen:
         settings: ChangeSettings,
     ) -> None:
         self.merged, self.maps = merged, maps
-        self.nodes: list[dict[str, list[int]]] = merged.info["members"]["nodes"]
-        self.edges: list[dict[str, list[int]]] = merged.info["members"]["edges"]
+        self.nodes: list[dict[str, list[int]]] = merged.info["members"]["nodes"][: len(merged)]
+        self.edges: list[dict[str, list[int]]] = merged.info["members"]["edges"][
+            : len(merged.source)
+        ]
         self.passes = {
             run: [np.sort(m.observation_time_ns[m.observation_vertex == v]) for v in range(len(m))]
             for run, m in maps.items()

@@ -12,6 +12,8 @@ from ..topology.document import edge_fields, vertex_fields
 from ..topology.map_pose_graph import map_pose_graph
 from ..topology.posegraph.graph import PoseGraph
 from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
+from ..topology.turning_points import KINDS
+from ..topology.turning_vertices import with_turning_points, without_turning_points
 from .document import poses_from_document
 from .fusion.joint_graph import settle
 from .fusion.vertex_partition import Pool
@@ -53,19 +55,20 @@ def component_map(
         corridors[end] = np.array([number[node] for node in corridors[end].tolist()], np.int64)
     times, sure, noise = None, ALL_SURE, RunNoise()
     if maps is not None and not stale_runs(document, component, maps):
+        whole = {run: with_turning_points(maps[run]) for run in sorted(runs)}
         times = member_times(
-            maps,
+            whole,
             [[(run, k) for run, ids in sorted(e.members.items()) for k in ids] for e in edges],
             fused_of=_fused_of(chosen),
             source=corridors["source"],
             target=corridors["target"],
             length=corridors["length"],
         )
-        sure = fused_confidence([node.members for node in chosen], maps)
+        sure = fused_confidence([node.members for node in chosen], whole)
         # Robots of one kind err alike: their scales do not average out.
         scales = [maps[run].measured.scale for run in sorted(runs)]
         noise = replace(noise, scale=float(np.sqrt(np.mean(np.square(scales)))))
-    return TopoMap(
+    fused = TopoMap(
         run=name,
         frame=name,
         **vertex_fields(chosen),
@@ -82,6 +85,13 @@ def component_map(
             }
         },
     )
+    return without_turning_points(fused)
+
+
+def places_of(document: MergedDocument, component: int) -> list[MergedNode]:
+    """The fused vertices of a component, which are no turning points of runs."""
+    own = (node for node in document.nodes if node.component == component)
+    return [node for node in own if node.kind not in KINDS]
 
 
 def stale_runs(
@@ -90,21 +100,25 @@ def stale_runs(
     """Runs of a component whose maps are not those that were merged, and why: "is not there", "has
     changed since" (a fused vertex or corridor is not in it, or its passes are others)."""
     runs = next((c.runs for c in document.graph.components if c.id == component), {})
-    nodes = [node for node in document.nodes if node.component == component]
+    nodes = places_of(document, component)
     own = {node.id for node in nodes}
     edges = [e for e in document.edges if e.source in own]
+    turned = [n for n in document.nodes if n.component == component and n.kind in KINDS]
     out = {}
     for run in sorted(runs):
         if run not in maps:
             out[run] = "is not there"
             continue
         topomap = maps[run]
+        late = len(topomap.turning_points)
+        vertices, corridors = len(topomap) + late, len(topomap.source) + late
         times = sorted(o.time_ns for node in nodes for o in node.observations if o.run == run)
         same = (
             times == sorted(topomap.observation_time_ns.tolist())
             and sorted(v for node in nodes for v in node.members.get(run, ()))
             == list(range(len(topomap)))
-            and all(k < len(topomap.source) for e in edges for k in e.members.get(run, ()))
+            and all(k < corridors for e in edges for k in e.members.get(run, ()))
+            and all(v < vertices for node in turned for v in node.members.get(run, ()))
         )
         if not same:
             out[run] = "has changed since"
@@ -132,7 +146,7 @@ def component_pose_graph(
     runs = next(c.runs for c in document.graph.components if c.id == component)
     pool = Pool.of([maps[run] for run in runs])
     where = zip(pool.run, pool.vertex.tolist(), strict=True)
-    fused = _fused_of([node for node in document.nodes if node.component == component])
+    fused = _fused_of(places_of(document, component))
     label = np.array([fused[pool.maps[r].run, v] for r, v in where], np.int64)
     joint = settle(pool, label, poses_from_document(document))
     if joint.graph is None:

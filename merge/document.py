@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -140,11 +140,22 @@ def _places(result: MergeResult) -> dict[str, Iterator[Any]]:
     fused = result.fused
     texts = [component.text.partition(BETWEEN) for component in result.components]
     nodes, edges = ([text[k].splitlines() for text in texts] for k in (0, 2))
-    if sum(map(len, nodes)) != len(fused) or sum(map(len, edges)) != len(fused.source):
+    n, m = len(fused) - fused.turned, len(fused.source) - fused.turned
+    if sum(map(len, nodes)) != n or sum(map(len, edges)) != m:
         return {"nodes": _nodes(fused), "edges": _edges(fused)}
     numbers = enumerate(fused.component.tolist())
     ends = zip(fused.source.tolist(), fused.target.tolist(), strict=True)
-    return {"nodes": _numbered(NODE, numbers, nodes), "edges": _numbered(EDGE, ends, edges)}
+    return {
+        "nodes": chain(_numbered(NODE, numbers, nodes), _late(_nodes, fused, n)),
+        "edges": chain(_numbered(EDGE, ends, edges), _late(_edges, fused, m)),
+    }
+
+
+def _late(
+    entries: Callable[[FusedMap], Iterator[dict[str, Any]]], fused: FusedMap, first: int
+) -> Iterator[dict[str, Any]]:
+    """The entries of turning points, of which no component knows; nothing where there are none."""
+    return islice(entries(fused), first, None) if fused.turned else iter(())
 
 
 BETWEEN = b"\n\n"

@@ -16,6 +16,7 @@ from ..topology.wording import listed
 from . import robust
 from .discards import REASON, Names
 from .fusion.fuse import DEFAULT_FUSION, FusionSettings, fuse
+from .fusion.turning_ends import with_turning_ends
 from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
 from .layers import layers_to_document
 from .locks import Lock
@@ -77,6 +78,7 @@ def merge_maps(
     components, fused = fuse(
         ordered, verdicts, settings.fusion, how_sure=True, asked=asked, kept=means.kept
     )
+    fused = with_turning_ends(fused, components, ordered)
     told = _with_placements(shown, components)
     return MergeResult(
         components,

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..topology.topomap import Closure, TopoMap
+from ..topology.turning_vertices import with_turning_points, without_turning_points
 from .member_times import member_times
 from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
 from .result import FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
@@ -39,8 +40,9 @@ def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> 
     asked = [c for v in result.verdicts for c in _closures(v, able)]
     whole = replace(topomap, closures=(*topomap.closures, *asked))
     # Components come in the order of their first parts, which are named by time.
-    times = _times(able, result.fused)
-    sure = fused_confidence(result.fused.members, able)
+    whole_parts = {name: with_turning_points(part) for name, part in able.items()}
+    times = _times(whole_parts, result.fused)
+    sure = fused_confidence(result.fused.members, whole_parts)
     found = [_cut_out(whole, result.fused, c.id, times, sure) for c in result.components]
     main = max(found or small, key=_passes)
     kept = [main, *(m for m in found if m is not main)]
@@ -152,7 +154,8 @@ def _cut_out(
     if times is not None:
         edges = np.flatnonzero(chosen[fused.source]).tolist()
         part["traversal_ns"] = tuple(times[e] for e in edges)
-    return replace(plain, position_sigma=told if known else None, **part, **passes)
+    cut = replace(plain, position_sigma=told if known else None, **part, **passes)
+    return without_turning_points(cut)
 
 
 def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:

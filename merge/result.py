@@ -16,7 +16,7 @@ from ..topology.digits import BITS
 from ..topology.frozen import freeze
 from ..topology.ragged import Ragged
 from ..topology.topomap import ALL_SURE, TopoMap
-from ..topology.turning_points import NO_TURNING_POINTS
+from ..topology.turning_points import KINDS, NO_TURNING_POINTS
 
 T = TypeVar("T")
 
@@ -237,6 +237,8 @@ class FusedMap:
     vertex the vertices of the runs' maps that it fuses; observations: for each vertex
     (run, time_ns) sorted; edge_members: for each edge the (run, edge index) pairs it fuses;
     position_sigma: (n,) as in TopoMap with each component for itself, NaN where not known.
+    Turning points of runs (`TopoMap.turning_points`) are the last vertices, and the ways to them
+    the last edges; their members are numbered as in documents, after all vertices of their run.
     """
 
     component: NDArray[np.int64]
@@ -259,6 +261,11 @@ class FusedMap:
     def __len__(self) -> int:
         """Number of vertices."""
         return len(self.xy)
+
+    @property
+    def turned(self) -> int:
+        """How many of its vertices, and of its edges, are of turning points."""
+        return sum(kind in KINDS for kind in self.kind)
 
 
 def pairs_of(runs: int) -> int:

@@ -21,6 +21,7 @@ from ..topology.frozen import freeze
 from ..topology.matching.structure import padded_branches
 from ..topology.se2 import fit_rigid, wrap
 from ..topology.topomap import TopoMap
+from .component_map import places_of
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
 from .merged_schema import MergedDocument
 
@@ -99,8 +100,8 @@ def junctions_of_runs(
     home = {run: c.id for c in document.graph.components for run in c.runs}
     pairs = [
         (node.members[source][0], node.members[target][0])
-        for node in document.nodes
-        if node.component == home[source] == home[target]
+        for node in places_of(document, home[source])
+        if home[source] == home[target]
         if node.members.get(source) and node.members.get(target)
     ]
     rows = np.array(pairs, np.int64).reshape(-1, 2)
@@ -111,7 +112,7 @@ def junctions_of_merged(
     document: MergedDocument, source: TopoMap, merged: TopoMap, component: int
 ) -> MatchedJunctions:
     """The junctions of a run in the fused map of its component (`component_map`)."""
-    nodes = [node for node in document.nodes if node.component == component]
+    nodes = places_of(document, component)
     pairs = [
         (vertex, k) for k, node in enumerate(nodes) for vertex in node.members.get(source.run, ())
     ]

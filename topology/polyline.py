@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -149,3 +151,21 @@ def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArr
     where = np.concatenate([way[kept], [s for s, _ in corners]])
     points = np.concatenate([path[kept], [c for _, c in corners]])
     return np.asarray(points[np.argsort(where, kind="stable")])
+
+
+def beside(path: FloatArray, others: Sequence[FloatArray], near_m: float) -> bool:
+    """Whether all of a path lies within `near_m` of others, together. O(k log k), of points that
+    lie a quarter of it apart."""
+    from scipy.spatial import cKDTree
+
+    if not others:
+        return False
+    dense = np.concatenate([_dense(other, near_m / 4) for other in others])
+    off = np.asarray(cKDTree(dense).query(_dense(path, near_m / 4))[0])
+    return bool(off.max() <= near_m)
+
+
+def _dense(path: FloatArray, step_m: float) -> FloatArray:
+    way = way_of(path)
+    at = np.linspace(0, way[-1], int(way[-1] / step_m) + 2)
+    return np.column_stack([np.interp(at, way, path[:, k]) for k in (0, 1)])

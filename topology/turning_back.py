@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .mapbuilding import MapBuildingSettings, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
-from .polyline import simplify, way_of
+from .polyline import beside, simplify, way_of
 from .topomap import TopoMap
 from .track import times_between, track_directions, way_along, way_at
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
@@ -67,7 +67,7 @@ def turning_points(
     for e in found:
         key = (e.vertex, e.branch, e.time_ns if e.branch == NO_BRANCH else 0)
         if e.branch == NO_BRANCH:
-            if _beside(e.path, ways, least_m):
+            if beside(e.path, ways, least_m):
                 continue
         elif (e.vertex, e.branch) in known:
             continue
@@ -210,24 +210,6 @@ def _standing(odometry: Odometry, way_m: float) -> tuple[int, int]:
     until = max(float(np.interp(way_m, way[last], seconds[last])), float(first))
     origin = int(odometry.time_ns[0])
     return origin + round(float(first) * 1e3) * 10**6, origin + round(until * 1e3) * 10**6
-
-
-def _beside(path: FloatArray, ways: list[FloatArray], near_m: float) -> bool:
-    """Whether a way leads nowhere but along others."""
-    from scipy.spatial import cKDTree
-
-    if not ways:
-        return False
-    # Points at least as dense as what counts as near, so that no wide gaps lie between them.
-    dense = np.concatenate([_dense(way, near_m / 4) for way in ways])
-    off = np.asarray(cKDTree(dense).query(_dense(path, near_m / 4))[0])
-    return bool(off.max() <= near_m)
-
-
-def _dense(path: FloatArray, step_m: float) -> FloatArray:
-    way = way_of(path)
-    at = np.linspace(0, way[-1], max(int(way[-1] / step_m) + 1, 2))
-    return np.column_stack([np.interp(at, way, path[:, k]) for k in (0, 1)])
 
 
 def _as_points(

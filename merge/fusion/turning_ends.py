@@ -1,0 +1,166 @@
+"""Turning points of the runs of a component, at the junctions of its fused map.
+
+Where a robot turns round is its own choice: a turning point makes no two places one, and is known
+from its junction alone. Of runs that drove by the same branch the deepest tells where the way ends;
+where a corridor leaves by that branch, another run drove on, and there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...topology.mapbuilding import MapBuildingSettings
+from ...topology.passes import NO_BRANCH
+from ...topology.polyline import beside
+from ...topology.ragged import Ragged
+from ...topology.se2 import apply, wrap
+from ...topology.topomap import TopoMap
+from ...topology.turning_points import TurningPoints
+from ..result import Component, FusedMap, by_run
+
+FloatArray = NDArray[np.float64]
+
+
+class _End(NamedTuple):
+    """Turning point `row` of a map, drawn from fused vertex `at` in its component's frame."""
+
+    topomap: TopoMap
+    row: int
+    at: int
+    branch: int
+    path: FloatArray
+    theta: float
+
+    @property
+    def points(self) -> TurningPoints:
+        return self.topomap.turning_points
+
+    @property
+    def length(self) -> float:
+        return float(self.points.length[self.row])
+
+    @property
+    def drives(self) -> int:
+        return int(self.points.traversals[self.row])
+
+    @property
+    def seen(self) -> list[tuple[str, int]]:
+        """When its run was there."""
+        return [(self.topomap.run, ns) for ns in self.points.time_ns[self.row][:, 0].tolist()]
+
+    @property
+    def vertex(self) -> tuple[str, int]:
+        """Its run, and its number there among all vertices (`with_turning_points`)."""
+        return self.topomap.run, len(self.topomap) + self.row
+
+    @property
+    def edge(self) -> tuple[str, int]:
+        """The same of the way to it."""
+        return self.topomap.run, len(self.topomap.source) + self.row
+
+
+def with_turning_ends(
+    fused: FusedMap,
+    components: Sequence[Component],
+    maps: Sequence[TopoMap],
+    settings: MapBuildingSettings = MapBuildingSettings(),  # noqa: B008
+) -> FusedMap:
+    """The fused map with the turning points of its runs as its last vertices, and the ways to them
+    as its last edges. maps: of all runs, sorted by name. O(n log n).
+
+    Turning points by no branch are left out where they stay beside known ways, as in the maps of
+    single runs.
+    """
+    if not any(len(m.turning_points) for m in maps):
+        return fused
+    known = {
+        (v, b)
+        for end, branch in (
+            (fused.source, fused.source_branch),
+            (fused.target, fused.target_branch),
+        )
+        for v, b in zip(end.tolist(), branch.tolist(), strict=True)
+    }
+    found = sorted(_ends(fused, components, maps, settings), key=lambda e: -e.length)
+    kept: dict[tuple[int, int, int], list[_End]] = {}
+    ways: dict[int, list[FloatArray]] = {}
+    for edge, path in enumerate(fused.paths):
+        ways.setdefault(int(fused.component[fused.source[edge]]), []).append(path)
+    for number, e in enumerate(found):
+        here = ways.setdefault(int(fused.component[e.at]), [])
+        if e.branch == NO_BRANCH:
+            if beside(e.path, here, settings.sound_m):
+                continue
+        elif (e.at, e.branch) in known:
+            continue
+        key = (e.at, e.branch, number if e.branch == NO_BRANCH else 0)
+        deepest = kept.setdefault(key, [e])[0]
+        if deepest is e:
+            here.append(e.path)
+        elif deepest.length - e.length <= settings.sound_m:
+            kept[key].append(e)
+    return _appended(fused, [kept[key] for key in sorted(kept)])
+
+
+def _ends(
+    fused: FusedMap,
+    components: Sequence[Component],
+    maps: Sequence[TopoMap],
+    settings: MapBuildingSettings,
+) -> Iterator[_End]:
+    poses = {run: pose for c in components for run, pose in c.poses.items()}
+    home = {(run, v): k for k, of in enumerate(fused.members) for run in of for v in of[run]}
+    for m in maps:
+        T, t = poses[m.run], m.turning_points
+        for row in range(len(t)):
+            vertex, branch = int(t.vertex[row]), int(t.branch[row])
+            at = home[m.run, vertex]
+            path = apply(T, t.paths[row])
+            path = path + (fused.xy[at] - path[0])
+            its = NO_BRANCH
+            if branch != NO_BRANCH:
+                off = np.abs(wrap(fused.branches[at] - (m.branches[vertex][branch] + T[2])))
+                its = int(off.argmin()) if off.min() <= settings.match_rad else NO_BRANCH
+            yield _End(m, row, at, its, path, float(T[2]))
+
+
+def _appended(fused: FusedMap, kept: Sequence[Sequence[_End]]) -> FusedMap:
+    """kept: of every end those that lead there, the deepest first."""
+    if not kept:
+        return fused
+    n, k = len(fused), len(kept)
+    deepest = [group[0] for group in kept]
+    at = np.array([e.at for e in deepest])
+    length_sigma = np.array([e.points.length_sigma[e.row] for e in deepest])
+    heading = np.array([wrap(e.points.heading[e.row] + e.theta) for e in deepest])
+    own = fused.position_sigma
+    return replace(
+        fused,
+        component=np.concatenate([fused.component, fused.component[at]]),
+        xy=np.concatenate([fused.xy, [e.path[-1] for e in deepest]]),
+        branches=Ragged.joined([fused.branches, Ragged(np.arange(k + 1), heading)]),
+        kind=(*fused.kind, *(e.points.kind[e.row] for e in deepest)),
+        members=(*fused.members, *(by_run(sorted(e.vertex for e in group)) for group in kept)),
+        observations=(
+            *fused.observations,
+            *(tuple(sorted(o for e in group for o in e.seen)) for group in kept),
+        ),
+        source=np.concatenate([fused.source, at]),
+        target=np.concatenate([fused.target, np.arange(n, n + k)]),
+        source_branch=np.concatenate([fused.source_branch, [e.branch for e in deepest]]),
+        target_branch=np.concatenate([fused.target_branch, np.zeros(k, np.int64)]),
+        length=np.concatenate([fused.length, [e.length for e in deepest]]),
+        length_sigma=np.concatenate([fused.length_sigma, length_sigma]),
+        traversals=np.concatenate([fused.traversals, [sum(e.drives for e in g) for g in kept]]),
+        paths=(*fused.paths, *(e.path for e in deepest)),
+        edge_members=(
+            *fused.edge_members,
+            *(tuple(sorted(e.edge for e in group)) for group in kept),
+        ),
+        position_sigma=None if own is None else np.append(own, np.hypot(own[at], length_sigma)),
+    )
