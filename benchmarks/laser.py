@@ -22,8 +22,9 @@ Folders hold `logs/*.mcap` with odometry and a laser, `truth.json` with correcte
               0.9 m; "sure": of junctions on which 6 of 7 variants agree
   closure     pairs of passes by one place (0.6 m) that were identified, pairs that were though more
               than 2 m apart; rmse of all passes after the best rigid fit of the map
-  covered     share of the way that corridors of the map stand for; by the way driven, that along
-              corridors, and that out of a junction and back to it (rooms without one of their own)
+  covered     share of the way that corridors of the map stand for, by their lengths; by the way
+              driven, that along corridors (also to turning points and back), and that out of a
+              junction and back to it which none stands for
   speed       seconds of log per second of one core, for the chain and the map; peak memory
 
 --alone leaves the odometry out. --kiss runs KISS-ICP (no dependency of ours) on the same scans, one
@@ -58,6 +59,7 @@ from topobatch.topology.run import Detections, Run, Scanned
 from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.track import way_at
+from topobatch.topology.turning_vertices import with_turning_points
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -428,9 +430,9 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> Log:
     print(f"  repeat   {repeatability(log, result)}")
     print(f"  closure  {closure(log, result, topomap)}")
     way = way_at(result.odometry, result.odometry.time_ns[-1:])[0]
-    driven = topomap.info["driven"]
+    driven, whole = topomap.info["driven"], with_turning_points(topomap)
     print(
-        f"  covered  {topomap.length @ topomap.traversals / way:.2f} of {way:.0f} m; along "
+        f"  covered  {whole.length @ whole.traversals / way:.2f} of {way:.0f} m; along "
         f"corridors {driven['corridors']:.2f}, out and back {driven['out_and_back']:.2f}"
     )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

@@ -267,6 +267,11 @@ class FusedMap:
         """How many of its vertices, and of its edges, are of turning points."""
         return sum(kind in KINDS for kind in self.kind)
 
+    @property
+    def junctions(self) -> int:
+        """How many of its vertices are not."""
+        return len(self) - self.turned
+
 
 def pairs_of(runs: int) -> int:
     """How many pairs of runs there are."""

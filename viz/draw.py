@@ -121,7 +121,7 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     return keys
 
 
-_TURNED = {TURNING_POINT: "robot turned round", TRACK_END: "log begins or ends"}
+TURNED = {TURNING_POINT: "robot turned round", TRACK_END: "log begins or ends"}
 
 
 def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
@@ -129,9 +129,9 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     points, colour = m.turning_points, canvas.theme["degree 1"]
     xy = apply(T, points.xy)
     for k, kind in enumerate(points.kind):
-        told = f"{_TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
+        told = f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
         canvas.dots(xy[k : k + 1], colour, 4.0, told=told)
-    return [Key("dot", colour, label) for kind, label in _TURNED.items() if kind in points.kind]
+    return [Key("dot", colour, label) for kind, label in TURNED.items() if kind in points.kind]
 
 
 def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatArray:
@@ -163,7 +163,7 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
     told = (
-        f"{counted(len(result.fused), 'junction')}, "
+        f"{counted(result.fused.junctions, 'junction')}, "
         f"{float(result.fused.length.sum()):,.0f} m of corridors; {counted(pairs, 'pair')} of "
         f"{sum(result.standings().values()):,} merged"
     )
@@ -184,13 +184,16 @@ def _merged_keys(
 ) -> list[list[Key]]:
     """Marks first, then the runs of every component that has several."""
     several = [part for part in parts if len(part.component.poses) > 1]
-    shared = any(len(members) > 1 for members in result.fused.members)
-    single = any(len(members) == 1 for members in result.fused.members)
+    fused = result.fused
+    places = fused.members[: fused.junctions]
+    shared, single = any(len(m) > 1 for m in places), any(len(m) == 1 for m in places)
     marks: list[Key] = []
     if shared:
         marks.append(Key("big dot", theme["shared"], "junction seen by several runs"))
     if single:
         marks.append(Key("dot", theme["single"], "junction seen by one run"))
+    found = {kind: label for kind, label in TURNED.items() if kind in fused.kind}
+    marks += [Key("dot", theme["degree 1"], label) for label in found.values()]
     if len(several) < len(parts):
         marks.append(Key("line", theme["single"], "run that is merged with none"))
     runs: list[Key] = []
@@ -235,8 +238,11 @@ def _fused(
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
         canvas.lines(paths, colour, pen_pt * share, told=run)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
+    turned = np.array([fused.kind[i] in TURNED for i in part.vertices.tolist()], bool)
     xy = apply(T, fused.xy[part.vertices]) if len(part.vertices) else np.zeros((0, 2))
-    canvas.dots(xy[~shared], canvas.theme["single"], 1.4 * pen_pt)
+    canvas.dots(xy[turned], canvas.theme["degree 1"], 1.0 * pen_pt)
+    shared, single = shared & ~turned, ~shared & ~turned
+    canvas.dots(xy[single], canvas.theme["single"], 1.4 * pen_pt)
     canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=Order.TIE)
 
 

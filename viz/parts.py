@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult
+from ..topology.turning_points import KINDS
 from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
 
@@ -33,13 +34,15 @@ the only one, which has none."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """One component and its place on the sheet; vertices, edges: its rows of the fused map."""
+    """One component and its place on the sheet; vertices, edges: its rows of the fused map;
+    junctions: how many of its vertices are no turning points of runs."""
 
     component: Component
     cell: Cell
     vertices: NDArray[np.int64]
     edges: NDArray[np.int64]
     legend_m: float
+    junctions: int
 
     @property
     def name(self) -> str:
@@ -53,7 +56,7 @@ class Part:
         if len(runs) == 1:
             return (runs[0],)
         short = f"{self.component.id}: {len(runs)} runs"
-        junctions = f"{len(self.vertices)} junctions"
+        junctions = f"{self.junctions} junctions"
         return (f"component {short} merged, {junctions}", f"component {short}", short)
 
 
@@ -84,7 +87,8 @@ def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
         if not _legends_fit(order, cells, room):
             room = [0.0] * len(order)
             cells = arrange(points, turns, margin)
-    return [Part(*row) for row in zip(order, cells, vertices, edges, room, strict=True)]
+    places = [sum(fused.kind[k] not in KINDS for k in rows.tolist()) for rows in vertices]
+    return [Part(*row) for row in zip(order, cells, vertices, edges, room, places, strict=True)]
 
 
 def rows_of(owner: NDArray[np.int64], wanted: list[int]) -> list[NDArray[np.int64]]:

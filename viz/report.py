@@ -81,11 +81,11 @@ def _head(report: Report, runs: Sequence[str]) -> str:
     result = report.result
     facts = [(len(runs), "run", "runs")]
     if result is not None:
-        shared = sum(len(m) > 1 for m in result.fused.members)
+        shared = sum(len(m) > 1 for m in result.fused.members[: result.fused.junctions])
         way_m = round(float(result.fused.length.sum()))
         facts += [
             (len(result.components), "component", "components"),
-            (len(result.fused), "junction", "junctions"),
+            (result.fused.junctions, "junction", "junctions"),
             (shared, "seen by several runs", "seen by several runs"),
             (way_m, "m of corridors", "m of corridors"),
         ]

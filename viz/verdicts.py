@@ -68,14 +68,14 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     """A page of markdown: counts, how to read the picture, components, warnings."""
     count = result.standings()
     fused = result.fused
-    shared = sum(len(members) > 1 for members in fused.members)
+    shared = sum(len(members) > 1 for members in fused.members[: fused.junctions])
     runs = sum(len(c.poses) for c in result.components)
     out, others = count[Standing.KEPT_OUT], count[Standing.JOINED]
     kept_out = f", **{out:,}** kept out" if out else ""
     joined = f"**{others:,}** joined through others, " if others else ""
     rows = [
         f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
-        f"{several(len(fused), 'junction')}, {shared:,} of them seen by several runs",
+        f"{several(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
         f"{several(len(fused.source), 'corridor')}, {float(fused.length.sum()):,.0f} m in all",
         f"pairs of runs: **{count[Standing.MERGED]:,}** merged, {joined}"
         f"**{count[Standing.AMBIGUOUS]:,}** ambiguous, "
