@@ -198,6 +198,7 @@ def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
     visits = sum(len(m.observation_vertex) for m in maps)
     found = ", and ".join(
         f"{counted(len(m), 'junction')}, {counted(len(m.source), 'corridor')}"
+        + (f", {counted(len(m.turning_points), 'turning point')}" if len(m.turning_points) else "")
         + (f" ({m.run})" if len(maps) > 1 else "")
         for m in maps
     )

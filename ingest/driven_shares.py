@@ -7,16 +7,23 @@ import numpy as np
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.track import way_along, way_at
+from ..topology.turning_back import TurnedBack
+from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points
 
+ON_THE_WAY = TurnedBack(NO_TURNING_POINTS)
+"""Of a robot that turned round nowhere but at its junctions."""
 
-def driven_shares(topomap: TopoMap, odometry: Odometry) -> dict[str, float]:
+
+def driven_shares(
+    topomap: TopoMap, odometry: Odometry, turned: TurnedBack = ON_THE_WAY
+) -> dict[str, float]:
     """Of the way driven: how long it is [m], and the shares of it `corridors`: from junction to
-    junction, and to turning points and back; `out_and_back`: out of a junction and back to it,
-    which no corridor of the map stands for as far as that; `ends`: before the first and after the
-    last place of the map.
+    junction, to turning points and back, and along a part of such ways; `out_and_back`: out of a
+    junction and back to it, where the map has nothing; `ends`: before the first and after the last
+    place of the map, likewise.
 
-    odometry: that which the map was made with. O(n log n).
+    odometry: that which the map was made with; turned: what was driven along parts. O(n log n).
     """
     way = float(way_along(odometry)[-1]) if len(odometry) else 0.0
     topomap = with_turning_points(topomap)
@@ -25,9 +32,9 @@ def driven_shares(topomap: TopoMap, odometry: Odometry) -> dict[str, float]:
     edge = np.repeat(np.arange(len(times)), [len(t) for t in times])
     if way == 0 or len(driven) == 0:
         return {"way_m": round(way, 1)}
-    turned = driven[:, 0] > driven[:, 1]
+    back = driven[:, 0] > driven[:, 1]
     source, target = topomap.source[edge], topomap.target[edge]
-    begin_at, end_at = np.where(turned, target, source), np.where(turned, source, target)
+    begin_at, end_at = np.where(back, target, source), np.where(back, source, target)
     order = np.argsort(driven.min(axis=1), kind="stable")
     begin = way_at(odometry, driven.min(axis=1)[order])
     end = way_at(odometry, driven.max(axis=1)[order])
@@ -35,10 +42,12 @@ def driven_shares(topomap: TopoMap, odometry: Odometry) -> dict[str, float]:
     between = np.maximum(begin[1:] - end[:-1], 0.0)
     same = begin_at[order][1:] == end_at[order][:-1]
     ends = begin[0] + max(way - end[-1], 0.0)
+    around = float(between[same].sum())
+    part, late = min(turned.out_and_back_m, around), min(turned.ends_m, ends)
     parts = {
-        "corridors": way - ends - between.sum(),
-        "out_and_back": between[same].sum(),
-        "ends": ends,
+        "corridors": way - ends - between.sum() + part + late,
+        "out_and_back": around - part,
+        "ends": ends - late,
     }
     shares = {name: round(float(part) / way, 3) for name, part in parts.items()}
     return {"way_m": round(way, 1), **shares}

@@ -32,7 +32,7 @@ from ..topology.run import Run
 from ..topology.topomap import Closure, RunNoise, TopoMap
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
-from .driven_shares import driven_shares
+from .driven_shares import ON_THE_WAY, driven_shares
 from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, jumps_told, split_told
@@ -114,13 +114,14 @@ def build_map_with_errors(
         closures=_closures(closed, corrected, reckoning.passes),
         settings=settings.drawing,
     )
+    turned = ON_THE_WAY
     if not source.shows_bends:
-        ends = turning_points(
+        turned = turning_points(
             topomap, odometry, corrected.visits, source.resolution_m, settings.drawing
         )
-        topomap = replace(topomap, turning_points=ends)
+        topomap = replace(topomap, turning_points=turned.points)
     info = _info(run, settings, calibration, reckoning, odometry)
-    info["driven"] = driven_shares(topomap, odometry)
+    info["driven"] = driven_shares(topomap, odometry, turned)
     return replace(topomap, info=info, shows_bends=source.shows_bends), errors
 
 

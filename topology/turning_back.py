@@ -31,16 +31,28 @@ LEAVING_M = 1.5
 
 class _Excursion(NamedTuple):
     """One drive from a vertex to where it was farthest from it, and back unless the track begins or
-    ends there. path: (p, 2) [m] from the vertex, length: of it [m]; time_ns: when the robot came to
-    its end; traversal_ns: (t, 2) when it was at the vertex and at the end."""
+    ends there. path: (p, 2) [m] from the vertex, length: of it [m]; way_m: driven; returns: whether
+    it came back; time_ns: when it came to the end; traversal_ns: (t, 2) when it was at the vertex
+    and at the end."""
 
     vertex: int
     branch: int
     kind: str
     path: FloatArray
     length: float
+    way_m: float
+    returns: bool
     time_ns: int
     traversal_ns: IntArray
+
+
+class TurnedBack(NamedTuple):
+    """points: ends of ways; out_and_back_m, ends_m: way [m] driven besides along what the map has,
+    but not to its end: out of a junction and back, and at the ends of tracks."""
+
+    points: TurningPoints
+    out_and_back_m: float = 0.0
+    ends_m: float = 0.0
 
 
 def turning_points(
@@ -49,7 +61,7 @@ def turning_points(
     visits: Visits,
     least_m: float,
     settings: MapBuildingSettings,
-) -> TurningPoints:
+) -> TurnedBack:
     """The ends of ways longer than `least_m` [m] that no corridor of the map stands for.
 
     Of several drives by one branch the deepest tells where the way ends; those that came as far,
@@ -64,19 +76,23 @@ def turning_points(
     )
     known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
     ways, kept = list(topomap.paths), dict[tuple[int, int, int], list[_Excursion]]()
+    others = []
     for e in found:
         key = (e.vertex, e.branch, e.time_ns if e.branch == NO_BRANCH else 0)
-        if e.branch == NO_BRANCH:
-            if beside(e.path, ways, least_m):
-                continue
-        elif (e.vertex, e.branch) in known:
+        along = e.branch == NO_BRANCH and beside(e.path, ways, least_m)
+        deepest = kept[key][0].length if key in kept else e.length
+        if along or (e.vertex, e.branch) in known or deepest - e.length > settings.sound_m:
+            others.append(e)
             continue
-        deepest = kept.setdefault(key, [e])[0]
-        if deepest is e:
-            ways.append(e.path)
-        elif deepest.length - e.length <= settings.sound_m:
-            kept[key].append(e)
-    return _as_points([kept[key] for key in sorted(kept)], topomap, settings)
+        kept.setdefault(key, []).append(e)
+        ways.append(e.path)
+    points = _as_points([kept[key] for key in sorted(kept)], topomap, settings)
+    part = [e for e in others if beside(e.path, ways, least_m)]
+    return TurnedBack(
+        points,
+        out_and_back_m=sum(e.way_m for e in part if e.returns),
+        ends_m=sum(e.way_m for e in part if not e.returns),
+    )
 
 
 def _excursions(
@@ -122,6 +138,8 @@ def _excursions(
             kind=TRACK_END if last else TURNING_POINT,
             path=path,
             length=float(way_of(path)[-1]),
+            way_m=float(at[-1] - at[0]),
+            returns=not (begins or ends),
             time_ns=come,
             traversal_ns=both[int(begins) : 2 - int(ends)],
         )

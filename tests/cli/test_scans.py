@@ -61,10 +61,14 @@ def test_a_log_with_scans_becomes_a_map_and_says_how(topobatch, workspace):
     assert done.code == 0, done
     (line, _) = done.out.strip().splitlines()
     assert "junctions from /scan, drift in 20 m " in line
+    assert " corridors, 11 turning points (" in line
     assert " before, " in line
     assert "% of the way covered, " in line
     assert line.endswith("% out of a junction and back to it")
     doc = json.loads((workspace / "maps" / "office-1.json").read_text())
+    ends = [node for node in doc["nodes"] if node["kind"] in ("turning_point", "track_end")]
+    assert ends == doc["nodes"][-11:]
+    assert doc["graph"]["driven"]["corridors"] > 0.95
     told = doc["graph"]["source"]["junctions"]
     assert (told["from"], told["topic"], told["scans"]) == ("scan", "/scan", told["messages"])
     again = topobatch("ingest", OFFICE, "-w", workspace)

@@ -14,7 +14,7 @@ from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.polyline import way_of
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import RunNoise, TopoMap
-from topobatch.topology.turning_back import farthest, turning_points
+from topobatch.topology.turning_back import TurnedBack, farthest, turning_points
 from topobatch.topology.turning_points import TRACK_END, TURNING_POINT
 from topobatch.topology.turning_vertices import with_turning_points, without_turning_points
 from topobatch.topology.vertex_errors import VertexErrors
@@ -33,6 +33,16 @@ def driven(
     branches: dict[int, list[float]],
 ) -> TopoMap:
     """The map of a track through `corners`, which passed vertices at some of them."""
+    m, turned = driven_and_turned(corners, at, vertex, branches)
+    return replace(m, turning_points=turned.points)
+
+
+def driven_and_turned(
+    corners: list[tuple[float, float]],
+    at: list[int],
+    vertex: list[int],
+    branches: dict[int, list[float]],
+) -> tuple[TopoMap, TurnedBack]:
     odometry, rows = track(*corners)
     rows, of = rows[at], np.array(vertex)
     when, n = odometry.time_ns[rows], len(set(vertex))
@@ -66,7 +76,7 @@ def driven(
         noise=RunNoise(),
         errors=VertexErrors.none(n),
     )
-    return replace(m, turning_points=turning_points(m, odometry, visits, LEAST_M, SETTINGS))
+    return m, turning_points(m, odometry, visits, LEAST_M, SETTINGS)
 
 
 CORRIDOR = {0: [EAST, NORTH, WEST], 1: [EAST, NORTH, WEST]}
@@ -101,6 +111,14 @@ def test_a_branch_with_a_corridor_has_no_turning_point():
     corners = [(0, 0), (4, 0), (0, 0), (10, 0)]
     m = driven(corners, [0, 2, 3], [0, 0, 1], CORRIDOR)
     assert (len(m.source), len(m.turning_points)) == (1, 0)
+
+
+def test_way_along_a_part_of_what_is_known_is_counted():
+    corners = [(3, 0), (0, 0), (4, 0), (0, 0), (0, 5), (0, 0), (0, 3), (0, 0), (10, 0)]
+    m, turned = driven_and_turned(corners, [1, 3, 5, 7, 8], [0, 0, 0, 0, 1], CORRIDOR)
+    assert (len(m.source), turned.points.length.round(1).tolist()) == (1, [5.0])
+    assert turned.out_and_back_m == pytest.approx(8 + 6, abs=0.1)
+    assert turned.ends_m == pytest.approx(3, abs=0.1)
 
 
 def test_the_deepest_of_several_drives_tells_where_a_way_ends():
@@ -199,4 +217,4 @@ def test_a_run_without_visits_has_none():
     none = np.zeros(0, np.int64)
     flat = np.zeros((0, 3))
     visits = Visits(none, none, np.zeros(0, bool), flat, flat[:, :2], none)
-    assert len(turning_points(with_room(), odometry, visits, LEAST_M, SETTINGS)) == 0
+    assert len(turning_points(with_room(), odometry, visits, LEAST_M, SETTINGS).points) == 0
