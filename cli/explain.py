@@ -12,7 +12,7 @@ from ..topology.wording import counted, listed
 from . import paper_options
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
 from .output import say, say_lines, warn
-from .workspace import MERGED, Workspace
+from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,10 +25,13 @@ if TYPE_CHECKING:
 
 
 def explain(
-    a: Annotated[str, typer.Argument(metavar="A", help="A run.", autocompletion=complete_run)],
-    b: Annotated[
-        str, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
+    a: Annotated[
+        str,
+        typer.Argument(metavar="A", help="A run, or both as A:B.", autocompletion=complete_run),
     ],
+    b: Annotated[
+        str | None, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
+    ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     method: Annotated[
         Literal["robust", "paper"],
@@ -70,11 +73,12 @@ def explain(
       topobatch explain run1 run2
       topobatch explain run1 run2 --method paper --rows 5
     """
-    if a == b:
-        raise UsageError(f"two runs are needed, got {a!r} twice")
     place = Workspace(workspace, merge)
     if merge != MERGED:
         place.require_merge()
+    a, b = (a, b) if b is not None else _both(place, a)
+    if a == b:
+        raise UsageError(f"two runs are needed, got {a!r} twice")
     first, second = place.chosen_runs([a, b], False)
     options = paper_options.PaperOptions(
         degree, confidence, confidence_of, weights, iterative, tuple(met or ())
@@ -84,6 +88,16 @@ def explain(
     else:
         options.refuse()
         _by_evidence(place, (first, second), as_json, rows)
+
+
+def _both(place: Workspace, named: str) -> tuple[str, str]:
+    """The runs of "A:B"."""
+    found = pairs_named(named, place.runs())
+    if found:
+        return found[0]
+    if ":" in named:
+        raise place.unknown([named], "runs A:B named")
+    raise UsageError("two runs are needed: topobatch explain A B")
 
 
 def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,8 +13,9 @@ import typer
 from ..topology.errors import LogError
 from ..topology.wording import counted, utc
 from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
+from .log_paths import logs_at, packed_below
 from .options import JsonOption
-from .output import Screen, complain, say, say_lines, table
+from .output import Screen, complain, say, say_lines, table, warn
 from .scan_options import JunctionsFrom, ScanTopic
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def info(
       topobatch info run1.mcap
       topobatch info logs/ --json
     """
-    from ..ingest.reading import ReadSettings, find_logs, inspect_log
+    from ..ingest.reading import ReadSettings, inspect_log
     from ..ingest.remote.path import log_path
 
     settings = ReadSettings(
@@ -66,7 +67,7 @@ def info(
     )
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
     failed, told = False, []
-    for each in _each_log(given, find_logs):
+    for each in _each_log(given):
         try:
             if isinstance(each, LogError):
                 raise each
@@ -91,17 +92,17 @@ def info(
         raise typer.Exit(1)
 
 
-def _each_log(
-    given: list[LogPath], find_logs: Callable[[list[LogPath]], Iterable[LogPath]]
-) -> Iterator[LogPath | LogError]:
+def _each_log(given: list[LogPath]) -> Iterator[LogPath | LogError]:
     """Every log once; an error in place of what holds none."""
     seen: set[LogPath] = set()
     for path in given:
         try:
-            found = list(find_logs([path]))
+            found = logs_at(path)
         except LogError as error:
             yield error
             continue
+        if passed_over := packed_below(path):
+            warn(f"{path}: {passed_over}")
         yield from (log for log in found if log not in seen)
         seen.update(found)
 

@@ -10,6 +10,7 @@ import typer
 from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
 from .journal import note
+from .log_paths import logs_at, packed_below
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
@@ -43,8 +44,9 @@ JunctionFields = Annotated[
     str | None,
     typer.Option(
         metavar="MAPPING",
+        # An example that no line breaks: it is there to be copied.
         help="How to read junctions from messages of another type, for instance "
-        '"center=pose.position,branches=frontiers[].angle,unit=deg"; see docs/detections.md.',
+        '"center=middle,branches=ways[].angle"; see docs/detections.md.',
     ),
 ]
 BaseFrame = Annotated[
@@ -99,7 +101,9 @@ def ingest(
     ] = "full",
     name: Annotated[
         str | None,
-        typer.Option(help="Name of the run (one log only); default: the log's name."),
+        typer.Option(
+            metavar="RUN", help="Name of the run (one log only); default: the log's name."
+        ),
     ] = None,
     jobs: Annotated[
         int,
@@ -152,7 +156,7 @@ def ingest(
     )
     place, screen = Workspace(workspace), Screen(quiet, verbose)
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
-    planned = _plan(given, name, place, read, MappingSettings(closure=closure), force)
+    planned = _plan(given, name, place, read, MappingSettings(closure=closure), force, screen)
     with place.held(screen.warn):
         outcomes = _run_all(planned, jobs, screen)
         new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
@@ -171,16 +175,19 @@ def _plan(
     read: ReadSettings,
     mapping: MappingSettings,
     force: bool,
+    screen: Screen,
 ) -> list[IngestJob | IngestOutcome]:
     """One job per log found; what cannot even be found is an outcome already."""
-    from ..ingest.reading import find_logs, run_name
+    from ..ingest.reading import run_name
     from .ingest_worker import IngestJob, IngestOutcome
 
     planned: list[IngestJob | IngestOutcome] = []
     logs: dict[LogPath, None] = {}
     for path in given:
         try:
-            logs |= dict.fromkeys(find_logs([path]))
+            logs |= dict.fromkeys(logs_at(path))
+            if passed_over := packed_below(path):
+                screen.warn(f"{path}: {passed_over}")
         except LogError as error:
             planned.append(IngestOutcome(path, path.name, "failed", str(error)))
         except OSError as error:

@@ -107,6 +107,8 @@ def _say_what_is_wrong(error: TyperException) -> None:
     command = getattr(context, "command_path", " ".join(("topobatch", *named)))
     line = " ".join(text.split()).removesuffix(".")
     line = line.replace(": Value error, ", ": ").replace(": Input should be ", ": must be ")
+    if line.startswith("No such command") and os.path.exists(sys.argv[1]):
+        line += f"; did you mean `topobatch ingest {sys.argv[1]}`?"
     see = "" if line.endswith("?") else ";"
     complain(f"{line[:1].lower()}{line[1:]}{see} see `{command} --help`")
 

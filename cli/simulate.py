@@ -25,12 +25,19 @@ def simulate(
             "of crops or racks, or tunnels of standard tiles that all such worlds share."
         ),
     ] = "maze",
-    runs: Annotated[int, typer.Option(help="Runs in the one world.")] = 3,
-    unrelated: Annotated[int, typer.Option(help="Further runs, each in a world of its own.")] = 0,
+    runs: Annotated[int, typer.Option(metavar="N", help="Runs in the one world.")] = 3,
+    unrelated: Annotated[
+        int, typer.Option(metavar="N", help="Further runs, each in a world of its own.")
+    ] = 0,
     overlap: Annotated[
-        float, typer.Option(help="Share of its junctions that a run has in common with the last.")
+        float,
+        typer.Option(
+            metavar="SHARE", help="Share of its junctions that a run has in common with the last."
+        ),
     ] = 0.4,
-    junctions: Annotated[int, typer.Option(help="Junctions that a run visits, about.")] = 50,
+    junctions: Annotated[
+        int, typer.Option(metavar="N", help="Junctions that a run visits, about.")
+    ] = 50,
     drift: Annotated[
         Literal["none", "low", "mid", "high", "real"], typer.Option(help="Odometry's error.")
     ] = "mid",
@@ -70,15 +77,21 @@ def simulate(
         bool, typer.Option("--detections", help="With --laser: write the detections as well.")
     ] = False,
     corridor_m: Annotated[
-        float, typer.Option(help="With --laser: width of the corridors, in metres.")
+        float,
+        typer.Option(metavar="METRES", help="With --laser: width of the corridors."),
     ] = 1.4,
     formats: Annotated[
         list[str] | None,
         typer.Option(
-            "--format", help="mcap, bag, db3 or ros2-mcap; several are dealt out to the runs."
+            "--format",
+            metavar="FORMAT",
+            help="mcap, bag, db3 or ros2-mcap; given several times, they are dealt out to the "
+            "runs. Default: mcap.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed writes the same messages.")] = 0,
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="The same seed writes the same messages.")
+    ] = 0,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder in use.")] = False,
     quiet: QuietOption = False,
 ) -> None:

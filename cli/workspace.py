@@ -206,6 +206,8 @@ class Workspace:
             run for part in sorted(parts) for run in get_close_matches(Path(part).name, known, 1)
         ]
         meant = f"; did you mean {listed(near)}?" if near else ";"
+        if is_workspace(Path(names[0])):
+            meant = f"; did you mean --workspace {names[0]}?"
         return UsageError(
             f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
         )
@@ -221,9 +223,10 @@ class Workspace:
     def no_maps(self) -> DataError:
         """What to say of a workspace without maps, or of none."""
         told = "holds no maps yet" if self.root.is_dir() else "there is no such workspace"
+        here = " (this folder is one: --workspace .)" if is_workspace(Path()) else ""
         return DataError(
             f"{self.root}: {told}; make maps with `topobatch ingest LOG…`, or name another "
-            "--workspace"
+            f"--workspace{here}"
         )
 
     def require(self) -> None:
@@ -347,17 +350,18 @@ class Workspace:
         if not make and not self.root.is_dir():
             raise self.no_maps()
         new = [path for path in (self.root, *self.root.parents) if not path.exists()]
-        self.root.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.root / ".lock")
         try:
+            self.root.mkdir(parents=True, exist_ok=True)
             lock.acquire(timeout=0.2)
         except Timeout:
             say(f"{self.root}: another topobatch is at work there; waiting for it")
             lock.acquire()
-        except PermissionError as error:
+        except OSError as error:
+            what = "made" if new else "written"
+            copy = "" if new else "copy it, or "
             raise DataError(
-                f"{self.root}: cannot be written ({error.strerror}); copy it, or name another "
-                "--workspace"
+                f"{self.root}: cannot be {what} ({error.strerror}); {copy}name another --workspace"
             ) from error
         try:
             self._clear_left_overs()
@@ -394,6 +398,11 @@ class Workspace:
 def _remove_folder(folder: Path) -> None:
     with suppress(OSError):  # it is not there, or holds something
         folder.rmdir()
+
+
+def is_workspace(folder: Path) -> bool:
+    """Whether a folder holds maps as a workspace does."""
+    return any(folder.joinpath("maps").glob("*.json"))
 
 
 def pairs_named(text: str, runs: Iterable[str]) -> list[tuple[str, str]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import re
 import shlex
 import shutil
@@ -136,6 +138,12 @@ def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
         ("export merged -f nav2 --component 9", "there is no component 9; there are: 0"),
         ("lock run1 run2 --never --at 3,7", "--at goes with --same; --never is about whole runs"),
         ("ingest run2.bag --name run1", "give this one another --name"),
+        ("run1.mcap", "no such command 'run1.mcap'; did you mean `topobatch ingest run1.mcap`? "),
+        ("merge topobatch-workspace", "did you mean --workspace topobatch-workspace? there are: "),
+        ("view topobatch-workspace", "did you mean --workspace topobatch-workspace? there are: "),
+        ("explain run1", "two runs are needed: topobatch explain a b"),
+        ("explain run1:run1", "two runs are needed, got 'run1' twice"),
+        ("explain run1:rum2", "no runs a:b named run1:rum2"),
     ],
 )
 @pytest.mark.usefixtures("own_site")
@@ -150,6 +158,50 @@ def test_a_damaged_merge(topobatch, own_site, call):
     shown = topobatch("list")
     assert "merged.json: is not JSON" in shown.err
     assert "3 runs" in shown.out
+
+
+def test_the_two_runs_of_explain_may_be_named_as_elsewhere(topobatch, own_site):
+    assert topobatch("explain", "run2:run1").out == topobatch("explain", "run1", "run2").out
+
+
+def test_a_command_in_the_workspace_itself(topobatch, own_site, monkeypatch):
+    monkeypatch.chdir(own_site / "topobatch-workspace")
+    assert "(this folder is one: --workspace .)" in topobatch("list").error(1)
+    assert topobatch("list", "-w", ".").code == 0
+
+
+@pytest.mark.parametrize("place", ["run1.mcap/ws", "/dev/null/ws"])
+def test_a_workspace_that_cannot_be_made(topobatch, own_site, place):
+    error = topobatch("ingest", "run1.mcap", "-w", place).error(1)
+    assert error == f"error: {place}: cannot be made (Not a directory); name another --workspace"
+
+
+def test_the_metadata_of_a_bag_folder_stand_for_it(topobatch, own_site, tmp_path):
+    named = own_site / "rosbag2_folder" / "metadata.yaml"
+    assert "run rosbag2_folder, sqlite3" in topobatch("info", named).out
+    assert topobatch("ingest", named, "-w", tmp_path / "ws").out.startswith("rosbag2_folder: ")
+    other = own_site / "logs" / "metadata.yaml"  # of a folder that is no bag, beside a log
+    other.write_text("a: 1\n")
+    for command in ("info", "ingest"):
+        assert "metadata.yaml: is no log" in topobatch(command, other).error(1)
+
+
+@pytest.mark.parametrize("command", ["info", "ingest"])
+def test_packed_logs_are_to_be_unpacked(topobatch, own_site, command):
+    for name, pack in (("run9.mcap.gz", gzip.compress), ("run9.bag.bz2", bz2.compress)):
+        (own_site / name).write_bytes(pack((own_site / "run1.mcap").read_bytes()))
+        assert "is packed (" in topobatch(command, own_site / name).error(1)
+        assert "unpack it, and name the log" in topobatch(command, own_site / name).error(1)
+    below = own_site / "logs" / "older" / ".hidden"
+    below.mkdir(parents=True)
+    shutil.copy(own_site / "run9.mcap.gz", below)
+    assert "packed" not in topobatch(command, own_site / "logs").err
+    shutil.copy(own_site / "run9.mcap.gz", below.parent)
+    told = "1 packed log passed over, to be unpacked first: "
+    shown = topobatch(command, own_site / "logs", *(["-w", "ws"] if command == "ingest" else []))
+    assert shown.code == 0
+    assert f"warning: {own_site / 'logs'}: {told}older/run9.mcap.gz" in shown.err
+    assert f"{told}run9.mcap.gz" in topobatch(command, below.parent).error(1)
 
 
 def test_damaged_lines_of_the_history_are_counted(topobatch, tmp_path):
