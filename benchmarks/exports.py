@@ -5,7 +5,8 @@ python benchmarks/exports.py [--seeds 2] [--first 501] [--logs FOLDER ...]
 Ten worlds (two of every kind) of two runs each, and folders of logs of real runs (without truth).
 Every export of every run and of every component goes through its reader (tests/viz/exports).
 
-  routes   shortest routes between junctions in the Nav2 graph, against the way in the true world
+  routes   shortest routes between junctions in the Nav2 graph by its `length`, against the way in
+           the true world
   times    `abs_time_taken` along those routes, against what the robots truly took to drive them
   said     routes of which the graph itself says that more than one in twenty may be off by more
            (`length_sigma` with `length_scale_sigma`; `time_sigma`), and of the others those within
@@ -107,13 +108,11 @@ def judged(topomap: TopoMap, true: np.ndarray, truth: Truth, runs: list[str]) ->
     """Routes of the Nav2 graph against the truth. true: (n,) world vertex of each vertex, < 0 for
     what is none; runs: whose drives are in the map."""
     graph = readers.read_nav2(MAP_FORMATS["nav2"][".geojson"](topomap, MAX_ERROR_M))
-    at = nx.get_node_attributes(graph, "xy")
     simple = nx.DiGraph()
     for u, v, data in graph.edges(data=True):
-        length = float(np.hypot(*np.subtract(at[u], at[v])))
-        if simple.has_edge(u, v) and simple.edges[u, v]["length"] <= length:
+        if simple.has_edge(u, v) and simple.edges[u, v]["length"] <= data["length"]:
             continue
-        simple.add_edge(u, v, **(data | {"length": length}))
+        simple.add_edge(u, v, **data)
     scale = topomap.measured.scale  # the graph's length_scale_sigma
     known = _true_corridors(topomap, true, truth, runs)
     out, real = Tally(), [v for v in range(len(topomap)) if v in simple]

@@ -357,9 +357,7 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
     alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
     if alone:
         yield "folded", f"alone: {listed(alone)}"
-    for pair in result.verdicts:
-        if pair.locked == "same" and home[pair.a] != home[pair.b]:
-            yield "warning", f"{pair.a} and {pair.b} are not joined: {pair.reason}"
+    yield from (("warning", text) for text in _warnings(result, home))
     merged, joined, ambiguous = map(of, (Standing.MERGED, Standing.JOINED, Standing.AMBIGUOUS))
     others = result.standings()[Standing.JOINED]
     for pair in merged[:MOST_LINES]:
@@ -382,6 +380,14 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
     yield "line", f"{place.merged_json}"
     name = "" if place.merge == MERGED else f" {place.merge}"
     yield "line", f"{place.merged_rrd}  (look at it: topobatch view{name})"
+
+
+def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:
+    """What is wrong with a merge; home: the component of every run."""
+    yield from map(str, result.info.get("warnings") or ())
+    for pair in result.verdicts:
+        if pair.locked == "same" and home[pair.a] != home[pair.b]:
+            yield f"{pair.a} and {pair.b} are not joined: {pair.reason}"
 
 
 def _counts(result: MergeResult) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
@@ -14,6 +14,7 @@ from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from . import robust
+from .digests import digest_of
 from .discards import REASON, Names
 from .fusion.fuse import DEFAULT_FUSION, FusionSettings, fuse
 from .fusion.turning_ends import with_turning_ends
@@ -80,11 +81,12 @@ def merge_maps(
     )
     fused = with_turning_ends(fused, components, ordered)
     told = _with_placements(shown, components)
+    same = _same_recordings(ordered, means.kept.digest if means.kept else digest_of)
     return MergeResult(
         components,
         fused,
         told,
-        info=_info(settings, components, told),
+        info=_info(settings, components, told, same),
         unlisted=_unlisted(len(ordered), verdicts, shown, components),
         kept_entry=means.kept_entry,
     )
@@ -217,9 +219,13 @@ def _relative_sigmas(
 
 
 def _info(
-    settings: MergeSettings, components: Sequence[Component], verdicts: Sequence[PairVerdict]
+    settings: MergeSettings,
+    components: Sequence[Component],
+    verdicts: Sequence[PairVerdict],
+    warnings: list[str],
 ) -> dict[str, Any]:
-    """The method, its settings, and the layers (§4.1) around the first run of every component."""
+    """The method, its settings, the layers (§4.1) around the first run of every component, and
+    warnings."""
     home = {run: c.id for c in components for run in c.poses}
     inside: dict[int, list[PairVerdict]] = {}
     for v in verdicts:
@@ -231,4 +237,19 @@ def _info(
         "settings": asdict(own),
         "method": settings.method,
         "layers": {first: layers_to_document(first, inside[k]) for k, first in firsts.items()},
+        **({"warnings": warnings} if warnings else {}),
     }
+
+
+def _same_recordings(maps: Sequence[TopoMap], digest: Callable[[TopoMap], bytes]) -> list[str]:
+    """What is said of runs whose maps are the same in everything but their names."""
+    runs: dict[bytes, list[str]] = {}
+    for m in maps:
+        if len(m):
+            runs.setdefault(digest(m), []).append(m.run)
+    return [
+        f"{listed(names)} are one recording under {len(names)} names: what it tells counts "
+        f"{len(names)} times; discard all but one"
+        for names in runs.values()
+        if len(names) > 1
+    ]

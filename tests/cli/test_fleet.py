@@ -8,12 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
 from topobatch.cli.cluster import cluster
+from topobatch.cli.unchanged import contents
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
@@ -30,8 +32,14 @@ def fleet(tmp_path_factory, fleet_maps):
     root = tmp_path_factory.mktemp("fleet")
     fleet_maps(root / "maps", 18)
     place = Workspace(root)
-    write_merged(root / "expected", merge_maps([place.read_map(run) for run in place.runs()]))
+    write(root / "expected", place, merge_maps([place.read_map(run) for run in place.runs()]))
     return root
+
+
+def write(path, place, result):
+    """A merge as the command writes it, with the digests of its maps."""
+    info = {**result.info, "maps": contents(place, place.runs())}
+    write_merged(path, replace(result, info=info))
 
 
 @pytest.fixture
@@ -149,7 +157,7 @@ def test_a_cluster_that_loses_a_worker(dask, workspace, fleet):
     place = Workspace(workspace)
     maps = [place.read_map(run) for run in place.runs()]
     means = Means(Workers(partial(cluster, address)), maps=place, on_pair=lose_one)
-    write_merged(workspace / "merged.json", merge_maps(maps, means=means))
+    write(workspace / "merged.json", place, merge_maps(maps, means=means))
     assert same(workspace, fleet)
     ((done, of),) = lost
     assert done < of

@@ -109,3 +109,12 @@ def test_a_meeting_of_a_run_that_is_not_there_is_refused(fleet):
     met = replace(PAPER, paper=replace(PAPER.paper, meetings=(Meeting("r0", 0, "zz", 0),)))
     with pytest.raises(UsageError, match="'zz'"):
         merge_maps(fleet, met)
+
+
+def test_one_recording_under_two_names_is_told(fleet):
+    again = replace(fleet[1], run="r1-copy", frame="other")
+    assert merge_maps([*fleet, again], PAPER).info["warnings"] == [
+        "r1, r1-copy are one recording under 2 names: what it tells counts 2 times; discard all "
+        "but one"
+    ]
+    assert "warnings" not in merge_maps(fleet, PAPER).info
