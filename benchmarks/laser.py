@@ -17,6 +17,8 @@ Folders hold `logs/*.mcap` with odometry and a laser, `truth.json` with correcte
   junctions   of simulated worlds: passes within 0.7 m, or within a corridor's width, of a crossing;
               crossings passed (not in the first or last 8 s) that were found; with the branches
               that they have
+  ends        of simulated worlds: dead ends that the robot came to, those with a turning point (or
+              a track end) of the map where the robot was within 1 m; turning points at dead ends
   repeat      of the times that a place with a junction was passed again: found within 0.5 m, and
               with the same number of branches. A place counts as passed when the truth comes within
               0.9 m; "sure": of junctions on which 6 of 7 variants agree
@@ -59,6 +61,7 @@ from topobatch.topology.run import Detections, Run, Scanned
 from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.track import way_at
+from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.topology.turning_vertices import with_turning_points
 
 FloatArray = NDArray[np.float64]
@@ -353,6 +356,21 @@ def true_centres(log: Log, result: ScanResult) -> FloatArray:
     return out
 
 
+def dead_ends(crossings: Crossings, truth: Odometry, topomap: TopoMap) -> str:
+    """Turning points of a map against the dead ends that the robot came to."""
+    points = topomap.turning_points
+    at = truth.at(np.array([times[0, 0] for times in points.time_ns], np.int64))[:, :2]
+    dead = np.flatnonzero(crossings.degree == 1)
+    near = np.hypot(*(at[:, None] - crossings.xy[dead]).transpose(2, 0, 1)) < 1.0
+    come = np.isin(dead, crossings.vertex)
+    turned = np.array([kind == TURNING_POINT for kind in points.kind], bool)
+    return (
+        f"{np.count_nonzero(near.any(axis=0) & come)} of {np.count_nonzero(come)} dead ends found; "
+        f"{np.count_nonzero(near.any(axis=1) & turned)} of {np.count_nonzero(turned)} turning "
+        "points at dead ends"
+    )
+
+
 def repeatability(log: Log, result: ScanResult) -> str:
     passes, centre = result.passes, true_centres(log, result)
     degree = passes.branches.counts
@@ -427,6 +445,7 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> Log:
     print(f"  claimed  {claimed(log, result, t, ours)}")
     if log.crossings is not None:
         print(f"  junctions {junctions(log, result)}")
+        print(f"  ends     {dead_ends(log.crossings, log.truth, topomap)}")
     print(f"  repeat   {repeatability(log, result)}")
     print(f"  closure  {closure(log, result, topomap)}")
     way = way_at(result.odometry, result.odometry.time_ns[-1:])[0]

@@ -63,6 +63,10 @@ def numbers(text: str | None, flag: str, names: str) -> tuple[float, ...] | None
     return found
 
 
+LEAST_TOLD = 0.005
+"""Smaller shares are 0 %."""
+
+
 def source_told(info: Mapping[str, Any]) -> str:
     """Where the junctions of a map came from, where that needs saying. info: of the map."""
     junctions = info.get("source", {}).get("junctions", {})
@@ -85,9 +89,8 @@ def source_told(info: Mapping[str, Any]) -> str:
     if junctions.get("covered") is not None:
         told.append(f"{100 * junctions['covered']:.0f} % of the way covered")
     driven = info.get("driven", {})
-    if driven.get("out_and_back"):
-        told.append(
-            f"{100 * driven['corridors']:.0f} % of it along corridors, "
-            f"{100 * driven['out_and_back']:.0f} % out of a junction and back to it"
-        )
+    if "corridors" in driven:
+        told.append(f"{100 * driven['corridors']:.0f} % of it along corridors")
+    if driven.get("out_and_back", 0.0) >= LEAST_TOLD:
+        told.append(f"{100 * driven['out_and_back']:.0f} % out of a junction and back to it")
     return ", ".join(told)

@@ -153,16 +153,23 @@ def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArr
     return np.asarray(points[np.argsort(where, kind="stable")])
 
 
-def beside(path: FloatArray, others: Sequence[FloatArray], near_m: float) -> bool:
-    """Whether all of a path lies within `near_m` of others, together. O(k log k), of points that
-    lie a quarter of it apart."""
-    from scipy.spatial import cKDTree
+class Ways:
+    """Polylines, of which it is asked how near others lie to them."""
 
-    if not others:
-        return False
-    dense = np.concatenate([_dense(other, near_m / 4) for other in others])
-    off = np.asarray(cKDTree(dense).query(_dense(path, near_m / 4))[0])
-    return bool(off.max() <= near_m)
+    def __init__(self, paths: Sequence[FloatArray], step_m: float) -> None:
+        """step_m: between the points that stand for a path [m]. O(k log k), of so many points."""
+        from scipy.spatial import cKDTree
+
+        dense = [_dense(path, step_m) for path in paths]
+        self._step_m = step_m
+        self._tree = cKDTree(np.concatenate(dense)) if dense else None
+
+    def away(self, path: FloatArray) -> FloatArray:
+        """How far points along a path lie from the ways [m], inf where there are none."""
+        points = _dense(path, self._step_m)
+        if self._tree is None:
+            return np.full(len(points), np.inf)
+        return np.asarray(self._tree.query(points)[0], np.float64)
 
 
 def _dense(path: FloatArray, step_m: float) -> FloatArray:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .mapbuilding import MapBuildingSettings, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
-from .polyline import beside, simplify, way_of
+from .polyline import Ways, simplify, way_of
 from .topomap import TopoMap
 from .track import times_between, track_directions, way_along, way_at
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
@@ -68,26 +68,33 @@ def turning_points(
     to within `sound_m`, are its traversals. The way of a branch that a corridor leaves by is known;
     so is one by no branch that stays within `least_m` of known ways.
     """
-    found = [e for e in _excursions(topomap, odometry, visits, settings) if e.length > least_m]
-    found.sort(key=lambda e: (-e.length, e.time_ns))
+    every = _excursions(topomap, odometry, visits, settings)
+    found = sorted((e for e in every if e.length > least_m), key=lambda e: (-e.length, e.time_ns))
     ends = (
         (topomap.source, topomap.source_branch),
         (topomap.target, topomap.target_branch),
     )
     known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
-    ways, kept = list(topomap.paths), dict[tuple[int, int, int], list[_Excursion]]()
-    others = []
+    step_m = least_m / 4
+    corridors, others = Ways(topomap.paths, step_m), []
+    kept, here = dict[tuple[int, int, int], list[_Excursion]](), dict[int, list[FloatArray]]()
     for e in found:
         key = (e.vertex, e.branch, e.time_ns if e.branch == NO_BRANCH else 0)
-        along = e.branch == NO_BRANCH and beside(e.path, ways, least_m)
         deepest = kept[key][0].length if key in kept else e.length
-        if along or (e.vertex, e.branch) in known or deepest - e.length > settings.sound_m:
+        if (e.vertex, e.branch) in known or deepest - e.length > settings.sound_m:
             others.append(e)
             continue
+        if e.branch == NO_BRANCH:
+            near = Ways(here.get(e.vertex, ()), step_m)
+            if np.minimum(corridors.away(e.path), near.away(e.path)).max() <= least_m:
+                others.append(e)
+                continue
+        if key not in kept:
+            here.setdefault(e.vertex, []).append(e.path)
         kept.setdefault(key, []).append(e)
-        ways.append(e.path)
     points = _as_points([kept[key] for key in sorted(kept)], topomap, settings)
-    part = [e for e in others if beside(e.path, ways, least_m)]
+    ways = Ways([*topomap.paths, *points.paths], step_m)
+    part = [e for e in others if ways.away(e.path).max() <= least_m]
     return TurnedBack(
         points,
         out_and_back_m=sum(e.way_m for e in part if e.returns),
@@ -100,14 +107,61 @@ def _excursions(
 ) -> Iterator[_Excursion]:
     """Every drive between two visits of one vertex, and before the first and after the last visit
     of each unbroken track."""
-    n = len(topomap)
     branches = _branches_driven(topomap, odometry, visits, settings)
     visits, real, xy = _with_ends(odometry, visits, topomap.xy)
     away, home = (np.full(len(real), NO_BRANCH) for _ in range(2))
     away[real], home[real] = branches
+    drives = list(_drives(odometry, visits, xy, (real, away, home), settings))
+    visit = np.array([d.visit for d in drives], np.int64)
+    come, gone = _standing(odometry, np.array([d.far_way_m for d in drives]))
+    times = np.stack([visits.time_ns[visit], come, gone, visits.time_ns[visit + 1]], axis=1)
+    halves = (4 * np.arange(len(drives))[:, None] + np.array([0, 2])).ravel().astype(np.int64)
+    between = times_between(odometry, times.ravel(), halves, settings.standing_m).reshape(-1, 2, 2)
+    for k, d in enumerate(drives):
+        out, back = between[k, 0], between[k, 1, ::-1]
+        whole = [] if d.begins else [out]
+        yield _Excursion(
+            vertex=d.vertex,
+            branch=d.branch,
+            kind=TRACK_END if d.at_end else TURNING_POINT,
+            path=d.path,
+            length=float(way_of(d.path)[-1]),
+            way_m=d.way_m,
+            returns=not (d.begins or d.ends),
+            time_ns=int(come[k]),
+            traversal_ns=np.array(whole if d.ends else [*whole, back]),
+        )
+
+
+class _Drive(NamedTuple):
+    """The drive from a visit to the next one. begins, ends: it has no visit at that end, for the
+    track begins or ends there; at_end: there it is the farthest from its vertex; far_way_m: way
+    driven up to where it is the farthest."""
+
+    visit: int
+    vertex: int
+    branch: int
+    path: FloatArray
+    way_m: float
+    far_way_m: float
+    begins: bool
+    ends: bool
+    at_end: bool
+
+
+def _drives(
+    odometry: Odometry,
+    visits: Visits,
+    xy: FloatArray,
+    known: tuple[NDArray[np.bool_], IntArray, IntArray],
+    settings: MapBuildingSettings,
+) -> Iterator[_Drive]:
+    """Drives out and back, or half of that. visits: with the ends of tracks; xy: of all vertices;
+    known: (v,) which visits are no such ends, by which branch the robot left, and came."""
+    real, away, home = known
     way, u, v = way_at(odometry, visits.time_ns), visits.vertex[:-1], visits.vertex[1:]
     within = (np.diff(visits.chain) == 0) & (np.diff(way) > settings.moved_m)
-    first = np.flatnonzero(within & (((u == v) & (u < n)) | ((u >= n) != (v >= n))))
+    first = np.flatnonzero(within & ((real[:-1] & real[1:] & (u == v)) | (real[:-1] != real[1:])))
     track = draw_track(odometry, visits, xy, first, settings.path_step_m)
     for k, visit in enumerate(first.tolist()):
         rows = slice(track.offsets[k], track.offsets[k + 1])
@@ -127,21 +181,16 @@ def _excursions(
             key=lambda line: float(way_of(line[0])[-1]),
         )
         beyond = at[far] - at[0] if begins else at[-1] - at[far]
-        last = (begins or ends) and beyond <= settings.passable_m
-        come, gone = _standing(odometry, float(at[far]))
-        times = [visits.time_ns[visit], come, gone, visits.time_ns[visit + 1]]
-        drives = times_between(odometry, np.array(times), np.array([0, 2]), settings.standing_m)
-        both = np.array([drives[0], drives[1, ::-1]])
-        yield _Excursion(
+        yield _Drive(
+            visit=visit,
             vertex=vertex,
             branch=branch,
-            kind=TRACK_END if last else TURNING_POINT,
             path=path,
-            length=float(way_of(path)[-1]),
             way_m=float(at[-1] - at[0]),
-            returns=not (begins or ends),
-            time_ns=come,
-            traversal_ns=both[int(begins) : 2 - int(ends)],
+            far_way_m=float(at[far]),
+            begins=begins,
+            ends=ends,
+            at_end=bool((begins or ends) and beyond <= settings.passable_m),
         )
 
 
@@ -219,15 +268,16 @@ def farthest(points: FloatArray, near_m: float) -> int:
     return int(one[int(np.argmax(np.where(np.isfinite(away), away, -1.0)))])
 
 
-def _standing(odometry: Odometry, way_m: float) -> tuple[int, int]:
-    """When the robot had driven so far first, and last: in between it stood."""
+def _standing(odometry: Odometry, way_m: FloatArray) -> tuple[IntArray, IntArray]:
+    """(k,) when the robot had driven so far first, and last: in between it stood."""
     way, seconds = way_along(odometry), (odometry.time_ns - odometry.time_ns[0]) * 1e-9
     moved = np.diff(way) > 0
     come, last = np.concatenate([[True], moved]), np.append(moved, True)
     first = np.interp(way_m, way[come], seconds[come])
-    until = max(float(np.interp(way_m, way[last], seconds[last])), float(first))
-    origin = int(odometry.time_ns[0])
-    return origin + round(float(first) * 1e3) * 10**6, origin + round(until * 1e3) * 10**6
+    until = np.maximum(np.interp(way_m, way[last], seconds[last]), first)
+    both = (np.round(x * 1e3).astype(np.int64) * 10**6 for x in (first, until))
+    begun, gone = (odometry.time_ns[0] + x for x in both)
+    return begun, gone
 
 
 def _as_points(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...topology.mapbuilding import MapBuildingSettings
 from ...topology.passes import NO_BRANCH
-from ...topology.polyline import beside
+from ...topology.polyline import Ways
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import TopoMap
@@ -88,23 +88,38 @@ def with_turning_ends(
     }
     found = sorted(_ends(fused, components, maps, settings), key=lambda e: -e.length)
     kept: dict[tuple[int, int, int], list[_End]] = {}
-    ways: dict[int, list[FloatArray]] = {}
-    for edge, path in enumerate(fused.paths):
-        ways.setdefault(int(fused.component[fused.source[edge]]), []).append(path)
+    here: dict[int, list[FloatArray]] = {}
+    near_m, corridors = settings.sound_m, _Corridors(fused, settings.sound_m / 4)
     for number, e in enumerate(found):
-        here = ways.setdefault(int(fused.component[e.at]), [])
-        if e.branch == NO_BRANCH:
-            if beside(e.path, here, settings.sound_m):
-                continue
-        elif (e.at, e.branch) in known:
-            continue
         key = (e.at, e.branch, number if e.branch == NO_BRANCH else 0)
-        deepest = kept.setdefault(key, [e])[0]
-        if deepest is e:
-            here.append(e.path)
-        elif deepest.length - e.length <= settings.sound_m:
-            kept[key].append(e)
+        deepest = kept[key][0].length if key in kept else e.length
+        if (e.at, e.branch) in known or deepest - e.length > settings.sound_m:
+            continue
+        if e.branch == NO_BRANCH:
+            own = Ways(here.get(e.at, ()), near_m / 4).away(e.path)
+            if np.minimum(own, corridors.of(e.at).away(e.path)).max() <= near_m:
+                continue
+        if key not in kept:
+            here.setdefault(e.at, []).append(e.path)
+        kept.setdefault(key, []).append(e)
     return _appended(fused, [kept[key] for key in sorted(kept)])
+
+
+class _Corridors:
+    """The corridors of each component, as far as they are asked for."""
+
+    def __init__(self, fused: FusedMap, step_m: float) -> None:
+        self._fused, self._step_m = fused, step_m
+        self._known: dict[int, Ways] = {}
+
+    def of(self, vertex: int) -> Ways:
+        """Those of the component of a fused vertex."""
+        home = self._fused.component
+        component = int(home[vertex])
+        if component not in self._known:
+            rows = np.flatnonzero(home[self._fused.source] == component).tolist()
+            self._known[component] = Ways([self._fused.paths[k] for k in rows], self._step_m)
+        return self._known[component]
 
 
 def _ends(

@@ -133,3 +133,5 @@ def test_what_is_said_of_sources():
     assert source_told(map_info | {"driven": driven}) == (
         told + ", 68 % of it along corridors, 30 % out of a junction and back to it"
     )
+    all_there = {"way_m": 100.0, "corridors": 0.996, "out_and_back": 0.004, "ends": 0.0}
+    assert source_told(map_info | {"driven": all_there}) == told + ", 100 % of it along corridors"
