@@ -18,7 +18,7 @@ from .logs.topics import (
     choose_odometry,
 )
 from .read_settings import ReadSettings
-from .sources import Source
+from .topic_poses import TopicPoses
 
 TRIED = 100
 """So many messages are tried before all are read, where only messages tell what is in them."""
@@ -110,6 +110,6 @@ def _try_mapping(recording: Recording, settings: ReadSettings, log: str) -> None
             for block in container.blocks(intake.want, Findings(), None):
                 intake.take(first_messages(block, TRIED))
                 break
-    found = Source.of(intake.of_topic(topic or ""))
+    found = TopicPoses.of(intake.of_topic(topic or ""))
     if found.messages and found.failed == found.messages:
         raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")

@@ -14,8 +14,8 @@ from .logs.intake import PoseColumns
 from .logs.topics import Choice
 from .mounting import Joined, joined
 from .scans.stream import Mounting, ScanStream
-from .sources import Source
 from .survey import LogRead
+from .topic_poses import TopicPoses
 
 FIRST_SCANS = 50
 """So many scans tell in which frames they are, and whether their clock is the odometry's."""
@@ -29,7 +29,7 @@ class Laser:
 
     choice: Choice
     frames: frozenset[str]
-    times: Source
+    times: TopicPoses
 
     @property
     def topic(self) -> str:
@@ -55,7 +55,7 @@ class Laser:
         none = np.zeros(scans, np.int64)
         stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
         columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
-        return cls(choice, frozenset(frames), Source(columns, (), "", messages=scans))
+        return cls(choice, frozenset(frames), TopicPoses(columns, (), "", messages=scans))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from .logs.fields import JunctionFields
 from .odometry.track import TrackSettings
 from .scans.slicing import SliceSettings
 from .sightings import SightingSettings
-from .sources import Clock
+from .topic_poses import Clock
 
 Way = Literal["topic", "scan", "cloud", "grid"]
 """How junctions come: as detections, or found in scans, in clouds of points, in a grid."""

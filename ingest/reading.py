@@ -30,12 +30,12 @@ from .logs.topics import Choice
 from .mounting import transforms_about
 from .odometry.jumps import times
 from .odometry.kidnapping import split_where_carried
-from .odometry.reading import because, described, driven, odometry_topic, source_of
+from .odometry.reading import because, described, driven, odometry_topic, poses_of
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
-from .sources import Clock, Source, choose_clock, clock_without_jumps
 from .survey import Index, LogRead, Progress, surveyed, walk
+from .topic_poses import Clock, TopicPoses, choose_clock, clock_without_jumps
 
 __all__ = [
     "LogInfo",
@@ -130,10 +130,10 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     settings, log, warnings = read.settings, read.log, list(read.warnings)
     odometry = odometry_topic(read.intake, read.counts, settings, log)
     junctions = _junctions(read, junction.choice)
-    clock = choose_clock(odometry.source, junctions, settings.time, warnings)
-    clock = clock_without_jumps(odometry.source, clock, settings.track.backward_min_s, warnings)
+    clock = choose_clock(odometry.poses, junctions, settings.time, warnings)
+    clock = clock_without_jumps(odometry.poses, clock, settings.track.backward_min_s, warnings)
     about: dict[str, Any] = {
-        "odometry": described(odometry.choice, odometry.source),
+        "odometry": described(odometry.choice, odometry.poses),
         "junctions": described(junction.choice, junctions),
         "time": clock,
     }
@@ -202,18 +202,18 @@ def _damage(recording: Recording, findings: Findings, settings: ReadSettings) ->
     return damage
 
 
-def _junctions(read: LogRead, choice: Choice) -> Source:
-    source = source_of(read.intake, read.counts, choice, read.log)
-    if len(source) == 0:
+def _junctions(read: LogRead, choice: Choice) -> TopicPoses:
+    poses = poses_of(read.intake, read.counts, choice, read.log)
+    if len(poses) == 0:
         raise LogError(
-            f"{read.log}: {choice.topic} holds no usable pose{because(source, choice.topic)}"
+            f"{read.log}: {choice.topic} holds no usable pose{because(poses, choice.topic)}"
         )
-    return source
+    return poses
 
 
 def _sightings(
     choice: Choice,
-    source: Source,
+    poses: TopicPoses,
     *,
     clock: Clock,
     odometry: Odometry,
@@ -222,16 +222,16 @@ def _sightings(
     log: str,
 ) -> Sightings:
     """The detections in the robot's frame; raises LogError if none is left."""
-    frames = [frame for frame, _ in source.frames]
+    frames = [frame for frame, _ in poses.frames]
     sightings = robot_frame_sightings(
-        source.columns,
-        source.time_ns(clock),
+        poses.columns,
+        poses.time_ns(clock),
         frames,
         odometry,
         fixed=fixed,
         settings=settings.sightings,
     )
-    warnings = [*source.warnings(choice.topic), *sightings.warnings]
+    warnings = [*poses.warnings(choice.topic), *sightings.warnings]
     if len(sightings.detections) == 0:
         raise LogError(f"{log}: no usable junction detection: {'; '.join(warnings)}")
     return Sightings(sightings.detections, tuple(warnings))

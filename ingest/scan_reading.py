@@ -22,8 +22,8 @@ from .scans.handedness import MirroredError
 from .scans.mount_yaw import MountYaw, mount_yaw
 from .scans.scan import ScanResult, ScanStatistics
 from .scans.stream import InterleavedScans, Mounting, ScanStream
-from .sources import Clock, choose_clock, clock_without_jumps
 from .survey import LogRead
+from .topic_poses import Clock, choose_clock, clock_without_jumps
 
 
 def with_scans(read: LogRead, source: JunctionSource) -> Run:
@@ -40,7 +40,7 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source, first)}}
     about["time"] = clock
     if odometry is not None:
-        about["odometry"] = described(odometry.choice, odometry.source)
+        about["odometry"] = described(odometry.choice, odometry.poses)
     way = driven(odometry, clock, read.settings, read.log) if odometry is not None else None
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
@@ -160,8 +160,8 @@ def _clock(
     wanted = read.settings.time
     if odometry is None:
         return choose_clock(first.times, first.times, wanted, warnings, "scan")
-    clock = choose_clock(odometry.source, first.times, wanted, warnings, "scan")
-    return clock_without_jumps(odometry.source, clock, read.settings.track.backward_min_s, warnings)
+    clock = choose_clock(odometry.poses, first.times, wanted, warnings, "scan")
+    return clock_without_jumps(odometry.poses, clock, read.settings.track.backward_min_s, warnings)
 
 
 def _about(source: JunctionSource, first: Laser) -> dict[str, Any]:

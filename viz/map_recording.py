@@ -40,7 +40,7 @@ _CIRCLE = np.stack(
 HEALTH_COLOURS = {
     "steady": palette.MERGED,
     "gap": palette.AMBIGUOUS,
-    "jump": palette.NOT_ACCEPTED,
+    "jump": palette.KEPT_OUT,
     "broken": palette.REFUSED,
     "driving": palette.CORRIDOR,
     "standing": palette.FAINT,

@@ -53,7 +53,7 @@ _CLASSES = (
     (DIAGONAL, "same run", palette.DIAGONAL),
     (CLASS[Standing.UNRELATED], "unrelated", palette.UNRELATED),
     (CLASS[Standing.AMBIGUOUS], "ambiguous", palette.AMBIGUOUS),
-    (CLASS[Standing.KEPT_OUT], "fits, but kept out by a later check", palette.NOT_ACCEPTED),
+    (CLASS[Standing.KEPT_OUT], "fits, but kept out by a later check", palette.KEPT_OUT),
     (CLASS[Standing.JOINED], "joined through other runs", palette.JOINED),
     (CLASS[Standing.MERGED], "merged", palette.MERGED),
 )

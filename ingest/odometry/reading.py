@@ -12,9 +12,9 @@ from ..logs.intake import Intake, no_columns
 from ..logs.messages import Channel
 from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, decoded_alike, listing
 from ..read_settings import ReadSettings
-from ..sources import (
+from ..topic_poses import (
     Clock,
-    Source,
+    TopicPoses,
     other_odometries,
     pair_of_poses,
     pair_of_transforms,
@@ -30,7 +30,7 @@ class OdometryTopic:
     """The topic of the odometry, what it gave, and its frames (parent, child)."""
 
     choice: Choice
-    source: Source
+    poses: TopicPoses
     frames: tuple[str, str]
 
 
@@ -54,23 +54,23 @@ def odometry_topic(
     base = settings.base_frame.lstrip("/") if settings.base_frame else None
     reasons = []
     for choice in choose_odometry(counts, settings.odometry_topic, log):
-        source = source_of(intake, counts, choice, log)
+        poses = poses_of(intake, counts, choice, log)
         transforms = ODOMETRY_KINDS[choice.type_name][1] == "transforms"
         find = pair_of_transforms if transforms else pair_of_poses
-        pair = find(source, base)
+        pair = find(poses, base)
         if pair is not None:
-            chosen = source.columns.frame == pair
+            chosen = poses.columns.frame == pair
             if transforms:
-                source.rivals = other_odometries(source, pair)
+                poses.rivals = other_odometries(poses, pair)
             else:
-                source.elsewhere = int((~chosen).sum())
-            source.keep(chosen)
-            parent, child = source.frames[pair]
-            return OdometryTopic(choice, source, (parent, child or base or ""))
+                poses.elsewhere = int((~chosen).sum())
+            poses.keep(chosen)
+            parent, child = poses.frames[pair]
+            return OdometryTopic(choice, poses, (parent, child or base or ""))
         lack = "no transform from an odom frame" if transforms else "no usable pose"
-        if base is not None and len(source):
-            lack += f" to {base} (--base-frame); it has {told_pairs(source.frames)}"
-        reasons.append(f"{choice.topic} holds {lack}" + because(source, choice.topic))
+        if base is not None and len(poses):
+            lack += f" to {base} (--base-frame); it has {told_pairs(poses.frames)}"
+        reasons.append(f"{choice.topic} holds {lack}" + because(poses, choice.topic))
     raise LogError(f"{log}: no odometry: {', '.join(reasons)}; {listing(counts)}")
 
 
@@ -79,7 +79,7 @@ def driven(topic: OdometryTopic, clock: Clock, settings: ReadSettings, log: str)
 
     Raises LogError if no robot can have moved like that.
     """
-    track = _track(topic.choice, topic.source, frames=topic.frames, clock=clock, settings=settings)
+    track = _track(topic.choice, topic.poses, frames=topic.frames, clock=clock, settings=settings)
     odometry = without_jumps(track.odometry, track.jumps)
     # As recorded, but drive by drive: a reset may lead anywhere.
     resets = odometry.breaks
@@ -88,48 +88,48 @@ def driven(topic: OdometryTopic, clock: Clock, settings: ReadSettings, log: str)
     return Driven(track.odometry, odometry, track.warnings)
 
 
-def source_of(intake: Intake, counts: Mapping[Channel, int], choice: Choice, log: str) -> Source:
+def poses_of(intake: Intake, counts: Mapping[Channel, int], choice: Choice, log: str) -> TopicPoses:
     """What a topic gave; messages of its channels that have no decoder count as failed ones."""
     topic = choice.topic
     intake.check(topic, log)
     sinks = intake.of_topic(topic)
     alike = [sink for sink in sinks if decoded_alike(sink.channel.type_name, choice.type_name)]
-    source = Source.of(alike)
-    source.foreign = sum(sink.messages for sink in sinks) - source.messages
+    poses = TopicPoses.of(alike)
+    poses.foreign = sum(sink.messages for sink in sinks) - poses.messages
     refused = sum(counts.get(c, 0) for c in intake.refused if c.topic == topic)
-    source.messages += refused
-    source.failed += refused
-    return source
+    poses.messages += refused
+    poses.failed += refused
+    return poses
 
 
-def because(source: Source, topic: str) -> str:
+def because(poses: TopicPoses, topic: str) -> str:
     """What was wrong with the messages of a topic, in brackets."""
-    reasons = source.warnings(topic)
+    reasons = poses.warnings(topic)
     return f" ({'; '.join(reasons)})" if reasons else ""
 
 
-def described(choice: Choice, source: Source) -> dict[str, Any]:
+def described(choice: Choice, poses: TopicPoses) -> dict[str, Any]:
     """What the map document says about a topic: nothing that depends on the container."""
-    return {"topic": choice.topic, "type": choice.type_name, "messages": source.messages}
+    return {"topic": choice.topic, "type": choice.type_name, "messages": poses.messages}
 
 
 def _track(
     choice: Choice,
-    source: Source,
+    poses: TopicPoses,
     *,
     frames: tuple[str, str],
     clock: Clock,
     settings: ReadSettings,
 ) -> Track:
-    warnings = source.warnings(choice.topic)
-    time_ns = source.time_ns(clock)
+    warnings = poses.warnings(choice.topic)
+    time_ns = poses.time_ns(clock)
     if clock == "header" and not time_ns.all():
         zero = int((time_ns == 0).sum())
         warnings.append(f"{choice.topic}: {zero} messages carry no header time; left out")
-        source.keep(time_ns != 0)
-        time_ns = source.time_ns(clock)
-    pose = source.columns.pose
+        poses.keep(time_ns != 0)
+        time_ns = poses.time_ns(clock)
+    pose = poses.columns.pose
     # Nothing else is needed of the columns: with a million poses they take 48 MB.
-    source.columns = no_columns()
+    poses.columns = no_columns()
     track = sane_track(time_ns, pose, frames[0] or "odom", frames[1] or "base_link", settings.track)
     return replace(track, warnings=(*warnings, *track.warnings))

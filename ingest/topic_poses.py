@@ -20,7 +20,7 @@ Clock = Literal["header", "log"]
 
 
 @dataclass(slots=True)
-class Source:
+class TopicPoses:
     """Everything that one topic gave.
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: how
@@ -43,7 +43,7 @@ class Source:
     rivals: tuple[tuple[str, str], ...] = ()
 
     @classmethod
-    def of(cls, sinks: Sequence[Sink]) -> Source:
+    def of(cls, sinks: Sequence[Sink]) -> TopicPoses:
         """Join the sinks of one topic; there are several if its definition changed on the way."""
         frames: dict[tuple[str, str], int] = {}
         parts: list[PoseColumns] = []
@@ -119,16 +119,16 @@ def _by_log_time(parts: Sequence[PoseColumns]) -> PoseColumns:
     return take(columns, np.argsort(columns.log_ns, kind="stable"))
 
 
-def pair_of_transforms(source: Source, base: str | None = None) -> int | None:
+def pair_of_transforms(poses: TopicPoses, base: str | None = None) -> int | None:
     """The frames (odom → base) in a topic of transforms, None if it holds none.
 
     base: the child frame to look for. The parent is called `odom`, whatever stands before the last
     slash; of several children a `base…` one is preferred, then the one with the most messages.
     """
-    counts = np.bincount(source.columns.frame, minlength=len(source.frames))
+    counts = np.bincount(poses.columns.frame, minlength=len(poses.frames))
     fit = [
         (not child.split("/")[-1].startswith("base"), -int(counts[number]), child, number)
-        for number, (parent, child) in enumerate(source.frames)
+        for number, (parent, child) in enumerate(poses.frames)
         if _is_odometry(parent) and counts[number] and base in (None, child)
     ]
     return min(fit)[-1] if fit else None
@@ -138,28 +138,28 @@ def _is_odometry(frame: str) -> bool:
     return frame.rsplit("/", maxsplit=1)[-1].startswith("odom")
 
 
-def other_odometries(source: Source, pair: int) -> tuple[tuple[str, str], ...]:
+def other_odometries(poses: TopicPoses, pair: int) -> tuple[tuple[str, str], ...]:
     """The frames from other odom frames than that of `pair` in a topic of transforms."""
-    chosen = source.frames[pair][0]
-    return tuple(sorted(p for p in source.frames if _is_odometry(p[0]) and p[0] != chosen))
+    chosen = poses.frames[pair][0]
+    return tuple(sorted(p for p in poses.frames if _is_odometry(p[0]) and p[0] != chosen))
 
 
-def pair_of_poses(source: Source, base: str | None = None) -> int | None:
+def pair_of_poses(poses: TopicPoses, base: str | None = None) -> int | None:
     """The frames that most poses have, None if there are no poses.
 
     base: the child frame to look for; a topic that names no child frame may be anyone's.
     """
-    if len(source) == 0:
+    if len(poses) == 0:
         return None
-    count = np.bincount(source.columns.frame, minlength=len(source.frames))
+    count = np.bincount(poses.columns.frame, minlength=len(poses.frames))
     if base is not None:
-        count[[child not in ("", base) for _, child in source.frames]] = 0
+        count[[child not in ("", base) for _, child in poses.frames]] = 0
     return int(count.argmax()) if count.any() else None
 
 
 def choose_clock(
-    odometry: Source,
-    junctions: Source,
+    odometry: TopicPoses,
+    junctions: TopicPoses,
     wanted: Clock,
     warnings: list[str],
     what: str = "junction",
@@ -170,8 +170,8 @@ def choose_clock(
     """
     if wanted == "log":
         return "log"
-    for source, name in ((odometry, "odometry"), (junctions, what)):
-        zero = source.columns.stamp_ns == 0
+    for poses, name in ((odometry, "odometry"), (junctions, what)):
+        zero = poses.columns.stamp_ns == 0
         if 2 * int(zero.sum()) > len(zero):
             warnings.append(f"{name} messages carry no header time; log time is used")
             return "log"
@@ -183,7 +183,9 @@ def choose_clock(
     return "header"
 
 
-def clock_without_jumps(odometry: Source, clock: Clock, min_s: float, warnings: list[str]) -> Clock:
+def clock_without_jumps(
+    odometry: TopicPoses, clock: Clock, min_s: float, warnings: list[str]
+) -> Clock:
     """Log time instead of header time where the header's clock was set back."""
     jumps = backward_jumps(odometry.time_ns(clock), min_s)
     if not jumps:
@@ -194,7 +196,7 @@ def clock_without_jumps(odometry: Source, clock: Clock, min_s: float, warnings: 
     return clock
 
 
-def _apart(a: Source, b: Source, clock: Clock) -> bool:
+def _apart(a: TopicPoses, b: TopicPoses, clock: Clock) -> bool:
     """Whether the times of two topics do not overlap at all."""
     if len(a) == 0 or len(b) == 0:
         return False
