@@ -167,7 +167,7 @@ def _not_merged(document: MergedDocument | None, pair: tuple[str, str]) -> str:
         return "not merged yet (topobatch merge --all)"
     if document.graph.method == "paper":
         return "merged by --method paper (see topobatch explain --method paper)"
-    if not all(any(run in c.runs for c in document.graph.components) for run in pair):
+    if not document.graph.home.keys() >= set(pair):
         return "the last merge did not have both runs"
     return ""
 
@@ -213,7 +213,7 @@ def _by_paper(
     document = _last_merge(place)
     merged_with = _merged_with(place, document)
     found = explained(map_a, map_b, options.over(merged_with or DEFAULT_PAPER))
-    said = _said(document, *pair)
+    said = None if document is None else document.entry(*pair)
     if as_json:
         say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
     else:
@@ -235,12 +235,6 @@ def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSett
         return settings_from_document(document.graph.settings or {})
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
-
-
-def _said(document: MergedDocument | None, a: str, b: str) -> MergeEntry | None:
-    """What a merge says about a pair, if it says anything."""
-    entries = () if document is None else document.merges
-    return next((entry for entry in entries if (entry.a, entry.b) == (a, b)), None)
 
 
 def _verdict_lines(said: MergeEntry | None, how: str) -> list[str]:

@@ -159,9 +159,8 @@ def _component(
 ) -> _Source:
     from ..merge.component_map import component_map, stale_runs
 
-    runs = next(sorted(c.runs) for c in document.graph.components if c.id == component)
     maps = {}
-    for run in runs:
+    for run in document.graph.runs_of(component):
         try:
             maps[run] = place.read_map(run)
         except DocumentError as error:
@@ -205,8 +204,8 @@ def _pose_graph(source: _Source) -> str:
 
     if source.document is None:
         return pose_graph_g2o(map_pose_graph(source.topomap))
-    runs = next(c.runs for c in source.document.graph.components if c.id == source.component)
-    gone = sorted(set(runs) - set(source.maps))
+    runs = source.document.graph.runs_of(source.component)
+    gone = [run for run in runs if run not in source.maps]
     if gone:
         raise DataError(
             f"{source.name}: the joint pose graph needs the maps that were merged; "

@@ -200,7 +200,7 @@ def merge_again(
     except (DocumentError, ValueError) as error:
         screen.warn(f"{error}; merge again: topobatch merge --all")
         return
-    before = {run for component in graph.components for run in component.runs}
+    before = set(graph.home)
     if not before & set(affected):
         return
     runs = sorted({(new or {}).get(run, run) for run in before} & set(place.runs()))
@@ -236,7 +236,7 @@ def _keep_larger(place: Workspace, chosen: list[str]) -> None:
         return
     advice = "give this merge another --output NAME, or overwrite with --replace"
     try:
-        before = {run for c in read_merged(path).graph.components for run in c.runs}
+        before = set(read_merged(path).graph.home)
     except DocumentError as error:
         raise UsageError(f"{error}; {advice}") from error
     lost = sorted(before - set(chosen))

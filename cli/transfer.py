@@ -168,7 +168,7 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     if source == target:
         raise UsageError(f"the places are in {source} already")
     document = place.read_merged()
-    home = {run: c.id for c in document.graph.components for run in c.runs}
+    home = document.graph.home
     named = [source] if target in (MERGED, place.merge) else [source, target]
     for run in named:
         if run not in home:
@@ -189,6 +189,5 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
 
 
 def _verdict(document: MergedDocument, a: str, b: str) -> str:
-    pair = tuple(sorted((a, b)))
-    entry = next((e for e in document.merges if (e.a, e.b) == pair), None)
+    entry = document.entry(a, b)
     return "nothing is said of them" if entry is None else f"{entry.verdict}, {entry.reason}"

@@ -42,9 +42,9 @@ def component_map(
     if not chosen and component not in {c.id for c in document.graph.components}:
         raise ValueError(f"there is no component {component}")
     edges = [e for e in document.edges if e.source in number]
-    runs = {run for c in document.graph.components if c.id == component for run in c.runs}
+    runs = document.graph.runs_of(component)
     named = {run for n in chosen for run in n.members} | {run for e in edges for run in e.members}
-    strange = named - runs
+    strange = named - set(runs)
     if strange:
         raise ValueError(f"run {min(strange)!r} is a member of what is not its component")
     if any(e.target not in number for e in edges):
@@ -66,7 +66,7 @@ def component_map(
         )
         sure = fused_confidence([node.members for node in chosen], whole)
         # Robots of one kind err alike: their scales do not average out.
-        scales = [maps[run].measured.scale for run in sorted(runs)]
+        scales = [maps[run].measured.scale for run in runs]
         noise = replace(noise, scale=float(np.sqrt(np.mean(np.square(scales)))))
     fused = TopoMap(
         run=name,
@@ -99,13 +99,12 @@ def stale_runs(
 ) -> dict[str, str]:
     """Runs of a component whose maps are not those that were merged, and why: "is not there", "has
     changed since" (a fused vertex or corridor is not in it, or its passes are others)."""
-    runs = next((c.runs for c in document.graph.components if c.id == component), {})
     nodes = places_of(document, component)
     own = {node.id for node in nodes}
     edges = [e for e in document.edges if e.source in own]
     turned = [n for n in document.nodes if n.component == component and n.kind in KINDS]
     out = {}
-    for run in sorted(runs):
+    for run in document.graph.runs_of(component):
         if run not in maps:
             out[run] = "is not there"
             continue
@@ -143,8 +142,7 @@ def component_pose_graph(
     runs, as they were merged. Identities are plain edges: kernels, headings of a
     grid and scales of odometries, which the solution also kept to, are left out of the graph.
     """
-    runs = next(c.runs for c in document.graph.components if c.id == component)
-    pool = Pool.of([maps[run] for run in runs])
+    pool = Pool.of([maps[run] for run in document.graph.runs_of(component)])
     where = zip(pool.run, pool.vertex.tolist(), strict=True)
     fused = _fused_of(places_of(document, component))
     label = np.array([fused[pool.maps[r].run, v] for r, v in where], np.int64)

@@ -64,6 +64,16 @@ class MergedGraph(Attributes):
     settings: dict[str, Any] | None = Field(
         None, description="What the method was tuned to; false_merge_rate and others."
     )
+
+    @property
+    def home(self) -> dict[str, int]:
+        """The component of every run."""
+        return {run: c.id for c in self.components for run in c.runs}
+
+    def runs_of(self, component: int) -> list[str]:
+        """The runs of a component, sorted; none if it is not there."""
+        return sorted(run for c in self.components if c.id == component for run in c.runs)
+
     maps: dict[str, str] | None = Field(
         None,
         description="By run, the BLAKE2b digest (128 bits, hexadecimal) of the file of its map, as "
@@ -240,3 +250,8 @@ class MergedDocument(Model):
     merges: list[MergeEntry] = Field(
         description="One entry for each pair of runs, but for those in graph.unlisted."
     )
+
+    def entry(self, one: str, other: str) -> MergeEntry | None:
+        """What is said of two runs, in whatever order, if it is listed."""
+        pair = (min(one, other), max(one, other))
+        return next((entry for entry in self.merges if (entry.a, entry.b) == pair), None)

@@ -97,7 +97,7 @@ def junctions_of_runs(
 
     maps: those of the two runs at least, as they were merged (`stale_runs`).
     """
-    home = {run: c.id for c in document.graph.components for run in c.runs}
+    home = document.graph.home
     pairs = [
         (node.members[source][0], node.members[target][0])
         for node in places_of(document, home[source])

@@ -7,7 +7,7 @@ scenario.truth            # what really happened
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -23,7 +23,7 @@ from .drift import DRIFTS, Drift, MeasuredTrack, measured
 from .faults import FAULTS, Faults
 from .laser import LASERS, LaserSettings, Scans, scans
 from .motion import Drive, MotionSettings, drive
-from .regions import chain_of_regions, scattered_regions
+from .regions import chain_of_regions
 from .truth import RunTruth, Truth
 from .walk import WalkSettings, explore
 from .world import FloatArray, IntArray, World
@@ -33,7 +33,6 @@ EPOCH_NS = 1_700_000_000 * 10**9
 """When the first run begins: November 2023."""
 BETWEEN_RUNS_NS = 7200 * 10**9
 """From the begin of a run to that of the next: two hours."""
-LAYOUTS = ("chain", "scatter")
 Level = TypeVar("Level", Drift, Faults, LaserSettings)
 
 
@@ -76,14 +75,12 @@ class ScenarioSettings(RunSettings):
     """Kind of world: maze, office, organic, city, rows or tiles."""
     runs: int = 3
     overlap: float = 0.4
-    """Chain layout: share of a run's junctions that the run before it also visits, 0 … 0.9."""
+    """Share of a run's junctions that the run before it also visits, 0 … 0.9."""
     junctions_per_run: int = 50
     unrelated_runs: int = 0
     """Further runs, each in a world of its own of the same kind."""
-    layout: str = "chain"
-    """"chain": each run overlaps with the one before; "scatter": runs anywhere in the world."""
     world_junctions: int | None = None
-    """Size of the world; by default the chain just fits, or three runs' worth for "scatter"."""
+    """Size of the world; by default the runs just fit."""
     prefix: str = "run"
     """Runs are named prefix + number."""
     seed: int = 0
@@ -92,7 +89,6 @@ class ScenarioSettings(RunSettings):
     def __post_init__(self) -> None:
         RunSettings.__post_init__(self)
         _one_of("world", self.world, WORLDS)
-        _one_of("layout", self.layout, LAYOUTS)
         _check_range(self, "runs", 1, 10_000)
         _check_range(self, "unrelated_runs", 0, 10_000)
         _check_range(self, "junctions_per_run", 5, 100_000)
@@ -110,7 +106,7 @@ def _check_range(settings: RunSettings, name: str, least: float, most: float) ->
         raise UsageError(f"{name} must lie in {least} … {most}, not {value}")
 
 
-def _one_of(name: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> None:
+def _one_of(name: str, value: str, known: Mapping[str, Any]) -> None:
     if value not in known:
         raise UsageError(f"no {name} {value!r}: choose one of {', '.join(known)}")
 
@@ -173,7 +169,7 @@ def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
     worlds = {f"{stem}-world": world}
     plan = [(f"{stem}-world", region) for region in regions]
     for k in range(s.unrelated_runs):
-        alone = replace(s, runs=1, layout="chain", world_junctions=None, seed=0)
+        alone = replace(s, runs=1, world_junctions=None, seed=0)
         other, parts = _world_with_regions(alone, Chance("elsewhere", s.seed, k).index(2**31))
         worlds[f"{stem}-other{k + 1}"] = other
         plan.append((f"{stem}-other{k + 1}", parts[0]))
@@ -201,9 +197,6 @@ def _world_with_regions(
     """A world with room for the runs, and the region of each run; larger worlds until they fit."""
     world_seed = s.seed if seed is None else seed
     size, chance = s.junctions_per_run, Chance("regions", world_seed)
-    if s.layout == "scatter":
-        world = make_world(s.world, s.world_junctions or 3 * size, world_seed)
-        return world, scattered_regions(world, s.runs, min(size, len(world)), chance)
     wanted = size * (1 + (s.runs - 1) * (1 - s.overlap))
     asked = [s.world_junctions] if s.world_junctions else [wanted * f for f in (1.15, 1.4, 1.8)]
     for junctions in asked:

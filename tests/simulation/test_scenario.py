@@ -18,6 +18,8 @@ from topobatch.simulation import (
     simulate_run,
     simulate_scenario,
 )
+from topobatch.simulation.chance import Chance
+from topobatch.simulation.regions import scattered_regions
 from topobatch.topology.errors import UsageError
 
 from .driven import KINDS
@@ -43,11 +45,10 @@ def test_unrelated_runs_share_no_world(scenario: Scenario) -> None:
     assert len({run.world for run in scenario.truth.runs.values()}) == 2
 
 
-def test_scattered_runs_lie_in_one_world() -> None:
-    s = ScenarioSettings("organic", 6, layout="scatter", junctions_per_run=20, seed=2)
-    truth = simulate_scenario(s).truth
-    assert len(truth.worlds) == 1
-    assert all(12 <= len(run.detected) <= 26 for run in truth.runs.values())
+def test_scattered_regions_are_about_as_large_as_asked() -> None:
+    regions = scattered_regions(make_world("organic", 60, 2), 6, 20, Chance("regions", 2))
+    assert all(16 <= len(region) <= 24 for region in regions)
+    assert len(set().union(*regions)) > 40
 
 
 def test_the_same_settings_give_the_same_runs(scenario: Scenario) -> None:
@@ -81,7 +82,6 @@ def test_scenarios_join_unless_names_collide(scenario: Scenario) -> None:
         {"overlap": -0.1},
         {"drift": "huge"},
         {"faults": "some"},
-        {"layout": "ring"},
         {"junctions_per_run": 2},
         {"odometry_hz": 0.0},
         {"detector_hz": 1e9},
