@@ -47,17 +47,31 @@ def join_centres(
     other.
 
     track: (k, 2); begin, end: (2,) centres [m]. What was driven within `junction_m` of a centre
-    (passing beside it, cutting its corner, turning round) is left out, and the corridor is straight
-    there. Returns (j, 2) from `begin` to `end`.
+    (cutting its corner, turning round) is left out, and the corridor is straight there. A robot
+    that passes aside of a centre, farther off, drives as far as one that passes through it: from
+    where it is nearest the track is bent onto the centre, the less the farther on. Returns (j, 2)
+    from `begin` to `end`.
     """
     way = way_of(track)
+    middle = min(max(int(np.count_nonzero(way <= way[-1] / 2)), 1), len(track) - 1)
     reach = min(junction_m, way[-1] / 3)
-    half = way <= way[-1] / 2
-    near_begin = np.flatnonzero(half & (np.hypot(*(track - begin).T) < reach))
-    near_end = np.flatnonzero(~half & (np.hypot(*(track - end).T) < reach))
-    first = near_begin[-1] + 1 if len(near_begin) else 0
-    last = near_end[0] if len(near_end) else len(track)
-    return np.concatenate([begin[None], track[first:last], end[None]])
+    first, left = _past_centre(track[:middle], begin, reach)
+    last, came = _past_centre(track[middle:][::-1], end, reach)
+    inner = track[first : len(track) - last]
+    way = way_of(inner)[: len(inner), None]
+    share = way / max(float(way.max(initial=0.0)), 1e-9)
+    return np.concatenate([begin[None], inner - (1 - share) * left - share * came, end[None]])
+
+
+def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[int, FloatArray]:
+    """The first point of a track (k, 2) beyond the `reach` [m] of a centre that it comes from, or
+    where it is nearest if it is never within; and by how much (2,) [m] it passes aside then."""
+    away = np.hypot(*(track - centre).T)
+    inside = np.flatnonzero(away < reach)
+    if len(inside):
+        return int(inside[-1]) + 1, np.zeros(2)
+    nearest = int(away.argmin())
+    return nearest, track[nearest] - centre
 
 
 def loop_erased(path: FloatArray, near_m: float) -> FloatArray:

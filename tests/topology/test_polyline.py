@@ -48,6 +48,20 @@ def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [4, 0], [5, 0]])
 
 
+@pytest.mark.parametrize("aside", [0.8, -1.2])
+@pytest.mark.parametrize("length", [1.5, 6.0])
+def test_who_passes_aside_of_a_centre_goes_as_far_as_who_passes_through_it(aside, length):
+    along = np.linspace(0.0, length, 61)
+    track = np.column_stack([along, 0.05 * np.sin(along)])
+    past = join_centres(track, np.array([0.0, aside]), np.array([length, aside]), 0.7)
+    assert way_of(past)[-1] == pytest.approx(length, abs=0.03)
+    assert np.abs(past[:, 1] - aside).max() < 0.06
+    # Aside of one of the two: the way slants from it to the other.
+    past = join_centres(track, np.array([0.0, aside]), np.array([length, 0.0]), 0.7)
+    straight = float(np.hypot(length, aside))
+    assert straight - 0.01 < way_of(past)[-1] < straight + 0.2 * (length < 2) + 0.03
+
+
 def walked(*corners: tuple[float, float], step_m: float = 0.1) -> np.ndarray:
     """A track through points, sampled."""
     line = np.array(corners)
