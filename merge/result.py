@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
-from ..topology.ragged import Ragged
-from ..topology.topomap import ALL_SURE, TopoMap
+from ..topology.topomap import ALL_SURE, Graph, TopoMap
 from ..topology.turning_points import KINDS, NO_TURNING_POINTS
 
 T = TypeVar("T")
@@ -230,8 +229,8 @@ class Late(Sequence[T]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FusedMap:
-    """The fused vertices and edges of all components (fields as in TopoMap).
+class FusedMap(Graph):
+    """The fused vertices and edges of all components.
 
     component: (n,) id of the component whose frame the vertex is drawn in; members: for each
     vertex the vertices of the runs' maps that it fuses; observations: for each vertex
@@ -242,25 +241,10 @@ class FusedMap:
     """
 
     component: NDArray[np.int64]
-    xy: NDArray[np.float64]
-    branches: Ragged
-    kind: tuple[str, ...]
     members: Sequence[Mapping[str, tuple[int, ...]]]
     observations: Sequence[tuple[tuple[str, int], ...]]
-    source: NDArray[np.int64]
-    target: NDArray[np.int64]
-    source_branch: NDArray[np.int64]
-    target_branch: NDArray[np.int64]
-    length: NDArray[np.float64]
-    length_sigma: NDArray[np.float64]
-    traversals: NDArray[np.int64]
-    paths: tuple[NDArray[np.float64], ...]
     edge_members: Sequence[tuple[tuple[str, int], ...]]
     position_sigma: NDArray[np.float64] | None = None
-
-    def __len__(self) -> int:
-        """Number of vertices."""
-        return len(self.xy)
 
     @property
     def turned(self) -> int:
@@ -286,7 +270,7 @@ def by_run(members: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
     return out
 
 
-def graph_part(graph: TopoMap | FusedMap, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+def graph_part(graph: Graph, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
     number = np.cumsum(chosen) - 1
     times = graph.traversal_ns if isinstance(graph, TopoMap) else None

@@ -30,7 +30,7 @@ from .map_schema import (
 )
 from .passes import NO_BRANCH
 from .ragged import Ragged
-from .topomap import Closure, RunNoise, TopoMap
+from .topomap import Closure, Graph, RunNoise, TopoMap
 from .turning_vertices import with_turning_points, without_turning_points
 
 Number = TypeVar("Number", np.float64, np.int64)
@@ -114,8 +114,8 @@ def _node_certainty(topomap: TopoMap, vertex: int) -> dict[str, Any]:
     return out
 
 
-def edges_to_document(graph: Any) -> list[dict[str, Any]]:
-    """The `edges` of a document, from anything that has the edge arrays of a TopoMap."""
+def edges_to_document(graph: Graph) -> list[dict[str, Any]]:
+    """The `edges` of a document."""
 
     def branch(index: int) -> int | None:
         return None if index == NO_BRANCH else index

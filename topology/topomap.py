@@ -61,16 +61,44 @@ class Closure:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TopoMap:
-    """A topological map with `n` vertices and `m` edges (a multigraph, loops allowed).
+class Graph:
+    """`n` vertices and `m` edges laid out in the plane (a multigraph, loops allowed).
 
-    run: name, unique in a workspace; frame: name of the map frame (the run's own, arbitrary).
-    xy: (n, 2) vertex positions [m]. branches: n rows of headings [rad] in the map frame, ascending
-    in [-pi, pi). kind: n names ("junction", "dead_end", "bend").
+    xy: (n, 2) vertex positions [m]. branches: n rows of headings [rad], ascending in [-pi, pi).
+    kind: n names ("junction", "dead_end", "bend").
     source, target: (m,) vertex indices. source_branch, target_branch: (m,) row-local branch by
     which the edge leaves its source / target, NO_BRANCH where unknown. length: (m,) way along the
     corridor [m]; length_sigma: (m,) 1 sigma [m]; traversals: (m,) times driven.
-    paths: m polylines (k, 2) [m] in the map frame from source to target, k >= 2.
+    paths: m polylines (k, 2) [m] from source to target, k >= 2.
+    """
+
+    xy: NDArray[np.float64]
+    branches: Ragged
+    kind: tuple[str, ...]
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    source_branch: NDArray[np.int64]
+    target_branch: NDArray[np.int64]
+    length: NDArray[np.float64]
+    length_sigma: NDArray[np.float64]
+    traversals: NDArray[np.int64]
+    paths: tuple[NDArray[np.float64], ...]
+
+    def __len__(self) -> int:
+        """Number of vertices."""
+        return len(self.xy)
+
+    @property
+    def degree(self) -> NDArray[np.int64]:
+        """(n,) number of branches seen at each vertex, explored or not."""
+        return self.branches.counts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopoMap(Graph):
+    """The topological map of a run.
+
+    run: name, unique in a workspace; frame: name of the map frame (the run's own, arbitrary).
     observation_vertex, observation_time_ns: (k,) one row per pass, by time.
     noise: what loop closure and matching allow for, with their caution; fitted_noise: what the
     closed run itself shows, None where that is not known.
@@ -89,17 +117,6 @@ class TopoMap:
 
     run: str
     frame: str
-    xy: NDArray[np.float64]
-    branches: Ragged
-    kind: tuple[str, ...]
-    source: NDArray[np.int64]
-    target: NDArray[np.int64]
-    source_branch: NDArray[np.int64]
-    target_branch: NDArray[np.int64]
-    length: NDArray[np.float64]
-    length_sigma: NDArray[np.float64]
-    traversals: NDArray[np.int64]
-    paths: tuple[NDArray[np.float64], ...]
     observation_vertex: NDArray[np.int64]
     observation_time_ns: NDArray[np.int64]
     noise: RunNoise = field(default_factory=RunNoise)
@@ -163,10 +180,6 @@ class TopoMap:
         if np.any(self.confidence <= 0) or np.any(self.confidence > 1):
             raise ValueError("a confidence lies between 0 and 1")
 
-    def __len__(self) -> int:
-        """Number of vertices."""
-        return len(self.xy)
-
     @property
     def measured(self) -> RunNoise:
         """The most likely noise: `fitted_noise`, or `noise` where nothing better is known."""
@@ -183,8 +196,3 @@ class TopoMap:
     def passes(self) -> NDArray[np.int64]:
         """(n,) number of passes by each vertex."""
         return np.bincount(self.observation_vertex, minlength=len(self))
-
-    @property
-    def degree(self) -> NDArray[np.int64]:
-        """(n,) number of branches seen at each vertex, explored or not."""
-        return self.branches.counts

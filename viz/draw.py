@@ -17,7 +17,7 @@ from ..merge.result import (
     shown_bits,
 )
 from ..topology.se2 import apply, compose
-from ..topology.topomap import TopoMap
+from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_points import TRACK_END, TURNING_POINT
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted
@@ -86,7 +86,7 @@ def _widening(times: int) -> float:
     return 0.8 + 0.4 * min(max(times, 1) - 1, 3)
 
 
-def _unexplored(canvas: Canvas, m: TopoMap | FusedMap, T: FloatArray) -> list[Key]:
+def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> list[Key]:
     free = ~driven_branches(m)
     if not free.any():
         return []

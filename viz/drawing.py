@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 from ..merge.result import FusedMap
 from ..topology.passes import NO_BRANCH
 from ..topology.polyline import way_of
-from ..topology.ragged import Ragged
 from ..topology.se2 import wrap
+from ..topology.topomap import Graph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,28 +31,6 @@ WIDEST_RIBBON = 4
 
 MARGIN, SHEET_MARGIN = 0.05, 0.02
 """Room around a map, and around a sheet of maps, which have room of their own: shares of it."""
-
-
-class Graph(Protocol):
-    """What a TopoMap and a FusedMap have in common; the fields are TopoMap's."""
-
-    # ruff: noqa: D102
-    @property
-    def xy(self) -> FloatArray: ...
-    @property
-    def branches(self) -> Ragged: ...
-    @property
-    def source(self) -> IntArray: ...
-    @property
-    def target(self) -> IntArray: ...
-    @property
-    def source_branch(self) -> IntArray: ...
-    @property
-    def target_branch(self) -> IntArray: ...
-    @property
-    def length(self) -> FloatArray: ...
-    @property
-    def paths(self) -> tuple[FloatArray, ...]: ...
 
 
 def pen_m(graphs: Sequence[Graph]) -> float:
