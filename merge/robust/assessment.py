@@ -17,7 +17,15 @@ from .pairing import Pair, Samples
 from .prepare import Prepared, prepare
 from .repetition import CopyModel, copy_model
 from .settings import MATCH, RobustSettings
-from .verdict import Assessment, PairCount, Threshold, assess, threshold_for
+from .verdict import (
+    Assessment,
+    PairCount,
+    Threshold,
+    assess,
+    counted_bits,
+    needed_bits,
+    threshold_for,
+)
 
 
 def thresholds(
@@ -54,12 +62,30 @@ def _copied(
     with_themselves: Sequence[tuple[Candidate, ...]], settings: RobustSettings
 ) -> list[float]:
     """The junctions of every map's largest copy of a part of itself, no fewer than most maps of the
-    batch have."""
-    copied = [
-        max((len(c) for c in own if c.bits > MATCH.lead_bits), default=0) for own in with_themselves
-    ]
-    batch = float(np.quantile(copied, settings.copied_share)) if copied else 0.0
-    return [max(junctions, batch) for junctions in copied]
+    batch have; inf where the copy may go on."""
+    beyond = [[c for c in own if c.bits > MATCH.lead_bits] for own in with_themselves]
+    seen = [max(map(len, own), default=0) for own in beyond]
+    batch = float(np.quantile(seen, settings.copied_share)) if seen else 0.0
+    need = needed_bits(1, settings)
+    return [max([batch, *(np.inf if _goes_on(c, need) else len(c) for c in own)]) for own in beyond]
+
+
+def _goes_on(copy: Candidate, need_bits: float) -> bool:
+    """Whether a copy of a part of a map, which chance does not explain, may have no end but that of
+    what the run saw.
+
+    Who drove a wing of a building turned on itself, and a corner of the next, has seen that the
+    building repeats itself, and not how far: the copy is as large as the corner. A standard part,
+    or a copy by chance, ends, and what lies beyond contradicts it.
+    """
+    return _told_once(copy) >= need_bits and copy.contradicting_bits < MATCH.lead_bits
+
+
+def _told_once(copy: Candidate) -> float:
+    """The evidence of a match of a map with itself. Where half a turn takes two junctions to each
+    other, both say the same: so any rectangle is its own copy."""
+    pairs = np.sort(np.column_stack([copy.a, copy.b]), axis=1)
+    return counted_bits(copy) * len(np.unique(pairs, axis=0)) / len(pairs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,11 +4,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from topobatch.merge.robust.assessment import thresholds
+from topobatch.merge.result import Verdict
+from topobatch.merge.robust.alignment import self_matches
+from topobatch.merge.robust.assessment import _told_once, assess_pair, thresholds
+from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
-from topobatch.merge.robust.verdict import PairCount
+from topobatch.merge.robust.verdict import MAYBE_COPY, PairCount, counted_bits, needed_bits
 
 from .plans import COPIES, SETTINGS
+
+#  A wing by a hall at the origin; the wing opposite is the same, turned by half a turn.
+WING = np.array(
+    [
+        *[(4, 0), (9, 0), (9, 5.5), (4, 7.5), (16, 0), (16, 5.5), (22.5, 5.5), (22.5, 14)],
+        *[(9, 14), (16, 18.5), (30, 14), (30, 21.5), (9, 18.5)],
+    ]
+)
+WAYS = [(0, 1), (1, 2), (0, 3), (1, 4), (4, 5), (2, 5), (5, 6), (6, 7), (2, 8), (7, 10), (10, 11)]
+WAYS += [(8, 12), (12, 9)]
+CORNER = 5
+"""So many junctions of the wing opposite were seen beside this one."""
+LEAD_ON = [(u, v) for u, v in WAYS if u < CORNER <= v]
+
+
+def wing_and_corner(drawn, *, leads_on=()):
+    """A run through a wing and the hall, and a corner of the wing opposite. leads_on: where that
+    was seen to lead: junctions, each at the end of the corridor from one of the corner."""
+    n, corner = len(WING), [(u, v) for u, v in WAYS if max(u, v) < CORNER]
+    seen = {u: n + CORNER + k for k, (u, _) in enumerate(leads_on)}
+    points = [*WING.tolist(), *(-WING[:CORNER]).tolist(), *(at for _, at in leads_on)]
+    ways = [*WAYS, (0, n), *((n + u, n + v) for u, v in corner)]
+    ways += [(n + u, new) for u, new in seen.items()]
+    out = {(n + u): WING[u] - WING[v] for u, v in LEAD_ON if u not in seen}
+    return drawn(
+        "a", points, ways, stubs=[(u, float(np.arctan2(y, x))) for u, (x, y) in out.items()]
+    )
 
 
 @dataclass(frozen=True)
@@ -17,6 +47,17 @@ class Repetition:
 
     junctions: int
     bits: float = MATCH.lead_bits + 1
+    contradicting_bits: float = 0.0
+    back: bool = False
+    """Half of its junctions lie where the other half does."""
+
+    @property
+    def a(self):
+        return np.arange(self.junctions)
+
+    @property
+    def b(self):
+        return self.a[::-1] if self.back else self.a + self.junctions
 
     def __len__(self):
         return self.junctions
@@ -38,3 +79,35 @@ def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show():
     # Of two components the larger copies count; what chance offers is none.
     assert asked([0, 2], count).copied == 8.0
     assert heard == [(1, 6), (1, 4), (2, 8)]
+
+
+def test_a_copy_that_nothing_ends_may_go_on():
+    enough, lead = needed_bits(1, SETTINGS), MATCH.lead_bits
+    copies = [
+        Repetition(6, enough + 0.1),
+        Repetition(6, enough - 0.1),
+        Repetition(6, enough, contradicting_bits=lead + 0.1),
+        Repetition(6, 2 * enough - 0.1, back=True),
+        # A few junctions tell little, whatever they seem to tell.
+        Repetition(3, 99.0),
+    ]
+    asked = thresholds([None] * 5, SETTINGS, [(c,) for c in copies], lambda _: COPIES)
+    # The other maps of the batch are held to what was seen.
+    assert [asked([k], PairCount(10, 2)).copied for k in range(5)] == [np.inf, 6.0, 6.0, 6.0, 6.0]
+
+
+def test_what_may_lie_in_the_next_wing_is_not_merged(drawn):
+    """The copy has ten junctions, five there and five back, and the match thirteen."""
+    many = PairCount(1000, 1000)
+    other_run = drawn("b", WING.tolist(), WAYS, stubs=[(0, np.pi)])
+    turned = wing_and_corner(drawn)
+    ((copy,),) = self_matches([prepare(turned)], SETTINGS)
+    assert len(copy) == 2 * CORNER
+    assert _told_once(copy) == counted_bits(copy) / 2
+    view = assess_pair([turned, other_run], (0, 1), SETTINGS, count=many).view
+    assert (view.verdict, view.why, len(view.best)) == (Verdict.AMBIGUOUS, MAYBE_COPY, len(WING))
+    # Beyond its corner the wing opposite is seen to be another one.
+    ended = wing_and_corner(drawn, leads_on=[(4, (-16, -2.5)), (2, (-13, -5.5))])
+    assert next(self_matches([prepare(ended)], SETTINGS))[0].bits > MATCH.lead_bits
+    view = assess_pair([ended, other_run], (0, 1), SETTINGS, count=many).view
+    assert (view.verdict, len(view.best)) == (Verdict.MERGED, len(WING))
