@@ -12,10 +12,10 @@ whoever reads a payload.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import struct
 import weakref
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -99,8 +99,9 @@ class DamagedPackError(ValueError):
 
 
 def checksum(payload: bytes) -> int:
-    """Of a payload, as RECORD holds it."""
-    return int.from_bytes(hashlib.blake2b(payload, digest_size=8).digest(), "little")
+    """CRC-32 of a payload, as RECORD holds it: it tells damage and nothing else, and a quarter of
+    the time of a digest is enough for that."""
+    return zlib.crc32(payload)
 
 
 class Payloads(Protocol):
