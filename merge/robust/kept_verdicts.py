@@ -276,8 +276,10 @@ class KeptVerdicts:
         out = PackWriter(self.store.era)
         for pair, verdict in verdicts.items():
             asked = self._threshold(self.threshold(pair), copies="same_place_bits" in verdict.extra)
-            self.keys[verdict] = self._of(pair, which.get(pair)), asked
-            out.add(self.keys[verdict], Kind.VERDICT, payload=to_bytes(verdict))
+            key = self._of(pair, which.get(pair)), asked
+            if self.store.find(Kind.VERDICT, key) is None:  # else one that is not believed
+                self.keys[verdict] = key
+            out.add(key, Kind.VERDICT, payload=to_bytes(verdict))
         if len(out):
             self.store.keep(out.pack())
 
