@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,15 +58,26 @@ def packed_below(path: LogPath) -> str | None:
     """What is said of packed logs below a folder, which are passed over; None without any."""
     if not isinstance(path, Path) or not path.is_dir():
         return None
-    names: list[str] = []
-    for folder, folders, files in os.walk(path):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        packed = (n for n in files if not n.startswith(".") and _PACKED_LOG.search(n))
-        names += [os.path.relpath(os.path.join(folder, n), path) for n in packed]
+    names = [os.path.relpath(file, path) for file in _files_below(path)]
+    names = [name for name in names if _PACKED_LOG.search(name)]
     if not names:
         return None
     what = counted(len(names), "packed log")
     return f"{what} passed over, to be unpacked first: {listed(sorted(names))}"
+
+
+def _files_below(folder: Path) -> Iterator[str]:
+    """Files that are not hidden, in a folder and below; what cannot be listed is passed over:
+    looking for logs has told of it."""
+    waiting = [str(folder)]  # no recursion, as `os.walk`: folders can lie deeper than the stack
+    while waiting:
+        try:
+            with os.scandir(waiting.pop()) as found:
+                shown = [entry for entry in found if not entry.name.startswith(".")]
+        except OSError:
+            continue
+        waiting += [e.path for e in shown if e.is_dir(follow_symlinks=False)]
+        yield from (entry.path for entry in shown if entry.is_file(follow_symlinks=False))
 
 
 def _packed(path: Path) -> str | None:
