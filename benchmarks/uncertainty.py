@@ -23,6 +23,7 @@ with all statements about one run (of merges: one world) as one draw, as errors 
 together. Junctions, corridors and pairs that were identified wrongly are left out: `closure.py` and
 `chain.py` count those. A map's frame is arbitrary: it is laid rigidly over the truth.
 
+`--laser` has the junctions found in scans; faults are those of the laser and its surroundings.
 `--real FOLDER…` judges recorded runs instead: folders with `truth.json` (vertices and edges of the
 world, passes of every run) and `logs/`.
 """
@@ -34,8 +35,10 @@ import json
 import zlib
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.stats import chi2
@@ -53,6 +56,7 @@ from topobatch.simulation import (
 from topobatch.simulation.truth import RunTruth, Truth
 from topobatch.simulation.world import World
 from topobatch.simulation.worlds import WORLDS
+from topobatch.simulation.writing import write_run
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
@@ -207,14 +211,25 @@ def judged(truth, runs, seed):
 
 def simulated(task):
     """One scenario: (world, drift, faults), and what came of it."""
-    world, drift, faults, number, runs, junctions = task
+    world, drift, faults, number, runs, junctions, laser = task
     seed = zlib.crc32(f"{world} {drift} {faults} {runs} {number}".encode())
     settings = ScenarioSettings(world, runs, 0.4, junctions, drift=drift, faults=faults, seed=seed)
+    if laser:
+        # The detector's passes tell which junction was driven by when: it misses none.
+        settings = replace(settings, faults="none", laser=faults, tells_junctions=False)
     try:
         scenario = simulate_scenario(settings)
     except UsageError:  # no room in this world
         return (world, drift, faults), []
-    return (world, drift, faults), judged(scenario.truth, scenario.runs, seed)
+    runs = by_scans(scenario) if laser else scenario.runs
+    return (world, drift, faults), judged(scenario.truth, runs, seed)
+
+
+def by_scans(scenario):
+    """{name: run} of the scans of a scenario, as `topobatch ingest` reads them."""
+    with TemporaryDirectory() as folder:
+        logs = [write_run(Path(folder), run) for run in scenario.simulated]
+        return {log.stem: read_run(log) for log in logs}
 
 
 def recorded(folder):
@@ -317,6 +332,7 @@ def main():
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--runs", type=int, default=3, help="in a world; 1: none is merged")
     parser.add_argument("--junctions", type=int, default=40, help="per run")
+    parser.add_argument("--laser", action="store_true", help="junctions from scans")
     parser.add_argument("--worst", action="store_true", help="the worlds that stray most")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--real", nargs="+", type=Path, help="folders of recorded runs")
@@ -327,7 +343,7 @@ def main():
         ]
     else:
         seeds = range(args.first, args.first + args.seeds)
-        cells = product(args.worlds, args.drifts, args.faults, seeds, [args.runs], [args.junctions])
+        cells = product(args.worlds, args.drifts, args.faults, seeds, [args.runs], [args.junctions], [args.laser])
         if args.jobs > 1:
             with ProcessPoolExecutor(args.jobs) as pool:
                 results = list(pool.map(simulated, cells))
