@@ -343,7 +343,15 @@ def main():
         ]
     else:
         seeds = range(args.first, args.first + args.seeds)
-        cells = product(args.worlds, args.drifts, args.faults, seeds, [args.runs], [args.junctions], [args.laser])
+        cells = product(
+            args.worlds,
+            args.drifts,
+            args.faults,
+            seeds,
+            [args.runs],
+            [args.junctions],
+            [args.laser],
+        )
         if args.jobs > 1:
             with ProcessPoolExecutor(args.jobs) as pool:
                 results = list(pool.map(simulated, cells))

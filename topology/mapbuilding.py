@@ -72,6 +72,7 @@ def build_topomap(
     pass_vertex: IntArray,
     pass_fair: NDArray[np.bool_],
     pass_turn: FloatArray,
+    askew_rad: float = 0.0,
     noise: RunNoise,
     errors: VertexErrors,
     fitted_noise: RunNoise | None = None,
@@ -82,7 +83,8 @@ def build_topomap(
 
     xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_fair: (p,)
     whether the pass shows its vertex as it is, so that its branches count; pass_turn: (p,) turn
-    from the odometry's frame to the map's at each pass; errors: of the n vertices; noise,
+    from the odometry's frame to the map's at each pass; askew_rad: 1 sigma of headings that all
+    passes of a vertex share; errors: of the n vertices; noise,
     fitted_noise: as in TopoMap.
     """
     track = track_directions(odometry, visits.time_ns, visits.centre)
@@ -111,7 +113,7 @@ def build_topomap(
     piece[visits.vertex] = visits.chain
     shape = errors.as_a_whole(xy, piece)
     measured = fitted_noise or noise
-    reading = measured.branch_rad / np.sqrt(votes[keep])
+    reading = np.hypot(measured.branch_rad / np.sqrt(votes[keep]), askew_rad)
     return TopoMap(
         run=run,
         frame=odometry.frame,
