@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ...topology.digits import significant
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, inverse, wrap
 from .scan import ScanPasses
@@ -63,7 +64,7 @@ def junction_passes(
     xy = np.array([r[3].xy for r in records])
     clearance = np.array([r[3].clearance_m for r in records])
     headings = Ragged.from_rows([r[3].headings for r in records])
-    bends = Ragged.from_rows([r[3].bends for r in records])
+    bends = np.concatenate([r[3].bends for r in records])
     group = _together(xy, way, settings)
     middles = np.array([window.way for window in seen])
     rows, turns = [], []
@@ -102,11 +103,12 @@ def _askew(turns: list[FloatArray]) -> float:
 
     Where a centre is off by d across a branch, a chord of length r to it is off by d / r, one of
     2 r by half of that, and they differ by the other half. Where the branch bends, a chord is off
-    by what it differs from one twice as long. What is twice the difference covers both.
+    by what it differs from one twice as long. Twice the difference covers both. By the median: some
+    corridors have a corner there.
     """
     every = np.concatenate([np.zeros(0), *turns])
-    told = every[np.isfinite(every)]
-    return float(2 * np.sqrt(np.mean(told**2))) if len(told) else 0.0
+    told = np.abs(every[np.isfinite(every)])
+    return significant(2 * float(np.median(told)) / 0.6745) if len(told) else 0.0
 
 
 def no_passes() -> ScanPasses:
@@ -133,14 +135,14 @@ def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> In
 
 
 def _branches(
-    looks: tuple[Ragged, Ragged],
+    looks: tuple[Ragged, FloatArray],
     members: IntArray,
     votes: IntArray,
     degree: int,
     settings: JunctionSettings,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Headings of a junction of `degree` branches, the share of all looks that show each, and how
-    it turns further on (NaN: nothing tells). looks: headings and bends of all.
+    it turns further on (NaN: nothing tells). looks: headings and bends of all; members: ascending.
 
     Of the votes for so many branches, the one that the others are nearest to; every branch is the
     mean of what all looks show near it.
@@ -159,7 +161,7 @@ def _branches(
     mean = np.bincount(nearest[near], gap[near], degree) / np.maximum(count, 1)
     shown = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
     share = np.bincount(shown, minlength=degree) / len(members)
-    turn = bends.take(members).values
+    turn = bends[np.isin(headings.owner, members)]
     turned = near & np.isfinite(turn)
     tells = np.bincount(nearest[turned], minlength=degree)
     with np.errstate(invalid="ignore"):
