@@ -95,20 +95,26 @@ def junction_passes(
             )
         )
     rows.sort(key=lambda row: (row[0], *row[1]))
-    return replace(_passes(rows, driven, windows), askew_rad=_askew(turns))
+    usual = windows.variants[0]
+    askew_rad = _askew(turns, usual.grid.cell_m / usual.skeleton.chord_m)
+    return replace(_passes(rows, driven, windows), askew_rad=askew_rad)
 
 
-def _askew(turns: list[FloatArray]) -> float:
+def _askew(turns: list[FloatArray], cell: float) -> float:
     """1 sigma [rad] of headings that all passes of a place share, by how branches turn.
 
     Where a centre is off by d across a branch, a chord of length r to it is off by d / r, one of
     2 r by half of that, and they differ by the other half. Where the branch bends, a chord is off
     by what it differs from one twice as long. Twice the difference covers both. By the median: some
-    corridors have a corner there.
+    corridors have a corner there. Both chords end at cells, which windows share: cell is the side
+    of one, by r. What rounding to it adds to the difference is taken off, what it does to r stays.
     """
     every = np.concatenate([np.zeros(0), *turns])
     told = np.abs(every[np.isfinite(every)])
-    return significant(2 * float(np.median(told)) / 0.6745) if len(told) else 0.0
+    rounding = cell**2 / 12
+    differ = (float(np.median(told)) / 0.6745) ** 2 if len(told) else 0.0
+    seen = max(differ - 1.25 * rounding, 0.0)
+    return significant(float(np.sqrt(4 * seen + rounding)))
 
 
 def no_passes() -> ScanPasses:
