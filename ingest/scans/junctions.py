@@ -100,19 +100,24 @@ def junction_passes(
     return replace(_passes(rows, driven, windows), askew_rad=askew_rad)
 
 
+QUARTILE = 0.3186
+"""Of the sigma of a normal error, within which a quarter of all lie."""
+
+
 def _askew(turns: list[FloatArray], cell: float) -> float:
     """1 sigma [rad] of headings that all passes of a place share, by how branches turn.
 
     Where a centre is off by d across a branch, a chord of length r to it is off by d / r, one of
     2 r by half of that, and they differ by the other half. Where the branch bends, a chord is off
-    by what it differs from one twice as long. Twice the difference covers both. By the median: some
-    corridors have a corner there. Both chords end at cells, which windows share: cell is the side
-    of one, by r. What rounding to it adds to the difference is taken off, what it does to r stays.
+    by what it differs from one twice as long. Twice the difference covers both. By the first
+    quartile: half of the corridors between racks have a corner there. Both chords end at cells,
+    which windows share: cell is the side of one, by r. What rounding to it adds to the difference
+    is taken off, what it does to the shorter chord stays.
     """
     every = np.concatenate([np.zeros(0), *turns])
     told = np.abs(every[np.isfinite(every)])
     rounding = cell**2 / 12
-    differ = (float(np.median(told)) / 0.6745) ** 2 if len(told) else 0.0
+    differ = (float(np.quantile(told, 0.25)) / QUARTILE) ** 2 if len(told) else 0.0
     seen = max(differ - 1.25 * rounding, 0.0)
     return significant(float(np.sqrt(4 * seen + rounding)))
 
