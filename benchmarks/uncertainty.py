@@ -66,6 +66,8 @@ QUANTITIES = (
     "placed", "placed turn",
 )  # fmt: skip
 NEAR_M, FAR_M = 15.0, 30.0
+WIDTH_M = 1.4
+"""Of the corridors of worlds seen by lasers."""
 MOST_PAIRS = 60
 """Pairs of junctions judged per run, near and far."""
 MISTAKEN_RAD = 0.4
@@ -103,9 +105,25 @@ def judge_lengths(truth, runs, graph, label):
     return quantiles(((graph.length[edges] - true) / graph.length_sigma[edges]) ** 2, 1)
 
 
+def labels(truth, topomap):
+    """(n,) true vertex of every vertex of a map, negative for none; of scans, which show what the
+    detector does not, by place as well: within a corridor's width of where the others put it."""
+    label = true_vertex_of_nodes(truth, topomap)
+    if topomap.shows_bends:
+        return label
+    there = truth.worlds[truth.runs[topomap.run].world].xy
+    while (known := np.flatnonzero(label >= 0)).size > 3:
+        T_map_world = fit_rigid(topomap.xy[known], there[label[known]])
+        off = np.hypot(*(topomap.xy[known] - apply(T_map_world, there[label[known]])).T)
+        if off.max() < WIDTH_M:
+            break
+        label[known[off.argmax()]] = -1
+    return label
+
+
 def judge_map(truth, topomap, errors, seed):
     """{quantity: (k, 3) within} of one map."""
-    label = true_vertex_of_nodes(truth, topomap)
+    label = labels(truth, topomap)
     known = np.flatnonzero(label >= 0)
     out = {"length": judge_lengths(truth, [topomap.run], topomap, label)}
     if len(known) < 4:
