@@ -31,7 +31,7 @@ from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, fit_rigid, wrap
 
-from .walks import NOISE, aisles, grid_world, partition, record, scene_of, wander
+from .walks import NOISE, aisles, grid_world, no_ground, partition, record, scene_of, wander
 
 
 def test_a_perfect_walk_is_closed_completely():
@@ -318,14 +318,24 @@ def test_a_grid_that_bends_on_its_way_is_found_out():
         assert len(closed.estimate.xy) == len(set(truth))
 
 
-@pytest.mark.parametrize(("third", "accepted"), [(False, []), (True, [(0, 1), (0, 2)])])
-def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, accepted):
+@pytest.mark.parametrize(
+    ("third", "fits", "accepted"),
+    [
+        (False, True, []),
+        (True, True, [(0, 1), (0, 2)]),
+        (True, False, [(0, 1), (0, 2)]),  # beyond the gate, and nearer than two junctions
+    ],
+)
+def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, fits, accepted):
     """Place 0 cannot be 1 as well as 2, unless these may be one."""
     pairs = [(0, 1), (0, 2), *([(1, 2)] if third else [])]
     a, b = np.array(pairs).T
     zero = np.zeros(len(pairs))
-    alike = np.array([12.0, 11.0, 0.5])[: len(pairs)]
-    found = Candidates(a, b, zero, alike, zero, zero, zero, zero)
+    alike = np.array([12.0, 11.0, 0.5 if fits else 99.0])[: len(pairs)]
+    within = np.array([True, True, fits])[: len(pairs)]
+    found = Candidates(
+        a, b, zero, alike, zero, zero, zero, zero, no_ground(len(pairs)), within
+    )  # fmt: skip
     places = SimpleNamespace(first=np.arange(3))
     certain = _certain(places, found, least=9.0)
     assert [(q.first, q.second) for q in certain] == accepted
