@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .circular import AngleClusters, cluster_angles
+from .corridor_lengths import corridor_lengths
 from .odometry import Odometry
 from .passes import NO_BRANCH, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
@@ -299,7 +300,7 @@ class _Edges:
     traversals: IntArray
     time_ns: tuple[IntArray, ...]
     leg: IntArray
-    """The leg whose track is drawn, and whose length is the corridor's: the shortest sound one."""
+    """The leg whose track is drawn (`corridor_lengths`)."""
     wander: float
     """Variance, per metre, of the ways driven through one corridor."""
     detour: float
@@ -315,16 +316,13 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
     groups = _corridors(legs, settings)
     keys = sorted(groups)
     members = [np.array(groups[key]) for key in keys]
-    length, leg = np.zeros(len(keys)), np.zeros(len(keys), np.int64)
-    excess, way = 0.0, settings.repeated_m
-    for e, member in enumerate(members):
-        ordered = member[np.argsort(legs.length[member], kind="stable")]
-        middle = legs.length[ordered[len(ordered) // 2]]
-        sound = ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
-        leg[e] = sound[0]  # who wanders drives farther, nobody less far
-        length[e] = legs.length[leg[e]]
-        excess += float(np.var(legs.length[sound]) * len(sound))
-        way += float(length[e] * (len(sound) - 1))
+    sound = [_sound(legs, member, settings) for member in members]
+    line = np.hypot(*(xy[legs.target] - xy[legs.source]).T)
+    length, leg = corridor_lengths(legs.length, line, sound)
+    excess = sum(float(np.var(legs.length[some]) * len(some)) for some in sound)
+    way = settings.repeated_m + sum(
+        float(shown * (len(some) - 1)) for shown, some in zip(length, sound, strict=True)
+    )
     at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
     times = (at[member] for member in members)
     source, target, source_branch, target_branch = np.array(keys, np.int64).reshape(-1, 4).T
@@ -340,6 +338,13 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
         wander=excess / way,
         detour=_chosen_detour(legs, members, xy),
     )
+
+
+def _sound(legs: _Legs, member: IntArray, settings: MapBuildingSettings) -> IntArray:
+    """The legs through a corridor that nothing held up, the shortest first."""
+    ordered = member[np.argsort(legs.length[member], kind="stable")]
+    middle = legs.length[ordered[len(ordered) // 2]]
+    return ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
 
 
 def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[int]]:
@@ -410,7 +415,7 @@ def _length_sigma(
     A path bent onto its two ends gets longer by their error along the chord times the share of the
     chord in it (the mean of its directions), to first order. The rest of a way that winds is
     odometry's, and what robots wander in a corridor, and go round where none leads them, shows
-    where they drive it again: of several ways the shortest counts.
+    where they drive it again (`corridor_lengths`).
     """
     chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
     straight = np.minimum(chord / edges.length, 1.0)
