@@ -344,7 +344,8 @@ def _sound(legs: _Legs, member: IntArray, settings: MapBuildingSettings) -> IntA
     """The legs through a corridor that nothing held up, the shortest first."""
     ordered = member[np.argsort(legs.length[member], kind="stable")]
     middle = legs.length[ordered[len(ordered) // 2]]
-    return ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
+    sound: IntArray = ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
+    return sound
 
 
 def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[int]]:
