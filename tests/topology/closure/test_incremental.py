@@ -10,13 +10,14 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
-from topobatch.topology.closure.answers import Identification
+from topobatch.topology.closure.answers import APART, TORN, UNSURE, Identification
 from topobatch.topology.closure.candidates import Candidates, candidates
 from topobatch.topology.closure.dead_reckoning import SystematicErrors, dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.incremental import (
     RoundSettings,
     _certain,
+    _doubted,
     _fitting_scale,
     closure_without_grid,
     full_closure,
@@ -350,3 +351,15 @@ def test_noise_is_raised_where_errors_as_large_are_no_chance():
     assert _fitting_scale(1.5, loud) == 3.0
     # Of few residuals such a sum is chance.
     assert _fitting_scale(1.5, SimpleNamespace(reduced_chi2=4.0, freedom=2)) == 1.5
+
+
+def test_what_is_no_candidate_any_more_lies_too_far_apart():
+    """And keeps the first such reason and round."""
+    unsure = Identification(0, 5, accepted=False, bits=1.0, reason=UNSURE, round=1)
+    before = {(0, k): replace(unsure, second=k, reason=r) for k, r in ((5, UNSURE), (6, TORN))}
+    nothing = SimpleNamespace(**dict.fromkeys(("total", "position", "branches"), np.zeros(0)))
+    places = SimpleNamespace(entry=[0, 1])
+    once = _doubted(before, places, nothing, RoundSettings(), 2)
+    twice = _doubted(once, places, nothing, RoundSettings(), 3)
+    assert [(q.reason, q.round) for q in once.values()] == [(APART, 2), (TORN, 1)]
+    assert [astuple(q) for q in twice.values()] == [astuple(q) for q in once.values()]
