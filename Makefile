@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := topobatch-workspace
 # posegraph.py is not among them: it wants the names of public graph files.
-BENCHMARKS := startup paper merging aliasing adversaries calibration odometry uncertainty closure chain fleet \
+BENCHMARKS := startup paper merging aliasing adversaries calibration odometry uncertainty transforms closure chain fleet \
 	exports transfer changes ingest soak remote audit
 # What the program needs, and that with the tools of its tests.
 LOCK := requirements.lock
