@@ -28,7 +28,13 @@ from topobatch.ingest.mapping import dead_reckoned
 from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
 from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import true_vertex_of_passes
-from topobatch.topology.closure import candidates, growth, incremental, joint_compatibility
+from topobatch.topology.closure import (
+    candidates,
+    growth,
+    incremental,
+    joint_compatibility,
+    negative_information,
+)
 from topobatch.topology.closure.dead_reckoning import DeadReckoning
 from topobatch.topology.closure.incremental import RoundSettings, full_closure
 from topobatch.topology.closure.missed_detections import DrivenBySettings, correct_detections
@@ -90,6 +96,11 @@ REPLACED = {
     "straight corridors": (incremental, "_straight", lambda *args: None),
     "rivals": (incremental, "_rivals", lambda *args: []),
     "null pairs": (candidates, "_null_pairs", lambda *args: np.zeros(0)),
+    "negative information": (
+        negative_information.DrivenGround,
+        "share",
+        lambda ground, shift, *args: np.zeros(len(shift)),
+    ),
     "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
 }
 """Mechanisms that no field takes out: module, function, and what stands in for it."""

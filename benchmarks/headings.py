@@ -5,6 +5,11 @@ Folders as `laser.py` takes them. Of all runs of a folder, and of all: share of 
 stretches that do not overlap were independent; 1 sigma claimed over error (root mean squares,
 pooled); by how much patches of wall err together (`TurnErrors`: apart over apart_alone). Real logs
 are judged by what all their scans agree on (`revisits.py`).
+
+Of real logs also branches of junctions that were passed again: how often the headings that two
+passes show (turned by what the scans agree on) differ by no more than the map's noise of a branch
+claims, and by how much. That tells what passes do not share; what they do, `uncertainty.py --laser`
+holds against the truth of simulated worlds. Folders that do not exist are passed over.
 """
 
 from __future__ import annotations
@@ -14,10 +19,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from laser import Log, Stretches, bent_onto, central, logs
+from laser import ONE_PLACE_M, Log, Stretches, bent_onto, central, logs, true_passes
 from numpy.typing import NDArray
 from revisits import revisits
 
+from topobatch.ingest.mapping import build_map
+from topobatch.ingest.scans.detection import detect
 from topobatch.ingest.scans.keyframes import join
 from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
 from topobatch.ingest.scans.noise import matched_noise
@@ -25,12 +32,15 @@ from topobatch.ingest.scans.scan import ScanPasses
 from topobatch.topology.columns import joined
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import compose, inverse
+from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.se2 import compose, inverse, wrap
 from topobatch.topology.track import way_at
 
 FloatArray = NDArray[np.float64]
 LEVELS = (0.683, 0.954, 0.997)
 FAR_M = 20.0
+SAME_RAD = 0.35
+"""Headings nearer than this are of one branch."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +86,34 @@ def _no_passes() -> ScanPasses:
     )
 
 
+def branches_again(log: Log) -> str:
+    """Differences of headings of one branch, each pass of a place against the one before it."""
+    result = detect(log.odometry, log.scans)
+    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
+    run = Run(log.name, result.odometry, none, scanned=Scanned(result.passes, result.noise))
+    noise = build_map(run).fitted_noise
+    assert noise is not None
+    passes, (centre, turn) = result.passes, true_passes(log, result)
+    pose = result.odometry.at(passes.time_ns)
+    off = []
+    for k in range(len(passes)):
+        near = np.flatnonzero(np.hypot(*(centre[:k] - centre[k]).T) < ONE_PLACE_M)
+        if len(near):
+            one, other = (passes.branches[j] + pose[j, 2] + turn[j] for j in (k, int(near[-1])))
+            apart = np.asarray(wrap(one[:, None] - other))
+            nearest = np.take_along_axis(apart, np.abs(apart).argmin(axis=1)[:, None], axis=1)
+            off += nearest[np.abs(nearest) < SAME_RAD].tolist()
+    if not off:
+        return "no branch was seen again"
+    z = np.abs(off) / (np.sqrt(2) * noise.branch_rad)
+    within = ", ".join(f"{np.mean(z < k):.3f}" for k in (1, 2, 3))
+    return (
+        f"branches seen again: {len(off)}, within 1, 2, 3 sigma {within}; differ by "
+        f"{np.median(np.abs(off)) / 0.6745:.3f} rad (median), {np.std(off):.3f} (rms), where "
+        f"{np.sqrt(2) * noise.branch_rad:.3f} is claimed"
+    )
+
+
 def told(name: str, runs: list[Judged]) -> None:
     """One line about some runs."""
     p = np.concatenate([run.p for run in runs])
@@ -109,9 +147,11 @@ def main() -> None:
     if every:
         told("all", every)
     for folder in options.real:
-        for log in logs(folder):
-            seen = revisits(log.odometry, log.scans, log.truth)
-            told(f"{folder.name} {log.name}", [judged(replace(log, truth=seen.path))])
+        for recorded in logs(folder) if folder.is_dir() else ():
+            seen = revisits(recorded.odometry, recorded.scans, recorded.truth)
+            log = replace(recorded, truth=seen.path)
+            told(f"{folder.name} {log.name}", [judged(log)])
+            print(f"{'':24s} {branches_again(log)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -343,17 +343,22 @@ def junctions(log: Log, result: ScanResult) -> str:
 
 def true_centres(log: Log, result: ScanResult) -> FloatArray:
     """(p, 2) centres of the passes in the truth's frame, by 8 m of way around each."""
+    return true_passes(log, result)[0]
+
+
+def true_passes(log: Log, result: ScanResult) -> tuple[FloatArray, FloatArray]:
+    """`true_centres`, and (p,) by how much the odometry's frame is turned to the truth's there."""
     passes, odometry = result.passes, result.odometry
     way = way_at(odometry, log.truth.time_ns)
     at = way_at(odometry, passes.time_ns)
     own = odometry.at(log.truth.time_ns)[:, :2]
     centre = apply(odometry.at(passes.time_ns), passes.centre)
-    out = np.empty_like(centre)
+    out, turn = np.empty_like(centre), np.empty(len(passes))
     for k in range(len(passes)):
         near = np.abs(way - at[k]) < 4.0
         T = fit_rigid(log.truth.pose[near, :2], own[near])
-        out[k] = apply(T, centre[k])
-    return out
+        out[k], turn[k] = apply(T, centre[k]), T[2]
+    return out, turn
 
 
 def dead_ends(crossings: Crossings, truth: Odometry, topomap: TopoMap) -> str:

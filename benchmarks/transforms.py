@@ -236,7 +236,7 @@ def main():
     seeds = range(args.first, args.first + args.seeds)
     rows = defaultdict(list)
     for world, drift, faults, seed in product(args.worlds, args.drifts, args.faults, seeds):
-        scenario, _ = scenario_of((world, drift, faults, seed, 3, 40))
+        scenario, _ = scenario_of((world, drift, faults, seed, 3, 40, False))
         if scenario is not None:
             rows[drift] += judged(scenario)
     print(f"{'':14}{'pairs':>6}{'within 68.3 95':>16}{'carried':>9}", *map("{:>9}".format, PARTS))

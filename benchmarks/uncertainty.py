@@ -23,6 +23,7 @@ with all statements about one run (of merges: one world) as one draw, as errors 
 together. Junctions, corridors and pairs that were identified wrongly are left out: `closure.py` and
 `chain.py` count those. A map's frame is arbitrary: it is laid rigidly over the truth.
 
+`--laser` has the junctions found in scans; faults are those of the laser and its surroundings.
 `--real FOLDER…` judges recorded runs instead: folders with `truth.json` (vertices and edges of the
 world, passes of every run) and `logs/`.
 """
@@ -34,8 +35,10 @@ import json
 import zlib
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.stats import chi2
@@ -53,6 +56,7 @@ from topobatch.simulation import (
 from topobatch.simulation.truth import RunTruth, Truth
 from topobatch.simulation.world import World
 from topobatch.simulation.worlds import WORLDS
+from topobatch.simulation.writing import write_run
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
@@ -62,6 +66,8 @@ QUANTITIES = (
     "placed", "placed turn",
 )  # fmt: skip
 NEAR_M, FAR_M = 15.0, 30.0
+WIDTH_M = 1.4
+"""Of the corridors of worlds seen by lasers."""
 MOST_PAIRS = 60
 """Pairs of junctions judged per run, near and far."""
 MISTAKEN_RAD = 0.4
@@ -99,9 +105,25 @@ def judge_lengths(truth, runs, graph, label):
     return quantiles(((graph.length[edges] - true) / graph.length_sigma[edges]) ** 2, 1)
 
 
+def labels(truth, topomap):
+    """(n,) true vertex of every vertex of a map, negative for none; of scans, which show what the
+    detector does not, by place as well: within a corridor's width of where the others put it."""
+    label = true_vertex_of_nodes(truth, topomap)
+    if topomap.shows_bends:
+        return label
+    there = truth.worlds[truth.runs[topomap.run].world].xy
+    while (known := np.flatnonzero(label >= 0)).size > 3:
+        T_map_world = fit_rigid(topomap.xy[known], there[label[known]])
+        off = np.hypot(*(topomap.xy[known] - apply(T_map_world, there[label[known]])).T)
+        if off.max() < WIDTH_M:
+            break
+        label[known[off.argmax()]] = -1
+    return label
+
+
 def judge_map(truth, topomap, errors, seed):
     """{quantity: (k, 3) within} of one map."""
-    label = true_vertex_of_nodes(truth, topomap)
+    label = labels(truth, topomap)
     known = np.flatnonzero(label >= 0)
     out = {"length": judge_lengths(truth, [topomap.run], topomap, label)}
     if len(known) < 4:
@@ -208,19 +230,32 @@ def judged(truth, runs, seed):
 def simulated(task):
     """One scenario: (world, drift, faults), and what came of it."""
     scenario, seed = scenario_of(task)
-    return task[:3], [] if scenario is None else judged(scenario.truth, scenario.runs, seed)
+    if scenario is None:
+        return task[:3], []
+    runs = by_scans(scenario) if task[6] else scenario.runs
+    return task[:3], judged(scenario.truth, runs, seed)
 
 
 def scenario_of(task):
-    """The scenario of (world, drift, faults, number, runs, junctions), None where such a world has
-    no room, and its seed."""
-    world, drift, faults, number, runs, junctions = task
+    """The scenario of (world, drift, faults, number, runs, junctions, with a laser), None where
+    such a world has no room, and its seed."""
+    world, drift, faults, number, runs, junctions, laser = task
     seed = zlib.crc32(f"{world} {drift} {faults} {runs} {number}".encode())
     settings = ScenarioSettings(world, runs, 0.4, junctions, drift=drift, faults=faults, seed=seed)
+    if laser:
+        # The detector's passes tell which junction was driven by when: it misses none.
+        settings = replace(settings, faults="none", laser=faults, tells_junctions=False)
     try:
         return simulate_scenario(settings), seed
     except UsageError:
         return None, seed
+
+
+def by_scans(scenario):
+    """{name: run} of the scans of a scenario, as `topobatch ingest` reads them."""
+    with TemporaryDirectory() as folder:
+        logs = [write_run(Path(folder), run) for run in scenario.simulated]
+        return {log.stem: read_run(log) for log in logs}
 
 
 def recorded(folder):
@@ -323,6 +358,7 @@ def main():
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--runs", type=int, default=3, help="in a world; 1: none is merged")
     parser.add_argument("--junctions", type=int, default=40, help="per run")
+    parser.add_argument("--laser", action="store_true", help="junctions from scans")
     parser.add_argument("--worst", action="store_true", help="the worlds that stray most")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--real", nargs="+", type=Path, help="folders of recorded runs")
@@ -333,7 +369,15 @@ def main():
         ]
     else:
         seeds = range(args.first, args.first + args.seeds)
-        cells = product(args.worlds, args.drifts, args.faults, seeds, [args.runs], [args.junctions])
+        cells = product(
+            args.worlds,
+            args.drifts,
+            args.faults,
+            seeds,
+            [args.runs],
+            [args.junctions],
+            [args.laser],
+        )
         if args.jobs > 1:
             with ProcessPoolExecutor(args.jobs) as pool:
                 results = list(pool.map(simulated, cells))

@@ -108,6 +108,7 @@ def build_map_with_errors(
         pass_vertex=corrected.place,
         pass_fair=corrected.fair,
         pass_turn=estimate.pose[:, 2],
+        askew_rad=source.askew_rad,
         noise=refined(closed.reckoning.noise),
         fitted_noise=refined(replace(measured.noise, branch_rad=reckoning.noise.branch_rad)),
         errors=errors,

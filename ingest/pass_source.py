@@ -22,7 +22,8 @@ class PassSource(Protocol):
     """What mapping asks.
 
     shows_bends: a bend without a branch is a junction, too; resolution_m: junctions nearer to each
-    other than this look like one [m]; why_none: what is said of a run without any pass.
+    other than this look like one [m]; askew_rad: 1 sigma of headings that all passes of a place
+    share; why_none: what is said of a run without any pass.
     """
 
     @property
@@ -30,6 +31,9 @@ class PassSource(Protocol):
 
     @property
     def resolution_m(self) -> float: ...  # noqa: D102
+
+    @property
+    def askew_rad(self) -> float: ...  # noqa: D102
 
     @property
     def why_none(self) -> str: ...  # noqa: D102
@@ -60,6 +64,7 @@ class _Detected:
     settings: MappingSettings
     shows_bends = True
     resolution_m = 0.0
+    askew_rad = 0.0
 
     @property
     def why_none(self) -> str:
@@ -95,6 +100,10 @@ class _FromScans:
     @property
     def resolution_m(self) -> float:
         return self.scanned.passes.resolution_m
+
+    @property
+    def askew_rad(self) -> float:
+        return self.scanned.passes.askew_rad
 
     def calibration(self) -> Calibration:
         """Of odometry that scans corrected, nothing is left but what usually is left."""

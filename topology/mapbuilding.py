@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .circular import AngleClusters, cluster_angles
+from .corridor_lengths import corridor_lengths
 from .odometry import Odometry
 from .passes import NO_BRANCH, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
@@ -72,6 +73,7 @@ def build_topomap(
     pass_vertex: IntArray,
     pass_fair: NDArray[np.bool_],
     pass_turn: FloatArray,
+    askew_rad: float = 0.0,
     noise: RunNoise,
     errors: VertexErrors,
     fitted_noise: RunNoise | None = None,
@@ -82,7 +84,8 @@ def build_topomap(
 
     xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_fair: (p,)
     whether the pass shows its vertex as it is, so that its branches count; pass_turn: (p,) turn
-    from the odometry's frame to the map's at each pass; errors: of the n vertices; noise,
+    from the odometry's frame to the map's at each pass; askew_rad: 1 sigma of headings that all
+    passes of a vertex share; errors: of the n vertices; noise,
     fitted_noise: as in TopoMap.
     """
     track = track_directions(odometry, visits.time_ns, visits.centre)
@@ -111,7 +114,7 @@ def build_topomap(
     piece[visits.vertex] = visits.chain
     shape = errors.as_a_whole(xy, piece)
     measured = fitted_noise or noise
-    reading = measured.branch_rad / np.sqrt(votes[keep])
+    reading = np.hypot(measured.branch_rad / np.sqrt(votes[keep]), askew_rad)
     return TopoMap(
         run=run,
         frame=odometry.frame,
@@ -297,7 +300,7 @@ class _Edges:
     traversals: IntArray
     time_ns: tuple[IntArray, ...]
     leg: IntArray
-    """The leg whose track is drawn, and whose length is the corridor's: the shortest sound one."""
+    """The leg whose track is drawn (`corridor_lengths`)."""
     wander: float
     """Variance, per metre, of the ways driven through one corridor."""
     detour: float
@@ -313,16 +316,13 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
     groups = _corridors(legs, settings)
     keys = sorted(groups)
     members = [np.array(groups[key]) for key in keys]
-    length, leg = np.zeros(len(keys)), np.zeros(len(keys), np.int64)
-    excess, way = 0.0, settings.repeated_m
-    for e, member in enumerate(members):
-        ordered = member[np.argsort(legs.length[member], kind="stable")]
-        middle = legs.length[ordered[len(ordered) // 2]]
-        sound = ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
-        leg[e] = sound[0]  # who wanders drives farther, nobody less far
-        length[e] = legs.length[leg[e]]
-        excess += float(np.var(legs.length[sound]) * len(sound))
-        way += float(length[e] * (len(sound) - 1))
+    sound = [_sound(legs, member, settings) for member in members]
+    line = np.hypot(*(xy[legs.target] - xy[legs.source]).T)
+    length, leg = corridor_lengths(legs.length, line, sound)
+    excess = sum(float(np.var(legs.length[some]) * len(some)) for some in sound)
+    way = settings.repeated_m + sum(
+        float(shown * (len(some) - 1)) for shown, some in zip(length, sound, strict=True)
+    )
     at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
     times = (at[member] for member in members)
     source, target, source_branch, target_branch = np.array(keys, np.int64).reshape(-1, 4).T
@@ -338,6 +338,14 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
         wander=excess / way,
         detour=_chosen_detour(legs, members, xy),
     )
+
+
+def _sound(legs: _Legs, member: IntArray, settings: MapBuildingSettings) -> IntArray:
+    """The legs through a corridor that nothing held up, the shortest first."""
+    ordered = member[np.argsort(legs.length[member], kind="stable")]
+    middle = legs.length[ordered[len(ordered) // 2]]
+    sound: IntArray = ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
+    return sound
 
 
 def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[int]]:
@@ -408,7 +416,7 @@ def _length_sigma(
     A path bent onto its two ends gets longer by their error along the chord times the share of the
     chord in it (the mean of its directions), to first order. The rest of a way that winds is
     odometry's, and what robots wander in a corridor, and go round where none leads them, shows
-    where they drive it again: of several ways the shortest counts.
+    where they drive it again (`corridor_lengths`).
     """
     chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
     straight = np.minimum(chord / edges.length, 1.0)

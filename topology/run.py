@@ -52,7 +52,8 @@ class ScanPasses:
     least one is there; support: the same rows, share of the variants of the settings that show the
     branch (0..1]; confidence: (p,) share of the variants that show the junction with just these
     branches (0..1]; windows: (p,) overlapping windows that show it; clearance_m: (p,) distance of
-    the centre from the nearest wall [m]; resolution_m: nearer to each other, junctions show as one.
+    the centre from the nearest wall [m]; resolution_m: nearer to each other, junctions show as one;
+    askew_rad: 1 sigma of headings that all passes of a place share, for they see the same walls.
     """
 
     time_ns: IntArray
@@ -65,6 +66,7 @@ class ScanPasses:
     windows: IntArray
     clearance_m: FloatArray
     resolution_m: float = 0.0
+    askew_rad: float = 0.0
 
     def __post_init__(self) -> None:
         p = len(self.time_ns)

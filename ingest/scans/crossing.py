@@ -8,7 +8,7 @@ every pillar there. The axes are seen further out, if the branches are corridors
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,9 +31,11 @@ ROUGH_M = GridSettings().cell_m
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossing(Node):
     """A node as a place where ways of a skeleton meet: xy is where they do, clearance_m that of
-    the node. headings: (b,) [rad] of its branches, ascending, as `ends` has them."""
+    the node. headings: (b,) [rad] of its branches, ascending, as `ends` has them; bends: (b,) how
+    they turn further on (`bends`), where that was asked for."""
 
     headings: FloatArray
+    bends: FloatArray = field(default_factory=lambda: np.zeros(0), kw_only=True)
 
 
 Known = dict[tuple[bytes, ...], FloatArray]
@@ -65,11 +67,30 @@ def crossing(
     graph: SkeletonGraph, node: Node, cell_m: float, settings: SkeletonSettings
 ) -> Crossing:
     """A placed node of a graph with the headings of its branches."""
-    reach = max(settings.chord_m, node.clearance_m + settings.chord_beyond_m)
-    headings = _headings(node.xy, graph, node.ends, reach, cell_m)
+    headings = _headings(node.xy, graph, node.ends, _reach(node, settings), cell_m)
     order = np.argsort(headings, kind="stable")
     ends = tuple(node.ends[k] for k in order)
     return Crossing(node.xy, node.clearance_m, ends, headings[order])
+
+
+def bends(
+    graph: SkeletonGraph, place: Crossing, cell_m: float, settings: SkeletonSettings
+) -> FloatArray:
+    """(b,) how far each branch of a place turns [rad] from where its heading is taken to twice as
+    far away; NaN where it ends before, or is one of both ends of a ring."""
+    reach = 2 * _reach(place, settings)
+    far = [np.hypot(*(graph.edges[k].cells[:, ::-1] * cell_m - place.xy).T) for k in place.ends]
+    known = [
+        place.ends.count(way) == 1 and away.max(initial=0.0) >= reach
+        for way, away in zip(place.ends, far, strict=True)
+    ]
+    further = _headings(place.xy, graph, place.ends, reach, cell_m)
+    return np.where(known, wrap(further - place.headings), np.nan)
+
+
+def _reach(node: Node, settings: SkeletonSettings) -> float:
+    """How far from a node headings are taken [m]."""
+    return max(settings.chord_m, node.clearance_m + settings.chord_beyond_m)
 
 
 class Crossings(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ...topology.digits import significant
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, inverse, wrap
 from .scan import ScanPasses
@@ -63,9 +64,10 @@ def junction_passes(
     xy = np.array([r[3].xy for r in records])
     clearance = np.array([r[3].clearance_m for r in records])
     headings = Ragged.from_rows([r[3].headings for r in records])
+    bends = np.concatenate([r[3].bends for r in records])
     group = _together(xy, way, settings)
     middles = np.array([window.way for window in seen])
-    rows = []
+    rows, turns = [], []
     for g in range(int(group.max()) + 1):
         members = np.flatnonzero(group == g)
         at = float(np.median(way[members]))
@@ -77,7 +79,10 @@ def junction_passes(
             continue
         votes = _nearest_looks(members, variant, np.abs(middles[number] - at))
         degree = np.bincount(headings.counts[votes])
-        branches, support = _branches(headings, members, votes, int(np.argmax(degree)), settings)
+        branches, support, turn = _branches(
+            (headings, bends), members, votes, int(np.argmax(degree)), settings
+        )
+        turns.append(turn)
         rows.append(
             (
                 at,
@@ -90,7 +95,31 @@ def junction_passes(
             )
         )
     rows.sort(key=lambda row: (row[0], *row[1]))
-    return _passes(rows, driven, windows)
+    usual = windows.variants[0]
+    askew_rad = _askew(turns, usual.grid.cell_m / usual.skeleton.chord_m)
+    return replace(_passes(rows, driven, windows), askew_rad=askew_rad)
+
+
+QUARTILE = 0.3186
+"""Of the sigma of a normal error, within which a quarter of all lie."""
+
+
+def _askew(turns: list[FloatArray], cell: float) -> float:
+    """1 sigma [rad] of headings that all passes of a place share, by how branches turn.
+
+    Where a centre is off by d across a branch, a chord of length r to it is off by d / r, one of
+    2 r by half of that, and they differ by the other half. Where the branch bends, a chord is off
+    by what it differs from one twice as long. Twice the difference covers both. By the first
+    quartile: half of the corridors between racks have a corner there. Both chords end at cells,
+    which windows share: cell is the side of one, by r. What rounding to it adds to the difference
+    is taken off, what it does to the shorter chord stays.
+    """
+    every = np.concatenate([np.zeros(0), *turns])
+    told = np.abs(every[np.isfinite(every)])
+    rounding = cell**2 / 12
+    differ = (float(np.quantile(told, 0.25)) / QUARTILE) ** 2 if len(told) else 0.0
+    seen = max(differ - 1.25 * rounding, 0.0)
+    return significant(float(np.sqrt(4 * seen + rounding)))
 
 
 def no_passes() -> ScanPasses:
@@ -117,17 +146,19 @@ def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> In
 
 
 def _branches(
-    headings: Ragged,
+    looks: tuple[Ragged, FloatArray],
     members: IntArray,
     votes: IntArray,
     degree: int,
     settings: JunctionSettings,
-) -> tuple[FloatArray, FloatArray]:
-    """Headings of a junction of `degree` branches, and the share of all looks that show each.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Headings of a junction of `degree` branches, the share of all looks that show each, and how
+    it turns further on (NaN: nothing tells). looks: headings and bends of all; members: ascending.
 
     Of the votes for so many branches, the one that the others are nearest to; every branch is the
     mean of what all looks show near it.
     """
+    headings, bends = looks
     alike = headings.take(votes[headings.counts[votes] == degree])
     table = alike.values.reshape(-1, degree)
     off = np.abs(wrap(table[:, None, :, None] - table[None, :, None, :])).min(axis=3)
@@ -139,9 +170,14 @@ def _branches(
     near = np.abs(gap) <= settings.gap_rad
     count = np.bincount(nearest[near], minlength=degree)
     mean = np.bincount(nearest[near], gap[near], degree) / np.maximum(count, 1)
-    looks = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
-    share = np.bincount(looks, minlength=degree) / len(members)
-    return np.asarray(wrap(medoid + mean)), share
+    shown = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
+    share = np.bincount(shown, minlength=degree) / len(members)
+    turn = bends[np.isin(headings.owner, members)]
+    turned = near & np.isfinite(turn)
+    tells = np.bincount(nearest[turned], minlength=degree)
+    with np.errstate(invalid="ignore"):
+        turn = np.bincount(nearest[turned], turn[turned], degree) / tells
+    return np.asarray(wrap(medoid + mean)), share, turn
 
 
 def _passes(

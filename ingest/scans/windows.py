@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.se2 import compose, inverse
-from .crossing import Crossing, crossing, crossings
+from .crossing import Crossing, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
 from .keyframes import Keyframes
 from .matching import Matched
@@ -203,7 +203,8 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
             found = _passed(xy, span, settings.near_m)
             if found is not None:
                 fork = crossing(graph, place, cell, variant.skeleton)
-                forks.append((k, found, replace(fork, xy=xy)))
+                turn = bends(graph, fork, cell, variant.skeleton)
+                forks.append((k, found, replace(fork, xy=xy, bends=turn)))
         if k == 0:
             skeleton = np.asarray(graph.pixels[:, ::-1] * cell + middles, np.float64)
             skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]

@@ -37,7 +37,7 @@ def seen(odometry, rows, branches):
     )
 
 
-def build(odometry, passes, vertex, errors=None, fair=None):
+def build(odometry, passes, vertex, errors=None, fair=None, *, askew_rad=0.0):
     vertex = np.asarray(vertex)
     n = vertex.max() + 1
     first = [int(np.flatnonzero(vertex == k)[0]) for k in range(n)]
@@ -60,6 +60,7 @@ def build(odometry, passes, vertex, errors=None, fair=None):
         pass_vertex=vertex,
         pass_fair=np.ones(len(vertex), bool) if fair is None else np.array(fair),
         pass_turn=np.zeros(len(passes)),
+        askew_rad=askew_rad,
         noise=RunNoise(),
         errors=VertexErrors.none(n) if errors is None else errors,
     )
@@ -75,6 +76,16 @@ def test_a_corridor_driven_both_ways_is_one_edge():
     assert m.branches[1][m.target_branch[0]] == pytest.approx(WEST)
     assert m.kind == ("dead_end", "bend")
     np.testing.assert_allclose(m.paths[0], [[0, 0], [8, 0]], atol=1e-9)
+
+
+def test_what_all_passes_share_no_pass_takes_off():
+    odometry, rows = track((0, 0), (8, 0), (0, 0))
+    passes = seen(odometry, rows, [[EAST], [WEST, NORTH], [EAST]])
+    alone = RunNoise().branch_rad / np.sqrt([2, 1, 1])
+    plain = build(odometry, passes, [0, 1, 0]).branch_sigma.values
+    np.testing.assert_allclose(plain, alone)
+    shared = build(odometry, passes, [0, 1, 0], askew_rad=0.2).branch_sigma.values
+    np.testing.assert_allclose(shared, np.hypot(alone, 0.2))
 
 
 def test_two_corridors_between_the_same_junctions_stay_two():

@@ -24,6 +24,7 @@ from .evidence import (
     position_odds,
 )
 from .growth import GrowthSettings, MapState, grow
+from .negative_information import DrivenGround, driven_ground
 from .places import NOWHERE, Places
 
 FloatArray = NDArray[np.float64]
@@ -60,6 +61,10 @@ class Candidates:
     """What is taken off because places that are certainly two look as much alike."""
     turn: FloatArray
     """Added to the branches of b to meet those of a [rad]."""
+    ground: DrivenGround
+    fits: NDArray[np.bool_]
+    """Whether their positions pass the gate. The others lie nearer to each other than two junctions
+    do: they are not identified, and yet no third place has to be the one or the other."""
 
     def __len__(self) -> int:
         return len(self.a)
@@ -126,10 +131,14 @@ def candidates(
     odds, d2 = pairs.odds(common)
     # First what is plain: the rest is easier once that is settled.
     least = -np.inf if exact else 0.0
-    fine = (d2 < LIKELIHOOD.gate_chi2(2)) & (odds > least)
-    pairs = take(pairs, fine)
-    odds = among_neighbours(common, odds[fine], pairs.shift, pairs.noisy(common))
-    pairs, odds = take(pairs, odds > least), odds[odds > least]
+    fits = d2 < LIKELIHOOD.gate_chi2(2)
+    fine = odds > np.where(fits, least, 0.0)
+    pairs, fits = take(pairs, fine), fits[fine]
+    ground = driven_ground(state.places, state.xy, pairs.a, pairs.b, common.reach_m)
+    odds, _ = position_odds(common, pairs.shift, pairs.noisy(common), ground)
+    odds = among_neighbours(common, odds, pairs.shift, pairs.noisy(common))
+    sure = odds > least
+    pairs, odds, ground, fits = take(pairs, sure), odds[sure], ground[sure], fits[sure]
     found = _surroundings(state, pairs, settings)
     alike = found.sum()
     slack = settings.evidence.lead if common.lattice.repeats else 0.0
@@ -143,6 +152,8 @@ def candidates(
         found.conflict,
         aliasing_penalty,
         found.turn,
+        ground,
+        fits,
     )
 
 

@@ -40,7 +40,7 @@ class DeadReckoning:
     chain: (p,) unbroken piece of odometry of each pass. way: (p,) way driven so far [m].
     leg: (p - 1,) way from each pass to the next [m], NaN across a break or a jump. arriving,
     leaving: (p,) headings [rad] from the place to where the robot came from and went to, NaN where
-    unknown.
+    unknown. aside: (p,) how far from the place the robot came by [m].
     sums: (p, 13) prefix sums over the odometry up to each pass (`relative_covariance`), about
     `origin` (p, 2), the middle of the pass's piece; jumps: (p, 7) what the odometry's jumps add to
     the variances among them.
@@ -54,6 +54,7 @@ class DeadReckoning:
     leg: FloatArray
     arriving: FloatArray
     leaving: FloatArray
+    aside: FloatArray
     origin: FloatArray
     sums: FloatArray
     jumps: FloatArray
@@ -83,6 +84,7 @@ def dead_reckoning(
         leg=leg,
         arriving=track.arriving,
         leaving=track.leaving,
+        aside=np.hypot(*(odometry.at(passes.time_ns)[:, :2] - passes.centre).T),
         origin=middle[chain],
         sums=_prefix_sums(odometry, passes, noise, about),
         jumps=_jump_sums(odometry, passes, about),

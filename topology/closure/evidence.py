@@ -17,6 +17,7 @@ from ..matching.likelihood import LIKELIHOOD, Lengths, length_log_density
 from ..topomap import RunNoise
 from .dead_reckoning import DeadReckoning
 from .lattice import Lattice, LatticeSettings, lattice_of, no_lattice, squared_mahalanobis
+from .negative_information import DrivenGround
 from .places import Places
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +29,8 @@ class EvidenceSettings:
 
     core_quantile: float = 0.03
     """Two junctions are seldom (`LIKELIHOOD.fault_floor`) nearer to each other than the corridors
-    at this quantile of all are long. Tried: 0.1, the same."""
+    at this quantile of all are long (tried: 0.1, the same), and seldom farther from the track, but
+    for this share of passes, when they are reported."""
     inflation: float = 1.2
     """Widths of the noise are taken this much larger than estimated: of few repeats. Tried: with 1,
     two places of a run on tiles are taken for one."""
@@ -51,13 +53,15 @@ class Background:
     """What is usual in a run, against which likeness is judged.
 
     leg_m: median way from one pass to the next [m]. core_m: radius [m] within which no other
-    junction is expected. lengths: distribution of these ways. branch_sigma, centre_sigma: 1 sigma
-    of one detection [rad, m]. fault_rate, miss_rate: of branches and of junctions. lattice: where
-    other junctions lie relative to a junction.
+    junction is expected. reach_m: how far beside the track junctions are reported. lengths:
+    distribution of these ways. branch_sigma, centre_sigma: 1 sigma of one detection [rad, m].
+    fault_rate, miss_rate: of branches and of junctions. lattice: where other junctions lie relative
+    to a junction.
     """
 
     leg_m: float
     core_m: float
+    reach_m: float
     lengths: Lengths
     branch_sigma: float
     centre_sigma: float
@@ -88,6 +92,7 @@ def background(
     return Background(
         leg_m=max(typical, core_m),
         core_m=core_m,
+        reach_m=float(np.quantile(reckoning.aside, 1.0 - settings.core_quantile)),
         lengths=Lengths.of(legs),
         branch_sigma=settings.inflation * noise.branch_rad,
         centre_sigma=centre_sigma,
@@ -108,13 +113,14 @@ def with_lattice(
 
 
 def position_odds(
-    common: Background, shift: FloatArray, cov: FloatArray
+    common: Background, shift: FloatArray, cov: FloatArray, ground: DrivenGround | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) log odds that two places are one by position alone, and their squared Mahalanobis
     distance.
 
     shift: (k, 2) [m] between the two, with covariance `cov` (k, 2, 2) [m²]. The alternative is
-    another junction, which may lie anywhere outside of the core around this one.
+    another junction, which may lie anywhere outside of the core around this one, but on ground that
+    was driven without a report only if it was missed.
     """
     x, y = shift.T
     d2, det = squared_mahalanobis(x, y, cov)
@@ -124,7 +130,11 @@ def position_odds(
     inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, far))
     # Exceptions within the core are doors side by side, not one upon the other.
     apart = np.minimum((x * x + y * y + 2 * s2) / common.core_m**2, 1.0)
-    rival = common.density * np.maximum(1.0 - inside, LIKELIHOOD.fault_floor * apart)
+    outside = 1.0 - inside
+    if ground is not None:
+        driven = np.minimum(ground.share(shift, cov, common.core_m, common.reach_m), outside)
+        outside = outside - (1.0 - common.miss_rate) * driven
+    rival = common.density * np.maximum(outside, LIKELIHOOD.fault_floor * apart)
     odds = -0.5 * d2 - np.log(2 * np.pi * s2) - np.log(rival)
     return odds, d2
 

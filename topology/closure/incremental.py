@@ -159,6 +159,7 @@ class _Closure:
         found = candidates(state, self._place, self._estimate, settings.candidates, exact=exact)
         found = take(found, ~_blocked(found, self._blocked, self._place))
         new = _certain(state.places, found, settings.least_odds(len(self._reckoning)))
+        found = take(found, found.fits)
         self._doubts = _doubted(self._doubts, state.places, found, settings, number)
         if not new and exact:
             new, reasons = _together(state, found, self._estimate, settings)
@@ -309,13 +310,14 @@ def _certain(places: Places, found: Candidates, least: float) -> list[Identifica
     """The candidates whose log odds against all the candidates that they exclude reach `least`,
     best first."""
     total = found.total
-    likely = np.flatnonzero(total >= 0.0)
+    maybe = np.flatnonzero(total >= 0.0)
+    known = set(zip(found.a[maybe].tolist(), found.b[maybe].tolist(), strict=True))
+    likely = maybe[found.fits[maybe]]
     ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely.tolist()}
     by_place: dict[int, list[int]] = {}
     for k, pair in ends.items():
         for place in pair:
             by_place.setdefault(place, []).append(k)
-    known = set(ends.values())
     out = []
     for k in likely[np.argsort(-total[likely], kind="stable")].tolist():
         if total[k] < least:

@@ -8,7 +8,7 @@ gates.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from ..posegraph.solve import Marginals
 from .candidates import Candidates
 from .estimate import Estimate
 from .evidence import Background, EvidenceSettings, among_neighbours, position_odds
+from .negative_information import DrivenGround
 from .places import ONE_WAY_RAD
 
 FloatArray = NDArray[np.float64]
@@ -63,6 +64,7 @@ class _Beliefs:
     shift: FloatArray
     cov: FloatArray
     alike: FloatArray
+    ground: DrivenGround
     common: Background
     evidence: EvidenceSettings
 
@@ -73,7 +75,7 @@ class _Beliefs:
         blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
         cov = blocks + 2 * self.common.centre_sigma**2 * np.eye(2)
         shift = self.shift.reshape(k, 2)
-        odds, _ = position_odds(self.common, shift, cov)
+        odds, _ = position_odds(self.common, shift, cov, self.ground)
         out: FloatArray = among_neighbours(self.common, odds, shift, cov) + self.alike
         return out
 
@@ -84,7 +86,7 @@ class _Beliefs:
         gain = np.linalg.solve(self.cov[at, at] + noise, self.cov[at]).T
         shift = self.shift - gain @ self.shift[at]
         cov = self.cov - gain @ self.cov[at]
-        return _Beliefs(shift, cov, self.alike, self.common, self.evidence)
+        return replace(self, shift=shift, cov=cov)
 
 
 def agreeing(
@@ -105,7 +107,9 @@ def agreeing(
     if len(rows) < 2:
         return _NOBODY
     a, b = found.a[rows], found.b[rows]
-    start = _Beliefs(*_shifts(estimate, a, b), found.alike[rows], common, evidence)
+    start = _Beliefs(
+        *_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common, evidence
+    )
     shared, excluded = _sharing(a, b)
     # Candidates that share a place say in part the same; one of them is enough for now.
     sets = [_grown(start, found.support[rows], seed, shared) for seed in range(len(rows))]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from topobatch.ingest.scans.crossing import Crossing, aside, crossing, crossings, placed
+from topobatch.ingest.scans.crossing import Crossing, aside, bends, crossing, crossings, placed
 from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, traced
 from topobatch.ingest.scans.skeleton_lines import lines_of
 from topobatch.topology.se2 import wrap
@@ -50,6 +52,32 @@ def test_winding_ways_have_no_axes() -> None:
     node, found = seen(corridors(0, 180, 90, wave_m=0.3))
     assert np.array_equal(found.xy, node.xy)
     assert len(found.headings) == 3
+
+
+def bent(free: np.ndarray, *, off_m: float = 0.0) -> np.ndarray:
+    """How branches of the one junction of a grid turn, with its centre moved along y."""
+    clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
+    settings = SkeletonSettings()
+    graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
+    (node,) = graph.nodes
+    moved = replace(placed(graph, node, clearance, CELL), xy=MIDDLE + np.array([0.0, off_m]))
+    return bends(graph, crossing(graph, moved, CELL, settings), CELL, settings)
+
+
+def test_branches_turn_by_half_of_what_a_centre_is_off() -> None:
+    rounding = CELL / 1.5 + CELL / 3.0
+    assert np.abs(bent(corridors(0, 180, 90))).max() <= rounding
+    west, east, north = bent(corridors(0, 180, 90), off_m=0.6)[[0, 1, 2]]
+    half = np.arctan2(0.6, 1.5) - np.arctan2(0.6, 3.0)
+    assert sorted([west, east]) == pytest.approx([-half, half], abs=rounding)
+    assert north == pytest.approx(0.0, abs=rounding)
+
+
+def test_branches_that_end_before_tell_no_bend() -> None:
+    free = corridors(0, 180, 90)
+    x = np.arange(SIDE) * CELL - MIDDLE[0]
+    free[:, x > 2.5] = False
+    assert np.isnan(bent(free)).sum() == 1
 
 
 def test_a_fork_is_off_by_the_sharpest_angle() -> None:

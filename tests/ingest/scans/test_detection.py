@@ -82,6 +82,8 @@ def test_branches_point_along_the_corridors() -> None:
     off = np.abs(wrap(np.sort(wrap(heading)) - wanted))
     assert off.max() < 0.2
     assert (passes.support[row] > 0.9).all()
+    # Straight corridors hardly turn, and their crossings' centres are not aside.
+    assert 0 < passes.askew_rad < 0.05
 
 
 def test_map_closes_its_loops() -> None:

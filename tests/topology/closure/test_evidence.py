@@ -16,6 +16,7 @@ from topobatch.topology.matching.likelihood import Lengths
 COMMON = Background(
     leg_m=6.0,
     core_m=2.0,
+    reach_m=0.5,
     lengths=Lengths.of(np.repeat([5.0, 9.0], [19, 1])),
     branch_sigma=0.05,
     centre_sigma=0.1,

@@ -10,13 +10,14 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
-from topobatch.topology.closure.answers import Identification
+from topobatch.topology.closure.answers import APART, TORN, UNSURE, Identification
 from topobatch.topology.closure.candidates import Candidates, candidates
 from topobatch.topology.closure.dead_reckoning import SystematicErrors, dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.incremental import (
     RoundSettings,
     _certain,
+    _doubted,
     _fitting_scale,
     closure_without_grid,
     full_closure,
@@ -31,7 +32,7 @@ from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, fit_rigid, wrap
 
-from .walks import NOISE, aisles, grid_world, partition, record, scene_of, wander
+from .walks import NOISE, aisles, grid_world, no_ground, partition, record, scene_of, wander
 
 
 def test_a_perfect_walk_is_closed_completely():
@@ -318,14 +319,24 @@ def test_a_grid_that_bends_on_its_way_is_found_out():
         assert len(closed.estimate.xy) == len(set(truth))
 
 
-@pytest.mark.parametrize(("third", "accepted"), [(False, []), (True, [(0, 1), (0, 2)])])
-def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, accepted):
+@pytest.mark.parametrize(
+    ("third", "fits", "accepted"),
+    [
+        (False, True, []),
+        (True, True, [(0, 1), (0, 2)]),
+        (True, False, [(0, 1), (0, 2)]),  # beyond the gate, and nearer than two junctions
+    ],
+)
+def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, fits, accepted):
     """Place 0 cannot be 1 as well as 2, unless these may be one."""
     pairs = [(0, 1), (0, 2), *([(1, 2)] if third else [])]
     a, b = np.array(pairs).T
     zero = np.zeros(len(pairs))
-    alike = np.array([12.0, 11.0, 0.5])[: len(pairs)]
-    found = Candidates(a, b, zero, alike, zero, zero, zero, zero)
+    alike = np.array([12.0, 11.0, 0.5 if fits else 99.0])[: len(pairs)]
+    within = np.array([True, True, fits])[: len(pairs)]
+    found = Candidates(
+        a, b, zero, alike, zero, zero, zero, zero, no_ground(len(pairs)), within
+    )  # fmt: skip
     places = SimpleNamespace(first=np.arange(3))
     certain = _certain(places, found, least=9.0)
     assert [(q.first, q.second) for q in certain] == accepted
@@ -340,3 +351,15 @@ def test_noise_is_raised_where_errors_as_large_are_no_chance():
     assert _fitting_scale(1.5, loud) == 3.0
     # Of few residuals such a sum is chance.
     assert _fitting_scale(1.5, SimpleNamespace(reduced_chi2=4.0, freedom=2)) == 1.5
+
+
+def test_what_is_no_candidate_any_more_lies_too_far_apart():
+    """And keeps the first such reason and round."""
+    unsure = Identification(0, 5, accepted=False, bits=1.0, reason=UNSURE, round=1)
+    before = {(0, k): replace(unsure, second=k, reason=r) for k, r in ((5, UNSURE), (6, TORN))}
+    nothing = SimpleNamespace(**dict.fromkeys(("total", "position", "branches"), np.zeros(0)))
+    places = SimpleNamespace(entry=[0, 1])
+    once = _doubted(before, places, nothing, RoundSettings(), 2)
+    twice = _doubted(once, places, nothing, RoundSettings(), 3)
+    assert [(q.reason, q.round) for q in once.values()] == [(APART, 2), (TORN, 1)]
+    assert [astuple(q) for q in twice.values()] == [astuple(q) for q in once.values()]

@@ -17,7 +17,7 @@ from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.ragged import Ragged
 
-from .walks import NOISE, T0
+from .walks import NOISE, T0, no_ground
 
 
 def _ends_of_a_long_way(offsets, street=(0, 7, 13, 22)):
@@ -49,7 +49,10 @@ def _asked(a, b, position, alike):
     """Candidates with nothing but position and likeness."""
     zero = np.zeros(len(a))
     likeness = np.asarray(alike, float)
-    return Candidates(np.array(a), np.array(b), position, likeness, zero, zero, zero, zero)
+    return Candidates(
+        np.array(a), np.array(b), position, likeness, zero, zero, zero, zero,
+        no_ground(len(a)), np.ones(len(a), bool),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from topobatch.topology.closure.branches import branches_of
 from topobatch.topology.closure.dead_reckoning import SystematicErrors
 from topobatch.topology.closure.evidence import EvidenceSettings, background
 from topobatch.topology.closure.growth import MapState
+from topobatch.topology.closure.negative_information import DrivenGround
 from topobatch.topology.closure.places import tabulate
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH, Passes
@@ -194,3 +195,8 @@ def noisy_square(laps: int, noise: RunNoise, seed: int) -> tuple[Odometry, Passe
         when, when, when, centre, read, full, unknown, unknown, np.ones(p, int), np.ones(p)
     )
     return odometry, passes, np.arange(p) % 8
+
+
+def no_ground(pairs):
+    """Pairs of places around which nothing was driven."""
+    return DrivenGround(np.zeros((pairs, 2, 0, 2)), np.zeros((pairs, 2, 0)))

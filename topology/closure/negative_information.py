@@ -1,0 +1,89 @@
+"""Negative information: ground that the robot drove without a report holds no other junction.
+
+If two places are not one, they are two junctions, and the second lies where position puts it. Where
+that is on a corridor driven from the first to its neighbour, the robot would have driven by it and
+missed it. Hoffmann, Spranger, Göhring, Jüngel: Making Use of What You Don't See: Negative
+Information in Markov Localization (IROS 2005).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from ..columns import take
+from .places import NOWHERE, Places
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivenGround:
+    """Straight corridors that were driven from both places of k pairs.
+
+    along: (k, 2, s, 2) unit vectors in the axes of the map: down the corridors of the second place,
+    and against those of the first, so that along all of them the first place is shifted if one of
+    the two lies on that corridor of the other. length: (k, 2, s) [m] to the next place, 0 where
+    there is no such corridor.
+    """
+
+    along: FloatArray
+    length: FloatArray
+
+    def __getitem__(self, rows: NDArray[Any]) -> DrivenGround:
+        return take(self, rows)
+
+    def share(
+        self, shift: FloatArray, cov: FloatArray, core_m: float, reach_m: float
+    ) -> FloatArray:
+        """(k,) share of what is known of a shift (k, 2) [m], with covariance (k, 2, 2) [m²], that
+        puts one place on ground driven from the other: of the two the one for which it is more.
+
+        core_m: [m] ground nearer to either end of a corridor is left out: no other junction is
+        expected there anyway; reach_m: [m] so far beside the track junctions are reported. Normal
+        along a corridor, given the mean and the variance of what lies beside its line.
+        """
+        x, y = shift[:, 0, None, None], shift[:, 1, None, None]
+        xx, xy, yy = (cov[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+        u, v = self.along[..., 0], self.along[..., 1]
+        off, sigma = y * u - x * v, np.sqrt(xx * v * v - 2 * xy * u * v + yy * u * u)
+        low, high = (-reach_m - off) / sigma, (reach_m - off) / sigma
+        beside = np.maximum(ndtr(high) - ndtr(low), np.finfo(np.float64).eps)
+        # Mean and variance of a truncated normal, of unit variance if it were not.
+        at_low, at_high = (np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) for z in (low, high))
+        mean = (at_low - at_high) / beside
+        lost = mean**2 - (low * at_low - high * at_high) / beside
+        slope = ((yy - xx) * u * v + xy * (u * u - v * v)) / sigma
+        far = x * u + y * v + slope * mean
+        spread = xx * u * u + 2 * xy * u * v + yy * v * v - slope**2 * lost
+        spread = np.sqrt(np.maximum(spread, np.finfo(np.float64).eps))
+        end = np.maximum(self.length - core_m, core_m)
+        on = beside * (ndtr((end - far) / spread) - ndtr((core_m - far) / spread))
+        return np.asarray(on.sum(axis=2).max(axis=1))
+
+
+def driven_ground(
+    places: Places, xy: FloatArray, a: IntArray, b: IntArray, reach_m: float
+) -> DrivenGround:
+    """The ground driven around places a and b (k,) in a map with places at `xy` (n, 2) [m].
+
+    Straight is a corridor that would, as an arc, keep to its chord within `reach_m`.
+    """
+    driven = places.next_place != NOWHERE
+    step = np.where(driven[..., None], xy[places.next_place] - xy[:, None], 0.0)
+    chord = np.hypot(step[..., 0], step[..., 1])
+    # Way and chord of a flat arc of sagitta s differ by 8 s² / 3 chord.
+    sagitta2 = 3 * chord * np.where(driven, places.length - chord, 0.0) / 8
+    straight = driven & (sagitta2 < reach_m**2) & (chord > 0)
+    length = np.where(straight, chord, 0.0)
+    along = (
+        np.where(straight[..., None], step, [1.0, 0.0]) / np.where(straight, chord, 1.0)[..., None]
+    )
+    return DrivenGround(
+        np.stack([-along[a], along[b]], axis=1), np.stack([length[a], length[b]], axis=1)
+    )
