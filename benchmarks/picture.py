@@ -43,7 +43,7 @@ def facts(merged: Mapping[str, Any]) -> str:
         nodes = [n for n in merged["nodes"] if n["component"] == component["id"]]
         shared = sum(len(n["members"]) > 1 for n in nodes)
         runs = ", ".join(sorted(component["runs"]))
-        lines.append(f"{runs}: {len(nodes)} junctions, {shared} seen by several runs")
+        lines.append(f"{runs}: {len(nodes)} vertices, {shared} seen by several runs")
     way_m = sum(edge["length"] for edge in merged["edges"])
     lines.append(f"{len(merged['edges'])} corridors, {way_m:.0f} m")
     for pair in merged["merges"]:
