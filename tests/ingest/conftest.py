@@ -61,14 +61,12 @@ def s3_port(servers: ModuleType) -> Iterator[int]:
         yield port
 
 
-IMPATIENT = store.Patience(
-    read_s=0.5, retries=3, retry_s=10.0, first_pause_s=0.01, longest_pause_s=0.05
-)
+IMPATIENT = store.Patience(retries=3, retry_s=10.0, first_pause_s=0.01, longest_pause_s=0.05)
 
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Retries follow each other quickly, and nobody waits long."""
+    """Retries follow each other quickly."""
     monkeypatch.setattr(store, "PATIENCE", IMPATIENT)
     store.store.cache_clear()
     yield
