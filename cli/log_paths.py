@@ -14,8 +14,6 @@ from ..topology.wording import counted, listed
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
 
-METADATA = "metadata.yaml"
-
 PACKED = {
     b"\x1f\x8b": "gzip",
     b"PK\x03\x04": "zip",
@@ -34,6 +32,7 @@ def logs_at(path: LogPath) -> list[LogPath]:
 
     Raises LogError, which says of archives that they must be unpacked.
     """
+    from ..ingest.logs.recording import METADATA
     from ..ingest.reading import find_logs
 
     try:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
 from ..topology.topomap import ALL_SURE, Graph, TopoMap
-from ..topology.turning_points import KINDS, NO_TURNING_POINTS
+from ..topology.turning_points import NO_TURNING_POINTS
 
 T = TypeVar("T")
 
@@ -249,7 +249,7 @@ class FusedMap(Graph):
     @property
     def turned(self) -> int:
         """How many of its vertices, and of its edges, are of turning points."""
-        return sum(kind in KINDS for kind in self.kind)
+        return int(self.is_turned.sum())
 
     @property
     def junctions(self) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .frozen import freeze, frozen_array, frozen_rows
 from .passes import NO_BRANCH
 from .ragged import Ragged
-from .turning_points import NO_TURNING_POINTS, TurningPoints
+from .turning_points import KINDS, NO_TURNING_POINTS, TurningPoints
 
 ALL_SURE = frozen_array(np.ones(1), np.float64, (1,), "confidence")
 """In place of a confidence for every vertex."""
@@ -92,6 +92,11 @@ class Graph:
     def degree(self) -> NDArray[np.int64]:
         """(n,) number of branches seen at each vertex, explored or not."""
         return self.branches.counts
+
+    @property
+    def is_turned(self) -> NDArray[np.bool_]:
+        """(n,) whether a vertex is a turning point of a run."""
+        return np.array([kind in KINDS for kind in self.kind], bool)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,8 +7,8 @@ of its track. Whether the way leads on there is not said.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from .mapbuilding import MapBuildingSettings, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
 from .polyline import Ways, simplify, way_of
-from .topomap import TopoMap
+from .se2 import apply
+from .topomap import Graph, TopoMap
 from .track import times_between, track_directions, way_along, way_at
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
 from .visits import Visits, draw_track
@@ -64,35 +65,20 @@ def turning_points(
 ) -> TurnedBack:
     """The ends of ways longer than `least_m` [m] that no corridor of the map stands for.
 
-    Of several drives by one branch the deepest tells where the way ends; those that came as far,
-    to within `sound_m`, are its traversals. The way of a branch that a corridor leaves by is known;
-    so is one by no branch that stays within `least_m` of known ways.
+    Which those are says `told_by_deepest`; near a known way is within `least_m`.
     """
     every = _excursions(topomap, odometry, visits, settings)
     found = sorted((e for e in every if e.length > least_m), key=lambda e: (-e.length, e.time_ns))
-    ends = (
-        (topomap.source, topomap.source_branch),
-        (topomap.target, topomap.target_branch),
-    )
-    known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
     step_m = least_m / 4
-    corridors, others = Ways(topomap.paths, step_m), []
-    kept, here = dict[tuple[int, int, int], list[_Excursion]](), dict[int, list[FloatArray]]()
-    for e in found:
-        key = (e.vertex, e.branch, e.time_ns if e.branch == NO_BRANCH else 0)
-        deepest = kept[key][0].length if key in kept else e.length
-        if (e.vertex, e.branch) in known or deepest - e.length > settings.sound_m:
-            others.append(e)
-            continue
-        if e.branch == NO_BRANCH:
-            near = Ways(here.get(e.vertex, ()), step_m)
-            if np.minimum(corridors.away(e.path), near.away(e.path)).max() <= least_m:
-                others.append(e)
-                continue
-        if key not in kept:
-            here.setdefault(e.vertex, []).append(e.path)
-        kept.setdefault(key, []).append(e)
-    points = _as_points([kept[key] for key in sorted(kept)], topomap, settings)
+    corridors = Ways(topomap.paths, step_m)
+    kept, others = told_by_deepest(
+        ((e.time_ns, e) for e in found),
+        topomap,
+        lambda vertex: corridors,
+        sound_m=settings.sound_m,
+        near_m=least_m,
+    )
+    points = _as_points(kept, topomap, settings)
     ways = Ways([*topomap.paths, *points.paths], step_m)
     part = [e for e in others if ways.away(e.path).max() <= least_m]
     return TurnedBack(
@@ -100,6 +86,67 @@ def turning_points(
         out_and_back_m=sum(e.way_m for e in part if e.returns),
         ends_m=sum(e.way_m for e in part if not e.returns),
     )
+
+
+class Drive(Protocol):
+    """A drive from a vertex to the end of a way."""
+
+    @property
+    def vertex(self) -> int:
+        """Where it began."""
+
+    @property
+    def branch(self) -> int:
+        """By which it left, local to the vertex, or NO_BRANCH."""
+
+    @property
+    def path(self) -> FloatArray:
+        """(p, 2) [m] from the vertex on."""
+
+    @property
+    def length(self) -> float:
+        """Of the path [m]."""
+
+
+D = TypeVar("D", bound=Drive)
+
+
+def told_by_deepest(
+    ranked: Iterable[tuple[int, D]],
+    graph: Graph,
+    corridors: Callable[[int], Ways],
+    *,
+    sound_m: float,
+    near_m: float,
+) -> tuple[list[list[D]], list[D]]:
+    """The drives to each end of a way, the deepest first, and those that tell of none.
+
+    Of several drives by one branch the deepest tells where the way ends; those that came as far,
+    to within `sound_m`, lead there, too. The way of a branch that a corridor of the graph leaves by
+    is known; so is one by no branch that stays within `near_m` of known ways. ranked: the longest
+    first, with numbers that tell drives by no branch apart and in which order their ends come;
+    corridors: around a vertex.
+    """
+    ends = ((graph.source, graph.source_branch), (graph.target, graph.target_branch))
+    known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
+    kept, here = dict[tuple[int, int, int], list[D]](), dict[int, list[FloatArray]]()
+    others = []
+    for rank, drive in ranked:
+        vertex, branch = drive.vertex, drive.branch
+        key = (vertex, branch, rank if branch == NO_BRANCH else 0)
+        deepest = kept[key][0].length if key in kept else drive.length
+        if (vertex, branch) in known or deepest - drive.length > sound_m:
+            others.append(drive)
+            continue
+        if branch == NO_BRANCH:
+            own = Ways(here.get(vertex, ()), near_m / 4).away(drive.path)
+            if np.minimum(own, corridors(vertex).away(drive.path)).max() <= near_m:
+                others.append(drive)
+                continue
+        if key not in kept:
+            here.setdefault(vertex, []).append(drive.path)
+        kept.setdefault(key, []).append(drive)
+    return [kept[key] for key in sorted(kept)], others
 
 
 def _excursions(
@@ -229,9 +276,8 @@ def _with_ends(
         ]
     )
     turn, at = visits.pose[nearest, 2], odometry.pose[row, :2]
-    c, s = np.cos(turn), np.sin(turn)
-    x, y = (at - visits.centre[nearest]).T
-    where = xy[visits.vertex[nearest]] + np.column_stack([c * x - s * y, s * x + c * y])
+    turned = np.column_stack([np.zeros((len(turn), 2)), turn])
+    where = xy[visits.vertex[nearest]] + apply(turned, at - visits.centre[nearest])
     own = np.arange(len(xy), len(xy) + len(row))
     time_ns = np.concatenate([visits.time_ns, odometry.time_ns[row]])
     # A visit at the very begin comes after it, one at the very end before.

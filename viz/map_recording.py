@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Grid, Scanned
 from ..topology.topomap import TopoMap
-from ..topology.turning_points import KINDS
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .detections import write_detections
@@ -76,7 +75,7 @@ def write_map_recording(
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
         whole = with_turning_points(topomap)
-        grown = history(whole)
+        grown = known if whole is topomap else history(whole)
         if grid is not None:
             write_grid(recording, MAP, grid)
         begin = int(odometry.time_ns[0]) if odometry is not None and len(odometry) else None
@@ -184,8 +183,7 @@ def _junctions(
 
 def _dot(topomap: TopoMap) -> NDArray[np.float64]:
     """(n,) radii of the dots of vertices, in pens."""
-    turned = np.array([kind in KINDS for kind in topomap.kind])
-    return np.where(turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
+    return np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
 
 
 def _graph(recording: Recording, topomap: TopoMap) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult
-from ..topology.turning_points import KINDS
 from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
 
@@ -87,7 +86,8 @@ def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
         if not _legends_fit(order, cells, room):
             room = [0.0] * len(order)
             cells = arrange(points, turns, margin)
-    places = [sum(fused.kind[k] not in KINDS for k in rows.tolist()) for rows in vertices]
+    junction = ~fused.is_turned
+    places = [int(junction[rows].sum()) for rows in vertices]
     return [Part(*row) for row in zip(order, cells, vertices, edges, room, places, strict=True)]
 
 

@@ -7,8 +7,9 @@ where a corridor leaves by that branch, another run drove on, and there is none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from ...topology.polyline import Ways
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import TopoMap
+from ...topology.turning_back import told_by_deepest
 from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run
 
@@ -27,11 +29,11 @@ FloatArray = NDArray[np.float64]
 
 
 class _End(NamedTuple):
-    """Turning point `row` of a map, drawn from fused vertex `at` in its component's frame."""
+    """Turning point `row` of a map, drawn from a fused vertex in its component's frame."""
 
     topomap: TopoMap
     row: int
-    at: int
+    vertex: int
     branch: int
     path: FloatArray
     theta: float
@@ -54,7 +56,7 @@ class _End(NamedTuple):
         return [(self.topomap.run, ns) for ns in self.points.time_ns[self.row][:, 0].tolist()]
 
     @property
-    def vertex(self) -> tuple[str, int]:
+    def member(self) -> tuple[str, int]:
         """Its run, and its number there among all vertices (`with_turning_points`)."""
         return self.topomap.run, len(self.topomap) + self.row
 
@@ -73,53 +75,31 @@ def with_turning_ends(
     """The fused map with the turning points of its runs as its last vertices, and the ways to them
     as its last edges. maps: of all runs, sorted by name. O(n log n).
 
-    Turning points by no branch are left out where they stay beside known ways, as in the maps of
-    single runs.
+    Those that `told_by_deepest` keeps, as in the maps of single runs.
     """
     if not any(len(m.turning_points) for m in maps):
         return fused
-    known = {
-        (v, b)
-        for end, branch in (
-            (fused.source, fused.source_branch),
-            (fused.target, fused.target_branch),
-        )
-        for v, b in zip(end.tolist(), branch.tolist(), strict=True)
-    }
     found = sorted(_ends(fused, components, maps, settings), key=lambda e: -e.length)
-    kept: dict[tuple[int, int, int], list[_End]] = {}
-    here: dict[int, list[FloatArray]] = {}
-    near_m, corridors = settings.sound_m, _Corridors(fused, settings.sound_m / 4)
-    for number, e in enumerate(found):
-        key = (e.at, e.branch, number if e.branch == NO_BRANCH else 0)
-        deepest = kept[key][0].length if key in kept else e.length
-        if (e.at, e.branch) in known or deepest - e.length > settings.sound_m:
-            continue
-        if e.branch == NO_BRANCH:
-            own = Ways(here.get(e.at, ()), near_m / 4).away(e.path)
-            if np.minimum(own, corridors.of(e.at).away(e.path)).max() <= near_m:
-                continue
-        if key not in kept:
-            here.setdefault(e.at, []).append(e.path)
-        kept.setdefault(key, []).append(e)
-    return _appended(fused, [kept[key] for key in sorted(kept)])
+    kept, _ = told_by_deepest(
+        enumerate(found),
+        fused,
+        _corridors(fused, settings.sound_m / 4),
+        sound_m=settings.sound_m,
+        near_m=settings.sound_m,
+    )
+    return _appended(fused, kept)
 
 
-class _Corridors:
-    """The corridors of each component, as far as they are asked for."""
+def _corridors(fused: FusedMap, step_m: float) -> Callable[[int], Ways]:
+    """The corridors of the component of a fused vertex; made once, where they are asked for."""
+    home = fused.component
 
-    def __init__(self, fused: FusedMap, step_m: float) -> None:
-        self._fused, self._step_m = fused, step_m
-        self._known: dict[int, Ways] = {}
+    @cache
+    def of(component: int) -> Ways:
+        rows = np.flatnonzero(home[fused.source] == component).tolist()
+        return Ways([fused.paths[k] for k in rows], step_m)
 
-    def of(self, vertex: int) -> Ways:
-        """Those of the component of a fused vertex."""
-        home = self._fused.component
-        component = int(home[vertex])
-        if component not in self._known:
-            rows = np.flatnonzero(home[self._fused.source] == component).tolist()
-            self._known[component] = Ways([self._fused.paths[k] for k in rows], self._step_m)
-        return self._known[component]
+    return lambda vertex: of(int(home[vertex]))
 
 
 def _ends(
@@ -150,7 +130,7 @@ def _appended(fused: FusedMap, kept: Sequence[Sequence[_End]]) -> FusedMap:
         return fused
     n, k = len(fused), len(kept)
     deepest = [group[0] for group in kept]
-    at = np.array([e.at for e in deepest])
+    at = np.array([e.vertex for e in deepest])
     length_sigma = np.array([e.points.length_sigma[e.row] for e in deepest])
     heading = np.array([wrap(e.points.heading[e.row] + e.theta) for e in deepest])
     own = fused.position_sigma
@@ -160,7 +140,7 @@ def _appended(fused: FusedMap, kept: Sequence[Sequence[_End]]) -> FusedMap:
         xy=np.concatenate([fused.xy, [e.path[-1] for e in deepest]]),
         branches=Ragged.joined([fused.branches, Ragged(np.arange(k + 1), heading)]),
         kind=(*fused.kind, *(e.points.kind[e.row] for e in deepest)),
-        members=(*fused.members, *(by_run(sorted(e.vertex for e in group)) for group in kept)),
+        members=(*fused.members, *(by_run(sorted(e.member for e in group)) for group in kept)),
         observations=(
             *fused.observations,
             *(tuple(sorted(o for e in group for o in e.seen)) for group in kept),
