@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
+from ..topology.arrays import BoolArray
 from ..topology.run import Grid
 from .scans.grid import GridSettings, without_islands
-
-BoolArray = NDArray[np.bool_]
 
 MOST_CELLS = 1 << 21
 """Cells that are thinned at most, 70 by 70 m at 5 cm, 140 at the 10 cm of scans:

@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import listed
 from .logs.intake import decoder_for, usable_poses
-from .logs.messages import Bytes, Channel, Ints
+from .logs.messages import Bytes, Channel
 from .logs.poses import Frames, PoseDecoder, Poses, no_poses
 
-FloatArray = NDArray[np.float64]
 Pair = tuple[str, str]
 
 NOWHERE_ELSE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -138,10 +137,10 @@ class _Listener:
         self.failed = 0
         self.reason = ""
 
-    def heads(self, data: Bytes, start: Ints, size: Ints) -> None:
+    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> None:
         """Nothing: messages are not kept."""
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """No poses."""
         poses = self._decoder.decode(data, start, size)
         usable = usable_poses(poses.value)

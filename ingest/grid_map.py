@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.errors import DataError
 from ..topology.polyline import simplify, way_of
 from ..topology.ragged import Ragged
@@ -21,9 +21,6 @@ from ..topology.topomap import RunNoise, TopoMap
 from .coarse_grid import affordable
 from .grid_log import GridLog
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SMOOTH_M = 0.5
 """Skeletons go in steps of cells; corridors are straight over this."""
@@ -112,7 +109,7 @@ def _cropped(grid: Grid) -> Grid:
     return grid._replace(free=grid.free[rows, columns], unknown=rim, origin=(x, y, yaw))
 
 
-def _span(mask: NDArray[np.bool_]) -> slice:
+def _span(mask: BoolArray) -> slice:
     """From the first to the last of those marked, from 0 to 0 if there are none."""
     if not mask.any():
         return slice(0, 0)

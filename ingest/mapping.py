@@ -6,8 +6,8 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import IntArray
 from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
@@ -39,8 +39,6 @@ from .odometry.bridging import bridged, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.noise import refine_noise, refine_scale
 from .pass_source import PassSource, pass_source
-
-IntArray = NDArray[np.int64]
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray
 from ..topology.odometry import Odometry
 from .frames import NO_TRANSFORMS, NOWHERE_ELSE, FixedCollector, FixedTransforms
 from .logs.intake import Intake
@@ -19,8 +19,6 @@ from .scans.slicing import mount_of_camera
 from .scans.stream import Mounting
 from .sightings import side_of
 from .survey import walk
-
-FloatArray = NDArray[np.float64]
 
 BODIES = ("base_link", "base_footprint", "base")
 """Usual names of the robot's frame, for logs without odometry, which would tell it."""

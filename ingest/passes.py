@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.circular import cluster_angles
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes, nearest_branch
@@ -14,9 +14,6 @@ from ..topology.ragged import Ragged
 from ..topology.run import Detections, ScanPasses
 from ..topology.se2 import apply, wrap
 from ..topology.track import stretch_of, track_directions, way_at
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +107,13 @@ def no_passes() -> Passes:
     return Passes(none, none, none, np.zeros((0, 2)), empty, empty, none, none, none, np.zeros(0))
 
 
-def _within_break(odometry: Odometry, time_ns: IntArray) -> NDArray[np.bool_]:
+def _within_break(odometry: Odometry, time_ns: IntArray) -> BoolArray:
     """Sightings while the odometry was broken or jumped: where the robot was then is unknown."""
     row = np.searchsorted(odometry.time_ns, time_ns, side="left")
     broken = np.zeros(len(odometry) + 1, bool)
     broken[odometry.cuts] = True
     exact = odometry.time_ns[np.minimum(row, len(odometry) - 1)] == time_ns
-    result: NDArray[np.bool_] = broken[row] & ~exact
+    result: BoolArray = broken[row] & ~exact
     return result
 
 
@@ -133,7 +130,7 @@ def _group(
     return np.concatenate([[0], np.cumsum(new)])
 
 
-def _without_flicker(group: IntArray, settings: PassSettings) -> tuple[NDArray[np.bool_], IntArray]:
+def _without_flicker(group: IntArray, settings: PassSettings) -> tuple[BoolArray, IntArray]:
     """Drop groups far smaller than usual; (rows kept, their groups renumbered)."""
     counts = np.bincount(group)
     keep = (counts >= settings.least_messages_share * np.median(counts))[group]

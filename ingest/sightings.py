@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.odometry import Odometry
 from ..topology.ragged import Ragged
 from ..topology.run import Detections
@@ -16,7 +16,6 @@ from ..topology.se2 import apply, inverse, wrap
 from .frames import NO_TRANSFORMS, FixedTransforms, seen_from
 from .logs.intake import PoseColumns, in_plane
 
-Ints = NDArray[np.int64]
 Side = Literal["robot", "odometry", "foreign"]
 
 
@@ -56,7 +55,7 @@ def side_of(frame: str, odometry_frame: str, child_frame: str) -> Side:
 
 def robot_frame_sightings(
     columns: PoseColumns,
-    time_ns: Ints,
+    time_ns: IntArray,
     frames: Sequence[str],
     odometry: Odometry,
     *,
@@ -136,12 +135,12 @@ class _Mounted:
     rise: (k,) sine of how far each x axis points up or down where a mount turned it, else 0.
     """
 
-    pose: NDArray[np.float64]
+    pose: FloatArray
     sides: tuple[Side, ...]
-    rise: NDArray[np.float64]
+    rise: FloatArray
     foreign: tuple[str, ...]
 
-    def on(self, side: Side) -> NDArray[np.bool_]:
+    def on(self, side: Side) -> BoolArray:
         """Whether a frame is on that side, by frame number."""
         return np.array([own == side for own in self.sides], bool)
 
@@ -161,7 +160,7 @@ def _mounted(
     pose, rise = columns.pose, np.zeros(len(columns.pose))
     sides: list[Side] = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
     # The robot's own frame comes last, so that it counts where a frame is fixed to both.
-    joins: dict[str, tuple[Side, NDArray[np.float64]]] = {}
+    joins: dict[str, tuple[Side, FloatArray]] = {}
     if "foreign" in sides:
         pose = pose.copy()
         joins |= {name: ("odometry", T) for name, T in fixed.joined_to(odometry.frame).items()}
@@ -176,19 +175,19 @@ def _mounted(
     return _Mounted(pose, tuple(sides), rise, tuple(sorted(foreign)))
 
 
-def _rise(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rise(pose: FloatArray) -> FloatArray:
     """(k,) sine of the angle between the x axis of poses (k, 7) and the plane."""
     x, y, z, w = pose[:, 3:].T
     return np.asarray(np.abs(2 * (x * z - w * y)))
 
 
 def _centres(
-    xy: NDArray[np.float64],
-    first: Ints,
-    counts: NDArray[np.int64],
+    xy: FloatArray,
+    first: IntArray,
+    counts: IntArray,
     settings: SightingSettings,
     warnings: list[str],
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """(m, 2) mean position of every message's poses; they should coincide."""
     if len(first) == 0:
         return np.zeros((0, 2))
@@ -205,9 +204,7 @@ def _centres(
     return np.asarray(origin + np.add.reduceat(away, first, axis=0) / counts[:, None])
 
 
-def _leave_out(
-    keep: NDArray[np.bool_], good: NDArray[np.bool_], warnings: list[str], why: str
-) -> NDArray[np.bool_]:
+def _leave_out(keep: BoolArray, good: BoolArray, warnings: list[str], why: str) -> BoolArray:
     bad = int((keep & ~good).sum())
     if bad:
         warnings.append(f"{bad} detections {why}; left out")

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import BoolArray, IntArray
 from ..topology.columns import joined, take
 from ..topology.wording import listed
 from .logs.intake import PoseColumns, Sink, no_columns
 from .odometry.jumps import times
 from .odometry.track import backward_jumps
 
-Ints = NDArray[np.int64]
 Clock = Literal["header", "log"]
 
 
@@ -72,12 +71,12 @@ class TopicPoses:
     def __len__(self) -> int:
         return len(self.columns.pose)
 
-    def keep(self, rows: NDArray[np.bool_]) -> None:
+    def keep(self, rows: BoolArray) -> None:
         """Leave out the poses that are not marked."""
         if not rows.all():
             self.columns = take(self.columns, rows)
 
-    def time_ns(self, clock: Clock) -> Ints:
+    def time_ns(self, clock: Clock) -> IntArray:
         """Time of every pose by one of the two clocks."""
         return self.columns.log_ns if clock == "log" else self.columns.stamp_ns
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import IntArray
 from ..topology.errors import DocumentError
 from ..topology.files import opened, write_atomically
 from .packs import RECORD, DamagedPackError, Key, Kind, Pack, Rows
@@ -208,7 +208,7 @@ def joined_count(packs: Sequence[Pack], wanted: frozenset[bytes]) -> int:
 
 def _of_wanted(
     pack: Pack, number: dict[bytes, int], wanted: frozenset[bytes] | None
-) -> tuple[NDArray[np.int64], Rows]:
+) -> tuple[IntArray, Rows]:
     """The records of wanted maps: their rows, and they themselves by the numbers of the maps, to
     which new ones are added."""
     new = [
@@ -223,7 +223,7 @@ def _of_wanted(
     return chosen, rows
 
 
-def _firsts(parts: Sequence[Rows]) -> tuple[Rows, NDArray[np.int64]]:
+def _firsts(parts: Sequence[Rows]) -> tuple[Rows, IntArray]:
     """Records in a row, and which of them are the first for their thing."""
     rows = np.concatenate(parts) if parts else np.zeros(0, RECORD)
     keys = np.stack([rows["a"], rows["b"], rows["kind"]], axis=1)

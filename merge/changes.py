@@ -21,8 +21,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.digits import BITS, METRES, rounded
 from ..topology.matching.structure import padded_branches
 from ..topology.passes import NO_BRANCH
@@ -33,9 +33,6 @@ from .component_map import component_map, places_of
 from .document import poses_from_document
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
 from .merged_schema import MergedDocument
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class ChangeKind(StrEnum):

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..topology.document import edge_fields, vertex_fields
 from ..topology.map_pose_graph import map_pose_graph
@@ -20,8 +19,6 @@ from .fusion.vertex_partition import Pool
 from .member_times import member_times
 from .merged_schema import MergedDocument, MergedNode
 from .result import fused_confidence
-
-IntArray = NDArray[np.int64]
 
 
 def component_map(

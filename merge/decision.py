@@ -11,9 +11,7 @@ from dataclasses import asdict, dataclass
 from math import floor
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, METRES, rounded
 from .document import bits_to_document, pose_to_document, sigmas_to_document
 from .result import Alignment, PairVerdict
@@ -120,7 +118,7 @@ class Decision:
     requirement: Requirement
     placements: tuple[Placement, ...]
     start: Start | None = None
-    by_others: NDArray[np.float64] | None = None
+    by_others: FloatArray | None = None
     why: str = ""
     notes: tuple[str, ...] = ()
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from textwrap import wrap
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
 from .decision import (
@@ -150,7 +150,7 @@ def pose(placement: Placement) -> str:
     return pose_told(placement.alignment.transform)
 
 
-def pose_told(transform: NDArray[np.float64]) -> str:
+def pose_told(transform: FloatArray) -> str:
     """A transform in metres and degrees."""
     x, y, theta = transform.tolist()
     return f"({x:.2f}, {y:.2f}) m, turned by {np.degrees(theta):.1f}°"

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import edge_fields, edges_to_document, vertex_fields
 from ..topology.files import Json, encoded, read_json, write_json
@@ -219,13 +219,13 @@ def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:
         yield edge | {"members": own}
 
 
-def poses_from_document(document: MergedDocument) -> dict[str, NDArray[np.float64]]:
+def poses_from_document(document: MergedDocument) -> dict[str, FloatArray]:
     """(3,) pose of every run in its component."""
     components = document.graph.components
     return {run: _pose_from(pose) for c in components for run, pose in c.runs.items()}
 
 
-def _pose_from(pose: Pose) -> NDArray[np.float64]:
+def _pose_from(pose: Pose) -> FloatArray:
     return np.array([pose.x, pose.y, pose.theta])
 
 

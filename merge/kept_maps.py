@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import from_json
 
+from ..topology.arrays import IntArray
 from ..topology.document import map_from_document
 from ..topology.files import document_bytes, encoded, parsed
 from ..topology.ragged import Ragged
@@ -160,7 +161,7 @@ def _end_to_end(rows: Sequence[NDArray[Any]], dtype: type) -> Iterator[NDArray[A
     yield np.concatenate([np.zeros((0, 2), dtype), *rows])
 
 
-def _rows(sizes: NDArray[np.int64], flat: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+def _rows(sizes: IntArray, flat: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """The reverse; ValueError where they do not fit."""
     points, stops = flat.reshape(-1, 2), np.cumsum([0, *sizes])
     if (sizes < 0).any() or stops[-1] != len(points):

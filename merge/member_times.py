@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.topomap import TopoMap
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 
 def member_times(

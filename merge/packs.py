@@ -24,6 +24,7 @@ from typing import Any, BinaryIO, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.topomap import TopoMap
 from .digests import DIGEST, digest_of, digested
 
@@ -294,7 +295,7 @@ class Kept:
         self.store.keep(out.pack())
 
 
-def arrays_to_bytes(arrays: Sequence[NDArray[np.int64] | NDArray[np.float64]]) -> bytes:
+def arrays_to_bytes(arrays: Sequence[IntArray | FloatArray]) -> bytes:
     """Flat arrays of numbers as a payload."""
     flat = [a.reshape(-1).astype("<i8" if a.dtype.kind == "i" else "<f8") for a in arrays]
     sizes = np.array([len(a) for a in flat], "<i8")

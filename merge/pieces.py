@@ -7,18 +7,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from .member_times import member_times
 from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
 from .result import FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
-
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 
 def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> tuple[TopoMap, ...]:
@@ -135,7 +132,7 @@ def _cut_out(
     fused: FusedMap,
     component: int,
     times: tuple[IntArray, ...] | None,
-    confidence: NDArray[np.float64],
+    confidence: FloatArray,
 ) -> TopoMap:
     """One component of the merged parts as the map of a run. confidence: of every fused vertex."""
     chosen = fused.component == component

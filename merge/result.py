@@ -10,8 +10,8 @@ from enum import StrEnum
 from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
 from ..topology.topomap import ALL_SURE, Graph, TopoMap
@@ -59,9 +59,9 @@ class Alignment:
     that is not known.
     """
 
-    transform: NDArray[np.float64]
+    transform: FloatArray
     evidence_bits: float
-    matched: NDArray[np.int64]
+    matched: IntArray
     rmse_m: float
     corridors: int = 0
     contradictions: tuple[str, ...] = ()
@@ -143,10 +143,10 @@ class Spread:
     """
 
     runs: tuple[str, ...]
-    middle: NDArray[np.float64]
-    own: NDArray[np.float64]
-    key: NDArray[np.int64]
-    cross: NDArray[np.float64]
+    middle: FloatArray
+    own: FloatArray
+    key: IntArray
+    cross: FloatArray
 
     def between(self, a: str, b: str) -> tuple[float, float]:
         """1 sigma [m] of where the middle of b's map lies, seen from a's, and [rad] of the turn.
@@ -154,7 +154,7 @@ class Spread:
         ((metres, radians),) = self.between_all([(a, b)]).tolist()
         return metres, radians
 
-    def between_all(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.float64]:
+    def between_all(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
         """(k, 2) the same of several pairs."""
         ends = [[bisect_left(self.runs, run) for run in pair] for pair in pairs]
         i, j = np.array(ends, np.int64).reshape(-1, 2).T
@@ -168,7 +168,7 @@ class Spread:
         variance = np.diagonal(whole + self.own[j], axis1=1, axis2=2)
         return np.sqrt(np.column_stack([variance[:, 0] + variance[:, 1], variance[:, 2]]))
 
-    def _cross(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _cross(self, i: IntArray, j: IntArray) -> FloatArray:
         """(k, 3, 3) covariances of runs i with runs j."""
         key = np.minimum(i, j) * len(self.runs) + np.maximum(i, j)
         row = np.searchsorted(self.key, key)
@@ -188,7 +188,7 @@ class Component:
     known."""
 
     id: int
-    poses: Mapping[str, NDArray[np.float64]]
+    poses: Mapping[str, FloatArray]
     spread: Spread | None = None
     text: bytes = b""
 
@@ -240,11 +240,11 @@ class FusedMap(Graph):
     the last edges; their members are numbered as in documents, after all vertices of their run.
     """
 
-    component: NDArray[np.int64]
+    component: IntArray
     members: Sequence[Mapping[str, tuple[int, ...]]]
     observations: Sequence[tuple[tuple[str, int], ...]]
     edge_members: Sequence[tuple[tuple[str, int], ...]]
-    position_sigma: NDArray[np.float64] | None = None
+    position_sigma: FloatArray | None = None
 
     @property
     def turned(self) -> int:
@@ -270,7 +270,7 @@ def by_run(members: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
     return out
 
 
-def graph_part(graph: Graph, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+def graph_part(graph: Graph, chosen: BoolArray) -> dict[str, Any]:
     """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
     number = np.cumsum(chosen) - 1
     times = graph.traversal_ns if isinstance(graph, TopoMap) else None
@@ -299,7 +299,7 @@ def graph_part(graph: Graph, chosen: NDArray[np.bool_]) -> dict[str, Any]:
 
 def fused_confidence(
     members: Sequence[Mapping[str, Sequence[int]]], maps: Mapping[str, TopoMap]
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """(n,) confidence of fused vertices: the mean of their members', by passes."""
     passes = {run: m.passes for run, m in maps.items()}
     out = np.ones(len(members))

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, shortest_path
 
+from ..topology.arrays import IntArray
 from .result import PairVerdict
 
 
@@ -37,7 +37,7 @@ def joined_through(verdicts: Iterable[PairVerdict]) -> dict[tuple[str, str], tup
     return out
 
 
-def _chains(graph: csr_array, pairs: NDArray[np.int64]) -> Iterator[tuple[int, int, list[int]]]:
+def _chains(graph: csr_array, pairs: IntArray) -> Iterator[tuple[int, int, list[int]]]:
     """(k, 2) pairs of nodes of a connected graph with the nodes between them."""
     sources, at = np.unique(pairs[:, 0], return_inverse=True)
     _, before = shortest_path(

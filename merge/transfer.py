@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
 from ..topology.matching.structure import padded_branches
 from ..topology.se2 import fit_rigid, wrap
@@ -24,9 +24,6 @@ from ..topology.topomap import TopoMap
 from .component_map import places_of
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
 from .merged_schema import MergedDocument
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WITHIN_SIGMAS = 2.448
 """95 % of the errors of a point in the plane are no larger than so many sigmas of a coordinate

@@ -10,9 +10,8 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 
 
 def quantised(values: FloatArray | float, bits: int) -> FloatArray:
@@ -45,7 +44,7 @@ class Chance:
         u = self.uniform(2.0**-54, 1.0, size)
         return sigma * quantised(ndtri(u), 32)
 
-    def happens(self, probability: float, size: int) -> NDArray[np.bool_]:
+    def happens(self, probability: float, size: int) -> BoolArray:
         """(size,) True with the given probability each."""
         return self.uniform(0.0, 1.0, size) < probability
 
@@ -71,6 +70,6 @@ class Chance:
         at = self.one_uniform() * total[-1]
         return min(int(np.searchsorted(total, at, side="right")), len(total) - 1)
 
-    def order(self, count: int) -> NDArray[np.int64]:
+    def order(self, count: int) -> IntArray:
         """(count,) the numbers 0 … count - 1 in random order."""
         return np.argsort(self.uniform(0.0, 1.0, count), kind="stable")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.ragged import Ragged
 from ..topology.se2 import apply, inverse, wrap
 from .chance import Chance, quantised
 from .faults import Faults
 from .motion import Drive
-from .world import FloatArray, IntArray, World
+from .world import World
 
 REACH_M = 1.0
 """A junction is seen from this way before it to this way after it."""
@@ -188,7 +188,7 @@ def _branch_rows(
     return Ragged(rows.offsets, quantised(wrap(flat[order]), 16))
 
 
-def _with_wrong_rows(rows: Ragged, wrong: NDArray[np.int64], chance: Chance) -> Ragged:
+def _with_wrong_rows(rows: Ragged, wrong: IntArray, chance: Chance) -> Ragged:
     listed = [rows[i] for i in range(len(rows))]
     for i in wrong.tolist():
         listed[i] = np.array(_altered(tuple(rows[i].tolist()), chance))

@@ -8,11 +8,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.errors import UsageError
 from ..topology.se2 import between, wrap
 from .chance import Chance, quantised
 from .motion import Drive
-from .world import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)

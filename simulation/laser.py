@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ..topology.columns import take
 from ..topology.errors import UsageError
 from ..topology.frozen import freeze
@@ -18,9 +18,7 @@ from .motion import Drive
 from .raycast import NOTHING, cast_at_circles, cast_at_segments
 from .traffic import STEPS_ASIDE_M, Doors, People, hang_doors, walk_about
 from .walls import Segments, doorways, walls_of
-from .world import FloatArray, IntArray, World
-
-BoolArray = NDArray[np.bool_]
+from .world import World
 
 SCANS_AT_ONCE = 8
 """So many scans look for walls together: more meet more walls that only one of them sees."""
@@ -105,7 +103,7 @@ class Scans:
     """
 
     time_s: FloatArray
-    ranges_m: NDArray[np.float32]
+    ranges_m: Float32Array
     angles_rad: FloatArray
     settings: LaserSettings
     doors: Doors

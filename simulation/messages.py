@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..topology.arrays import FloatArray, IntArray
 from .chance import Chance, quantised
 from .laser import Scans
 from .scenario import SimulatedRun
-from .world import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.errors import UsageError
 from ..topology.polyline import way_of
 from ..topology.se2 import wrap
 from .chance import Chance, quantised
 from .walk import Leg
-from .world import FloatArray, IntArray, World, polyline_at, polyline_length
+from .world import World, polyline_at, polyline_length
 
 STEP_M = 0.05
 """A planned way has a point about this often."""

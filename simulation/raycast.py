@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from .walls import Segments
-from .world import FloatArray, IntArray
 
 NOTHING = -1
 """Stands for the segment that a beam meets, where it meets none."""
@@ -16,7 +15,7 @@ def cast_at_segments(
     origin: FloatArray,
     direction: FloatArray,
     segments: Segments,
-    present: NDArray[np.bool_] | None = None,
+    present: BoolArray | None = None,
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """How far each beam gets, which segment it meets, and where on it. O(r s), vectorised.
 

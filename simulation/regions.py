@@ -9,8 +9,9 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from ..topology.arrays import FloatArray
 from .chance import Chance
-from .world import FloatArray, World
+from .world import World
 
 
 def grown(

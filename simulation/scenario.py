@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.errors import UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
@@ -26,7 +27,7 @@ from .motion import Drive, MotionSettings, drive
 from .regions import chain_of_regions
 from .truth import RunTruth, Truth
 from .walk import WalkSettings, explore
-from .world import FloatArray, IntArray, World
+from .world import World
 from .worlds import WORLDS, make_world
 
 EPOCH_NS = 1_700_000_000 * 10**9

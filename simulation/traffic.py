@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from .chance import Chance, quantised
 from .motion import Drive
 from .walls import Segments
-from .world import FloatArray, IntArray, World, polyline_at
-
-BoolArray = NDArray[np.bool_]
+from .world import World, polyline_at
 
 DOOR_STAYS_S = (20.0, 90.0)
 """How long a door stays as it is."""

@@ -34,12 +34,13 @@ from typing import Any
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.errors import DocumentError
 from ..topology.files import read_json, write_json
 from ..topology.se2 import apply, between, fit_rigid, wrap
 from ..topology.topomap import TopoMap
 from .detector import NO_VERTEX
-from .world import FloatArray, IntArray, World
+from .world import World
 
 TRUTH_SCHEMA = "topobatch.truth/1"
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
 from ..topology.se2 import wrap
-from .world import FloatArray, IntArray, World, polyline_at
+from .world import World, polyline_at
 
 ROUND = 12
 """Corners of the polygon that stands for the round of a junction: none has more."""

@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.frozen import frozen_array
 from ..topology.polyline import way_of
 from ..topology.ragged import Ragged
 from ..topology.se2 import wrap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 BRANCH_REACH_M = 0.7
 """A branch points to where its corridor is at this distance along the way."""
@@ -119,7 +116,7 @@ def straight(xy: FloatArray, u: int, v: int) -> Link:
     return u, v, np.array([xy[u], xy[v]])
 
 
-def without_bends(links: Sequence[Link], is_junction: NDArray[np.bool_]) -> list[Link]:
+def without_bends(links: Sequence[Link], is_junction: BoolArray) -> list[Link]:
     """The links with every vertex of two corridors that is no junction turned into a bend.
 
     A vertex stays where joining its corridors would make a loop to oneself. O(links).

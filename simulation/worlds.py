@@ -9,22 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
+from ..topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ..topology.errors import UsageError
 from ..topology.se2 import wrap
 from .chance import Chance
 from .tiles import tiles_world
-from .world import (
-    FloatArray,
-    Link,
-    World,
-    polyline_heading,
-    straight,
-    without_bends,
-    world_of_links,
-)
+from .world import Link, World, polyline_heading, straight, without_bends, world_of_links
 
 STRAIGHT_RAD = 0.05
 """Two corridors that go on this straight make no junction."""
@@ -44,7 +36,7 @@ def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
 
 def _lattice(
     cells: float, aspect: float, least: int, apart_m: tuple[float, float], chance: Chance
-) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+) -> tuple[FloatArray, FloatArray, IntArray]:
     """An uneven grid of about so many cells, numbered row by row, at least so many per row and
     column: where its columns (c,) and rows (r,) are, and pairs (w, 2) of cells side by side."""
     columns = max(least, round(np.sqrt(cells * aspect)))
@@ -56,7 +48,7 @@ def _lattice(
     return x, y, np.concatenate(_neighbours(columns, rows))
 
 
-def _neighbours(columns: int, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _neighbours(columns: int, rows: int) -> tuple[IntArray, IntArray]:
     """Pairs (w, 2) of cells, numbered row by row, that are side by side in a row; in a column."""
     cell = np.arange(rows * columns).reshape(rows, columns)
     across = np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()])
@@ -64,7 +56,7 @@ def _neighbours(columns: int, rows: int) -> tuple[NDArray[np.int64], NDArray[np.
     return across, along
 
 
-def _growing_tree(walls: NDArray[np.int64], cells: int, chance: Chance) -> NDArray[np.bool_]:
+def _growing_tree(walls: IntArray, cells: int, chance: Chance) -> BoolArray:
     """Which walls to open so that all cells hang together: mostly on from the newest cell."""
     beside: list[list[tuple[int, int]]] = [[] for _ in range(cells)]
     for wall, (u, v) in enumerate(walls.tolist()):
@@ -95,7 +87,7 @@ def _straight_world(
     return world_of_links(f"{kind}-{junctions}-{seed}", kind, xy, links)
 
 
-def _goes_straight(count: int, links: list[Link]) -> NDArray[np.bool_]:
+def _goes_straight(count: int, links: list[Link]) -> BoolArray:
     """(count,) vertices of just two corridors that leave in opposite directions."""
     leaving: list[list[float]] = [[] for _ in range(count)]
     for u, v, path in links:
@@ -156,7 +148,7 @@ def _add_wing(
     feet: list[int],
     x_main: FloatArray,
     side: float,
-    doors: NDArray[np.bool_],
+    doors: BoolArray,
     chance: Chance,
 ) -> None:
     """One wing: a corridor from each foot with rooms to the left and right, joined twice.
@@ -215,7 +207,7 @@ def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     z = z + 0.5 * (chance.normal(1.0, len(z)) + 1j * chance.normal(1.0, len(z)))
     bend = 0.22 / float(np.abs(z).max()) * np.exp(1j * chance.uniform(-np.pi, np.pi, 1)[0])
 
-    def bent(flat: NDArray[np.complex128]) -> FloatArray:
+    def bent(flat: ComplexArray) -> FloatArray:
         w = flat + bend * flat**2
         return np.column_stack([w.real, w.imag])
 
@@ -265,18 +257,18 @@ def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:
     return chosen
 
 
-def _gabriel(xy: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+def _gabriel(xy: FloatArray, pairs: IntArray) -> IntArray:
     """The pairs whose disc of diameter u–v holds no other point."""
     from scipy.spatial import cKDTree
 
     middle = 0.5 * (xy[pairs[:, 0]] + xy[pairs[:, 1]])
     nearest, _ = cKDTree(xy).query(middle)
     radius = 0.5 * np.hypot(*(xy[pairs[:, 0]] - xy[pairs[:, 1]]).T)
-    kept: NDArray[np.int64] = pairs[(nearest >= radius - 1e-9) & (radius < 8.0)]
+    kept: IntArray = pairs[(nearest >= radius - 1e-9) & (radius < 8.0)]
     return kept
 
 
-def _thinned(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> NDArray[np.int64]:
+def _thinned(xy: FloatArray, pairs: IntArray, chance: Chance) -> IntArray:
     """A random spanning forest of the pairs, and of the others those that crowd nobody.
 
     A street that closes a loop is built with probability 0.7, if it leaves both its junctions
@@ -305,7 +297,7 @@ def _thinned(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> NDArra
             tree.append(i)
             headings[u].append(out)
             headings[v].append(back)
-    built: NDArray[np.int64] = pairs[np.sort(tree)]
+    built: IntArray = pairs[np.sort(tree)]
     return built
 
 
@@ -313,7 +305,7 @@ def _clear(heading: float, others: list[float], least_deg: float) -> bool:
     return all(abs(wrap(heading - other)) >= np.radians(least_deg) for other in others)
 
 
-def _curved(xy: FloatArray, pairs: NDArray[np.int64], chance: Chance) -> list[FloatArray]:
+def _curved(xy: FloatArray, pairs: IntArray, chance: Chance) -> list[FloatArray]:
     """A path for every pair: bowed sideways by up to 14 % of its length where there is room."""
     from scipy.spatial import cKDTree
 

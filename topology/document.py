@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import FloatArray, IntArray
 from .digits import BITS, BRANCH, METRES, rounded, significant
 from .errors import DocumentError
 from .files import read_json, write_json
@@ -36,7 +37,7 @@ from .turning_vertices import with_turning_points, without_turning_points
 Number = TypeVar("Number", np.float64, np.int64)
 
 
-def edge_keys(source: NDArray[np.int64], target: NDArray[np.int64]) -> list[int]:
+def edge_keys(source: IntArray, target: IntArray) -> list[int]:
     """The `key` of every edge: its number among the edges that join the same two vertices."""
     seen: dict[tuple[int, int], int] = {}
     keys = []
@@ -143,7 +144,7 @@ def edges_to_document(graph: Graph) -> list[dict[str, Any]]:
     ]
 
 
-def _rounded_together(paths: Sequence[NDArray[np.float64]]) -> tuple[list[list[float]], list[int]]:
+def _rounded_together(paths: Sequence[FloatArray]) -> tuple[list[list[float]], list[int]]:
     """The points of all paths as they stand in documents, and where each path begins."""
     stops = np.cumsum([0, *map(len, paths)]).tolist()
     return rounded(np.concatenate([np.zeros((0, 2)), *paths]), METRES), stops
@@ -203,7 +204,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         raise DocumentError(f"{name}: {error}") from error
 
 
-def _lengths(paths: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _lengths(paths: Sequence[FloatArray]) -> FloatArray:
     """Of each path how long it is [m]; paths have two points or more."""
     size = np.array([len(path) for path in paths], np.int64)
     step = np.diff(np.concatenate([np.zeros((0, 2)), *paths]), axis=0)
@@ -256,7 +257,7 @@ def _rows_known(rows: Sequence[list[float] | None]) -> Ragged | None:
 
 def _times_known(
     rows: Sequence[list[tuple[int, int]] | None],
-) -> tuple[NDArray[np.int64], ...] | None:
+) -> tuple[IntArray, ...] | None:
     known = [row for row in rows if row is not None]
     return _in_rows(known, np.int64) if known and len(known) == len(rows) else None
 

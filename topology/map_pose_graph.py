@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import FloatArray, IntArray
 from .posegraph.graph import PoseGraph
 from .se2 import turned_axes
 from .topomap import TopoMap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LEAST_TURN_RAD = 1e-4
 """No corridor keeps its heading better than this, 1 sigma: it keeps information finite, and is far

@@ -6,8 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import BoolArray, FloatArray, IntArray
 from .circular import AngleClusters, cluster_angles
 from .corridor_lengths import corridor_lengths
 from .odometry import Odometry
@@ -20,8 +20,6 @@ from .track import times_between, track_directions, way_at
 from .vertex_errors import VertexErrors
 from .visits import Visits, draw_track
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 _Ends = tuple[int, int, int, int]
 """Of a corridor: source, target, and the branch at each."""
 
@@ -71,7 +69,7 @@ def build_topomap(
     xy: FloatArray,
     visits: Visits,
     pass_vertex: IntArray,
-    pass_fair: NDArray[np.bool_],
+    pass_fair: BoolArray,
     pass_turn: FloatArray,
     askew_rad: float = 0.0,
     noise: RunNoise,
@@ -157,7 +155,7 @@ def _slots(
     visit_vertex: IntArray,
     arriving: FloatArray,
     leaving: FloatArray,
-) -> tuple[AngleClusters, IntArray, NDArray[np.bool_]]:
+) -> tuple[AngleClusters, IntArray, BoolArray]:
     """Branches of every vertex, by how many passes each was seen, and which of them stay: driven,
     or seen by enough passes."""
     owner = passes.branches.owner
@@ -207,7 +205,7 @@ class _Legs:
     target_branch: IntArray
     length: FloatArray
     path: list[FloatArray]
-    turned: NDArray[np.bool_]
+    turned: BoolArray
     """Driven from target to source."""
     time_ns: IntArray
 

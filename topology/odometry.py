@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import FloatArray, IntArray
 from .frozen import freeze
 from .se2 import wrap
 
@@ -25,14 +25,14 @@ class Odometry:
     Raises ValueError on a wrong shape, a NaN, or times that do not ascend.
     """
 
-    time_ns: NDArray[np.int64]
-    pose: NDArray[np.float64]
-    breaks: NDArray[np.int64]
+    time_ns: IntArray
+    pose: FloatArray
+    breaks: IntArray
     frame: str = "odom"
     child_frame: str = "base_link"
-    jumps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    jump_sigma: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
-    jump_other: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    jumps: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    jump_sigma: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    jump_other: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         n, j = len(self.time_ns), len(self.jumps)
@@ -48,12 +48,12 @@ class Odometry:
         return len(self.time_ns)
 
     @property
-    def cuts(self) -> NDArray[np.int64]:
+    def cuts(self) -> IntArray:
         """(c,) rows that begin a stretch of known motion: breaks and jumps, ascending."""
         return np.union1d(self.breaks, self.jumps)
 
     @property
-    def step_m(self) -> NDArray[np.float64]:
+    def step_m(self) -> FloatArray:
         """(n,) way from the row before [m]; 0 for the first row and across a break."""
         step = np.zeros(len(self))
         step[1:] = np.hypot(*np.diff(self.pose[:, :2], axis=0).T)
@@ -61,18 +61,18 @@ class Odometry:
         return step
 
     @property
-    def turn_rad(self) -> NDArray[np.float64]:
+    def turn_rad(self) -> FloatArray:
         """(n,) turn since the row before [rad, signed]; 0 for the first row and across a break."""
         turn = np.zeros(len(self))
         turn[1:] = wrap(np.diff(self.pose[:, 2]))
         turn[self.breaks] = 0.0
         return turn
 
-    def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def at(self, time_ns: IntArray) -> FloatArray:
         """(m, 3) poses at any times, linear between rows, held at the ends. O(n + m log n)."""
         return self.interpolator()(time_ns)
 
-    def interpolator(self) -> Callable[[NDArray[np.int64]], NDArray[np.float64]]:
+    def interpolator(self) -> Callable[[IntArray], FloatArray]:
         """`at`, for many questions: what all of them need is made once. O(n), then O(m log n)."""
         origin = self.time_ns[0]
         t = (self.time_ns - origin).astype(np.float64)
@@ -80,7 +80,7 @@ class Odometry:
         # Copied to be one after the other: `interp` would do so for every question.
         columns = (*(self.pose[:, k].copy() for k in (0, 1)), theta)
 
-        def at(time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        def at(time_ns: IntArray) -> FloatArray:
             q = (np.asarray(time_ns, np.int64) - origin).astype(np.float64)
             out = np.stack([np.interp(q, t, column) for column in columns], axis=-1)
             out[..., 2] = wrap(out[..., 2])
@@ -89,7 +89,7 @@ class Odometry:
         return at
 
 
-def _rows_within(rows: NDArray[np.int64], count: int) -> bool:
+def _rows_within(rows: IntArray, count: int) -> bool:
     """Whether rows ascend strictly and each has one before it among so many."""
     if len(rows) == 0:
         return True

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import FloatArray, IntArray
 from .frozen import freeze
 from .ragged import Ragged
 from .se2 import wrap
@@ -27,16 +27,16 @@ class Passes:
     Raises ValueError on shapes that do not fit or times that descend.
     """
 
-    time_ns: NDArray[np.int64]
-    start_ns: NDArray[np.int64]
-    end_ns: NDArray[np.int64]
-    centre: NDArray[np.float64]
+    time_ns: IntArray
+    start_ns: IntArray
+    end_ns: IntArray
+    centre: FloatArray
     branches: Ragged
     support: Ragged
-    entry: NDArray[np.int64]
-    exit: NDArray[np.int64]
-    messages: NDArray[np.int64]
-    confidence: NDArray[np.float64]
+    entry: IntArray
+    exit: IntArray
+    messages: IntArray
+    confidence: FloatArray
 
     def __post_init__(self) -> None:
         p = len(self.time_ns)
@@ -58,9 +58,7 @@ class Passes:
         return len(self.time_ns)
 
 
-def nearest_branch(
-    branches: Ragged, direction: NDArray[np.float64], match_rad: float
-) -> NDArray[np.int64]:
+def nearest_branch(branches: Ragged, direction: FloatArray, match_rad: float) -> IntArray:
     """(p,) row-local index of the branch nearest to each direction; NO_BRANCH beyond `match_rad`.
 
     direction: (p,) [rad]; NaN gives NO_BRANCH.

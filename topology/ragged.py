@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import FloatArray, IntArray
 from .frozen import freeze
 
 
@@ -20,8 +21,8 @@ class Ragged:
     Raises ValueError if the two do not fit or a value is not finite.
     """
 
-    offsets: NDArray[np.int64]
-    values: NDArray[np.float64]
+    offsets: IntArray
+    values: FloatArray
 
     def __post_init__(self) -> None:
         freeze(self, np.int64, offsets=(None,))
@@ -50,22 +51,22 @@ class Ragged:
     def __len__(self) -> int:
         return len(self.offsets) - 1
 
-    def __getitem__(self, row: int) -> NDArray[np.float64]:
+    def __getitem__(self, row: int) -> FloatArray:
         if not 0 <= row < len(self):
             raise IndexError(f"row {row} of {len(self)}")
         return self.values[self.offsets[row] : self.offsets[row + 1]]
 
     @property
-    def counts(self) -> NDArray[np.int64]:
+    def counts(self) -> IntArray:
         """(n,) number of values in each row."""
         return self.offsets[1:] - self.offsets[:-1]
 
     @property
-    def owner(self) -> NDArray[np.int64]:
+    def owner(self) -> IntArray:
         """(len(values),) row that each value belongs to."""
         return np.repeat(np.arange(len(self), dtype=np.int64), self.counts)
 
-    def take(self, rows: NDArray[np.int64] | Sequence[int]) -> Ragged:
+    def take(self, rows: IntArray | Sequence[int]) -> Ragged:
         """The given rows, in the given order. O(values taken)."""
         index = np.asarray(rows, np.int64)
         counts = self.counts[index]

@@ -7,15 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import BoolArray, Float32Array, FloatArray, IntArray
 from .frozen import freeze
 from .odometry import Odometry
 from .ragged import Ragged
 from .topomap import RunNoise
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,8 +24,8 @@ class Detections:
     robot's frame when they are read, so that the odometry can be corrected later.
     """
 
-    time_ns: NDArray[np.int64]
-    centre: NDArray[np.float64]
+    time_ns: IntArray
+    centre: FloatArray
     branches: Ragged
 
     def __post_init__(self) -> None:
@@ -93,7 +90,7 @@ class Anchored:
 
     anchor_ns: IntArray
     anchor: IntArray
-    xy: NDArray[np.float32]
+    xy: Float32Array
 
     def __post_init__(self) -> None:
         freeze(self, np.int64, anchor_ns=(None,), anchor=(None,))
@@ -138,8 +135,8 @@ class Grid(NamedTuple):
     the map's frame; frame: its name.
     """
 
-    free: NDArray[np.bool_]
-    unknown: NDArray[np.bool_]
+    free: BoolArray
+    unknown: BoolArray
     resolution_m: float
     origin: tuple[float, float, float]
     frame: str = "map"

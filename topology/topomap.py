@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import BoolArray, FloatArray, IntArray
 from .frozen import freeze, frozen_array, frozen_rows
 from .passes import NO_BRANCH
 from .ragged import Ragged
@@ -72,29 +72,29 @@ class Graph:
     paths: m polylines (k, 2) [m] from source to target, k >= 2.
     """
 
-    xy: NDArray[np.float64]
+    xy: FloatArray
     branches: Ragged
     kind: tuple[str, ...]
-    source: NDArray[np.int64]
-    target: NDArray[np.int64]
-    source_branch: NDArray[np.int64]
-    target_branch: NDArray[np.int64]
-    length: NDArray[np.float64]
-    length_sigma: NDArray[np.float64]
-    traversals: NDArray[np.int64]
-    paths: tuple[NDArray[np.float64], ...]
+    source: IntArray
+    target: IntArray
+    source_branch: IntArray
+    target_branch: IntArray
+    length: FloatArray
+    length_sigma: FloatArray
+    traversals: IntArray
+    paths: tuple[FloatArray, ...]
 
     def __len__(self) -> int:
         """Number of vertices."""
         return len(self.xy)
 
     @property
-    def degree(self) -> NDArray[np.int64]:
+    def degree(self) -> IntArray:
         """(n,) number of branches seen at each vertex, explored or not."""
         return self.branches.counts
 
     @property
-    def is_turned(self) -> NDArray[np.bool_]:
+    def is_turned(self) -> BoolArray:
         """(n,) whether a vertex is a turning point of a run."""
         return np.array([kind in KINDS for kind in self.kind], bool)
 
@@ -122,15 +122,15 @@ class TopoMap(Graph):
 
     run: str
     frame: str
-    observation_vertex: NDArray[np.int64]
-    observation_time_ns: NDArray[np.int64]
+    observation_vertex: IntArray
+    observation_time_ns: IntArray
     noise: RunNoise = field(default_factory=RunNoise)
     closures: tuple[Closure, ...] = ()
     fitted_noise: RunNoise | None = None
-    position_sigma: NDArray[np.float64] | None = None
+    position_sigma: FloatArray | None = None
     branch_sigma: Ragged | None = None
-    traversal_ns: tuple[NDArray[np.int64], ...] | None = None
-    confidence: NDArray[np.float64] = field(default_factory=lambda: ALL_SURE)
+    traversal_ns: tuple[IntArray, ...] | None = None
+    confidence: FloatArray = field(default_factory=lambda: ALL_SURE)
     shows_bends: bool = True
     turning_points: TurningPoints = NO_TURNING_POINTS
     info: Mapping[str, Any] = field(default_factory=dict)
@@ -198,6 +198,6 @@ class TopoMap(Graph):
         return count
 
     @property
-    def passes(self) -> NDArray[np.int64]:
+    def passes(self) -> IntArray:
         """(n,) number of passes by each vertex."""
         return np.bincount(self.observation_vertex, minlength=len(self))

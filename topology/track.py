@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import FloatArray, IntArray
 from .odometry import Odometry
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,19 +27,19 @@ def way_along(odometry: Odometry) -> FloatArray:
     return np.cumsum(odometry.step_m)
 
 
-def chain_of(odometry: Odometry, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+def chain_of(odometry: Odometry, time_ns: IntArray) -> IntArray:
     """(m,) number of the unbroken piece of odometry that each time falls in."""
     starts = odometry.time_ns[odometry.breaks]
     return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")
 
 
-def stretch_of(odometry: Odometry, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+def stretch_of(odometry: Odometry, time_ns: IntArray) -> IntArray:
     """(m,) number of the stretch without breaks and jumps that each time falls in."""
     starts = odometry.time_ns[odometry.cuts]
     return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")
 
 
-def way_at(odometry: Odometry, time_ns: NDArray[np.int64]) -> FloatArray:
+def way_at(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """(m,) way driven up to each time [m]."""
     origin = odometry.time_ns[0]
     times = (odometry.time_ns - origin).astype(np.float64)
@@ -51,8 +49,8 @@ def way_at(odometry: Odometry, time_ns: NDArray[np.int64]) -> FloatArray:
 
 
 def times_between(
-    odometry: Odometry, time_ns: NDArray[np.int64], first: NDArray[np.int64], near_m: float
-) -> NDArray[np.int64]:
+    odometry: Odometry, time_ns: IntArray, first: IntArray, near_m: float
+) -> IntArray:
     """When the robot left each place and came to the next one: (k, 2), in whole milliseconds.
 
     time_ns: (v,) when it was at the places; first: (k,) places that it left for the next one. What
@@ -76,7 +74,7 @@ def times_between(
 
 def track_directions(
     odometry: Odometry,
-    time_ns: NDArray[np.int64],
+    time_ns: IntArray,
     centre: FloatArray,
     *,
     reach_m: float = 0.95,

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import BoolArray, FloatArray, IntArray
 from .mapbuilding import MapBuildingSettings, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
@@ -22,9 +22,6 @@ from .topomap import Graph, TopoMap
 from .track import times_between, track_directions, way_along, way_at
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
 from .visits import Visits, draw_track
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LEAVING_M = 1.5
 """A turning point's heading is that of so much of its way: where scans take those of branches."""
@@ -200,7 +197,7 @@ def _drives(
     odometry: Odometry,
     visits: Visits,
     xy: FloatArray,
-    known: tuple[NDArray[np.bool_], IntArray, IntArray],
+    known: tuple[BoolArray, IntArray, IntArray],
     settings: MapBuildingSettings,
 ) -> Iterator[_Drive]:
     """Drives out and back, or half of that. visits: with the ends of tracks; xy: of all vertices;
@@ -263,7 +260,7 @@ def _branches_driven(
 
 def _with_ends(
     odometry: Odometry, visits: Visits, xy: FloatArray
-) -> tuple[Visits, NDArray[np.bool_], FloatArray]:
+) -> tuple[Visits, BoolArray, FloatArray]:
     """Visits with the begin and the end of each unbroken track among them, as vertices of their
     own, where the next visit sees them; which of them are visits; and where all vertices lie."""
     chains = np.unique(visits.chain)

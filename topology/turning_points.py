@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import FloatArray, IntArray
 from .frozen import frozen_array, frozen_rows
 from .passes import NO_BRANCH
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TURNING_POINT, TRACK_END = "turning_point", "track_end"
 KINDS = (TURNING_POINT, TRACK_END)

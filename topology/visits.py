@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import BoolArray, FloatArray, IntArray
 from .odometry import Odometry
 from .se2 import wrap
 from .track import way_along, way_at
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +23,7 @@ class Visits:
 
     time_ns: IntArray
     vertex: IntArray
-    seen: NDArray[np.bool_]
+    seen: BoolArray
     pose: FloatArray
     centre: FloatArray
     chain: IntArray

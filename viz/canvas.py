@@ -23,12 +23,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray
 from .palette import Order
 from .theme import Theme, as_variables
 
-FloatArray = NDArray[np.float64]
 Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
 Format = Literal["svg", "png"]
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from ..merge.decision import LINKS, Decision, Placement, Term
 from ..merge.decision_text import (
@@ -25,6 +24,7 @@ from ..merge.decision_text import (
     threshold,
 )
 from ..merge.result import shown_bits
+from ..topology.arrays import FloatArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
@@ -42,7 +42,6 @@ from .placements import against, placements
 from .recording import UP, PathParts, Recording, blueprint, markdown, placed, write_recording
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
-FloatArray = NDArray[np.float64]
 Drawn = tuple[FloatArray, FloatArray]
 """Where the junctions of a and of b are drawn, in a's frame."""
 

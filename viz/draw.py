@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..merge.decision import LINKS, Decision, Placement
 from ..merge.decision_text import because, headline, missing, short
@@ -16,6 +15,7 @@ from ..merge.result import (
     PairVerdict,
     shown_bits,
 )
+from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, compose
 from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_points import TRACK_END, TURNING_POINT
@@ -28,8 +28,6 @@ from .parts import Part, lay_out, ranks
 from .placements import against, contradiction_spots, placements
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 from .theme import Theme
-
-FloatArray = NDArray[np.float64]
 
 MOST_TOLD = 3000
 """Above this many corridors or junctions they are drawn together, and do not tell their numbers."""

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..merge.result import FusedMap
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.passes import NO_BRANCH
 from ..topology.polyline import way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import Graph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SAME_BRANCH_RAD = 0.7
 """A corridor that does not say which branch it takes takes the nearest one within this angle."""
@@ -39,7 +36,7 @@ def pen_m(graphs: Sequence[Graph]) -> float:
     return float(np.clip(0.035 * np.median(lengths), 0.02, 2.0)) if len(lengths) else 0.2
 
 
-def driven_branches(graph: Graph) -> NDArray[np.bool_]:
+def driven_branches(graph: Graph) -> BoolArray:
     """(total branches,) whether a corridor of the map leaves by the branch.
 
     Ends that name no branch count for the nearest one in direction. O(branches + edges).

@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
@@ -23,8 +24,6 @@ from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
 if TYPE_CHECKING:
     from ..merge.paper.explain import Explanation
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TABLE, SPACE, PLACEMENTS = "table", "transforms", "placements"
 

@@ -7,9 +7,9 @@ from itertools import chain
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from ..merge.result import FusedMap, MergeResult
+from ..topology.arrays import IntArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
@@ -229,7 +229,7 @@ def _agreement(recording: Recording, fused: FusedMap, parts: list[Part], pen: fl
     recording.static_each(paths, counts, lines, _corridor_info(fused, edges))
 
 
-def _corridor_info(fused: FusedMap, edges: NDArray[np.int64]) -> rr.AnyValues:
+def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
     rows = edges.tolist()
     return rr.AnyValues(
         corridor=edges,

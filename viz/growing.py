@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.arrays import IntArray
 from . import palette
 from .palette import Colour, Colours
 from .recording import JOIN, PathParts, Recording
@@ -20,7 +21,7 @@ def light_up(
     recording: Recording,
     path: PathParts,
     archetype: Any,
-    when_ns: NDArray[np.int64],
+    when_ns: IntArray,
     colours: Colours | Colour,
     *,
     begin_ns: int | None,
@@ -39,7 +40,7 @@ def light_up_by_step(
     recording: Recording,
     path: PathParts,
     archetype: Any,
-    when: NDArray[np.int64],
+    when: IntArray,
     colours: Colours | Colour,
     *,
     now: Colour | None = None,
@@ -56,8 +57,8 @@ def light_up_by_step(
 
 
 def _lit(
-    times: NDArray[np.int64],
-    when: NDArray[np.int64],
+    times: IntArray,
+    when: IntArray,
     colours: Colours | Colour,
     dim: Colour,
 ) -> NDArray[np.uint8]:
@@ -72,7 +73,7 @@ def colour_columns(archetype: Any, rows: NDArray[np.uint8]) -> Any:
     return archetype.columns(colors=rows.reshape(-1, 3)).partition([things] * times)
 
 
-def _rows(when_ns: NDArray[np.int64], begin_ns: int | None) -> NDArray[np.int64]:
+def _rows(when_ns: IntArray, begin_ns: int | None) -> IntArray:
     """The times at which something changes, thinned to what may be logged; the last one stays."""
     times = np.unique(when_ns)
     most = max(MOST_CELLS // max(len(when_ns), 1), 2)

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
+from ..topology.arrays import FloatArray
 from ..topology.topomap import TopoMap
 from .drawing import bounds
 from .recording import CLOCKS, PathParts, blueprint, entity, map_view
@@ -98,7 +98,7 @@ def _maps(
     return rrb.Tabs(*views, active_tab=0, name="Maps")
 
 
-def on_graph(topomap: TopoMap) -> NDArray[np.float64]:
+def on_graph(topomap: TopoMap) -> FloatArray:
     """(n, 2) where the vertices lie in the graph; y points down."""
     usual = float(np.median(topomap.length)) if len(topomap.length) else 1.0
     return GRAPH_CORRIDOR / usual * topomap.xy * [1.0, -1.0]
@@ -140,7 +140,7 @@ def _map_view(
     topomap: TopoMap, track: RobotTrack | None, *, moving: bool, scans: bool
 ) -> rrb.Spatial2DView:
     """moving: what the robot does at the cursor is shown for a while."""
-    shown: list[NDArray[np.float64]] = [topomap.xy, *topomap.paths]
+    shown: list[FloatArray] = [topomap.xy, *topomap.paths]
     low, high = bounds(shown)
     if track is not None:
         wide_low, wide_high = bounds([*shown, *track.stretches])

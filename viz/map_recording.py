@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Grid, Scanned
 from ..topology.topomap import TopoMap
@@ -181,7 +181,7 @@ def _junctions(
     light_up(recording, path, rr.Points2D, known.vertex_ns, colours, begin_ns=begin_ns)
 
 
-def _dot(topomap: TopoMap) -> NDArray[np.float64]:
+def _dot(topomap: TopoMap) -> FloatArray:
     """(n,) radii of the dots of vertices, in pens."""
     return np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
 
@@ -207,7 +207,7 @@ def _closures(
 ) -> None:
     """Every identification as a line of its own: one that was accepted as a ring round its
     junction, the first the innermost; one that was refused between the two junctions."""
-    groups: dict[str, list[tuple[Question, NDArray[np.float64]]]] = {"accepted": [], "refused": []}
+    groups: dict[str, list[tuple[Question, FloatArray]]] = {"accepted": [], "refused": []}
     rings: Counter[int] = Counter()
     pen = pen_m([topomap])
     for question in asked:
@@ -236,7 +236,7 @@ def _closure_lines(
     recording: Recording,
     path: PathParts,
     topomap: TopoMap,
-    drawn: Sequence[tuple[Question, NDArray[np.float64]]],
+    drawn: Sequence[tuple[Question, FloatArray]],
 ) -> None:
     ends = [[topomap.observation_vertex[k] for k in q.rows if k is not None] for q, _ in drawn]
     recording.static(

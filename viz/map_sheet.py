@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from ..merge.decision_text import short
+from ..topology.arrays import FloatArray
 from ..topology.topomap import TopoMap
 from . import palette
 from .drawing import SHEET_MARGIN, bounds
@@ -46,7 +46,7 @@ def write_words(
 def write_rings(
     recording: Recording,
     path: PathParts,
-    xy: NDArray[np.float64],
+    xy: FloatArray,
     radius_m: float,
     order: palette.Order = palette.Order.EVIDENCE,
 ) -> None:
@@ -167,7 +167,7 @@ def write_laid_over(
     here: PathParts,
     cell: Cell,
     maps: tuple[TopoMap, TopoMap],
-    T_a_b: NDArray[np.float64],
+    T_a_b: FloatArray,
     *,
     pen: float,
 ) -> None:

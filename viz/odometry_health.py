@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import IntArray
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 
@@ -29,7 +29,7 @@ class Lane:
     """A state that holds from each time until the next: time_ns: (k,), ascending."""
 
     name: str
-    time_ns: NDArray[np.int64]
+    time_ns: IntArray
     states: tuple[str, ...]
 
 

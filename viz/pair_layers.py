@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
+from ..topology.arrays import FloatArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
@@ -81,9 +81,7 @@ def write_matrix(
         _evidence(recording, result, runs)
 
 
-def matrix_bounds(
-    result: MergeResult, runs: list[str]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def matrix_bounds(result: MergeResult, runs: list[str]) -> tuple[FloatArray, FloatArray]:
     """Low and high corner of the matrix and its names; a cell is one unit, y points down."""
     high = np.array([1.01 * len(runs) + 0.2, 1.01 * len(runs) + 0.2])
     if len(runs) > MOST_NAMES:
@@ -187,9 +185,7 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
         _labels(recording, "bits", ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE], labels)
 
 
-def _labels(
-    recording: Recording, name: str, places: NDArray[np.float64], labels: list[str]
-) -> None:
+def _labels(recording: Recording, name: str, places: FloatArray, labels: list[str]) -> None:
     write_words(recording, (MATRIX, name), places, labels, order=palette.Order.TIE)
 
 

@@ -8,6 +8,8 @@ from enum import IntEnum, auto
 import numpy as np
 from numpy.typing import NDArray
 
+from ..topology.arrays import IntArray
+
 Colour = tuple[int, int, int]
 Colours = NDArray[np.uint8]
 """(n, 3) red, green, blue."""
@@ -107,12 +109,12 @@ COUNTS = np.array(
 )
 
 
-def by_degree(degree: NDArray[np.int64]) -> Colours:
+def by_degree(degree: IntArray) -> Colours:
     """A colour for each number of branches."""
     return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
 
 
-def by_count(count: NDArray[np.int64]) -> Colours:
+def by_count(count: IntArray) -> Colours:
     """A colour for each number of runs: dull for one, the brighter the more."""
     return COUNTS[np.clip(count, 1, len(COUNTS)) - 1]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult
+from ..topology.arrays import FloatArray, IntArray
 from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
 
@@ -38,8 +38,8 @@ class Part:
 
     component: Component
     cell: Cell
-    vertices: NDArray[np.int64]
-    edges: NDArray[np.int64]
+    vertices: IntArray
+    edges: IntArray
     legend_m: float
     junctions: int
 
@@ -91,14 +91,14 @@ def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
     return [Part(*row) for row in zip(order, cells, vertices, edges, room, places, strict=True)]
 
 
-def rows_of(owner: NDArray[np.int64], wanted: list[int]) -> list[NDArray[np.int64]]:
+def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
     """The rows of each of the wanted owners, ascending. O(rows log rows)."""
     order = np.argsort(owner, kind="stable")
     begin, end = (np.searchsorted(owner[order], wanted, side) for side in ("left", "right"))
     return [order[i:j] for i, j in zip(begin.tolist(), end.tolist(), strict=True)]
 
 
-def _fleet_margin_m(points: list[NDArray[np.float64]]) -> float:
+def _fleet_margin_m(points: list[FloatArray]) -> float:
     """By the usual map, and so that a title has room above a map where the sheet fills a view."""
     usual_m = FLEET_MARGIN * _usual_extent(points)
     area = sum(float(np.prod(np.ptp(p, axis=0) + 2 * usual_m)) for p in points if len(p))
@@ -123,12 +123,12 @@ def legend_step_m(cells: list[Cell]) -> float:
     return float(max(width / ASPECT, height)) / LEGEND_LINES
 
 
-def _usual_extent(points: list[NDArray[np.float64]]) -> float:
+def _usual_extent(points: list[FloatArray]) -> float:
     extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
     return max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
 
 
-def _legends(order: list[Component], points: list[NDArray[np.float64]]) -> list[float]:
+def _legends(order: list[Component], points: list[FloatArray]) -> list[float]:
     """Room for each component's legend [m]; none where there are too many."""
     several = [2 <= len(c.poses) <= MOST_NAMES for c in order]
     if sum(several) > MOST_LEGENDS:

@@ -6,16 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..merge.decision import AGAINST, Decision, Placement, Term
 from ..merge.decision_text import listed
 from ..merge.result import Alignment, shown_bits
+from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from .sheet import upright_rad
-
-FloatArray = NDArray[np.float64]
 
 APART, ASIDE = 0.15, 0.2
 """The gap between two tied maps, and how far the lower one is moved aside, so that ties do not lie

@@ -14,8 +14,8 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 import rerun_bindings
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.files import write_atomically
 from .palette import BACKGROUND
 
@@ -93,9 +93,7 @@ class Recording:
                 batches = [rr.DescribedComponentBatch(_Slice(part), told) for told, part in own]
                 self._stream.log(entity(path), batches, static=True)
 
-    def over_time(
-        self, path: PathParts, time_ns: NDArray[np.int64], columns: Iterable[Any]
-    ) -> None:
+    def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
         """Log one row per time, on the clocks that the raw log uses."""
         stamps = np.asarray(time_ns, np.int64).astype("datetime64[ns]")
         self._send(path, [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS], columns)
@@ -172,14 +170,14 @@ def _strict() -> Iterator[None]:
         rr.set_strict_mode(before)
 
 
-def placed(T_parent_child: NDArray[np.float64]) -> rr.Transform3D:
+def placed(T_parent_child: FloatArray) -> rr.Transform3D:
     """A motion of the plane, for everything below an entity."""
     x, y, theta = T_parent_child
     turn = rr.RotationAxisAngle([0, 0, 1], radians=float(theta))
     return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
 
 
-def strips(lines: Sequence[NDArray[np.float64]]) -> Any:
+def strips(lines: Sequence[FloatArray]) -> Any:
     """Polylines of (k, 2) points for rerun, as Arrow has them: it takes others one by one."""
     points = rr.components.Position2DBatch(np.concatenate([np.zeros((0, 2)), *lines]))
     stops = pa.array(np.cumsum([0, *map(len, lines)]), pa.int32())
@@ -193,7 +191,7 @@ def markdown(text: str) -> rr.TextDocument:
 
 
 def map_view(
-    root: str, name: str, low: NDArray[np.float64], high: NDArray[np.float64], overrides: Any = None
+    root: str, name: str, low: FloatArray, high: FloatArray, overrides: Any = None
 ) -> rrb.Spatial2DView:
     """A view of everything below `/root`, which is mirrored by UP; low, high: what it spans [m]."""
     return rrb.Spatial2DView(

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.odometry import Odometry
 from ..topology.se2 import apply, compose, fit_rigid
 from ..topology.topomap import TopoMap
@@ -35,28 +35,28 @@ class RobotTrack:
     known; drift_m: (k,) how far that is from the observation's vertex.
     """
 
-    time_ns: NDArray[np.int64]
-    raw: NDArray[np.float64]
-    bent: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    passed: NDArray[np.float64]
-    drift_m: NDArray[np.float64]
+    time_ns: IntArray
+    raw: FloatArray
+    bent: FloatArray
+    starts: IntArray
+    passed: FloatArray
+    drift_m: FloatArray
 
     @property
-    def stretches(self) -> list[NDArray[np.float64]]:
+    def stretches(self) -> list[FloatArray]:
         """The raw track as polylines of two points or more."""
         return self._polylines(self.raw)
 
     @property
-    def bent_stretches(self) -> list[NDArray[np.float64]]:
+    def bent_stretches(self) -> list[FloatArray]:
         """The bent track as polylines of two points or more."""
         return self._polylines(self.bent)
 
-    def _polylines(self, pose: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    def _polylines(self, pose: FloatArray) -> list[FloatArray]:
         parts = np.split(pose[:, :2], self.starts)
         return [part for part in parts if len(part) > 1]
 
-    def at(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def at(self, time_ns: IntArray) -> FloatArray:
         """(m, 3) bent poses at any times, linear between the rows that are drawn."""
         start = self.time_ns[0]
         t, q = (self.time_ns - start).astype(np.float64), (time_ns - start).astype(np.float64)
@@ -107,9 +107,7 @@ def robot_track(
     )
 
 
-def _placed(
-    topomap: TopoMap, seen: NDArray[np.int64], stretch: Odometry, spacing: float
-) -> RobotTrack:
+def _placed(topomap: TopoMap, seen: IntArray, stretch: Odometry, spacing: float) -> RobotTrack:
     """The track of one unbroken stretch, placed by the observations `seen`, and their drift."""
     times, vertices = topomap.observation_time_ns[seen], topomap.observation_vertex[seen]
     time_ns, first = np.unique(times, return_index=True)
@@ -126,12 +124,12 @@ def _placed(
 
 
 def _bent(
-    time_ns: NDArray[np.int64],
-    raw: NDArray[np.float64],
-    pass_ns: NDArray[np.int64],
-    passed: NDArray[np.float64],
-    seen_at: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    time_ns: IntArray,
+    raw: FloatArray,
+    pass_ns: IntArray,
+    passed: FloatArray,
+    seen_at: FloatArray,
+) -> FloatArray:
     """Each stretch between two passes turned by the angle between its chords, then sheared so
     that both ends meet their vertices. Vectorised over all poses: every pose looks up the pass
     before and after it.
@@ -151,7 +149,7 @@ def _bent(
     return np.column_stack([xy, raw[:, 2] + turn[before]])
 
 
-def _chord_turns(passed: NDArray[np.float64], seen_at: NDArray[np.float64]) -> NDArray[np.float64]:
+def _chord_turns(passed: FloatArray, seen_at: FloatArray) -> FloatArray:
     """(k,) turn from the raw chord to the map's chord after each pass [rad]; the last known one
     where either chord is short."""
     raw, own = np.diff(passed, axis=0), np.diff(seen_at, axis=0)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.odometry import Odometry
 from ..topology.run import Anchored, Scanned, ScanPasses
 from ..topology.se2 import apply
@@ -33,14 +33,14 @@ class ScanLayers:
     skeleton: (m, 2); passes, and their centres (p, 2); windows: (p, 5, 2) closed outlines;
     surest: (n,) of every vertex of the map, the pass that shows it best, -1 where there is none."""
 
-    walls: NDArray[np.float64]
-    time_ns: NDArray[np.int64]
+    walls: FloatArray
+    time_ns: IntArray
     cell_m: float
-    skeleton: NDArray[np.float64]
+    skeleton: FloatArray
     passes: ScanPasses
-    centre: NDArray[np.float64]
-    windows: NDArray[np.float64]
-    surest: NDArray[np.int64]
+    centre: FloatArray
+    windows: FloatArray
+    surest: IntArray
 
 
 def scan_layers(
@@ -70,7 +70,7 @@ def scan_layers(
     )
 
 
-def _surest(passes: ScanPasses, topomap: TopoMap) -> NDArray[np.int64]:
+def _surest(passes: ScanPasses, topomap: TopoMap) -> IntArray:
     """(n,) the pass by each vertex with the highest confidence, the first of several."""
     row = {t: k for k, t in enumerate(passes.time_ns.tolist())}
     of = np.array([row.get(t, -1) for t in topomap.observation_time_ns.tolist()], np.int64)
@@ -83,7 +83,7 @@ def _surest(passes: ScanPasses, topomap: TopoMap) -> NDArray[np.int64]:
     return out
 
 
-def _placed(points: Anchored, track: RobotTrack) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _placed(points: Anchored, track: RobotTrack) -> tuple[FloatArray, IntArray]:
     """(n, 2) points on the map, and the times (n,) on which they hang."""
     when = points.anchor_ns[points.anchor]
     rows = np.flatnonzero((when >= track.time_ns[0]) & (when <= track.time_ns[-1]))
@@ -91,9 +91,7 @@ def _placed(points: Anchored, track: RobotTrack) -> tuple[NDArray[np.float64], N
     return apply(pose, points.xy[rows].astype(np.float64)), when[rows]
 
 
-def _cells(
-    xy: NDArray[np.float64], time_ns: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], float]:
+def _cells(xy: FloatArray, time_ns: IntArray) -> tuple[FloatArray, IntArray, float]:
     """Middles of the cells that points lie in, by the time of the first in each; side of a cell."""
     order = np.argsort(time_ns, kind="stable")
     xy, time_ns, cell_m = xy[order], time_ns[order], CELL_M

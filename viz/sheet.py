@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, rotation
 
 ASPECT = 1.3
@@ -30,23 +31,23 @@ class Cell:
     T_sheet_map: (3,) its frame; low, high: (2,) corners of the cell [m], margin included.
     """
 
-    T_sheet_map: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    T_sheet_map: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
-def corners_of(cells: Sequence[Cell]) -> NDArray[np.float64]:
+def corners_of(cells: Sequence[Cell]) -> FloatArray:
     """(2 n, 2) the low and the high corner of every cell."""
     return np.array([(cell.low, cell.high) for cell in cells]).reshape(-1, 2)
 
 
-def outline(low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:
+def outline(low: ArrayLike, high: ArrayLike) -> FloatArray:
     """(5, 2) the closed outline of the rectangle between two corners."""
     (x0, y0), (x1, y1) = np.asarray(low, np.float64), np.asarray(high, np.float64)
     return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
 
 
-def upright_rad(polylines: Sequence[NDArray[np.float64]]) -> float:
+def upright_rad(polylines: Sequence[FloatArray]) -> float:
     """The turn that makes a map stand straight: corridors along the axes, wider than high.
 
     Where the corridors have no common direction (mod 90°), the longest extent becomes the width.
@@ -70,7 +71,7 @@ def upright_rad(polylines: Sequence[NDArray[np.float64]]) -> float:
 
 
 def arrange(
-    point_sets: Sequence[NDArray[np.float64]],
+    point_sets: Sequence[FloatArray],
     turns_rad: Sequence[float],
     margin_m: float,
     legends_m: Sequence[float] | None = None,
@@ -102,9 +103,7 @@ def arrange(
     return cells
 
 
-def _shelves(
-    sizes: Sequence[NDArray[np.float64]], groups: Sequence[int]
-) -> list[NDArray[np.float64]]:
+def _shelves(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[FloatArray]:
     """The low corner of every box, laid in rows; a row's boxes hang from its top.
 
     Of several widths for the rows, the one that lets the whole be drawn largest is taken.
@@ -122,7 +121,7 @@ def _shelves(
     return laid[best][0]
 
 
-def _group_widths(sizes: Sequence[NDArray[np.float64]], groups: Sequence[int]) -> list[float]:
+def _group_widths(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[float]:
     """For the first box of every group the width of all of it, for the others 0."""
     starts = np.flatnonzero(np.diff(groups, prepend=-1))
     totals = np.add.reduceat([float(w) for w, _ in sizes], starts)
@@ -132,8 +131,8 @@ def _group_widths(sizes: Sequence[NDArray[np.float64]], groups: Sequence[int]) -
 
 
 def _rows(
-    sizes: Sequence[NDArray[np.float64]], ahead: Sequence[float], width: float
-) -> tuple[list[NDArray[np.float64]], float, float]:
+    sizes: Sequence[FloatArray], ahead: Sequence[float], width: float
+) -> tuple[list[FloatArray], float, float]:
     """Low corners of the boxes in rows of at most the given width, and the sheet's size.
 
     ahead: room that a box needs so that it starts in a row, 0 for those that follow another one.
@@ -149,7 +148,7 @@ def _rows(
     return corners, used, row - top
 
 
-def sheet_margin_m(point_sets: Sequence[NDArray[np.float64]]) -> float:
+def sheet_margin_m(point_sets: Sequence[FloatArray]) -> float:
     """The margin of the cells [m]: a share of the extent of the largest map."""
     extents = [float(np.ptp(points, axis=0).max()) for points in point_sets if len(points)]
     return 0.08 * max([*extents, 2 * MIN_SIDE_M])

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from ..merge.result import shown_bits
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from . import palette
@@ -22,9 +22,7 @@ STORY = "story"
 """Root of the pages."""
 
 
-def shared_from(
-    part: Part, steps: Iterable[tuple[int, Step]], runs_at: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def shared_from(part: Part, steps: Iterable[tuple[int, Step]], runs_at: BoolArray) -> IntArray:
     """(n,) number of the step at which a junction of a component is first shared by two of its runs
     that are together; 0 for those that never are. steps: those of the component, with their
     numbers; runs_at: (n, r) whether each of its runs, in their order, has the junction.
@@ -49,7 +47,7 @@ def write_story(
     on that step, gone before and thin after; and a page for every step."""
     parted = {run: part for part in parts for run in part.component.poses}
 
-    def middle(run: str) -> NDArray[np.float64]:
+    def middle(run: str) -> FloatArray:
         own, part = maps[run].xy, parted[run]
         at = own.mean(axis=0) if len(own) else np.zeros(2)
         T_sheet_run = compose(part.cell.T_sheet_map, part.component.poses[run])

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .bag_heads import HEAD_BYTES, compression_of
 from .bag_messages import MessageReader
 from .bag_small import small_chunks
@@ -23,7 +24,7 @@ from .bag_wire import (
 )
 from .chunk_reader import Chunk, ChunkHead, ChunkReader
 from .inflate import WHOLE_BYTES
-from .messages import Block, Bytes, Ints, Walking
+from .messages import Block, Bytes, Walking
 from .walk import bag_records
 from .windows import SLAB_BYTES, Window
 
@@ -162,7 +163,7 @@ class BagChunks(ChunkReader):
     def _front(self, data: Bytes) -> int:
         return bag_records(data)[1]
 
-    def _records(self, data: Bytes) -> tuple[Ints, int]:
+    def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return bag_records(data)
 
     def _record_length(self, data: Bytes) -> int:

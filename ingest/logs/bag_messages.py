@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .bag_heads import BagHeads
 from .bag_mend import mended
 from .bag_wire import (
@@ -23,7 +24,7 @@ from .bag_wire import (
 )
 from .columns import MANY, column, gather, without_repeats, words
 from .described import TOO_MANY, Described, contradicts, short
-from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
+from .messages import UNWANTED, Block, Bytes, DamageError, Findings
 from .tally import NUMBERS, Tally
 from .walk import bag_listed, bag_records, inside, seamless
 
@@ -49,7 +50,7 @@ class MessageReader:
         self._described = Described()
         self._template: HeadTemplate | None = None
 
-    def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+    def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: where an index says they are."""
         listed = self.listed(data, np.concatenate(offsets)) if offsets else None
         if listed is None:
@@ -59,7 +60,7 @@ class MessageReader:
             listed = self._records(data, where)
         yield from listed
 
-    def listed(self, data: Bytes, offsets: Ints) -> Iterator[Block] | None:
+    def listed(self, data: Bytes, offsets: IntArray) -> Iterator[Block] | None:
         """The same by the places of messages; None unless the index is proven."""
         regular = self._regular(data, offsets)
         if regular is not None:
@@ -67,7 +68,9 @@ class MessageReader:
         where = bag_listed(data, offsets)
         return None if where is None else self._records(data, where)
 
-    def _regular(self, data: Bytes, offsets: Ints) -> tuple[Ints, Ints, Ints, Ints] | None:
+    def _regular(
+        self, data: Bytes, offsets: IntArray
+    ) -> tuple[IntArray, IntArray, IntArray, IntArray] | None:
         """Connection, time, size and its place, of messages in data that hold nothing else.
 
         None unless all are like the template and each ends where the next begins, from the first
@@ -87,7 +90,7 @@ class MessageReader:
             return None
         return (*template.read(heads), size, size_at)
 
-    def _records(self, data: Bytes, where: Ints) -> Iterator[Block]:
+    def _records(self, data: Bytes, where: IntArray) -> Iterator[Block]:
         """The wanted messages among records; connections met are taken in."""
         conn, time, size_at, others = self.columns(data, where)
         if len(others) and any(self.heads.within(data).record(k) is None for k in others.tolist()):
@@ -101,7 +104,7 @@ class MessageReader:
         yield from self._blocks(data, conn, time, size, size_at)
 
     def _blocks(
-        self, data: Bytes, conn: Ints, time: Ints, size: Ints, size_at: Ints
+        self, data: Bytes, conn: IntArray, time: IntArray, size: IntArray, size_at: IntArray
     ) -> Iterator[Block]:
         """The wanted ones among messages."""
         if len(conn) == 0:
@@ -119,7 +122,7 @@ class MessageReader:
         self.findings.unreadable_bytes += len(data) - stop
         yield from self._records(data[:stop], where)
 
-    def _mended(self, data: Bytes) -> tuple[Bytes, Ints]:
+    def _mended(self, data: Bytes) -> tuple[Bytes, IntArray]:
         """Damaged records without those that cannot be found again, and their places."""
         found = mended(data, self.heads.within(data))
         self.findings.unreadable_bytes += found.unreadable
@@ -130,7 +133,7 @@ class MessageReader:
                 self.tally.lost(key, 1)
         return found.data, found.where
 
-    def _learn(self, data: Bytes, where: Ints) -> None:
+    def _learn(self, data: Bytes, where: IntArray) -> None:
         """Take the header of the first message as the template of all."""
         for place in where.tolist():
             size = U32(data.data, place)[0]
@@ -140,7 +143,9 @@ class MessageReader:
                 continue
             return
 
-    def columns(self, data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    def columns(
+        self, data: Bytes, where: IntArray
+    ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
         """Connection, time and place of the payload's size of usual messages; the other places."""
         if self._template is None:
             self._learn(data, where)
@@ -151,7 +156,9 @@ class MessageReader:
             others = self._once(data, others)
         return conn, time, size_at, others
 
-    def _columns(self, data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    def _columns(
+        self, data: Bytes, where: IntArray
+    ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
         """Connection, time and place of the payload's size of the records like the template.
 
         Also the places of the records that are not. All headers are gathered at once and compared
@@ -172,7 +179,7 @@ class MessageReader:
         left[np.searchsorted(where, found)] = False
         return conn, time, found + (4 + template.size), where[left]
 
-    def _once(self, data: Bytes, places: Ints) -> Ints:
+    def _once(self, data: Bytes, places: IntArray) -> IntArray:
         """The places without those of connections that are described again and again."""
         header = words(data, "<u4", places).astype(np.int64)
         inside = places + header + 8 <= len(data)
@@ -186,7 +193,7 @@ class MessageReader:
         described = all(record is not None and record.op == CONNECTION for record in kinds)
         return places[~left_out] if described else places
 
-    def _worth(self, data: Bytes, places: Ints) -> Ints:
+    def _worth(self, data: Bytes, places: IntArray) -> IntArray:
         """The places without those of more connections than any log describes."""
         at = np.minimum(places, max(len(data) - HEAD_BYTES, 0))
         rows = gather(data, at, min(HEAD_BYTES, len(data)))
@@ -199,7 +206,7 @@ class MessageReader:
         self.findings.note(TOO_MANY)
         return np.delete(places, described[~worth])
 
-    def one_by_one(self, data: Bytes, places: Ints) -> list[tuple[int, int, int]]:
+    def one_by_one(self, data: Bytes, places: IntArray) -> list[tuple[int, int, int]]:
         """Connection records, and messages whose header is written in another order."""
         out = []
         for place in places.tolist():

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .bag_wire import MESSAGE, U32, fields_of, number, op_of
 from .chunk_reader import ChunkHead
-from .messages import Bytes, DamageError, Ints
+from .messages import Bytes, DamageError
 from .windows import Window
 
 LARGE_BYTES = 1 << 16
@@ -19,7 +20,7 @@ HEAD_BYTES = 512
 
 
 def without_large(
-    window: Window, chunk: ChunkHead, listed: Ints, unwanted: Callable[[int], bool]
+    window: Window, chunk: ChunkHead, listed: IntArray, unwanted: Callable[[int], bool]
 ) -> Bytes | None:
     """The records of an uncompressed chunk, with holes in the data of large unwanted messages.
 

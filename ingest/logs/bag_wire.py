@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.arrays import IntArray
 from .chunk_index import ChunkIndex
 from .columns import Shape, column
 from .described import Described
@@ -19,7 +20,6 @@ from .messages import (
     Bytes,
     Channel,
     DamageError,
-    Ints,
     Survey,
     normal_topic,
     normal_type,
@@ -133,7 +133,7 @@ def connection_of(fields: Fields, data: bytes) -> tuple[int, Channel]:
 _CONNECTION, _NUMBER = (U64(field)[0] for field in (b"\4\0\0\0op=\7", b"\x09\0\0\0conn"))
 
 
-def numbers_of(heads: Bytes) -> Ints:
+def numbers_of(heads: Bytes) -> IntArray:
     """(n,) numbers of connections by the first bytes of records, as rows; -1 for other records."""
     out, is_connection = np.full(len(heads), -1), np.zeros(len(heads), bool)
     for at in range(4, heads.shape[1] - 12):
@@ -149,7 +149,7 @@ INDEX_ENTRY = 12
 """Bytes of an entry in an index record: a time and a place in the chunk."""
 
 
-def listed_offsets(entries: Bytes) -> Ints:
+def listed_offsets(entries: Bytes) -> IntArray:
     """Places in their chunk that the entries of an index record list, unchecked."""
     count = len(entries) // INDEX_ENTRY
     return np.asarray(np.ndarray((count, 3), "<u4", entries.data)[:, 2].astype(np.int64))
@@ -167,10 +167,10 @@ class BagIndex(NamedTuple):
     start: int
     channels: dict[int, Channel]
     told: dict[int, bytes]
-    chunk_starts: Ints
-    first_ns: Ints
-    last_ns: Ints
-    listed: Ints
+    chunk_starts: IntArray
+    first_ns: IntArray
+    last_ns: IntArray
+    listed: IntArray
     pairs: NDArray[np.uint32]
     counts: dict[int, int]
 
@@ -309,7 +309,7 @@ class HeadTemplate(NamedTuple):
         shape = Shape.of(np.frombuffer(head, np.uint8), fixed)
         return cls(len(head) - 4, shape, conn_at, time_at)
 
-    def read(self, heads: Bytes) -> tuple[Ints, Ints]:
+    def read(self, heads: Bytes) -> tuple[IntArray, IntArray]:
         """Connections and times [ns] of gathered headers, as rows."""
         time = column(heads, "<u4", self.time_at) * 10**9
         time += column(heads, "<u4", self.time_at + 4)

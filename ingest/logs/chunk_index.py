@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .messages import Findings, Ints
+from ...topology.arrays import BoolArray, IntArray
+from .messages import Findings
 from .tally import Tally
 
-Wanted = NDArray[np.bool_]
+Wanted = BoolArray
 """By channel number: whether anybody wants its messages, or it is not described."""
 
 
@@ -28,26 +28,26 @@ class ChunkIndex(NamedTuple):
     the order of chunks.
     """
 
-    begin: Ints
-    end: Ints
-    first_ns: Ints
-    last_ns: Ints
-    chunk: Ints
-    channel: Ints
-    messages: Ints
+    begin: IntArray
+    end: IntArray
+    first_ns: IntArray
+    last_ns: IntArray
+    chunk: IntArray
+    channel: IntArray
+    messages: IntArray
 
-    def needed(self, wanted: Wanted) -> NDArray[np.bool_]:
+    def needed(self, wanted: Wanted) -> BoolArray:
         """(c,) which chunks hold any message that is wanted."""
         out = np.zeros(len(self.begin), bool)
         out[self.chunk[wanted[self.channel] & (self.messages > 0)]] = True
         return out
 
-    def ranges(self, wanted: Wanted) -> tuple[Ints, Ints]:
+    def ranges(self, wanted: Wanted) -> tuple[IntArray, IntArray]:
         """Begin and end of these chunks."""
         needed = self.needed(wanted)
         return self.begin[needed], self.end[needed]
 
-    def places(self, chunks: NDArray[np.bool_]) -> Iterator[tuple[int, int, dict[int, int]]]:
+    def places(self, chunks: BoolArray) -> Iterator[tuple[int, int, dict[int, int]]]:
         """Begin and end of some of the chunks, one by one, and the messages per channel in each."""
         edges = np.searchsorted(self.chunk, np.arange(len(self.begin) + 1))
         for k in chunks.nonzero()[0].tolist():
@@ -55,7 +55,7 @@ class ChunkIndex(NamedTuple):
             counts = zip(self.channel[rows].tolist(), self.messages[rows].tolist(), strict=True)
             yield int(self.begin[k]), int(self.end[k]), dict(counts)
 
-    def counts(self, chunks: NDArray[np.bool_]) -> dict[int, int]:
+    def counts(self, chunks: BoolArray) -> dict[int, int]:
         """Messages per channel in some of the chunks."""
         inside = chunks[self.chunk]
         channel, count = self.channel[inside], self.messages[inside]
@@ -63,7 +63,7 @@ class ChunkIndex(NamedTuple):
         np.add.at(totals, channel, count)
         return {int(n): int(totals[n]) for n in totals.nonzero()[0]}
 
-    def span_ns(self, chunks: NDArray[np.bool_]) -> tuple[int, int] | None:
+    def span_ns(self, chunks: BoolArray) -> tuple[int, int] | None:
         """First and last log time in some of the chunks, as far as they hold anything."""
         filled = chunks & (self.first_ns <= self.last_ns)
         if not filled.any():
@@ -71,7 +71,7 @@ class ChunkIndex(NamedTuple):
         return int(self.first_ns[filled].min()), int(self.last_ns[filled].max())
 
 
-def passed_over(index: ChunkIndex, tally: Tally, findings: Findings) -> NDArray[np.bool_]:
+def passed_over(index: ChunkIndex, tally: Tally, findings: Findings) -> BoolArray:
     """Count the messages in chunks that nobody needs; returns (c,) which are needed."""
     needed = index.needed(tally.wanted())
     for number, count in index.counts(~needed).items():
@@ -83,7 +83,7 @@ def passed_over(index: ChunkIndex, tally: Tally, findings: Findings) -> NDArray[
 
 
 def next_listed(
-    starts: Ints, stop: int, position: int, is_chunk: Callable[[int], bool]
+    starts: IntArray, stop: int, position: int, is_chunk: Callable[[int], bool]
 ) -> int | None:
     """The next place at or after `position` at which a listed chunk is, or the index begins.
 

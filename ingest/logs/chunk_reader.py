@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .ahead import Ahead, Task
 from .checksum import agrees, crc32
 from .inflate import (
@@ -25,7 +26,7 @@ from .inflate import (
     inflate_part,
     pieces,
 )
-from .messages import Block, Bytes, DamageError, FileWindow, Findings, Ints, Walking
+from .messages import Block, Bytes, DamageError, FileWindow, Findings, Walking
 from .split import Large, whole_records
 from .tally import Tally
 from .windows import RemoteWindow, Window
@@ -70,7 +71,7 @@ class Chunk(NamedTuple):
     head: ChunkHead
     needed: bool
     counts: dict[int, int]
-    offsets: list[Ints]
+    offsets: list[IntArray]
 
 
 class Messages(Protocol):
@@ -80,7 +81,7 @@ class Messages(Protocol):
     findings: Findings
     packed: bool
 
-    def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+    def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: where an index says they are."""
 
     def too_large(self, head: Bytes) -> None:
@@ -156,7 +157,7 @@ class ChunkReader(ABC):
         """Bytes of the whole records, of whatever kind, at the front of data."""
 
     @abstractmethod
-    def _records(self, data: Bytes) -> tuple[Ints, int]:
+    def _records(self, data: Bytes) -> tuple[IntArray, int]:
         """Places of the whole records at the front of a chunk's data, and where they stop."""
 
     @abstractmethod

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray
 from .foxglove import (
     as_text,
     get,
@@ -46,7 +47,7 @@ class Cloud(NamedTuple):
 
     stamp_ns: int
     frame: str
-    xyz: NDArray[np.float64]
+    xyz: FloatArray
 
 
 class _Layout(NamedTuple):
@@ -171,9 +172,7 @@ def _fixed32(value: float) -> int:
     return int.from_bytes(struct.pack("<f", value), "little")
 
 
-def _packed(
-    stride: int, fields: dict[str, tuple[int, int]], data: NDArray[np.uint8]
-) -> NDArray[np.float64]:
+def _packed(stride: int, fields: dict[str, tuple[int, int]], data: NDArray[np.uint8]) -> FloatArray:
     """(k, 3) the points of a foxglove.PointCloud."""
     if len(data) == 0:
         return np.zeros((0, 3))
@@ -183,9 +182,7 @@ def _packed(
     return _points(_Layout(1, len(data) // stride, known, False, stride, 0), data)
 
 
-def _placed(
-    stamp_ns: int, frame: str, pose: tuple[float, ...] | None, xyz: NDArray[np.float64]
-) -> Cloud:
+def _placed(stamp_ns: int, frame: str, pose: tuple[float, ...] | None, xyz: FloatArray) -> Cloud:
     """Points as they lie in their frame; a pose of zeros, as protobuf leaves it out, is none."""
     if pose is not None and any(pose):
         if not np.isfinite(pose).all():
@@ -199,7 +196,7 @@ def _placed(
     return Cloud(stamp_ns, frame.lstrip("/"), xyz)
 
 
-def _points(layout: _Layout, data: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _points(layout: _Layout, data: NDArray[np.uint8]) -> FloatArray:
     """(k, 3) the points, row by row; raises DamageError where they do not fit into the data."""
     height, width, step = layout.height, layout.width, layout.point_step
     if height * width == 0:

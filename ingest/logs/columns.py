@@ -7,19 +7,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .messages import Bytes, Ints
+from ...topology.arrays import BoolArray, IntArray
+from .messages import Bytes
 
 WORD = 8
 """Bytes that are copied at once."""
 
 
-def words(data: Bytes, kind: str, at: Ints) -> NDArray[Any]:
+def words(data: Bytes, kind: str, at: IntArray) -> NDArray[Any]:
     """The number of type `kind` at each place, through an unaligned view with stride 1."""
     count = len(data) - np.dtype(kind).itemsize + 1
     return np.ndarray((max(count, 0),), kind, data.data, strides=(1,))[at]
 
 
-def gather(data: Bytes, start: Ints, width: int) -> Bytes:
+def gather(data: Bytes, start: IntArray, width: int) -> Bytes:
     """(n, w) bytes of `data` from each place on, w: `width` rounded up to whole words.
 
     What lies behind `width` means nothing. Every place must have `width` bytes.
@@ -34,12 +35,12 @@ def gather(data: Bytes, start: Ints, width: int) -> Bytes:
     return _items(data, start, wide)
 
 
-def _items(data: Bytes, start: Ints, width: int) -> Bytes:
+def _items(data: Bytes, start: IntArray, width: int) -> Bytes:
     items = np.ndarray((len(data) - width + 1,), f"V{width}", data.data, strides=(1,))[start]
     return items.view(np.uint8).reshape(len(start), width)
 
 
-def column(rows: Bytes, kind: str, at: int) -> Ints:
+def column(rows: Bytes, kind: str, at: int) -> IntArray:
     """The numbers of type `kind` at one place of every gathered row, as 64-bit ones."""
     if len(rows) == 0:
         return np.zeros(0, np.int64)
@@ -113,7 +114,7 @@ class Shape(NamedTuple):
         value, bits = known.view(np.uint64), mask.view(np.uint64)
         return cls(tuple((int(k), value[k], bits[k]) for k in np.flatnonzero(bits)))
 
-    def misfits(self, rows: Bytes) -> NDArray[np.bool_] | None:
+    def misfits(self, rows: Bytes) -> BoolArray | None:
         """(n,) which of the gathered rows differ, None if none does."""
         # Word by word down the rows: numpy's inner loop runs over the rows, not over few words.
         found = rows.view(np.uint64)
@@ -133,7 +134,7 @@ REPEATED_BYTES = 512
 """Longer records make no flood out of few bytes."""
 
 
-def without_repeats(data: Bytes, start: Ints, size: Ints) -> Ints:
+def without_repeats(data: Bytes, start: IntArray, size: IntArray) -> IntArray:
     """Which of the records at `start` with `size` to look at, by number, ascending.
 
     A flood that compresses to nothing repeats a few records. Of many, the first ones are compared

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .messages import Channel, DamageError, Ints
+from ...topology.arrays import BoolArray, IntArray
+from .messages import Channel, DamageError
 from .tally import NUMBERS
 
 DEFINITION_BYTES = 1 << 25
@@ -41,7 +41,7 @@ class Described:
     def __contains__(self, record: bytes) -> bool:
         return record in self._met
 
-    def worth(self, numbers: Ints) -> NDArray[np.bool_]:
+    def worth(self, numbers: IntArray) -> BoolArray:
         """Which of these descriptions to look at: so many, and those of a number not met.
 
         numbers: what each describes, below 2 NUMBERS.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .foxglove import RowDecoder
-from .messages import Bytes, Ints
+from .messages import Bytes
 from .poses import Frames, Heads, PoseDecoder, Poses
 from .wire import WireDecoder
 
@@ -41,11 +42,11 @@ class DoubtedDecoder:
         """Why the first of them could not be decoded."""
         return self._embedded.reason or (self._chosen.reason if self._chosen else "")
 
-    def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
+    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
         """What is needed of the messages, once the known definition has proved right."""
         return self._known.heads(data, start, size) if self._chosen is self._known else None
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of a batch of messages."""
         if self._chosen is not None:
             return self._chosen.decode(data, start, size)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from .messages import LATEST_NS, Bytes, DamageError, Ints, text
+from ...topology.arrays import IntArray
+from .messages import LATEST_NS, Bytes, DamageError, text
 from .one_by_one import OneByOne
 from .poses import Frames, Poses, Row, join, no_poses
 
@@ -25,10 +26,10 @@ class RowDecoder(OneByOne[list[Row]]):
         self.frames = Frames()
         super().__init__(lambda raw: parse(raw, self.frames))
 
-    def heads(self, data: Bytes, start: Ints, size: Ints) -> None:
+    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> None:
         """Nothing: no two messages need be alike."""
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of a batch of messages."""
         parts = [
             _poses(number, part, row)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
 from .columns import Growing, words
@@ -21,7 +21,7 @@ from .foxglove import (
     protobuf_transforms,
 )
 from .inflate import ZSTD_MAGIC, inflate_message
-from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError, Ints
+from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError
 from .poses import Heads, PoseDecoder, Poses
 from .schema import UnreadableError, as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
@@ -84,32 +84,32 @@ class PoseColumns:
     x, y, z [m], qx, qy, qz, qw.
     """
 
-    message: Ints
-    part: Ints
-    log_ns: Ints
-    stamp_ns: Ints
-    frame: Ints
-    pose: NDArray[np.float64]
+    message: IntArray
+    part: IntArray
+    log_ns: IntArray
+    stamp_ns: IntArray
+    frame: IntArray
+    pose: FloatArray
 
 
-def usable_poses(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+def usable_poses(value: FloatArray) -> BoolArray:
     """(k,) which poses (k, 7) have finite, believable numbers and an orientation."""
     inside = np.asarray(_inside(value).all(axis=1))
     # What is not inside may overflow.
     return np.asarray(inside & _turned(np.where(inside[:, None], value, 0.0)))
 
 
-def _inside(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _inside(value: FloatArray) -> BoolArray:
     # NaN compares as false, so that it is never inside.
     return np.asarray(np.abs(value) <= FARTHEST)
 
 
-def _all_inside(value: NDArray[np.float64]) -> bool:
+def _all_inside(value: FloatArray) -> bool:
     # The largest of numbers with a NaN is NaN.
     return len(value) == 0 or bool(value.max() <= FARTHEST and value.min() >= -FARTHEST)
 
 
-def _turned(value: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _turned(value: FloatArray) -> BoolArray:
     # Far below any unit quaternion, far above what rounding leaves of a zero one.
     # Column by column: numpy's inner loop runs over the poses.
     x, y, z, w = value[:, 3:].T
@@ -117,7 +117,7 @@ def _turned(value: NDArray[np.float64]) -> NDArray[np.bool_]:
     return flat if flat.all() else np.asarray(x * x + y * y + z * z + w * w > 1e-12)
 
 
-def in_plane(value: NDArray[np.float64]) -> NDArray[np.float64]:
+def in_plane(value: FloatArray) -> FloatArray:
     """(k, 3) x, y and the heading of the x axis, of poses (k, 7) in space."""
     out = np.empty((len(value), 3))
     out[:, :2] = value[:, :2]
@@ -156,7 +156,7 @@ class Sink:
     empty: int = 0
     _columns: tuple[Growing, ...] = ()
     _heads: list[Heads] = field(default_factory=list)
-    _heads_ns: list[Ints] = field(default_factory=list)
+    _heads_ns: list[IntArray] = field(default_factory=list)
     _heads_count: int = 0
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
@@ -193,7 +193,7 @@ class Sink:
         if self._pending_bytes >= PENDING_BYTES:
             self._flush_pending()
 
-    def _add_heads(self, heads: Heads, log_ns: Ints) -> None:
+    def _add_heads(self, heads: Heads, log_ns: IntArray) -> None:
         self._flush_pending()
         if self._heads and self._heads[0].poses != heads.poses:
             self._flush_heads()
@@ -210,7 +210,7 @@ class Sink:
             *(column.taken() for column in self._columns or _empty_columns(self.whole))
         )
 
-    def _packed(self, data: Bytes, start: Ints, size: Ints) -> NDArray[np.bool_]:
+    def _packed(self, data: Bytes, start: IntArray, size: IntArray) -> BoolArray:
         """Which payloads are zstd streams: ROS 2 compresses messages one by one if asked to."""
         packed = size >= 9
         if packed.all():
@@ -218,7 +218,7 @@ class Sink:
         packed[packed] = words(data, "<u4", start[packed]) == _MAGIC
         return packed
 
-    def _unpack(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
+    def _unpack(self, data: Bytes, log_ns: IntArray, start: IntArray, size: IntArray) -> None:
         packed = self._packed(data, start, size)
         for k, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
             payload = data[at : at + length].tobytes()
@@ -258,12 +258,12 @@ class Sink:
         self._pending, self._pending_ns, self._pending_bytes = [], [], 0
         self._decode(data, log_ns, np.cumsum(size) - size, size)
 
-    def _decode(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> None:
+    def _decode(self, data: Bytes, log_ns: IntArray, start: IntArray, size: IntArray) -> None:
         failed = self.decoder.failed
         decoded = self.decoder.decode(data, start, size)
         self._take(decoded, log_ns, self.decoder.failed - failed)
 
-    def _take(self, decoded: Poses, log_ns: Ints, failed: int) -> None:
+    def _take(self, decoded: Poses, log_ns: IntArray, failed: int) -> None:
         """Keep the poses of further messages as columns; log_ns: one time per message."""
         log_ns = np.clip(log_ns, 0, LATEST_NS - 1)
         # Messages are numbered in their order, so that each change of the number is a message.

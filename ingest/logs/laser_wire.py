@@ -12,9 +12,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ...topology.arrays import Float32Array, IntArray
 from .columns import Shape, column, gather
-from .messages import Bytes, DamageError, Ints
-from .scan_rows import Floats, Geometry, RawScans, checked_beams, in_order
+from .messages import Bytes, DamageError
+from .scan_rows import Geometry, RawScans, checked_beams, in_order
 from .wire import TEMPLATES, WireParser
 
 LaserKind = Literal["laser_scan", "multi_echo"]
@@ -80,7 +81,7 @@ class LaserDecoder:
         self.reason = ""
         self._templates: dict[int, list[_Template]] = {}
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> list[RawScans]:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> list[RawScans]:
         """The scans of a batch of messages. O(bytes) when shapes are few."""
         message = np.arange(len(start))
         order = np.argsort(size, kind="stable")
@@ -90,7 +91,9 @@ class LaserDecoder:
             parts += self._same_size(data, start[group], int(size[group[0]]), message[group])
         return in_order(parts)
 
-    def _same_size(self, data: Bytes, start: Ints, size: int, message: Ints) -> list[RawScans]:
+    def _same_size(
+        self, data: Bytes, start: IntArray, size: int, message: IntArray
+    ) -> list[RawScans]:
         known = self._templates.setdefault(size, [])
         parts: list[RawScans] = []
         for template in known:
@@ -116,8 +119,8 @@ class LaserDecoder:
         return parts
 
     def _fitting(
-        self, data: Bytes, start: Ints, size: int, message: Ints, template: _Template
-    ) -> tuple[Ints, Ints, list[RawScans]]:
+        self, data: Bytes, start: IntArray, size: int, message: IntArray, template: _Template
+    ) -> tuple[IntArray, IntArray, list[RawScans]]:
         """The messages that have not the template's shape, and the scans of those that have."""
         if len(start) == 0:
             return start, message, []
@@ -128,7 +131,7 @@ class LaserDecoder:
             return start, message, []
         return start[~fits], message[~fits], self._scans(rows[fits], size, message[fits], template)
 
-    def _scans(self, rows: Bytes, size: int, message: Ints, t: _Template) -> list[RawScans]:
+    def _scans(self, rows: Bytes, size: int, message: IntArray, t: _Template) -> list[RawScans]:
         seconds = column(rows, f"{t.order}{'u4' if t.ros1 else 'i4'}", t.stamp_at)
         stamp_ns = seconds * 10**9 + column(rows, f"{t.order}u4", t.stamp_at + 4)
         about = _numbers(rows, t.about_at, ABOUT_BYTES // 4, f"{t.order}f4")
@@ -150,13 +153,13 @@ class LaserDecoder:
             self.reason = reason
 
 
-def _numbers(rows: Bytes, at: int, count: int, kind: str) -> Floats:
+def _numbers(rows: Bytes, at: int, count: int, kind: str) -> Float32Array:
     """(n, count) numbers of 4 bytes from one place of every row on."""
     span = np.ascontiguousarray(rows[:, at : at + 4 * count])
     return span.view(kind).astype(kind[1:], copy=False).reshape(len(rows), count)
 
 
-def _alike(about: Floats) -> list[tuple[Ints, list[float]]]:
+def _alike(about: Float32Array) -> list[tuple[IntArray, list[float]]]:
     """Rows that are equal bit by bit, with what they hold: in nearly every log all of them."""
     bits = np.ascontiguousarray(about).view(np.uint32)
     if (bits == bits[:1]).all():
@@ -177,7 +180,7 @@ def _geometry(frame: str, about: list[float]) -> Geometry:
 
 def _first_or_strongest(
     rows: Bytes, size: int, t: _Template
-) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+) -> tuple[Float32Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """(n, beams) one range per beam, NaN where there is no echo; (n,) which messages are whole.
 
     The strongest echo where intensities are recorded (dust, rain and glass return little), else the
@@ -209,8 +212,8 @@ MOST_ECHOES = 16
 
 
 def _lists(
-    words: Ints, at: Ints, count: int
-) -> tuple[Ints, Ints, Ints, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    words: IntArray, at: IntArray, count: int
+) -> tuple[IntArray, IntArray, IntArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Where each of `count` lists begins, how long it is, where they end, whether all fit.
 
     words: (n, k); at: (n,) word at which the first list's length stands. Begins and lengths: (n,

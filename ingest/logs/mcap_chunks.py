@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .ahead import Task
 from .checksum import agrees
 from .chunk_reader import Chunk, ChunkHead, ChunkReader, WrongChecksumError
@@ -20,7 +21,7 @@ from .mcap_messages import MessageReader
 from .mcap_small import joined, small_chunks
 from .mcap_summary import McapSummary
 from .mcap_wire import MESSAGE, MESSAGE_HEAD, MESSAGE_INDEX, RECORD_HEAD
-from .messages import UNWANTED, Block, Bytes, DamageError, Ints, Walking
+from .messages import UNWANTED, Block, Bytes, DamageError, Walking
 from .walk import mcap_records
 from .windows import SLAB_BYTES, Window
 
@@ -198,7 +199,7 @@ class McapChunks(ChunkReader):
     def _front(self, data: Bytes) -> int:
         return mcap_records(data, _NO_RECORD)[1]
 
-    def _records(self, data: Bytes) -> tuple[Ints, int]:
+    def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return mcap_records(data, NOT_IN_CHUNKS)
 
     def _record_length(self, data: Bytes) -> int:

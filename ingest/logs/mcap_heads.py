@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.arrays import IntArray
 from .chunk_reader import ChunkHead
 from .mcap_wire import (
     ATTACHMENT,
@@ -31,7 +32,7 @@ from .mcap_wire import (
     SCHEMA,
     STATISTICS,
 )
-from .messages import Bytes, Ints
+from .messages import Bytes
 from .spelling import nearest
 
 _HEAD = struct.Struct("<BQ").unpack_from
@@ -244,7 +245,7 @@ class Heads:
         for offset in (6, 7, 8):
             starts &= data[offset : offset + n] == 0
         found: Any = np.flatnonzero(starts)
-        lengths: Ints = np.ndarray((n,), "<u8", data.data, offset=1, strides=(1,))[found]
+        lengths: IntArray = np.ndarray((n,), "<u8", data.data, offset=1, strides=(1,))[found]
         fits = (lengths >= 4) & (lengths <= self._size - position - RECORD_HEAD - found)
         yield from found[fits].tolist()
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .chunk_index import ChunkIndex
 from .columns import words
 from .mcap_summary import OFFSETS_AT, PLACE_AT, McapSummary
 from .mcap_wire import RECORD_HEAD
-from .messages import Ints
 
 _FIRST_AT, _LAST_AT, _LENGTH_AT = RECORD_HEAD, RECORD_HEAD + 8, RECORD_HEAD + 24
 """In a chunk index: first and last log time of the chunk, and its length."""
@@ -57,7 +57,7 @@ def chunk_index(summary: McapSummary | None) -> ChunkIndex | str:
     return index
 
 
-def _counts(summary: McapSummary, end: Ints, listed: Ints, chunk: Ints) -> Ints:
+def _counts(summary: McapSummary, end: IntArray, listed: IntArray, chunk: IntArray) -> IntArray:
     """(k,) messages of a channel in a chunk; nonsense where the places make none."""
     data, where = summary.listing
     within = np.arange(len(chunk)) - summary.chunk_first[chunk]

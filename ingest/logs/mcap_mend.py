@@ -11,15 +11,16 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .columns import words
 from .mcap_heads import NOT_IN_CHUNKS, PRIVATE, Heads
 from .mcap_wire import MESSAGE, RECORD_HEAD
 from .mended import Mended
-from .messages import Bytes, Ints
+from .messages import Bytes
 from .walk import mcap_records
 
 
-def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], list[int]]) -> Mended:
+def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, IntArray], list[int]]) -> Mended:
     """All records of damaged data that can still be found. heads: of the data.
 
     define: is told of further records, so that the channels among them are known; gives the places
@@ -27,7 +28,7 @@ def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, Ints], list[int]]
     """
     data = data.copy()
     heads = heads.within(data)
-    parts: list[Ints] = []
+    parts: list[IntArray] = []
     lost: list[int] = []
     position = unreadable = repaired = 0
     while position < len(data):
@@ -74,7 +75,9 @@ def _private_end(data: Bytes, position: int) -> int:
     return end if end <= len(data) else 0
 
 
-def trusted(heads: Heads, data: Bytes, where: Ints, stop: int, base: int) -> tuple[Ints, int]:
+def trusted(
+    heads: Heads, data: Bytes, where: IntArray, stop: int, base: int
+) -> tuple[IntArray, int]:
     """The records in front of a place at which none begins, without those in doubt; where they end.
 
     The last length led there, unless only the head there is broken. base: place of `data` for

@@ -6,14 +6,14 @@ import struct
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, IntArray
 from .columns import MANY, column, gather, without_repeats, words
 from .described import TOO_MANY
 from .mcap_heads import NOT_IN_CHUNKS, Heads
 from .mcap_mend import mended
 from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
-from .messages import UNWANTED, Block, Bytes, DamageError, Findings, Ints
+from .messages import UNWANTED, Block, Bytes, DamageError, Findings
 from .tally import Tally
 from .walk import inside, mcap_listed, mcap_records, seamless
 
@@ -40,7 +40,7 @@ class MessageReader:
         self.ended = False
         self._definitions = definitions
 
-    def blocks(self, data: Bytes, offsets: Sequence[Ints] = ()) -> Iterator[Block]:
+    def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: where an index says they are."""
         regular = self._regular(data, offsets) if offsets else None
         if regular is not None:
@@ -70,8 +70,8 @@ class MessageReader:
             yield Block(data, sink, log_time[rows], start[rows], size[rows])
 
     def without_descriptions(
-        self, data: Bytes, positions: Ints, size: Ints, asked: Sequence[int]
-    ) -> NDArray[np.bool_]:
+        self, data: Bytes, positions: IntArray, size: IntArray, asked: Sequence[int]
+    ) -> BoolArray:
         """Which messages are none that describe their channel but for one bit, which are taken in.
 
         asked: which may be; descriptions stand in front of the first message, and behind the data.
@@ -87,7 +87,7 @@ class MessageReader:
                 self.define(record, np.zeros(1, np.int64))
         return kept
 
-    def _regular(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Ints, Bytes] | None:
+    def _regular(self, data: Bytes, offsets: Sequence[IntArray]) -> tuple[IntArray, Bytes] | None:
         """Places and heads of the messages in data that hold nothing else, as an index says.
 
         None unless each ends where the next begins, from the first byte to the last: then a walk
@@ -102,7 +102,7 @@ class MessageReader:
             return None
         return (where, heads) if seamless(where, where + RECORD_HEAD + length, len(data)) else None
 
-    def _walked(self, data: Bytes, offsets: Sequence[Ints]) -> tuple[Bytes, Ints, Bytes]:
+    def _walked(self, data: Bytes, offsets: Sequence[IntArray]) -> tuple[Bytes, IntArray, Bytes]:
         """The places and kinds of the records in `data`, which is mended first where it is broken.
 
         Schemas and channels met are taken in.
@@ -129,7 +129,7 @@ class MessageReader:
                 self.tally.lost(number, 1)
         return found.data, found.where, found.data[found.where]
 
-    def _heads(self, data: Bytes, where: Ints, op: Bytes) -> tuple[Ints, Bytes]:
+    def _heads(self, data: Bytes, where: IntArray, op: Bytes) -> tuple[IntArray, Bytes]:
         """Places of the message records among others, and their heads as rows.
 
         Records that call themselves messages but are shorter than a message's head are left out.
@@ -145,12 +145,12 @@ class MessageReader:
             heads = gather(data, where, LOG_TIME_AT + 8)
         return where, heads
 
-    def _long_enough(self, data: Bytes, where: Ints) -> Ints:
+    def _long_enough(self, data: Bytes, where: IntArray) -> IntArray:
         fits = words(data, "<i8", where + 1) >= MESSAGE_HEAD
         self.findings.unreadable_bytes += RECORD_HEAD * int((~fits).sum())
         return where[fits]
 
-    def define(self, data: Bytes, where: Ints, more: bool = False) -> list[int]:
+    def define(self, data: Bytes, where: IntArray, more: bool = False) -> list[int]:
         """Take in the schemas and channels among records.
 
         more: only channels that no sound bytes described so far.

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .checksum import crc32
 from .columns import words
 from .mcap_wire import (
@@ -20,7 +21,7 @@ from .mcap_wire import (
     Cursor,
     Definitions,
 )
-from .messages import Bytes, Channel, DamageError, Ints, Survey
+from .messages import Bytes, Channel, DamageError, Survey
 from .tally import NUMBERS
 from .walk import mcap_records
 from .windows import Window
@@ -49,13 +50,13 @@ class McapSummary(NamedTuple):
     start: int
     definitions: Definitions
     channels: dict[int, Channel]
-    chunk_starts: Ints
-    chunk_first: Ints
-    chunk_channels: Ints
+    chunk_starts: IntArray
+    chunk_first: IntArray
+    chunk_channels: IntArray
     counts: dict[int, int]
     span_ns: tuple[int, int]
     checked: bool
-    listing: tuple[Bytes, Ints]
+    listing: tuple[Bytes, IntArray]
 
     @property
     def describes_all(self) -> bool:
@@ -63,7 +64,7 @@ class McapSummary(NamedTuple):
         named = set(self.counts).union(np.bincount(self.chunk_channels).nonzero()[0].tolist())
         return self.channels.keys() >= named
 
-    def numbers(self, chunk: int) -> Ints | None:
+    def numbers(self, chunk: int) -> IntArray | None:
         """The channels in the chunk at that place in the file, None for one that is not listed."""
         k = int(self.chunk_starts.searchsorted(chunk))
         if k == len(self.chunk_starts) or self.chunk_starts[k] != chunk:
@@ -140,7 +141,7 @@ PLACE_AT, OFFSETS_AT = RECORD_HEAD + 16, RECORD_HEAD + 36
 its message index."""
 
 
-def _chunk_indexes(data: Bytes, where: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+def _chunk_indexes(data: Bytes, where: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Places of the chunks in ascending order, the channels in them, and where that is told."""
     if len(where) == 0:
         return where, np.zeros(1, np.int64), where, where

@@ -7,19 +7,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, IntArray
 from .described import SHORT_NAMES, TOO_MANY, Described, contradicts, short
-from .messages import (
-    SCHEMA_BYTES,
-    Bytes,
-    Channel,
-    DamageError,
-    Ints,
-    normal_topic,
-    normal_type,
-    text,
-)
+from .messages import SCHEMA_BYTES, Bytes, Channel, DamageError, normal_topic, normal_type, text
 from .spelling import nearest, spelled
 from .tally import NUMBERS
 
@@ -148,7 +139,7 @@ class Definitions:
         """How many more descriptions are looked at, whatever they describe."""
         return self._described.left
 
-    def worth(self, op: Bytes, number: Ints) -> NDArray[np.bool_]:
+    def worth(self, op: Bytes, number: IntArray) -> BoolArray:
         """(n,) which schemas and channels of these numbers to look at."""
         return self._described.worth(number + NUMBERS * (op == SCHEMA))
 

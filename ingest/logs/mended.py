@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from .messages import Bytes, Ints
+from ...topology.arrays import IntArray
+from .messages import Bytes
 
 
 class Mended(NamedTuple):
@@ -16,7 +17,7 @@ class Mended(NamedTuple):
     """
 
     data: Bytes
-    where: Ints
+    where: IntArray
     lost: list[int]
     unreadable: int
     repaired: int

@@ -12,11 +12,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from .checksum import crc32
 
 Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int64]
 
 UNWANTED = -1
 """Sink number of a channel whose messages nobody asked for."""
@@ -82,9 +82,9 @@ class Block(NamedTuple):
 
     data: Bytes
     sink: int
-    log_time_ns: Ints
-    start: Ints
-    size: Ints
+    log_time_ns: IntArray
+    start: IntArray
+    size: IntArray
 
 
 def first_messages(block: Block, count: int) -> Block:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
-from .messages import MESSAGE_BYTES, Bytes, DamageError, Ints
+from ...topology.arrays import IntArray
+from .messages import MESSAGE_BYTES, Bytes, DamageError
 
 T = TypeVar("T")
 
@@ -19,7 +20,7 @@ class OneByOne(Generic[T]):
         self.failed = 0
         self.reason = ""
 
-    def parsed(self, data: Bytes, start: Ints, size: Ints) -> Iterator[tuple[int, T]]:
+    def parsed(self, data: Bytes, start: IntArray, size: IntArray) -> Iterator[tuple[int, T]]:
         """Number and content of every message of a batch that can be decoded."""
         for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
             try:

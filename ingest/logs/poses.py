@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .messages import Bytes, DamageError, Ints
+from ...topology.arrays import FloatArray, IntArray
+from .messages import Bytes, DamageError
 
 Row = tuple[int, int, list[tuple[float, ...]]]
 """Stamp [ns], number of the frames and poses of one junction, decoded one by one."""
@@ -26,11 +27,11 @@ class Poses(NamedTuple):
     number in the decoder's frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded.
     """
 
-    message: Ints
-    part: Ints
-    stamp_ns: Ints
-    frame: Ints
-    value: NDArray[np.float64]
+    message: IntArray
+    part: IntArray
+    stamp_ns: IntArray
+    frame: IntArray
+    value: FloatArray
 
     def rows(self, which: NDArray[Any]) -> Poses:
         """The chosen poses, by number or by mask."""
@@ -69,7 +70,7 @@ class Heads(NamedTuple):
     """
 
     rows: Bytes
-    poses: Callable[[Bytes, Ints], Poses]
+    poses: Callable[[Bytes, IntArray], Poses]
 
 
 class PoseDecoder(Protocol):
@@ -87,10 +88,10 @@ class PoseDecoder(Protocol):
     def reason(self) -> str:
         """Why the first of them could not be."""
 
-    def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
+    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
         """What is needed of the messages, if all have one shape that was met before; else None."""
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of the messages at `start` with `size` in `data`."""
 
 

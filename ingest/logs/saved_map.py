@@ -14,6 +14,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray
 from ...topology.errors import LogError
 from ...topology.run import Grid
 from ..remote.path import LogPath, RemotePath
@@ -152,9 +153,7 @@ def _pixels(path: Path) -> NDArray[np.uint8]:
         raise ValueError(f"{path.name} is no picture that can be read") from error
 
 
-def _cells(
-    pixels: NDArray[np.uint8], found: dict[str, list[str]]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _cells(pixels: NDArray[np.uint8], found: dict[str, list[str]]) -> tuple[BoolArray, BoolArray]:
     """(h, w) which pixels are free, and which unknown, by map_server's rules."""
     mode = (found.get("mode") or ["trinary"])[0]
     if mode not in ("trinary", "scale", "raw"):

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .clouds import Cloud, json_cloud, object_cloud, protobuf_cloud, wire_cloud
 from .columns import words
 from .inflate import ZSTD_MAGIC, inflate_message
 from .laser_wire import LaserDecoder
-from .messages import LATEST_NS, Block, Bytes, Channel, DamageError, Ints
+from .messages import LATEST_NS, Block, Bytes, Channel, DamageError
 from .scan_objects import ObjectScanDecoder, json_scan, object_scan, protobuf_scan
 from .scan_rows import RawScans, ScanDecoder
 from .schema import UnreadableError, as_expected, object_decoder
@@ -76,7 +77,7 @@ class TimedScans(NamedTuple):
     """Scans with the time at which each reached the log: log_ns: (n,)."""
 
     scans: RawScans
-    log_ns: Ints
+    log_ns: IntArray
 
 
 class ScanIntake:
@@ -108,20 +109,24 @@ class ScanIntake:
         for part in np.split(np.arange(len(start)), np.flatnonzero(np.diff(filled)) + 1):
             yield from self._decoded(data, log_ns[part], start[part], size[part])
 
-    def _decoded(self, data: Bytes, log_ns: Ints, start: Ints, size: Ints) -> Iterator[TimedScans]:
+    def _decoded(
+        self, data: Bytes, log_ns: IntArray, start: IntArray, size: IntArray
+    ) -> Iterator[TimedScans]:
         if self._cdr and (size >= 9).all() and (words(data, "<u4", start) == _MAGIC).any():
             for inflated in self._inflated(data, start, size):
                 yield from self._of(*inflated[1:], log_ns[inflated[0]])
         else:
             yield from self._of(data, start, size, log_ns)
 
-    def _of(self, data: Bytes, start: Ints, size: Ints, log_ns: Ints) -> Iterator[TimedScans]:
+    def _of(
+        self, data: Bytes, start: IntArray, size: IntArray, log_ns: IntArray
+    ) -> Iterator[TimedScans]:
         for scans in self._decoder.decode(data, start, size):
             yield TimedScans(scans, log_ns[scans.message])
 
     def _inflated(
-        self, data: Bytes, start: Ints, size: Ints
-    ) -> Iterator[tuple[Ints, Bytes, Ints, Ints]]:
+        self, data: Bytes, start: IntArray, size: IntArray
+    ) -> Iterator[tuple[IntArray, Bytes, IntArray, IntArray]]:
         """Messages that are zstd streams, inflated: their numbers, a buffer, begins and sizes."""
         out: dict[int, bytes] = {}
         for k, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
@@ -137,7 +142,7 @@ class ScanIntake:
             yield _buffer(out)
 
 
-def _buffer(payloads: dict[int, bytes]) -> tuple[Ints, Bytes, Ints, Ints]:
+def _buffer(payloads: dict[int, bytes]) -> tuple[IntArray, Bytes, IntArray, IntArray]:
     sizes = np.array([len(payload) for payload in payloads.values()], np.int64)
     whole = np.frombuffer(b"".join(payloads.values()), np.uint8)
     return np.array(list(payloads), np.int64), whole, np.cumsum(sizes) - sizes, sizes

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ...topology.arrays import Float32Array, IntArray
 from ...topology.se2 import yaw_from_quaternion
 from .foxglove import (
     as_text,
@@ -19,18 +20,18 @@ from .foxglove import (
     stamp_of,
     unit_quaternion,
 )
-from .messages import Bytes, DamageError, Ints, text
+from .messages import Bytes, DamageError, text
 from .one_by_one import OneByOne
-from .scan_rows import Floats, Geometry, RawScans, checked_beams
+from .scan_rows import Geometry, RawScans, checked_beams
 
-OneScan = tuple[int, Floats, Geometry]
+OneScan = tuple[int, Float32Array, Geometry]
 """Stamp [ns], ranges (m,) and geometry of one scan."""
 
 
 class ObjectScanDecoder(OneByOne[RawScans | OneScan]):
     """Decodes scan by scan; for encodings without fixed places."""
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> list[RawScans]:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> list[RawScans]:
         """The scans of a batch of messages; those of one geometry that follow on, together."""
         return _together([_raw(scan, number) for number, scan in self.parsed(data, start, size)])
 
@@ -121,7 +122,7 @@ def _between(
     return stamp, _single(ranges), geometry
 
 
-def _single(ranges: Any) -> Floats:
+def _single(ranges: Any) -> Float32Array:
     """Ranges as float32; larger ones become inf, which is what they are."""
     with np.errstate(over="ignore"):
         return np.asarray(ranges).astype(np.float32)
@@ -162,7 +163,7 @@ def _or(value: Any, otherwise: float) -> float:
     return otherwise if value is None else real(value)
 
 
-def _ranges(value: Any) -> Floats:
+def _ranges(value: Any) -> Float32Array:
     """(m,) ranges; of echoes the first; what JSON writes as null is no range."""
     if value is None or isinstance(value, str) or not hasattr(value, "__len__"):
         raise DamageError("a list of ranges is missing")

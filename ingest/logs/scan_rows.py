@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .messages import Bytes, DamageError, Ints
-
-Floats = NDArray[np.float32]
+from ...topology.arrays import Float32Array, IntArray
+from .messages import Bytes, DamageError
 
 MOST_BEAMS = 1 << 16
 """Longest scan that is believed: laser scanners have some hundreds or thousands of beams."""
@@ -44,9 +42,9 @@ class RawScans(NamedTuple):
     of a cloud.
     """
 
-    message: Ints
-    stamp_ns: Ints
-    ranges_m: Floats
+    message: IntArray
+    stamp_ns: IntArray
+    ranges_m: Float32Array
     geometry: Geometry
     blind: bool = False
 
@@ -60,7 +58,7 @@ class ScanDecoder(Protocol):
     failed: int
     reason: str
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> list[RawScans]:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> list[RawScans]:
         """The scans of the messages at `start` with `size` in `data`, by geometry."""
 
 
@@ -85,7 +83,7 @@ def in_order(parts: Sequence[RawScans]) -> list[RawScans]:
     return [_rows(whole[int(owner[piece[0]])], row[piece]) for piece in pieces]
 
 
-def _rows(scans: RawScans, which: Ints) -> RawScans:
+def _rows(scans: RawScans, which: IntArray) -> RawScans:
     return scans._replace(
         message=scans.message[which],
         stamp_ns=scans.stamp_ns[which],

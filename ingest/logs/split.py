@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .inflate import PIECE_BYTES
-from .messages import MESSAGE_BYTES, Bytes, DamageError, Ints
+from .messages import MESSAGE_BYTES, Bytes, DamageError
 
 RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
 """A longer record holds a longer message than any that is decoded."""
@@ -22,7 +23,7 @@ class Large(NamedTuple):
 
 def whole_records(
     pieces: Iterator[bytes],
-    walk: Callable[[Bytes], tuple[Ints, int]],
+    walk: Callable[[Bytes], tuple[IntArray, int]],
     length: Callable[[Bytes], int],
 ) -> Iterator[Bytes | Large]:
     """Runs of whole records out of a stream, and the heads of records too long to be kept.

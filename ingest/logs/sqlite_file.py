@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from .described import DEFINITION_BYTES
 from .inflate import keep_freed_memory
@@ -26,7 +27,6 @@ from .messages import (
     DamageError,
     FileWindow,
     Findings,
-    Ints,
     Progress,
     Survey,
     Want,
@@ -235,7 +235,7 @@ class _Reader:
         for sink, keep in self._by_sink(rows.topic):
             yield Block(rows.data, sink, rows.time_ns[keep], rows.start[keep], rows.size[keep])
 
-    def _by_sink(self, topic: Ints) -> Iterator[tuple[int, Ints]]:
+    def _by_sink(self, topic: IntArray) -> Iterator[tuple[int, IntArray]]:
         """The wanted sinks among rows, each with its rows."""
         sink = self._sinks(topic)
         for number in self._wanted:
@@ -280,14 +280,14 @@ class _Reader:
             data = np.frombuffer(b"".join(payloads), np.uint8)
             yield Block(data, sink, time_ns[kept], np.cumsum(size) - size, size)
 
-    def _sinks(self, topic: Ints) -> Ints:
+    def _sinks(self, topic: IntArray) -> IntArray:
         """The sink of each topic, UNWANTED or _UNKNOWN."""
         return np.asarray(self._sink[np.clip(topic, 0, _TOPICS - 1)])
 
     def _is_wanted(self, topic: int) -> bool:
         return 0 <= topic < _TOPICS and self._sink[topic] >= 0
 
-    def _count(self, topic: Ints, time_ns: Ints) -> None:
+    def _count(self, topic: IntArray, time_ns: IntArray) -> None:
         counts = np.bincount(np.clip(topic, 0, _TOPICS - 1))
         for key in np.flatnonzero(counts).tolist():
             channel = self._channels.get(key)
@@ -465,7 +465,7 @@ def _unmerged(path: Path) -> bool:
     return any(log.is_file() and log.stat().st_size > 0 for log in beside)
 
 
-def _missing(number: Ints, last: int) -> int:
+def _missing(number: IntArray, last: int) -> int:
     """How many rows are left out between those of ascending numbers; `last`: the one before.
 
     A number that fits neither of its neighbours is wrong itself, and tells nothing.

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .messages import Bytes, DamageError, FileWindow, Ints
+from ...topology.arrays import BoolArray, IntArray
+from .messages import Bytes, DamageError, FileWindow
 
 LEAF, INTERIOR = 0x0D, 0x05
 BATCH = 512
@@ -46,17 +47,17 @@ class Rows(NamedTuple):
     """
 
     data: Bytes
-    topic: Ints
-    time_ns: Ints
-    start: Ints
-    size: Ints
-    elsewhere: Ints
-    elsewhere_topic: Ints
-    number: Ints
+    topic: IntArray
+    time_ns: IntArray
+    start: IntArray
+    size: IntArray
+    elsewhere: IntArray
+    elsewhere_topic: IntArray
+    number: IntArray
     broken: int
     short: int
 
-    def only(self, which: NDArray[np.bool_]) -> Rows:
+    def only(self, which: BoolArray) -> Rows:
         """The marked ones of the rows that lie in pages."""
         columns = (self.topic, self.time_ns, self.start, self.size)
         topic, time_ns, start, size = (column[which] for column in columns)
@@ -86,7 +87,7 @@ class Pages:
             raise DamageError("a page is missing")
         return self._window.view((number - 1) * self.size, self.size)
 
-    def leaves(self, root: int) -> Ints:
+    def leaves(self, root: int) -> IntArray:
         """The leaf pages of a table, in the order of its rows; raises DamageError."""
         level = np.array([root], np.int64)
         for _ in range(DEPTH):
@@ -101,7 +102,7 @@ class Pages:
                 raise DamageError("the database's index of pages is damaged")
         raise DamageError("the database's index of pages is nested too deeply")
 
-    def _children(self, number: int) -> Ints:
+    def _children(self, number: int) -> IntArray:
         page = self.page(number)
         count = int(page[3]) << 8 | int(page[4])
         if page[0] != INTERIOR or 12 + 2 * count > self.usable:
@@ -112,7 +113,7 @@ class Pages:
         right = _big(page, np.array([8]), 4)
         return np.concatenate([_big(page, at, 4), right])
 
-    def batches(self, numbers: Ints) -> Iterator[Bytes]:
+    def batches(self, numbers: IntArray) -> Iterator[Bytes]:
         """The given pages, BATCH at a time, one behind the other; until the next one is asked for.
 
         Raises DamageError if one is not there.
@@ -126,7 +127,7 @@ class Pages:
             self._window.passed(int(batch[-1]) * self.size)
             yield buffer[: len(batch) * self.size + _PAD]
 
-    def _read(self, batch: Ints, buffer: Bytes) -> None:
+    def _read(self, batch: IntArray, buffer: Bytes) -> None:
         """Read runs of neighbouring pages, and with them the few that lie between."""
         cuts = np.flatnonzero((np.diff(batch) < 1) | (np.diff(batch) > NEAR)) + 1
         done = 0
@@ -192,7 +193,7 @@ class Pages:
             short,
         )
 
-    def _short(self, data: Bytes, base: Ints, cells: Ints, pointer: Ints) -> int:
+    def _short(self, data: Bytes, base: IntArray, cells: IntArray, pointer: IntArray) -> int:
         """How many pages list fewer rows than they hold.
 
         A page notes where its rows begin; unless rows were deleted, the first listed lies there.
@@ -206,7 +207,7 @@ class Pages:
         return int(((begin != lowest % 65536) & ~deleted).sum())
 
 
-def _big(data: Bytes, at: Ints, width: int) -> Ints:
+def _big(data: Bytes, at: IntArray, width: int) -> IntArray:
     """Big-endian unsigned numbers (signed for 8 bytes) at each place."""
     items = np.ndarray(
         (len(data) - width + 1,), f">{'i' if width == 8 else 'u'}{width}", data.data, strides=(1,)
@@ -214,7 +215,7 @@ def _big(data: Bytes, at: Ints, width: int) -> Ints:
     return items[at].astype(np.int64)
 
 
-def _varint(data: Bytes, at: Ints) -> tuple[Ints, Ints]:
+def _varint(data: Bytes, at: IntArray) -> tuple[IntArray, IntArray]:
     """sqlite's numbers of 1 to 9 bytes at each place, and the places behind them."""
     value = np.zeros(len(at), np.int64)
     at = np.minimum(at, len(data) - _PAD // 2)
@@ -230,7 +231,7 @@ def _varint(data: Bytes, at: Ints) -> tuple[Ints, Ints]:
     return value, at
 
 
-def _small_integer(data: Bytes, at: Ints, kind: NDArray[np.uint8]) -> tuple[Ints, Ints]:
+def _small_integer(data: Bytes, at: IntArray, kind: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
     """Numbers of at most two bytes by their serial type, and their widths; -1 for other types."""
     one = data[at].view(np.int8).astype(np.int64)
     two = one << 8 | data[at + 1]

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .messages import UNWANTED, Channel, Findings, Ints, Want
+from ...topology.arrays import BoolArray, IntArray
+from .messages import UNWANTED, Channel, Findings, Want
 from .spelling import one_bit_apart
 
 NUMBERS = 1 << 16
@@ -103,7 +104,7 @@ class Tally:
         """Sink number of a channel: wanted from 0 on, UNWANTED, or UNKNOWN."""
         return int(self._sink[number])
 
-    def wanted(self) -> NDArray[np.bool_]:
+    def wanted(self) -> BoolArray:
         """(NUMBERS,) whether messages are wanted, or may be, as nothing describes them."""
         return np.asarray(self._sink != UNWANTED)
 
@@ -111,7 +112,7 @@ class Tally:
         """Whether a channel has been described."""
         return number < NUMBERS and self.sink(number) != UNKNOWN
 
-    def all_usual(self, counts: Ints) -> bool:
+    def all_usual(self, counts: IntArray) -> bool:
         """Whether every number that messages have is described and was met before.
 
         counts: messages per number. Then there is no `first` one of a channel, and none to `adopt`.
@@ -119,8 +120,8 @@ class Tally:
         return self._usual.issuperset(counts.nonzero()[0].tolist())
 
     def met(
-        self, number: NDArray[Any], time_ns: Ints, counts: Ints | None = None
-    ) -> list[tuple[int, Ints]]:
+        self, number: NDArray[Any], time_ns: IntArray, counts: IntArray | None = None
+    ) -> list[tuple[int, IntArray]]:
         """Count messages by their channel numbers; returns the wanted sinks, each with its rows.
 
         counts: of each number, if they are known.

@@ -11,8 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .columns import words
-from .messages import Bytes, Ints
+from .messages import Bytes
 
 _U64 = struct.Struct("<Q").unpack_from
 _U32 = struct.Struct("<I").unpack_from
@@ -22,7 +23,7 @@ LEAST_REACH = 64
 number here, 8 times as many or as few make no difference (benchmarks/reading_numbers.py)."""
 
 
-def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[Ints, int]:
+def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[IntArray, int]:
     """Places of the whole MCAP records at the front of `data`, and where they stop.
 
     A record is an opcode byte and a 64-bit length. Stops in front of a record that reaches beyond
@@ -54,7 +55,7 @@ def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[In
     return _unrolled(firsts, steps, counts), position
 
 
-def bag_records(data: Bytes) -> tuple[Ints, int]:
+def bag_records(data: Bytes) -> tuple[IntArray, int]:
     """Places of the whole ROS 1 records at the front of `data`, and where they stop.
 
     A record is a header, never empty, and data, each with a 32-bit length in front.
@@ -91,7 +92,7 @@ def bag_records(data: Bytes) -> tuple[Ints, int]:
     return _unrolled(firsts, steps, counts), position
 
 
-def mcap_listed(data: Bytes, offsets: Ints) -> Ints | None:
+def mcap_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
     """What `mcap_records` finds, by places that an index lists: proven, or None.
 
     Faster where records of many sizes take turns.
@@ -103,7 +104,7 @@ def mcap_listed(data: Bytes, offsets: Ints) -> Ints | None:
     return _completed(data, where, where + 9 + length, mcap_records)
 
 
-def bag_listed(data: Bytes, offsets: Ints) -> Ints | None:
+def bag_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
     """What `bag_records` finds, by places that an index lists: proven, or None."""
     where = inside(offsets, len(data) - 8)
     if where is None:
@@ -119,7 +120,7 @@ MOST_GAPS = 16
 """So many places between the listed records may hold others."""
 
 
-def inside(places: Ints, last: int) -> Ints | None:
+def inside(places: IntArray, last: int) -> IntArray | None:
     """The places in ascending order, None if there are none or one is outside of 0 … last."""
     # Ascending per channel: a stable sort merges the runs.
     places = np.sort(places, kind="stable")
@@ -128,7 +129,7 @@ def inside(places: Ints, last: int) -> Ints | None:
     return places
 
 
-def seamless(where: Ints, ends: Ints, size: int) -> bool:
+def seamless(where: IntArray, ends: IntArray, size: int) -> bool:
     """Whether records from `where` to `ends` fill so many bytes: each ends where the next begins.
 
     where: ascending; no record may be empty.
@@ -137,8 +138,8 @@ def seamless(where: Ints, ends: Ints, size: int) -> bool:
 
 
 def _completed(
-    data: Bytes, where: Ints, ends: Ints, walk: Callable[[Bytes], tuple[Ints, int]]
-) -> Ints | None:
+    data: Bytes, where: IntArray, ends: IntArray, walk: Callable[[Bytes], tuple[IntArray, int]]
+) -> IntArray | None:
     """The records at `where` and those between them; None unless they fill the data seamlessly.
 
     Each record ends where the next begins, from the first byte to the last: so a walk would have
@@ -177,7 +178,7 @@ def _next_reach(reach: int, count: int, most: int) -> int:
     return 2 * count if 2 * count > LEAST_REACH else LEAST_REACH
 
 
-def _unrolled(firsts: list[int], steps: list[int], counts: list[int]) -> Ints:
+def _unrolled(firsts: list[int], steps: list[int], counts: list[int]) -> IntArray:
     """Every place of runs that begin at `firsts`: its number in the run, times the run's step."""
     first, step, count = (np.array(column, np.int64) for column in (firsts, steps, counts))
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)

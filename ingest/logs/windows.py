@@ -7,12 +7,13 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
 from ..remote.source import ReadAhead
 from .checksum import crc32
 from .chunk_index import ChunkIndex, Wanted
-from .messages import Bytes, FileWindow, Ints, Passed, Progress
+from .messages import Bytes, FileWindow, Passed, Progress
 
 SLAB_BYTES = 1 << 20
 """How much is taken at a time of what is walked record by record."""
@@ -55,7 +56,9 @@ class RemoteWindow(Passed):
         """How many bytes `reading` would fetch."""
         return self.path.file.cost(*self._ranges(index, wanted, margin))
 
-    def _ranges(self, index: ChunkIndex | str, wanted: Wanted, margin: int) -> tuple[Ints, Ints]:
+    def _ranges(
+        self, index: ChunkIndex | str, wanted: Wanted, margin: int
+    ) -> tuple[IntArray, IntArray]:
         if isinstance(index, str):
             return np.array([0]), np.array([self.size])
         begin, end = index.ranges(wanted)

@@ -12,8 +12,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from .columns import MANY, Shape, column, gather
-from .messages import NAME_BYTES, Bytes, DamageError, Ints, text
+from .messages import NAME_BYTES, Bytes, DamageError, text
 from .poses import Frames, Heads, Poses, join
 
 Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", "foxglove_poses"]
@@ -44,12 +45,12 @@ class Template(NamedTuple):
     order: str
     ros1: bool
 
-    def poses(self, rows: Bytes, message: Ints) -> Poses:
+    def poses(self, rows: Bytes, message: IntArray) -> Poses:
         """The poses of rows of this shape."""
         parts = [self._run(rows, message, run) for run in self.runs]
         return join(parts)
 
-    def _run(self, rows: Bytes, message: Ints, run: _Run) -> Poses:
+    def _run(self, rows: Bytes, message: IntArray, run: _Run) -> Poses:
         seconds_type = f"{self.order}{'u4' if self.ros1 else 'i4'}"
         stamp_ns = column(rows, seconds_type, run.stamp_at) * 10**9
         stamp_ns += column(rows, f"{self.order}u4", run.stamp_at + 4)
@@ -162,7 +163,7 @@ class WireDecoder:
         self.reason = ""
         self._templates: dict[int, list[Template]] = {}
 
-    def heads(self, data: Bytes, start: Ints, size: Ints) -> Heads | None:
+    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
         """What is needed of the messages, if all have one shape that was met before; else None."""
         known = self._templates.get(int(size[0]))
         if not known or not (size == size[0]).all():
@@ -171,7 +172,7 @@ class WireDecoder:
         fits = known[0].shape.misfits(rows) is None
         return Heads(rows, known[0].poses) if fits else None
 
-    def decode(self, data: Bytes, start: Ints, size: Ints) -> Poses:
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of a batch of messages. O(bytes looked at) when shapes are few."""
         message = np.arange(len(start))
         if len(start) and (size == size[0]).all():
@@ -185,7 +186,7 @@ class WireDecoder:
                 parts += self._same_size(data, start[group], int(size[group[0]]), message[group])
         return join(parts)
 
-    def _same_size(self, data: Bytes, start: Ints, size: int, message: Ints) -> list[Poses]:
+    def _same_size(self, data: Bytes, start: IntArray, size: int, message: IntArray) -> list[Poses]:
         parts = []
         known = self._templates.setdefault(size, [])
         for template in known:
@@ -216,15 +217,15 @@ class WireDecoder:
             self._templates.clear()
         return parts
 
-    def _unlike(self, data: Bytes, start: Ints, raw: bytes) -> Ints:
+    def _unlike(self, data: Bytes, start: IntArray, raw: bytes) -> IntArray:
         """Which messages are not those bytes, and may be sound; the first one is."""
         head = np.frombuffer(raw, np.uint8)
         other = Shape.of(head, ((0, len(head)),)).misfits(gather(data, start, len(head)))
         return np.zeros(0, np.int64) if other is None else other.nonzero()[0]
 
     def _fitting(
-        self, data: Bytes, start: Ints, message: Ints, template: Template
-    ) -> tuple[Ints, Ints, Poses]:
+        self, data: Bytes, start: IntArray, message: IntArray, template: Template
+    ) -> tuple[IntArray, IntArray, Poses]:
         """The messages that have not the template's shape, and the poses of those that have."""
         rows = gather(data, start, template.size)
         other = template.shape.misfits(rows)

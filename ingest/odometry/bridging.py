@@ -7,18 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.closure.dead_reckoning import DeadReckoning
 from ...topology.closure.estimate import Estimate
 from ...topology.closure.incremental import Closed
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, compose, inverse, wrap
 from .jumps import driven_on
-
-Bools = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 CLEAR_RAD = np.pi / 12
 """1 sigma of a turn that is known up to less than an eighth of a turn (3 sigma): a building's right
@@ -101,7 +97,7 @@ def split_told(recorded: Odometry, odometry: Odometry) -> list[str]:
     ]
 
 
-def _split(odometry: Odometry) -> Bools:
+def _split(odometry: Odometry) -> BoolArray:
     return np.isin(odometry.jumps, odometry.breaks)
 
 
@@ -113,7 +109,7 @@ def _legs(odometry: Odometry, reckoning: DeadReckoning) -> IntArray:
     return np.where(inside, leg, -1)
 
 
-def _unclear(odometry: Odometry, reckoning: DeadReckoning, leg: IntArray) -> Bools:
+def _unclear(odometry: Odometry, reckoning: DeadReckoning, leg: IntArray) -> BoolArray:
     """(j,) jumps beyond which places may be taken for others."""
     sigma = odometry.jump_sigma
     return np.asarray(
@@ -146,7 +142,7 @@ def _steps(
     case: Odometry,
     reckoning_of: Callable[[Odometry], DeadReckoning],
     close: Callable[[DeadReckoning], Closed],
-    open_: Bools,
+    open_: BoolArray,
 ) -> dict[int, _Step]:
     """What places tell of the open jumps, by row: of the first one in every leg."""
     reckoning = reckoning_of(case)
@@ -194,6 +190,6 @@ def _frame(reckoning: DeadReckoning, estimate: Estimate, i: int) -> FloatArray:
     return compose(estimate.pose[i], [-x, -y, 0.0])
 
 
-def _driven(odometry: Odometry, chosen: Bools, step: FloatArray) -> Odometry:
+def _driven(odometry: Odometry, chosen: BoolArray, step: FloatArray) -> Odometry:
     """The odometry with the steps of the chosen jumps replaced."""
     return replace(odometry, pose=driven_on(odometry.pose, odometry.jumps[chosen], step))

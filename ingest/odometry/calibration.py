@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.run import Detections
@@ -26,7 +26,6 @@ from ..passes import PassSettings, fuse_passes
 from .heading_evidence import TERMS, EvidenceSettings, HeadingEvidence, heading_evidence
 from .heading_likelihood import HeadingLikelihood
 
-FloatArray = NDArray[np.float64]
 Terms = tuple[float, float, float]
 
 
@@ -168,7 +167,7 @@ def _fit(
 def _without(
     model: HeadingLikelihood,
     starts: list[FloatArray],
-    free: NDArray[np.bool_],
+    free: BoolArray,
     already: FloatArray,
 ) -> tuple[float, FloatArray]:
     """Highest likelihood, and where, with all errors zero that are not `free`."""
@@ -198,7 +197,7 @@ def _scan(
 
 
 def _best(
-    model: HeadingLikelihood, starts: list[FloatArray], free: NDArray[np.bool_]
+    model: HeadingLikelihood, starts: list[FloatArray], free: BoolArray
 ) -> tuple[HeadingLikelihood, FloatArray]:
     """The highest of the maxima reached from the starts."""
     # A few steps show which maxima compete; only the best two are climbed to the top.

@@ -16,16 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.passes import NO_BRANCH, Passes
 from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ...topology.track import stretch_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TERMS = 3
 """Unknowns: bias per metre, scale of turns, lag."""
@@ -101,7 +98,7 @@ class _Looks:
     heading: FloatArray
     regressor: FloatArray
     owner: IntArray
-    seen: NDArray[np.bool_]
+    seen: BoolArray
 
 
 def heading_evidence(

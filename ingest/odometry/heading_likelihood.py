@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray
 from .heading_evidence import TERMS, HeadingEvidence, Rows
-
-FloatArray = NDArray[np.float64]
 
 _QUARTER = np.pi / 2
 _DEGREES_OF_FREEDOM = 3.0
@@ -133,9 +131,7 @@ class HeadingLikelihood:
         belief = (x - np.array(self.centre)) / np.square(self.prior_sigma)
         return np.asarray(self.scores(x).sum(axis=0) - belief)
 
-    def improve(
-        self, x: FloatArray, free: NDArray[np.bool_]
-    ) -> tuple[HeadingLikelihood, FloatArray]:
+    def improve(self, x: FloatArray, free: BoolArray) -> tuple[HeadingLikelihood, FloatArray]:
         """One step of expectation maximisation: scales, shares, and the `free` components of x."""
         belief = 1.0 / np.square(self.prior_sigma)
         gradient, curvature = -belief * (x - np.array(self.centre)), np.diag(belief)
@@ -156,7 +152,7 @@ class HeadingLikelihood:
         return fitted, x + move
 
     def climb(
-        self, x: FloatArray, free: NDArray[np.bool_], most: int = 60
+        self, x: FloatArray, free: BoolArray, most: int = 60
     ) -> tuple[HeadingLikelihood, FloatArray]:
         """Expectation maximisation from x until it moves by less than 10⁻⁴ of the prior."""
         here = self

@@ -11,15 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, compose, inverse, wrap
 from .step_bounds import StepBounds, blocks_of_steps, reach, turned, widest_turn
-
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SECOND_S = 1e-9
 MOST_TOLD = 5
@@ -61,26 +57,26 @@ class Jumps:
     still for so long that the robot can have driven the step; since: (j,) row from which on it had.
     """
 
-    rows: Ints
-    way: Floats
-    turn: Floats
-    reset: Bools
-    late: Bools
-    since: Ints
+    rows: IntArray
+    way: FloatArray
+    turn: FloatArray
+    reset: BoolArray
+    late: BoolArray
+    since: IntArray
 
-    def fresh(self, count: int) -> Bools:
+    def fresh(self, count: int) -> BoolArray:
         """(count,) rows of the track but those that repeat a pose before a late leap."""
         keep = np.ones(count, bool)
         for since, row in zip(self.since[self.late], self.rows[self.late], strict=True):
             keep[since + 1 : row] = False
         return keep
 
-    def among(self, keep: Bools) -> Jumps:
+    def among(self, keep: BoolArray) -> Jumps:
         """The same jumps in a track of fewer rows."""
         number = np.cumsum(keep) - 1
         return replace(self, rows=number[self.rows], since=number[self.since])
 
-    def sentences(self, time_ns: Ints) -> list[str]:
+    def sentences(self, time_ns: IntArray) -> list[str]:
         """What a person is told of them, one sentence per kind."""
         jump = ~self.reset & ~self.late
         told = (
@@ -98,7 +94,7 @@ class Jumps:
             if of.any()
         ]
 
-    def _sizes(self, of: Bools, time_ns: Ints) -> str:
+    def _sizes(self, of: BoolArray, time_ns: IntArray) -> str:
         at = (time_ns[self.rows[of]] - time_ns[0]) * SECOND_S
         sizes = [
             f"{way:.2f} m and {np.degrees(turn):.0f} degrees at {second:.1f} s"
@@ -122,7 +118,7 @@ class _Usual:
     rate: float
 
     @classmethod
-    def of(cls, time_ns: Ints, pose: Floats, settings: JumpSettings) -> _Usual:
+    def of(cls, time_ns: IntArray, pose: FloatArray, settings: JumpSettings) -> _Usual:
         k = np.linspace(0, len(pose) - 2, settings.samples).astype(np.int64)
         k = k[np.diff(k, prepend=-1) > 0]
         duration = (time_ns[k + 1] - time_ns[k]) * SECOND_S
@@ -134,14 +130,14 @@ class _Usual:
         return cls(period, _seldom(way / duration), _seldom(turn / duration))
 
 
-def _seldom(values: Floats) -> float:
+def _seldom(values: FloatArray) -> float:
     moving = values[values > 0]
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 
 
 def spikes(
-    time_ns: Ints, pose: Floats, bounds: StepBounds, settings: JumpSettings = JumpSettings()
-) -> Bools:
+    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: JumpSettings = JumpSettings()
+) -> BoolArray:
     """(n - 1,) steps that stand out of their neighbours as few others of the run do.
 
     Between two quiet steps no robot makes a large one: it has inertia. What is usual for this robot
@@ -167,7 +163,7 @@ def spikes(
     return found
 
 
-def _any_spike(pose: Floats, bounds: StepBounds, settings: JumpSettings) -> bool:
+def _any_spike(pose: FloatArray, bounds: StepBounds, settings: JumpSettings) -> bool:
     """Whether any step leaves the range of its neighbours and of standing still by enough.
 
     Nothing that is known of times widens what steps leave.
@@ -182,7 +178,7 @@ def _any_spike(pose: Floats, bounds: StepBounds, settings: JumpSettings) -> bool
     return bool(((way > settings.least_m) | (turn > settings.least_rad)).any())
 
 
-def _large(pose: Floats, least_m: float, least_rad: float) -> Ints:
+def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
     """Steps that may leave the range of their neighbours by more than so much.
 
     The range holds standing still and the steps before and after: what is out of it differs from
@@ -206,7 +202,7 @@ def _large(pose: Floats, least_m: float, least_rad: float) -> Ints:
     return np.concatenate(found)
 
 
-def _far_off(x: Floats, y: Floats, turn: Floats, least_m: float) -> Bools:
+def _far_off(x: FloatArray, y: FloatArray, turn: FloatArray, least_m: float) -> BoolArray:
     """(n - 2,) which steps but the first and last may differ by more from those on either side."""
     far = np.abs(x) + np.abs(y)
     # Seen from the robot, a step is turned by what the one before it turned.
@@ -214,14 +210,14 @@ def _far_off(x: Floats, y: Floats, turn: Floats, least_m: float) -> Bools:
     return np.asarray((np.minimum(off[:-1], off[1:]) > least_m) & (far[1:-1] > least_m))
 
 
-def _at_rank(values: Floats, rank: int) -> float:
+def _at_rank(values: FloatArray, rank: int) -> float:
     """The largest value but for so many; 0 if there are no more."""
     if len(values) <= rank:
         return 0.0
     return float(np.partition(values, len(values) - rank - 1)[len(values) - rank - 1])
 
 
-def _moved(pose: Floats, rows: Ints) -> Floats:
+def _moved(pose: FloatArray, rows: IntArray) -> FloatArray:
     """(k, 3) motion forward [m], to the left [m], turn [rad] of the steps that begin at rows."""
     return between(pose[rows], pose[rows + 1])
 
@@ -233,30 +229,32 @@ class _Steps:
     beside: (k, 4) rows; moved: (k, 3), around: (k, 4, 3) motions as `_moved` gives them.
     """
 
-    rows: Ints
-    beside: Ints
-    moved: Floats
-    around: Floats
+    rows: IntArray
+    beside: IntArray
+    moved: FloatArray
+    around: FloatArray
 
     @classmethod
-    def of(cls, pose: Floats, rows: Ints) -> _Steps:
+    def of(cls, pose: FloatArray, rows: IntArray) -> _Steps:
         beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
         around = _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
         return cls(rows, beside, _moved(pose, rows), around)
 
-    def beyond(self, span: Floats, spare: Floats | float) -> tuple[Floats, Floats]:
+    def beyond(self, span: FloatArray, spare: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """(k,) way [m] and turn [rad] by which the steps leave the range of motions (k, s, 3).
 
         It holds standing still, and is wider by `spare` on either side.
         """
         least, most = np.minimum(span.min(axis=1), 0.0), np.maximum(span.max(axis=1), 0.0)
         off = self.moved - np.clip(self.moved, least - spare, most + spare)
-        way: Floats = np.hypot(off[:, 0], off[:, 1])
-        turn: Floats = np.abs(off[:, 2])
+        way: FloatArray = np.hypot(off[:, 0], off[:, 1])
+        turn: FloatArray = np.abs(off[:, 2])
         return way, turn
 
 
-def _excess(time_ns: Ints, pose: Floats, steps: _Steps, usual: _Usual) -> tuple[Floats, Floats]:
+def _excess(
+    time_ns: IntArray, pose: FloatArray, steps: _Steps, usual: _Usual
+) -> tuple[FloatArray, FloatArray]:
     """(k,) way [m] and turn [rad] by which steps leave the range that their neighbours span.
 
     The range holds standing still, and the neighbours' motion both per step and per second: stamps
@@ -271,13 +269,13 @@ def _excess(time_ns: Ints, pose: Floats, steps: _Steps, usual: _Usual) -> tuple[
     return steps.beyond(span, spare[:, None] * np.array([usual.speed, usual.speed, usual.rate]))
 
 
-def _waited(time_ns: Ints, pose: Floats, rows: Ints) -> Floats:
+def _waited(time_ns: IntArray, pose: FloatArray, rows: IntArray) -> FloatArray:
     """(k,) seconds from the first row that held the pose before each step to the end of it."""
     waited = time_ns[rows + 1] - time_ns[_first_alike(pose, rows)]
     return np.asarray(waited * SECOND_S, np.float64)
 
 
-def _first_alike(pose: Floats, rows: Ints) -> Ints:
+def _first_alike(pose: FloatArray, rows: IntArray) -> IntArray:
     """(k,) first of the rows in a row that hold the same pose as each."""
     since = rows.copy()
     stood = np.flatnonzero((rows > 0) & (pose[rows] == pose[rows - 1]).all(axis=1))
@@ -289,10 +287,10 @@ def _first_alike(pose: Floats, rows: Ints) -> Ints:
 
 
 def measured_jumps(
-    time_ns: Ints,
-    pose: Floats,
-    leaps: Bools,
-    restarted: Bools,
+    time_ns: IntArray,
+    pose: FloatArray,
+    leaps: BoolArray,
+    restarted: BoolArray,
     settings: JumpSettings = JumpSettings(),
 ) -> Jumps:
     """What the given steps are: jumps, late messages, or resets.
@@ -319,14 +317,18 @@ def measured_jumps(
     return Jumps(begin + 1, way, turn, reset & ~late, late, since)
 
 
-def _near(pose: Floats, rows: Ints, home: Floats, spare_s: Floats, usual: _Usual) -> Bools:
+def _near(
+    pose: FloatArray, rows: IntArray, home: FloatArray, spare_s: FloatArray, usual: _Usual
+) -> BoolArray:
     """(k,) whether rows lie where a robot that has just started at `home` may have got to."""
     away = np.hypot(*(pose[rows, :2] - home[:2]).T)
     turned = np.abs(wrap(pose[rows, 2] - home[2]))
     return np.asarray((away <= usual.speed * spare_s) & (turned <= usual.rate * spare_s))
 
 
-def _expected(time_ns: Ints, pose: Floats, leaps: Bools, rows: Ints, usual: _Usual) -> Floats:
+def _expected(
+    time_ns: IntArray, pose: FloatArray, leaps: BoolArray, rows: IntArray, usual: _Usual
+) -> FloatArray:
     """(k, 3) motion of steps as the nearest good steps before and after say, per second."""
     good = np.flatnonzero(~leaps)
     if len(good) == 0:
@@ -381,7 +383,7 @@ def without_jumps(
     )
 
 
-def driven_on(pose: Floats, rows: Ints, step: Floats) -> Floats:
+def driven_on(pose: FloatArray, rows: IntArray, step: FloatArray) -> FloatArray:
     """Poses with the steps into the given rows replaced; what lies between them stays rigid."""
     out, ends = pose.copy(), np.append(rows, len(pose))[1:]
     for row, end, moved in zip(rows, ends, step, strict=True):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.run import Detections
 
@@ -40,9 +40,7 @@ def split_where_carried(
     return replace(odometry, breaks=breaks), len(jumps)
 
 
-def _carried(
-    odometry: Odometry, detections: Detections, settings: CarriedSettings
-) -> NDArray[np.int64]:
+def _carried(odometry: Odometry, detections: Detections, settings: CarriedSettings) -> IntArray:
     """Rows i of detections so that the robot was carried between i and i + 1."""
     if len(detections) < 2 * settings.sightings or len(odometry) < 2:
         return np.zeros(0, np.int64)
@@ -61,8 +59,8 @@ def _carried(
 
 
 def _may_stand(
-    i: NDArray[np.int64], row: NDArray[np.int64], odometry: Odometry, settings: CarriedSettings
-) -> NDArray[np.bool_]:
+    i: IntArray, row: IntArray, odometry: Odometry, settings: CarriedSettings
+) -> BoolArray:
     """Whether the robot may have stood around detection i, by two poses instead of all between.
 
     Who stands ends where he began, except across a break.
@@ -77,9 +75,9 @@ def _may_stand(
 
 def _is_journey(
     i: int,
-    way: NDArray[np.float64],
-    turn: NDArray[np.float64],
-    centre: NDArray[np.float64],
+    way: FloatArray,
+    turn: FloatArray,
+    centre: FloatArray,
     settings: CarriedSettings,
 ) -> bool:
     first, last = i + 1 - settings.sightings, i + settings.sightings
@@ -93,5 +91,5 @@ def _is_journey(
     return bool(stands and agree and apart > settings.apart_m)
 
 
-def _spread(points: NDArray[np.float64]) -> float:
+def _spread(points: FloatArray) -> float:
     return float(np.hypot(*(points - np.median(points, axis=0)).T).max())

@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
@@ -26,9 +26,6 @@ from ...topology.topomap import RunNoise
 from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches, interpolated
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

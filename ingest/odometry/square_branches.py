@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
 from ...topology.se2 import wrap
 from ...topology.track import stretch_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

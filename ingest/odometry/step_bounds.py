@@ -6,10 +6,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from ...topology.arrays import FloatArray, IntArray
 
 BLOCK_STEPS = 1 << 14
 """So many steps are looked at together: they stay in the processor's cache, and no large array is
@@ -25,7 +23,7 @@ class StepBounds(NamedTuple):
     shortest_ns: int = 0
 
     @classmethod
-    def of(cls, time_ns: Ints, pose: Floats) -> StepBounds:
+    def of(cls, time_ns: IntArray, pose: FloatArray) -> StepBounds:
         """Of poses (n, 3) at times (n,). A way is at most the sum of its two parts. O(n)."""
         way = turn = 0.0
         for _, (x, y, theta) in blocks_of_steps(pose):
@@ -39,7 +37,7 @@ class StepBounds(NamedTuple):
         return self.way <= 0.99 * way and self.turn <= 0.99 * turn
 
 
-def blocks_of_steps(pose: Floats, beside: int = 0) -> Iterator[tuple[int, Floats]]:
+def blocks_of_steps(pose: FloatArray, beside: int = 0) -> Iterator[tuple[int, FloatArray]]:
     """Differences (3, k) between rows of poses (n, 3) in blocks, with the number of the first.
 
     beside: so many steps of the blocks before and behind come along. Good until the next block.
@@ -51,18 +49,18 @@ def blocks_of_steps(pose: Floats, beside: int = 0) -> Iterator[tuple[int, Floats
         yield first, np.subtract(rows[1:].T, rows[:-1].T, out=room[:, : len(rows) - 1])
 
 
-def reach(values: Floats) -> float:
+def reach(values: FloatArray) -> float:
     """The largest size among numbers of either sign."""
     return max(float(values.max()), -float(values.min()))
 
 
-def widest_turn(theta: Floats) -> float:
+def widest_turn(theta: FloatArray) -> float:
     """The largest size of differences of angles, all in [-π, π)."""
     size = reach(theta)
     return size if size <= np.pi else float(turned(theta).max())
 
 
-def turned(theta: Floats) -> Floats:
+def turned(theta: FloatArray) -> FloatArray:
     """Sizes of turns: from one end of the range of angles to the other is a short one as well."""
     size = np.abs(theta)
     return np.minimum(size, np.abs(size - 2 * np.pi))

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
 from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
 from .step_bounds import StepBounds
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 SECOND_NS = 10**9
 """A second in nanoseconds."""
@@ -63,7 +60,7 @@ class Track:
     warnings: tuple[str, ...]
 
 
-def backward_jumps(time_ns: Ints, min_s: float) -> int:
+def backward_jumps(time_ns: IntArray, min_s: float) -> int:
     """How often the clock itself went back: a step back that is not made up for at once.
 
     Messages that only changed places are late one by one and are no jump. O(n).
@@ -72,7 +69,7 @@ def backward_jumps(time_ns: Ints, min_s: float) -> int:
     return int((time_ns[ends - 1] - time_ns[starts] >= min_s * SECOND_NS).sum())
 
 
-def _behind(time_ns: Ints) -> tuple[Ints, Ints]:
+def _behind(time_ns: IntArray) -> tuple[IntArray, IntArray]:
     """Runs [start, end) of rows that lie before a time already seen."""
     if (time_ns[1:] >= time_ns[:-1]).all():
         none = np.zeros(0, np.int64)
@@ -83,8 +80,8 @@ def _behind(time_ns: Ints) -> tuple[Ints, Ints]:
 
 
 def sane_track(
-    time_ns: Ints,
-    pose: Floats,
+    time_ns: IntArray,
+    pose: FloatArray,
     frame: str,
     child_frame: str,
     settings: TrackSettings = TrackSettings(),
@@ -106,8 +103,8 @@ def sane_track(
 
 
 def _forward(
-    time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
-) -> tuple[Ints, Floats]:
+    time_ns: IntArray, pose: FloatArray, settings: TrackSettings, warnings: list[str]
+) -> tuple[IntArray, FloatArray]:
     """Drop what was recorded after the clock was set back, until it has caught up.
 
     Sorting would weave two stretches of the drive into each other. A stretch that fills a gap is
@@ -131,8 +128,8 @@ def _forward(
 
 
 def _fills_gaps(
-    time_ns: Ints, starts: Ints, ends: Ints, settings: TrackSettings
-) -> NDArray[np.bool_]:
+    time_ns: IntArray, starts: IntArray, ends: IntArray, settings: TrackSettings
+) -> BoolArray:
     """Which rows [start, end) lie between two others in time, without a gap to either.
 
     A clock that was set back hardly stops where its times begin. O(n log n).
@@ -150,7 +147,9 @@ def _fills_gaps(
     return fills
 
 
-def _in_order(time_ns: Ints, pose: Floats, warnings: list[str]) -> tuple[Ints, Floats]:
+def _in_order(
+    time_ns: IntArray, pose: FloatArray, warnings: list[str]
+) -> tuple[IntArray, FloatArray]:
     if (time_ns[1:] > time_ns[:-1]).all():
         return time_ns, pose
     late = int((time_ns[1:] < time_ns[:-1]).sum())
@@ -167,8 +166,8 @@ def _in_order(time_ns: Ints, pose: Floats, warnings: list[str]) -> tuple[Ints, F
 
 
 def _measured(
-    time_ns: Ints, pose: Floats, settings: TrackSettings, warnings: list[str]
-) -> tuple[Ints, Floats, Jumps, StepBounds]:
+    time_ns: IntArray, pose: FloatArray, settings: TrackSettings, warnings: list[str]
+) -> tuple[IntArray, FloatArray, Jumps, StepBounds]:
     """Leaps: single poses off the track are dropped, others are jumps or resets."""
     bounds = StepBounds.of(time_ns, pose)
     leaps = _leaps(time_ns, pose, bounds, settings)
@@ -194,13 +193,13 @@ def _measured(
 
 
 def _leaps(
-    time_ns: Ints, pose: Floats, bounds: StepBounds, settings: TrackSettings
-) -> NDArray[np.bool_]:
+    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
+) -> BoolArray:
     """(n - 1,) steps that cannot have been driven, or stand out of all others."""
     return _teleports(time_ns, pose, bounds, settings) | spikes(time_ns, pose, bounds)
 
 
-def _motion(time_ns: Ints, pose: Floats) -> tuple[Floats, Floats, Floats]:
+def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n - 1,) way [m], turn [rad] and duration [s] of every step."""
     way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
     turn = np.abs(wrap(np.diff(pose[:, 2])))
@@ -208,8 +207,8 @@ def _motion(time_ns: Ints, pose: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _teleports(
-    time_ns: Ints, pose: Floats, bounds: StepBounds, settings: TrackSettings
-) -> NDArray[np.bool_]:
+    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
+) -> BoolArray:
     """(n - 1,) whether a step cannot have been driven, or falls back to the origin exactly."""
     least_m = min(settings.teleport_min_m, settings.reset_min_m)
     if bounds.within(least_m, min(settings.teleport_min_rad, settings.reset_min_rad)):
@@ -230,7 +229,7 @@ def _teleports(
     return far | (reset & sudden)
 
 
-def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float) -> float:
+def _limit(size: FloatArray, duration: FloatArray, settings: TrackSettings, least: float) -> float:
     """Speed above which a step is not believed: far above what the robot does otherwise."""
     moving = size > 0
     if int(moving.sum()) < FEW_STEPS:
@@ -240,8 +239,8 @@ def _limit(size: Floats, duration: Floats, settings: TrackSettings, least: float
 
 
 def _glitches(
-    time_ns: Ints, pose: Floats, teleport: NDArray[np.bool_], settings: TrackSettings
-) -> NDArray[np.bool_]:
+    time_ns: IntArray, pose: FloatArray, teleport: BoolArray, settings: TrackSettings
+) -> BoolArray:
     """(n,) single poses between two teleports whose neighbours fit each other."""
     glitch = np.zeros(len(time_ns), bool)
     lone = np.flatnonzero(teleport[:-1] & teleport[1:]) + 1
@@ -254,7 +253,7 @@ def _glitches(
     return glitch
 
 
-def _report_gaps(time_ns: Ints, settings: TrackSettings, warnings: list[str]) -> None:
+def _report_gaps(time_ns: IntArray, settings: TrackSettings, warnings: list[str]) -> None:
     if len(time_ns) < 3:
         return
     step = np.diff(time_ns)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
+from ...topology.arrays import BoolArray, IntArray
 
 WASTE = 1 / 32
 """Share of what is wanted that may be read besides, to save requests. It leaves room in the tenth
@@ -17,7 +16,7 @@ GAP_BYTES = 1 << 20
 """A longer gap is not read: at 100 MB/s it takes as long as another request, some 10 ms."""
 
 
-def coalesced(begin: Ints, end: Ints) -> tuple[Ints, Ints]:
+def coalesced(begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
     """Ranges in ascending order, with the smallest gaps between them closed. O(n log n).
 
     begin, end: (n,) in any order; they may overlap. What the gaps hold is at most WASTE of what
@@ -38,7 +37,9 @@ def coalesced(begin: Ints, end: Ints) -> tuple[Ints, Ints]:
     return begin[np.r_[True, kept]], end[np.r_[kept, True]]
 
 
-def without(begin: Ints, end: Ints, held: list[tuple[int, int]]) -> tuple[Ints, Ints]:
+def without(
+    begin: IntArray, end: IntArray, held: list[tuple[int, int]]
+) -> tuple[IntArray, IntArray]:
     """Ranges in ascending order, less what is there already, perhaps in more pieces. O(n log n)."""
     there = np.array(held, np.int64).reshape(-1, 2)
     edges = np.unique(np.concatenate([begin, end, there.ravel()]))
@@ -46,7 +47,7 @@ def without(begin: Ints, end: Ints, held: list[tuple[int, int]]) -> tuple[Ints, 
     return edges[:-1][wanted], edges[1:][wanted]
 
 
-def _covered(edges: Ints, begin: Ints, end: Ints) -> NDArray[np.bool_]:
+def _covered(edges: IntArray, begin: IntArray, end: IntArray) -> BoolArray:
     """Which stretches between edges lie in any range; all ranges begin and end at edges."""
     change = np.zeros(len(edges), np.int64)
     np.add.at(change, np.searchsorted(edges, begin), 1)
@@ -54,7 +55,7 @@ def _covered(edges: Ints, begin: Ints, end: Ints) -> NDArray[np.bool_]:
     return np.asarray(np.cumsum(change)[:-1] > 0)
 
 
-def in_parts(begin: Ints, end: Ints, most: int) -> list[tuple[int, int]]:
+def in_parts(begin: IntArray, end: IntArray, most: int) -> list[tuple[int, int]]:
     """Ranges with those longer than `most` cut into parts of equal length."""
     out = []
     for first, last in zip(begin.tolist(), end.tolist(), strict=True):

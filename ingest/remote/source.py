@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 
-from .ranges import Ints, coalesced, in_parts, without
+from ...topology.arrays import IntArray
+from .ranges import coalesced, in_parts, without
 from .store import TAIL_MOST, Got
 
 PART_BYTES = 1 << 22
@@ -131,17 +132,17 @@ class RemoteFile:
         for start, data in sorted(ends.items()):
             self._put(start, data)
 
-    def cost(self, begin: Ints, end: Ints) -> int:
+    def cost(self, begin: IntArray, end: IntArray) -> int:
         """Bytes that reading these ranges takes, gaps included, beyond what is there."""
         return sum(stop - start for start, stop in self._planned(begin, end))
 
-    def _planned(self, begin: Ints, end: Ints) -> list[tuple[int, int]]:
+    def _planned(self, begin: IntArray, end: IntArray) -> list[tuple[int, int]]:
         with self._lock:
             held = self._held.spans()
         return in_parts(*coalesced(*without(begin, end, held)), PART_BYTES)
 
     @contextmanager
-    def reading_ahead(self, begin: Ints, end: Ints) -> Iterator[ReadAhead]:
+    def reading_ahead(self, begin: IntArray, end: IntArray) -> Iterator[ReadAhead]:
         """While the body runs, these ranges are read ahead of it, in their order."""
         ahead = ReadAhead(self._planned(begin, end), self._ask)
         try:

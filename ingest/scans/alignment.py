@@ -12,16 +12,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
 from .scatter import BACK, Scatter, odometry_scores, wall_scores
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

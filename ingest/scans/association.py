@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import wrap
-from .surfaces import BoolArray, Float32Array, FloatArray, IntArray, SurfaceSettings, surfaces
+from .surfaces import SurfaceSettings, surfaces
 
 POINT_RAD = 0.035
 """Beams of one scan that are held against another's surfaces, at most so near to each other: those

@@ -12,13 +12,11 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import Float32Array, FloatArray
 from ...topology.se2 import wrap
 from .grid import GridSettings
 from .skeleton import Node, SkeletonGraph, SkeletonSettings
-
-FloatArray = NDArray[np.float64]
 
 AXIS_M = 3.0
 """Length of a branch that its axis is taken from, beyond the widening: half of what a window shows.
@@ -45,7 +43,7 @@ Known = dict[tuple[bytes, ...], FloatArray]
 def placed(
     graph: SkeletonGraph,
     node: Node,
-    clearance_m: NDArray[np.float32] | FloatArray,
+    clearance_m: Float32Array | FloatArray,
     cell_m: float,
     known: Known | None = None,
 ) -> Node:
@@ -104,7 +102,7 @@ class Crossings(NamedTuple):
 def crossings(
     graph: SkeletonGraph,
     numbers: Sequence[int],
-    clearance_m: NDArray[np.float32] | FloatArray,
+    clearance_m: Float32Array | FloatArray,
     cell_m: float,
     settings: SkeletonSettings,
     *,
@@ -133,7 +131,7 @@ def crossings(
 
 def with_crossings(
     graph: SkeletonGraph,
-    clearance_m: NDArray[np.float32] | FloatArray,
+    clearance_m: Float32Array | FloatArray,
     cell_m: float,
     settings: SkeletonSettings,
     *,
@@ -174,7 +172,7 @@ def _branch(
     graph: SkeletonGraph,
     node: Node,
     way: int,
-    clearance_m: NDArray[np.float32] | FloatArray,
+    clearance_m: Float32Array | FloatArray,
     cell_m: float,
 ) -> _Branch:
     """A corridor is straight, and as wide everywhere as at its begin, to within the rounding of

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import apply, compose, inverse
@@ -19,9 +19,6 @@ from .scan import Anchored, ScanBatch, ScanPicture, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
 from .windows import Seen, WindowSettings, windows
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ class _Counted:
     batches: Iterable[ScanBatch]
     scans: int = 0
     echoing: int = 0
-    seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
+    seen: BoolArray = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
 
     def __iter__(self) -> Iterator[ScanBatch]:
         for batch in self.batches:
@@ -242,7 +239,7 @@ def _nothing(counted: _Counted) -> str:
     )
 
 
-def _covered(driven: Driven, good: NDArray[np.bool_]) -> float:
+def _covered(driven: Driven, good: BoolArray) -> float:
     """Share of the way driven between keyframes that fit each other."""
     step = np.diff(driven.way)
     total = float(step.sum())

@@ -7,15 +7,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import apply, wrap
 from .keyframes import Keyframes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +52,7 @@ class Looks:
 
 
 @lru_cache(maxsize=4)
-def _patch(half: int, cell_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _patch(half: int, cell_m: float) -> tuple[Float32Array, Float32Array]:
     """Bearing and distance of every cell of a patch from its middle."""
     step = np.arange(-half, half + 1) * cell_m
     x, y = np.meshgrid(step, step)
@@ -101,7 +97,7 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
     return Looks(free & ~hit, hit, corner)
 
 
-def _beside(ranges: NDArray[np.float32], echo: BoolArray) -> NDArray[np.float32]:
+def _beside(ranges: Float32Array, echo: BoolArray) -> Float32Array:
     """(k, m) the nearer of the next echoes on either side of every beam, 0 where there is none.
 
     A beam without an echo amid a wall met glass or something dark, not the way out.
@@ -111,7 +107,7 @@ def _beside(ranges: NDArray[np.float32], echo: BoolArray) -> NDArray[np.float32]
     after = np.minimum.accumulate(np.where(echo, beam, len(beam))[:, ::-1], axis=1)[:, ::-1]
     padded = np.pad(np.where(echo, ranges, 0), ((0, 0), (1, 1)))
     rows = np.arange(len(ranges))[:, None]
-    nearer: NDArray[np.float32] = np.minimum(padded[rows, before + 1], padded[rows, after + 1])
+    nearer: Float32Array = np.minimum(padded[rows, before + 1], padded[rows, after + 1])
     return nearer
 
 

@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.se2 import wrap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TURN_RAD = 0.05
 """A step that turns by more, by scans and odometry, turns beyond the errors of both."""

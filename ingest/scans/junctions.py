@@ -6,19 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.digits import significant
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, inverse, wrap
 from .scan import ScanPasses
 from .windows import Seen, WindowSettings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

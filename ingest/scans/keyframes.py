@@ -6,14 +6,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import compose, inverse, wrap
 from .scan import ScanBatch
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +75,7 @@ class Posed:
     pose: FloatArray
     motion: FloatArray
     rate: FloatArray
-    usable: NDArray[np.bool_]
+    usable: BoolArray
     piece: IntArray
 
 

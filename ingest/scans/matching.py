@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from math import cos, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, wrap
 from ...topology.track import chain_of
@@ -18,9 +18,6 @@ from .keyframes import Keyframes, KeyframeSettings, Posed, in_order, join, keyfr
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
 from .surfaces import SurfaceSettings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +44,7 @@ class Matched:
     keyframes: Keyframes
     pose: FloatArray
     fit: FloatArray
-    searched: NDArray[np.bool_]
+    searched: BoolArray
     spans: SpanErrors
     errors: StepErrors
 
@@ -106,7 +103,7 @@ class _Solved:
 
     pose: FloatArray
     fit: FloatArray
-    searched: NDArray[np.bool_]
+    searched: BoolArray
     aligned: Aligned | None = None
 
     def since(self, row: int) -> _Solved:

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
 from .alignment import Steps, match_steps
@@ -22,8 +22,6 @@ from .keyframes import Keyframes, keyframes
 from .matching import MatchingSettings, posed
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, odometry_motion
-
-FloatArray = NDArray[np.float64]
 
 DEFAULT_MATCHING = MatchingSettings()
 ENOUGH = 40

@@ -6,18 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.digits import significant
 from ...topology.se2 import between, wrap
 from ...topology.topomap import RunNoise
 from .scan import ScanPasses
 from .step_errors import LONG, SHORT, SpanErrors
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07, miss_rate=0.06, phantom_rate=0.03)
 """Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by

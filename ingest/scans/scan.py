@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import Float32Array, FloatArray, IntArray
 from ...topology.frozen import frozen_array
 from ...topology.odometry import Odometry
 from ...topology.run import Anchored, ScanPasses, ScanPicture
 from ...topology.topomap import RunNoise
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +27,7 @@ class ScanBatch:
     """
 
     times_ns: IntArray
-    ranges_m: NDArray[np.float32]
+    ranges_m: Float32Array
     free_m: FloatArray | float
     angles_rad: FloatArray
     T_body_laser: FloatArray = field(default_factory=lambda: np.zeros(3))

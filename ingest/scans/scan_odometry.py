@@ -6,17 +6,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.se2 import between, compose, inverse
 from .alignment import AlignmentSettings, Steps, chained, match_steps
 from .association import Swept
 from .keyframes import Keyframes, KeyframeSettings, Posed, join, prepared
 from .scan import ScanBatch
 from .surfaces import SurfaceSettings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MOST_SCANS = 256
 """Scans matched at once."""

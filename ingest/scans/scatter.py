@@ -23,15 +23,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.se2 import apply, between, turned_axes
 from .association import MOST_PAIRS, Gate, Matches, Swept, matches
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PATCH_M = 2.0
 """Longer than what one line is fitted to (0.7 m) and than a door. Patches of 1 m and of 4 m give

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.errors import DataError
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Labels = NDArray[np.int32]
-BoolArray = NDArray[np.bool_]
 
 SHORTEST_CELLS = 5.0
 """Ways of a building have more cells on average. Floors of 6,000 rooms, in the largest cells that
@@ -53,7 +51,7 @@ class Lines:
 
 def lines_of(
     skeleton: BoolArray,
-    clearance_m: NDArray[np.float32] | FloatArray,
+    clearance_m: Float32Array | FloatArray,
     cell_m: float,
     border: BoolArray | None = None,
 ) -> Lines:

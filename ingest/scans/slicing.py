@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray
 from ...topology.errors import UsageError
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
 from ..logs.scan_rows import Geometry, RawScans
-
-FloatArray = NDArray[np.float64]
 
 FARTHEST_M = 1000.0
 """Ranges beyond that are broken numbers: the longest scanners measure some hundred metres."""

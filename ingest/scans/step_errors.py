@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, compose, inverse, wrap
 from .alignment import Aligned
 from .keyframes import Keyframes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 HEADING_PRIOR = (0.035, 0.03, 0.1)
 """1 sigma of heading errors in general: per metre [rad/m], per radian, and by a lag [s]."""
@@ -88,7 +85,7 @@ class StepErrors:
         self,
         frames: Keyframes,
         pairs: tuple[IntArray, IntArray],
-        matched: tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]],
+        matched: tuple[FloatArray, BoolArray, BoolArray],
     ) -> StepErrors:
         """With the motion (p, 3) of more pairs as matched, where turn and where way are sure."""
         (first, second), (motion, turn_sure, way_sure) = pairs, matched

@@ -8,20 +8,18 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import compose, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
-from ..logs.messages import LATEST_NS, Channel, Findings, Ints
+from ..logs.messages import LATEST_NS, Channel, Findings
 from ..logs.recording import Recording, opened, sniff
 from ..logs.scan_intake import ScanIntake, TimedScans
 from ..logs.scan_rows import Geometry, RawScans
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Stamp = Literal["begin", "middle", "end"]
 
 MOST_FREE_M = 50.0
@@ -211,7 +209,7 @@ class ScanStream:
         seen = sign * angles
         return T_body_laser, *((seen[::-1], True) if seen[0] > seen[-1] else (seen, False))
 
-    def _times(self, timed: TimedScans, sweep_s: float) -> Ints:
+    def _times(self, timed: TimedScans, sweep_s: float) -> IntArray:
         """(n,) times [ns] of the middle beams."""
         half = round(0.5e9 * sweep_s)
         if self._clock == "log":
@@ -257,7 +255,11 @@ def _sweep_s(geometry: Geometry, beams: int) -> float:
 
 
 def _usable_times(
-    stamp_ns: Ints, times_ns: Ints, after_ns: int, clock: Literal["header", "log"], tally: Tally
+    stamp_ns: IntArray,
+    times_ns: IntArray,
+    after_ns: int,
+    clock: Literal["header", "log"],
+    tally: Tally,
 ) -> BoolArray:
     """(n,) which scans have a time that goes on from the last one."""
     good = np.ones(len(times_ns), bool)
@@ -282,7 +284,7 @@ def _count(tally: Tally, which: BoolArray, why: str) -> None:
         tally.left_out[why] += int(which.sum())
 
 
-def _measured(raw: RawScans, rows: Ints, tally: Tally) -> tuple[NDArray[np.float32], FloatArray]:
+def _measured(raw: RawScans, rows: IntArray, tally: Tally) -> tuple[Float32Array, FloatArray]:
     """(n, m) ranges, NaN where nothing was returned; (n,) way that such a beam is free.
 
     At or beyond range_max, and where a range is infinite, nothing came back. NaN, 0 and what lies

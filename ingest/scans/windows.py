@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import compose, inverse
 from .crossing import Crossing, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
@@ -16,10 +16,6 @@ from .keyframes import Keyframes
 from .matching import Matched
 from .skeleton import SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.passes import NO_BRANCH
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..packs import arrays_from_bytes, arrays_to_bytes
 from ..result import FusedMap, Late, Spread, by_run
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 Rows = tuple[tuple[tuple[str, int], ...], ...]
 
 ARRAYS = "fffiffiifiiiiiiiffiiff"

@@ -12,19 +12,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...topology.matching.branches import ComplexArray, mutual_nearest, unit_headings
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.passes import NO_BRANCH
 from .joint_graph import pass_counts
 from .vertex_partition import Groups, Pool
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +241,7 @@ def _gates(pool: Pool, label: IntArray, settings: CoincidenceSettings) -> FloatA
 
 def _clearly_nearest(
     u: IntArray, v: IntArray, distance: FloatArray, count: int, lead: float
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Pairs of which each is the other's nearest, with the next candidates clearly further."""
     best, second = np.full(count, np.inf), np.full(count, np.inf)
     for k in np.argsort(distance, kind="stable").tolist():

@@ -13,9 +13,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ...topology.arrays import FloatArray
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.se2 import wrap
@@ -28,8 +28,6 @@ from .edges import (
     oriented,
     same_corridor,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

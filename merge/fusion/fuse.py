@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..digests import DIGEST, digested
@@ -39,9 +40,6 @@ from .joint_graph import (
 from .places import DEFAULT_PLACE, Place, PlaceSettings, fused_places
 from .uncertainty import place_sigmas, spread
 from .vertex_partition import Groups, Pool, identify
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.map_pose_graph import map_pose_graph, odometry_measurements
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.structure import grid_direction, padded_branches
@@ -34,9 +34,6 @@ from ...topology.topomap import TopoMap
 from ...topology.vertex_errors import VertexErrors
 from ..result import PairVerdict
 from .vertex_partition import Pool
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,12 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from .joint_graph import pass_counts
 from .vertex_partition import Pool
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

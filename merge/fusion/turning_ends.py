@@ -13,8 +13,8 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray
 from ...topology.mapbuilding import MapBuildingSettings
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import Ways
@@ -24,8 +24,6 @@ from ...topology.topomap import TopoMap
 from ...topology.turning_back import told_by_deepest
 from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run
-
-FloatArray = NDArray[np.float64]
 
 
 class _End(NamedTuple):

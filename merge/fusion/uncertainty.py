@@ -10,18 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.posegraph.samples import SampledMarginals, white
 from ...topology.posegraph.solve import Marginals, PoseGraph, SharedErrors, Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
 from .joint_graph import centre_sigma
 from .vertex_partition import Pool
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 VAGUE_M = 1.5
 VAGUE_RAD = 0.087

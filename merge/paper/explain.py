@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.digits import rounded
 from ...topology.matching.correspondence import candidate_nodes, node_codes, node_rotations
 from ...topology.topomap import TopoMap
@@ -22,8 +22,6 @@ from ..document import pose_to_document
 from .clustering import Clusters
 from .hypotheses import Hypotheses
 from .method import DEFAULT_PAPER, PaperSettings, match, prepare_map
-
-IntArray = NDArray[np.int64]
 
 NONE = "×"  # noqa: RUF001 - the paper's sign
 
@@ -44,11 +42,11 @@ class Explanation:
     clusters: Clusters
     candidate_a: IntArray
     candidate_b: IntArray
-    turn_rad: NDArray[np.float64]
+    turn_rad: FloatArray
     hypothesis: IntArray
     degree_a: IntArray
     degree_b: IntArray
-    bits: NDArray[np.float64]
+    bits: FloatArray
     settings: PaperSettings
 
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.matching.association import (
     Growth,
@@ -30,9 +30,6 @@ from ...topology.matching.structure import Structure
 from ...topology.se2 import apply
 from .registration import Weights, fit_groups
 from .significance import SelfSimilarity, match_bits, self_similarity, single_bits
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

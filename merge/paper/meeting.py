@@ -10,12 +10,10 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import IntArray
 from ...topology.errors import DataError, UsageError
 from ...topology.topomap import TopoMap
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

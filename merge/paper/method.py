@@ -16,9 +16,9 @@ from math import log2
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.errors import UsageError
 from ...topology.matching.correspondence import DEFAULT_GROWTH, GrowthSettings
 from ...topology.matching.structure import Structure, prepare
@@ -33,9 +33,6 @@ from .hypotheses import Hypotheses, hypothesise
 from .locking import aligned_at, honour
 from .meeting import Meeting, near_vertices
 from .significance import SelfSimilarity, cluster_bits, self_similarity
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...topology import se2
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import apply, wrap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 Weights = Literal["equal", "reweighted"]
 """equal: unweighted, as the paper chooses; reweighted: "iteratively reweighted least-squares", as
@@ -34,7 +31,7 @@ def fit_groups(
     group: IntArray,
     rotation_rad: FloatArray,
     *,
-    free: NDArray[np.bool_],
+    free: BoolArray,
     weights: Weights = "equal",
 ) -> FloatArray:
     """(count, 3) T_a_b of every group of pairs; only those of `free` groups find their rotation.

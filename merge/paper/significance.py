@@ -25,9 +25,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import bdtrc
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.matching.association import Growth, components, grow
 from ...topology.matching.correspondence import (
@@ -37,9 +37,6 @@ from ...topology.matching.correspondence import (
     node_rotations,
 )
 from ...topology.matching.structure import Structure
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,10 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ...topology.arrays import ComplexArray, IntArray
 from ...topology.se2 import compose, inverse
 from ..result import Alignment
 from .components import Components, Pair, Refusal, agrees
-from .prepare import ComplexArray, IntArray, Prepared
+from .prepare import Prepared
 from .repetition import size_difference
 
 LARGER_TOGETHER = Refusal(

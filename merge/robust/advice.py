@@ -6,11 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from .alignment import Candidate
-from .prepare import IntArray, Prepared
+from .prepare import Prepared
 from .verdict import Assessment
 
 

@@ -9,12 +9,13 @@ from itertools import compress, pairwise
 
 import numpy as np
 
+from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.se2 import apply, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import Conflicts, conflicts
 from .growth import Grown, grow, ungrown
 from .links import Links, Seed, candidate_links, seeds
-from .prepare import ComplexArray, FloatArray, IntArray, Prepared
+from .prepare import Prepared
 from .settings import MATCH, RobustSettings
 from .support import Support, supports
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .prepare import ComplexArray, FloatArray, IntArray, Prepared
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from .prepare import Prepared
 
 OF_VERTICES = (
     "z",
@@ -62,7 +63,7 @@ class Atlas:
         )
 
     @cached_property
-    def shows_bends(self) -> NDArray[np.bool_]:
+    def shows_bends(self) -> BoolArray:
         """(m,) as in TopoMap."""
         return np.array([m.shows_bends for m in self.maps], np.bool_)
 

@@ -10,6 +10,7 @@ from itertools import chain
 
 import numpy as np
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
 from ..result import Alignment, PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
@@ -17,7 +18,6 @@ from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, ly
 from .kept_verdicts import KeptVerdicts
 from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise, Told
-from .prepare import FloatArray, IntArray
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
 from .tasks import in_tiles

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.matching.branches import BranchPairs, agreeing, mutual_nearest
 from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
-from .prepare import ComplexArray, FloatArray, IntArray, Prepared
+from .prepare import Prepared
 
 
 def branch_bits(

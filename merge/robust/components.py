@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ...topology.arrays import ComplexArray, FloatArray
 from ...topology.se2 import compose, inverse, wrap
 from ..result import Alignment
 from .alignment import Candidate
-from .prepare import ComplexArray
 from .settings import MATCH
 
 Pair = tuple[int, int]
@@ -27,7 +26,7 @@ class Components:
     def __init__(self, n: int, never: Iterable[Pair]) -> None:
         self.head = list(range(n))
         self.members: dict[int, list[int]] = {i: [i] for i in range(n)}
-        self.pose: list[NDArray[np.float64]] = [np.zeros(3) for _ in range(n)]
+        self.pose: list[FloatArray] = [np.zeros(3) for _ in range(n)]
         self.never = frozenset((min(p), max(p)) for p in never)
 
     def together(self, i: int, j: int) -> bool:
@@ -38,7 +37,7 @@ class Components:
         """How many runs a component has."""
         return len(self.members[head])
 
-    def relative(self, i: int, j: int) -> NDArray[np.float64]:
+    def relative(self, i: int, j: int) -> FloatArray:
         """T_i_j of two runs of one component."""
         return compose(inverse(self.pose[i]), self.pose[j])
 
@@ -51,7 +50,7 @@ class Components:
                     return pair
         return None
 
-    def join(self, i: int, j: int, T_i_j: NDArray[np.float64]) -> None:
+    def join(self, i: int, j: int, T_i_j: FloatArray) -> None:
         """Put the components of i and j into one frame."""
         into, gone = self.head[i], self.head[j]
         if len(self.members[into]) < len(self.members[gone]):
@@ -84,7 +83,7 @@ def as_alignment(c: Candidate) -> Alignment:
     return Alignment(c.transform, c.bits, np.column_stack([c.a, c.b]), c.rmse_m)
 
 
-def agrees(found: Alignment, T_a_b: NDArray[np.float64], b: ComplexArray) -> bool:
+def agrees(found: Alignment, T_a_b: FloatArray, b: ComplexArray) -> bool:
     """Whether an alignment places b where T_a_b does, up to the drift of chained transforms.
 
     b: its junctions, x + iy [m].
@@ -153,6 +152,6 @@ def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[P
     return sorted(out)
 
 
-def _laid(pose: NDArray[np.float64], z: ComplexArray | np.complex128) -> ComplexArray:
+def _laid(pose: FloatArray, z: ComplexArray | np.complex128) -> ComplexArray:
     x, y, theta = pose.tolist()
     return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))

@@ -8,11 +8,12 @@ from typing import Literal
 
 import numpy as np
 
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
 from .atlas import Atlas, cuts
 from .branches import common_branches
 from .growth import Grown
-from .prepare import BoolArray, ComplexArray, FloatArray, IntArray, Prepared
+from .prepare import Prepared
 from .settings import MATCH
 
 BESIDE_M = float(np.hypot(MATCH.clear_m / 2, MATCH.gate_m))

@@ -12,6 +12,7 @@ from math import ceil
 
 import numpy as np
 
+from ...topology.arrays import FloatArray
 from ...topology.digits import BITS
 from ...topology.se2 import between
 from ...topology.topomap import TopoMap
@@ -27,7 +28,7 @@ from .assessment import AssessedPair, assess_pair, thresholds
 from .conflicts import one_by_one
 from .forced import forced_alignment
 from .growth import given_up
-from .prepare import FloatArray, Prepared, prepare
+from .prepare import Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .verdict import Answers, PairCount, counted_bits, in_steps, needed_bits

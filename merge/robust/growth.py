@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.se2 import rigid_from_sums
 from .atlas import Lanes
 from .branches import branch_bits
 from .links import Seed
-from .prepare import ComplexArray, FloatArray, IntArray
 from .settings import MATCH, RobustSettings
 
 

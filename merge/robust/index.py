@@ -15,10 +15,11 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.se2 import wrap
 from ..packs import arrays_from_bytes, arrays_to_bytes
 from .links import KEY_STEP, windows
-from .prepare import LENGTH_SCALE, Extent, FloatArray, IntArray, Prepared, length_bits
+from .prepare import LENGTH_SCALE, Extent, Prepared, length_bits
 from .settings import MATCH
 
 

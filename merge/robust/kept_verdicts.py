@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
+from ...topology.arrays import FloatArray
 from ...topology.files import Json, encoded
 from ...topology.map_schema import Finite, Index
 from ...topology.topomap import TopoMap
@@ -28,7 +29,6 @@ from ..digests import digested
 from ..document import EXTRA, entry_of
 from ..packs import LARGEST, Key, Kind, PackWriter, Store
 from ..result import Alignment, PairVerdict, Verdict
-from .prepare import FloatArray
 from .verdict import Threshold
 
 Pair = tuple[int, int]

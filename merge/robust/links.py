@@ -9,16 +9,9 @@ from math import isqrt
 
 import numpy as np
 
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.se2 import wrap
-from .prepare import (
-    LENGTH_SCALE,
-    BoolArray,
-    ComplexArray,
-    FloatArray,
-    IntArray,
-    Prepared,
-    length_bits,
-)
+from .prepare import LENGTH_SCALE, Prepared, length_bits
 from .settings import MATCH
 
 COS_TURN = float(np.cos(MATCH.turn_rad))

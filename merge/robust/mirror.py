@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from ...topology.ragged import Ragged
 from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
 from ..result import Verdict
 from .alignment import Candidate
-from .prepare import IntArray
 from .settings import MATCH
 from .verdict import Assessment
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import IntArray
 from ...topology.errors import DataError
 from ...topology.files import Json
 from ...topology.topomap import TopoMap
@@ -29,7 +29,6 @@ from .tasks import TASKS, Maps, MatchTask, era_of, match_task, matched, tile_ord
 from .verdict import Faint
 
 Pair = tuple[int, int]
-IntArray = NDArray[np.int64]
 Remembered = TypeVar("Remembered", Probes, CopyModel)
 Samples = Sequence[tuple[int, Candidate]]
 """Maps of a batch that look like other parts of themselves, by their numbers."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.digits import METRES
 from ...topology.matching.branches import unit_headings
 from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
@@ -19,11 +19,6 @@ from ..result import FusedMap
 from .halves import halves
 from .nearest_neighbours import NearestNeighbours
 from .settings import MATCH
-
-ComplexArray = NDArray[np.complex128]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 LEAST_M = 10.0**-METRES
 """No length is known better: documents tell no more."""

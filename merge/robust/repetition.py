@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.matching.likelihood import BIT, LIKELIHOOD
 from ..packs import arrays_from_bytes, arrays_to_bytes
 from .atlas import Atlas
 from .branches import lonely_branches
-from .prepare import FloatArray, IntArray, Prepared
+from .prepare import Prepared
 from .settings import MATCH, RobustSettings
 
 if TYPE_CHECKING:

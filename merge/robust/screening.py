@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...topology.arrays import FloatArray, IntArray
 from ..digests import DIGEST, digested
 from ..packs import Kept, Kind, arrays_from_bytes, arrays_to_bytes
 from ..result import pairs_of
 from .index import Corridors, Probes
-from .prepare import FloatArray, IntArray
 from .settings import RobustSettings
 from .tasks import TASKS
 from .verdict import needed_bits

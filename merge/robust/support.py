@@ -7,10 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
 from .atlas import cuts
 from .growth import Grown
-from .prepare import ComplexArray, FloatArray, IntArray, length_bits
+from .prepare import length_bits
 from .settings import MATCH
 
 NEAREST = slice(1, 13)

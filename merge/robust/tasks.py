@@ -17,13 +17,14 @@ from typing import Protocol
 import numpy as np
 import scipy
 
+from ...topology.arrays import IntArray
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
 from ..digests import DIGEST, digest_of, digested
 from ..packs import Kind, Pack, PackWriter
 from .alignment import match_all, self_matches
 from .mirror import mirrored
-from .prepare import IntArray, Prepared, prepare
+from .prepare import Prepared, prepare
 from .records import Found, in_short, to_bytes
 from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import Faint

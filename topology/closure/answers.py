@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-IntArray = NDArray[np.int64]
+from ..arrays import IntArray
 
 AGREE = "position, branches and corridors agree"
 TOGETHER = "sure together with others that agree on one position"

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import ComplexArray, FloatArray, IntArray
 from ..matching.branches import (
     COS_GATE,
     BranchPairs,
@@ -24,10 +24,6 @@ from ..matching.branches import (
 from ..matching.likelihood import LIKELIHOOD, log_density
 from .evidence import Background, EvidenceSettings
 from .places import Places
-
-ComplexArray = NDArray[np.complex128]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ANYWHERE = float(np.log(2 * np.pi))
 """-ln density [1/rad] of a branch that may point anywhere."""

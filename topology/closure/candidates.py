@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..matching.likelihood import LIKELIHOOD
 from ..se2 import turned_axes
@@ -26,9 +26,6 @@ from .evidence import (
 from .growth import GrowthSettings, MapState, grow
 from .negative_information import DrivenGround, driven_ground
 from .places import NOWHERE, Places
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +59,7 @@ class Candidates:
     turn: FloatArray
     """Added to the branches of b to meet those of a [rad]."""
     ground: DrivenGround
-    fits: NDArray[np.bool_]
+    fits: BoolArray
     """Whether their positions pass the gate. The others lie nearer to each other than two junctions
     do: they are not identified, and yet no third place has to be the one or the other."""
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from ..arrays import FloatArray, IntArray
 from ..posegraph.samples import SampledMarginals
 from ..vertex_errors import VertexErrors
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate
 from .manhattan import GridHeadings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..odometry import Odometry
 from ..passes import Passes
 from ..topomap import RunNoise
 from ..track import chain_of, stretch_of, track_directions, way_at
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 RANDOM = slice(7)
 """Columns of `DeadReckoning.sums` that are variances."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..circular import cluster_angles
 from ..matching.likelihood import LIKELIHOOD
 from ..posegraph.samples import SampledMarginals
@@ -24,9 +24,6 @@ from ..se2 import wrap
 from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
 from .manhattan import GridCorridors, GridHeadings
 from .places import ONE_WAY_RAD
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,17 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chndtr
 
+from ..arrays import FloatArray
 from ..matching.likelihood import LIKELIHOOD, Lengths, length_log_density
 from ..topomap import RunNoise
 from .dead_reckoning import DeadReckoning
 from .lattice import Lattice, LatticeSettings, lattice_of, no_lattice, squared_mahalanobis
 from .negative_information import DrivenGround
 from .places import Places
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

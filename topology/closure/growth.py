@@ -9,17 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
 from .branches import Alignment, Branches, align
 from .dead_reckoning import DeadReckoning
 from .evidence import Background, length_odds
 from .places import NOWHERE, ONE_WAY_RAD, Places
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +165,7 @@ class _Gaps:
         self._settings = settings
         self._spans = np.zeros((0, 3))
 
-    def known(self, hypothesis: IntArray, begin: FloatArray, end: FloatArray) -> NDArray[np.bool_]:
+    def known(self, hypothesis: IntArray, begin: FloatArray, end: FloatArray) -> BoolArray:
         """(m,) whether a leg, from `begin` to `end` (m, 2), spans a gap that was met before.
 
         Lines run along the first leg of a hypothesis or across it; other legs span no gap.
@@ -231,9 +228,7 @@ def _compare(
     return joined([take(pairs, np.flatnonzero(agree)), through[0]]), torn
 
 
-def _agree(
-    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
-) -> NDArray[np.bool_]:
+def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings) -> BoolArray:
     """Equal lengths, and ends that coincide once the two places do."""
     var = _leg_variance(state, pairs.la, pairs.lb, settings)
     near = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(var)
@@ -243,7 +238,7 @@ def _agree(
     x = da[:, 0] - (c * db[:, 0] - s * db[:, 1])
     y = da[:, 1] - (s * db[:, 0] + c * db[:, 1])
     room = LIKELIHOOD.gate_sigmas * np.sqrt(var + state.branches.variance * pairs.la**2)
-    result: NDArray[np.bool_] = near & (np.hypot(x, y) < room)
+    result: BoolArray = near & (np.hypot(x, y) < room)
     return result
 
 

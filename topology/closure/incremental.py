@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import (
@@ -51,9 +51,6 @@ from .manhattan import (
 )
 from .places import Places, tabulate
 from .variance_components import with_shown_spread
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,9 +253,7 @@ def _fitting_scale(now: float, estimate: Estimate) -> float:
     return now
 
 
-def _blocked(
-    found: Candidates, blocked: set[tuple[int, int]], place: IntArray
-) -> NDArray[np.bool_]:
+def _blocked(found: Candidates, blocked: set[tuple[int, int]], place: IntArray) -> BoolArray:
     """(k,) candidates that would join two passes again whose identification was taken back."""
     pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in blocked}
     ends = zip(found.a.tolist(), found.b.tolist(), strict=True)

@@ -12,19 +12,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import linkage
 from scipy.spatial.distance import squareform
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..posegraph.solve import Marginals
 from .candidates import Candidates
 from .estimate import Estimate
 from .evidence import Background, EvidenceSettings, among_neighbours, position_odds
 from .negative_information import DrivenGround
 from .places import ONE_WAY_RAD
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 RIVALS = "sure together with others, but as many that exclude one of them are nearly as sure"
 STEP_OFF = "sure together with others, but all might be one step of the map's pattern off"
@@ -159,7 +156,7 @@ def _one_step_off(start: _Beliefs, members: IntArray) -> float:
     return worst
 
 
-def _tied(apart: FloatArray) -> NDArray[np.bool_]:
+def _tied(apart: FloatArray) -> BoolArray:
     """(g, k) groups of members, each and all of them, and those between whose errors differ least.
 
     apart: (k, k) squared differences of their errors. The groups of single linkage.
@@ -174,7 +171,7 @@ def _tied(apart: FloatArray) -> NDArray[np.bool_]:
     return group
 
 
-def _sharing(a: IntArray, b: IntArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _sharing(a: IntArray, b: IntArray) -> tuple[BoolArray, BoolArray]:
     """(k, k) candidates that share a place; those of them that cannot both be true.
 
     "a is b" and "a is c" exclude each other unless "b is c" is a candidate as well.
@@ -204,7 +201,7 @@ def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, F
 
 
 def _grown(
-    start: _Beliefs, support: FloatArray, seed: int, shared: NDArray[np.bool_]
+    start: _Beliefs, support: FloatArray, seed: int, shared: BoolArray
 ) -> tuple[float, list[int]]:
     """Joint log odds of the set that grows from a seed, best first, and its members.
 

@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
+from ..arrays import BoolArray, FloatArray
 from ..matching.likelihood import LIKELIHOOD
 from .places import NOWHERE, Places
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +62,10 @@ class Lattice:
         out: FloatArray = np.maximum(self.crowd * around, on_steps)
         return out
 
-    def is_step(self, shift: FloatArray) -> NDArray[np.bool_]:
+    def is_step(self, shift: FloatArray) -> BoolArray:
         """(k,) whether `shift` (k, 2) is a step of the lattice."""
         off = np.abs(shift[:, None, :] - self.steps).max(axis=2)
-        found: NDArray[np.bool_] = (off < 2 * self.width_m).any(axis=1)
+        found: BoolArray = (off < 2 * self.width_m).any(axis=1)
         return found
 
 

@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import Passes
 from ..se2 import wrap
 from .dead_reckoning import DeadReckoning, dead_reckoning_covariance
 from .places import ONE_WAY_RAD
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

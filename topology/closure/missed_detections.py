@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..odometry import Odometry
 from ..se2 import wrap
 from ..track import way_along
@@ -22,9 +22,6 @@ from .dead_reckoning import DeadReckoning
 from .estimate import Estimate, EstimateSettings
 from .places import NOWHERE, ONE_WAY_RAD, Places, tabulate
 from .resolution import blurred, one_drive_by
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +53,7 @@ class CorrectedPlaces:
     """
 
     place: IntArray
-    fair: NDArray[np.bool_]
+    fair: BoolArray
     xy: FloatArray
     visits: Visits
     kept: IntArray
@@ -100,7 +97,7 @@ def correct_detections(
     return CorrectedPlaces(place, fair, xy, visits, kept[real], one.asked)
 
 
-def _renumbered(keep: NDArray[np.bool_]) -> tuple[IntArray, IntArray]:
+def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
     """Rows to keep, and the number that each row has then, NOWHERE for the others."""
     number = np.where(keep, np.cumsum(keep) - 1, NOWHERE)
     return np.flatnonzero(keep), number
@@ -177,7 +174,7 @@ def _events(track: DrawnTrack, first: IntArray, near: IntArray, row: IntArray) -
 
 def _along_branches(
     track: DrawnTrack, places: Places, near: IntArray, row: IntArray, settings: DrivenBySettings
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Does the place have branches where the robot came from and where it went?"""
     reach = max(1, round(1.0 / settings.step_m))
     low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
@@ -187,7 +184,7 @@ def _along_branches(
         step = track.xy[other] - track.xy[row]
         off = np.abs(wrap(heading - np.arctan2(step[:, 1], step[:, 0])[:, None]))
         fits += np.where(np.isfinite(off), off, np.inf).min(axis=1) < settings.match_rad
-    result: NDArray[np.bool_] = fits >= 1
+    result: BoolArray = fits >= 1
     return result
 
 
@@ -196,7 +193,7 @@ def phantoms(
     places: Places,
     unseen: IntArray,
     settings: DrivenBySettings = DrivenBySettings(),
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """(n,) places that are more likely invented than missed each time they were driven by unseen.
 
     unseen: (n,) times each place was driven by without a detection.
@@ -213,7 +210,7 @@ def phantoms(
         odds = odds + settings.straight_gain * straight
     # A robot that turned into a branch there knows better.
     turned = (places.driven > 0).sum(axis=1) > 2
-    result: NDArray[np.bool_] = (odds > settings.least_odds) & (unseen > 0) & ~turned
+    result: BoolArray = (odds > settings.least_odds) & (unseen > 0) & ~turned
     return result
 
 
@@ -239,7 +236,7 @@ def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: Float
 def visits_of(
     reckoning: DeadReckoning,
     place: IntArray,
-    fair: NDArray[np.bool_],
+    fair: BoolArray,
     estimate: Estimate,
     xy: FloatArray,
 ) -> Visits:

@@ -8,8 +8,8 @@ distance between junctions. For comparison (`--closure gated`).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
 from .branches import align, branches_of
@@ -20,9 +20,6 @@ from .evidence import background, position_odds
 from .growth import MapState
 from .incremental import Closed, RoundSettings
 from .places import tabulate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:

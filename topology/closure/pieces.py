@@ -6,13 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import IntArray
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def set_apart(

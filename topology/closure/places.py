@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..circular import cluster_angles
 from ..passes import NO_BRANCH
 from .dead_reckoning import DeadReckoning
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NOWHERE = NO_BRANCH
 """In place of a place: not driven."""

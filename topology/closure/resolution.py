@@ -12,17 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import log_ndtr
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 REASON = "nearer than scans can tell two junctions apart"
 
@@ -113,8 +110,8 @@ def _identified(
     return Identification(min(first), max(first), True, bits, REASON)
 
 
-def one_drive_by(reckoning: DeadReckoning, resolution_m: float) -> NDArray[np.bool_]:
+def one_drive_by(reckoning: DeadReckoning, resolution_m: float) -> BoolArray:
     """(p - 1,) whether a pass and the next are of one drive-by: no more way between them than to
     drive by a place of that size."""
-    way: NDArray[np.bool_] = reckoning.leg < 2 * resolution_m
+    way: BoolArray = reckoning.leg < 2 * resolution_m
     return way

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..odometry import Odometry
 from ..posegraph.graph import edge_errors, prior_errors, squared
 from ..posegraph.marginals import Marginals
@@ -23,9 +23,6 @@ from ..topomap import RunNoise
 from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning, relative_covariance
 from .estimate import Estimate, optimise
 from .manhattan import GridCorridors, GridHeadings, with_spread
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 COMPONENTS = (
     "along_m_per_sqrt_m",

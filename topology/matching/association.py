@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from .correspondence import (
     DEFAULT_GROWTH,
@@ -33,7 +33,7 @@ from .correspondence import (
     masks_agree,
     shared_branches,
 )
-from .structure import FloatArray, IntArray, Structure
+from .structure import Structure
 
 
 class Links(NamedTuple):
@@ -61,7 +61,7 @@ class Growth:
 
     nodes: Nodes
     component: IntArray
-    rejected: NDArray[np.bool_]
+    rejected: BoolArray
     tested: IntArray
     agreed: IntArray
     links: Links
@@ -77,7 +77,7 @@ def grow(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) 
     return _assembled(a, b, _find_links(a, b, settings), settings)
 
 
-def holding(growth: Growth, chosen: NDArray[np.bool_]) -> Growth:
+def holding(growth: Growth, chosen: BoolArray) -> Growth:
     """The matches that hold one of the chosen nodes (N,), renumbered in their order (§4.2)."""
     kept = np.zeros(len(growth.rejected), np.bool_)
     kept[growth.component[chosen]] = True
@@ -300,7 +300,7 @@ def _satisfied(
     return np.bincount(np.unique(node * width + branch) // width, minlength=count)
 
 
-def _not_one_to_one(nodes: Nodes, component: IntArray, rejected: NDArray[np.bool_]) -> IntArray:
+def _not_one_to_one(nodes: Nodes, component: IntArray, rejected: BoolArray) -> IntArray:
     """Matches not yet rejected that pair a vertex twice."""
     alive = ~rejected[component]
     twice = []

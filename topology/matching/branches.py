@@ -10,14 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from .likelihood import LIKELIHOOD, log_density
-
-ComplexArray = NDArray[np.complex128]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 COS_GATE = float(np.cos(LIKELIHOOD.branch_gate_rad))
 

@@ -12,13 +12,13 @@ from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..errors import UsageError
 from ..se2 import wrap
 from .branches import mutual_nearest
-from .structure import FloatArray, IntArray, Structure
+from .structure import Structure
 
 World = Literal["auto", "rectilinear", "general"]
 
@@ -99,7 +99,7 @@ def is_rectilinear(a: Structure, b: Structure, settings: GrowthSettings) -> bool
 
 def correspond(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings = DEFAULT_GROWTH
-) -> tuple[NDArray[np.bool_], IntArray]:
+) -> tuple[BoolArray, IntArray]:
     """Correspondences of the branches of (k,) vertex pairs, given one pair of branches (§2.1).
 
     Returns ok (k,): whether the vertices are compatible that way; partner (k, D_a): for each
@@ -113,7 +113,7 @@ def correspond(
 
 def _all_branches(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
-) -> tuple[NDArray[np.bool_], IntArray]:
+) -> tuple[BoolArray, IntArray]:
     """Equal degrees: branch i of a goes with branch i + shift of b, all within the tolerance."""
     (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
     degree, shift = a.degree[vertex_a], branch_b - branch_a
@@ -131,7 +131,7 @@ def _all_branches(
 
 def _most_branches(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
-) -> tuple[NDArray[np.bool_], IntArray]:
+) -> tuple[BoolArray, IntArray]:
     """Inexact degrees: a few branches of either vertex may have no partner."""
     # Strategy: the pair given fixes a rotation, mutually nearest branches within the tolerance
     # correspond, their mean difference is the rotation, and once more with that.
@@ -152,7 +152,7 @@ def _most_branches(
 
 def masks_agree(
     mask_a: IntArray, mask_b: IntArray, turn: IntArray, settings: GrowthSettings
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Whether slot sets agree when b's are turned: equal, or nearly so if degrees are inexact."""
     turned = TURNED[mask_b, turn]
     if settings.degree == "exact":
@@ -243,8 +243,8 @@ class SlotClasses:
     each class begins in them.
     """
 
-    compatible: NDArray[np.bool_]
-    disjoint: NDArray[np.bool_]
+    compatible: BoolArray
+    disjoint: BoolArray
     rows: tuple[IntArray, IntArray]
     first: tuple[IntArray, IntArray]
 
@@ -280,7 +280,7 @@ class SlotClasses:
         """(C_a, C_b) vertex pairs of each pair of classes."""
         return np.asarray(np.diff(self.first[0])[:, None] * np.diff(self.first[1]))
 
-    def expanded(self, chosen: NDArray[np.bool_]) -> Nodes:
+    def expanded(self, chosen: BoolArray) -> Nodes:
         """The nodes of the chosen (class, class, turn), ascending."""
         # Strategy: a flat ragged product; node k of a triple is (k // width, k % width) of it.
         i, j, turn = np.nonzero(chosen)

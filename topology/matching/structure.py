@@ -10,15 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ..passes import NO_BRANCH
 from ..se2 import wrap
 from ..topomap import TopoMap
 from .branches import unit_headings
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +55,9 @@ class Structure:
     """
 
     heading: FloatArray
-    unit: NDArray[np.complex128]
+    unit: ComplexArray
     degree: IntArray
-    explored: NDArray[np.bool_]
+    explored: BoolArray
     start: IntArray
     end: IntArray
     out_branch: IntArray

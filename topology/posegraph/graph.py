@@ -17,10 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..frozen import freeze
-from ..se2 import FloatArray, wrap
+from ..se2 import wrap
 
 
 def _symmetric(information: FloatArray, name: str) -> None:
@@ -53,7 +53,7 @@ class Priors:
     nothing is known; kernel: (u,) Cauchy width in sigmas, inf for a plain square.
     """
 
-    node: NDArray[np.int64]
+    node: IntArray
     value: FloatArray
     information: FloatArray
     kernel: FloatArray = field(default_factory=lambda: _nothing(0))
@@ -76,7 +76,7 @@ class Priors:
     @classmethod
     def headings(
         cls,
-        node: NDArray[np.int64],
+        node: IntArray,
         theta_rad: FloatArray,
         sigma_rad: FloatArray | float,
         kernel: FloatArray | None = None,
@@ -130,8 +130,8 @@ class PoseGraph:
     """
 
     pose: FloatArray
-    source: NDArray[np.int64]
-    target: NDArray[np.int64]
+    source: IntArray
+    target: IntArray
     measurement: FloatArray
     information: FloatArray
     kernel: FloatArray = field(default_factory=lambda: _nothing(0))

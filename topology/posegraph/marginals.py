@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..se2 import FloatArray
+from ..arrays import FloatArray, IntArray
 from .graph import PoseGraph
 from .normal_equations import Factor, Point, build_pattern, linearise
 from .skeleton import skeleton
@@ -37,9 +36,7 @@ class Marginals:
         """(k, k) covariance of the shared errors."""
         return np.asarray(np.linalg.inv(self.factor.schur), np.float64)
 
-    def joint(
-        self, a: NDArray[np.int64], b: NDArray[np.int64]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def joint(self, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Covariances of poses in the graph's frame: (k, 3, 3) of a, of b, and between a and b.
 
         Vectorised over pairs in chunks of distinct second poses: the columns of the inverse that
@@ -63,7 +60,7 @@ class Marginals:
             cross[pairs] = self._read(columns, a[pairs], where_b[pairs] - first)
         return own[np.searchsorted(nodes, a)], own[where_b], cross
 
-    def relative(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
+    def relative(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) covariance of T_a_b (x, y, theta of pose b in the frame of pose a).
 
         Does not depend on the gauge. Infinite between poses in different components is not
@@ -76,7 +73,7 @@ class Marginals:
         out = out + mixed + mixed.transpose(0, 2, 1)
         return 0.5 * (out + out.transpose(0, 2, 1))
 
-    def _columns(self, nodes: NDArray[np.int64]) -> FloatArray:
+    def _columns(self, nodes: IntArray) -> FloatArray:
         """(size, 3 · nodes) columns of the inverse; zero for fixed components."""
         variable = self.factor.pattern.variable[nodes].ravel()
         free = np.flatnonzero(variable >= 0)
@@ -92,9 +89,7 @@ class Marginals:
             out = out + solved @ np.linalg.solve(self.factor.schur, self.factor.border.T @ out)
         return out
 
-    def _read(
-        self, columns: FloatArray, rows: NDArray[np.int64], local: NDArray[np.int64]
-    ) -> FloatArray:
+    def _read(self, columns: FloatArray, rows: IntArray, local: IntArray) -> FloatArray:
         """(k, 3, 3) blocks at poses `rows`, columns of the `local`-th pose of the chunk."""
         variable = self.factor.pattern.variable[rows]
         at = columns[variable[:, :, None], (3 * local)[:, None, None] + np.arange(3)]

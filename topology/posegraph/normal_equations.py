@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from ..se2 import FloatArray
+from ..arrays import FloatArray, IntArray
 from .graph import PoseGraph, corrected_measurement, edge_errors, prior_errors
 from .skeleton import Skeleton, summed
 
@@ -56,12 +56,12 @@ class Pattern:
     fixed components; diagonal: (size,) slots of the diagonal; rigid: as in `Skeleton`.
     """
 
-    variable: NDArray[np.int64]
+    variable: IntArray
     size: int
     indices: NDArray[np.int32]
     indptr: NDArray[np.int32]
-    slot: NDArray[np.int64]
-    diagonal: NDArray[np.int64]
+    slot: IntArray
+    diagonal: IntArray
     rigid: bool
 
 
@@ -295,7 +295,7 @@ def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def _scatter(
-    pattern: Pattern, nodes: tuple[NDArray[np.int64], ...], values: tuple[FloatArray, ...]
+    pattern: Pattern, nodes: tuple[IntArray, ...], values: tuple[FloatArray, ...]
 ) -> FloatArray:
     """(size,) minus the sum of `values` (·, 3) at the variables of their `nodes`."""
     where = np.concatenate([pattern.variable[node].ravel() for node in nodes])

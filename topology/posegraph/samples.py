@@ -15,7 +15,8 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from ..se2 import FloatArray, IntArray, turned_axes
+from ..arrays import FloatArray, IntArray
+from ..se2 import turned_axes
 from .graph import PoseGraph, corrected_measurement, edge_errors
 from .marginals import relative_jacobians
 from .normal_equations import Pattern, Point, build_pattern, linearise

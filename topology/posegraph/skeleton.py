@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from ..se2 import FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from .graph import PoseGraph
 
 _THIN = 1e-9
@@ -28,8 +28,8 @@ class Skeleton:
     frame would be free; rigid: whether that surely leaves no freedom anywhere.
     """
 
-    order: NDArray[np.int64]
-    fixed: NDArray[np.bool_]
+    order: IntArray
+    fixed: BoolArray
     rigid: bool
 
 
@@ -55,19 +55,19 @@ def skeleton(graph: PoseGraph) -> Skeleton:
     return Skeleton(order, fixed, _is_rigid(graph, piece, fixed))
 
 
-def summed(where: NDArray[np.int64], values: NDArray[Any], size: int) -> FloatArray:
+def summed(where: IntArray, values: NDArray[Any], size: int) -> FloatArray:
     """(size,) sums of `values` by their index `where`."""
     return np.bincount(where, values, size).astype(np.float64, copy=False)
 
 
-def _groups(graph: PoseGraph, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _groups(graph: PoseGraph, joined: BoolArray) -> IntArray:
     """(n,) connected component of every pose by the edges that are `joined` (m,)."""
     n, ends = len(graph), (graph.source[joined], graph.target[joined])
     links = sparse.csr_array((np.ones(len(ends[0])), ends), shape=(n, n))
     return connected_components(links, directed=False)[1].astype(np.int64)
 
 
-def _gauge(graph: PoseGraph, piece: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _gauge(graph: PoseGraph, piece: IntArray) -> BoolArray:
     """(n, 3) components of single poses that make up for a frame that is free.
 
     piece: (n,) numbers of the pieces that positions tie together. One may be shifted unless a
@@ -93,7 +93,7 @@ def _gauge(graph: PoseGraph, piece: NDArray[np.int64]) -> NDArray[np.bool_]:
     return fixed
 
 
-def _is_rigid(graph: PoseGraph, piece: NDArray[np.int64], fixed: NDArray[np.bool_]) -> bool:
+def _is_rigid(graph: PoseGraph, piece: IntArray, fixed: BoolArray) -> bool:
     """Whether edges that tell a whole pose join every pose to a fixed x, y and heading."""
     xx, xy, xt, _, yy, yt, _, _, tt = graph.information.reshape(-1, 9).T
     volume = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
@@ -102,9 +102,7 @@ def _is_rigid(graph: PoseGraph, piece: NDArray[np.int64], fixed: NDArray[np.bool
     return not any(len(_first_without(body, fixed[:, k])) for k in range(3))
 
 
-def _first_without(
-    group: NDArray[np.int64], has: NDArray[np.bool_], among: NDArray[np.bool_] | None = None
-) -> NDArray[np.int64]:
+def _first_without(group: IntArray, has: BoolArray, among: BoolArray | None = None) -> IntArray:
     """First member (`among` some) of every group in which nobody `has` it."""
     lacks = summed(group, has, len(group))[group] == 0
     rows = np.flatnonzero(lacks if among is None else lacks & among)

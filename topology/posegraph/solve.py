@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..se2 import FloatArray, wrap
+from ..arrays import FloatArray
+from ..se2 import wrap
 from .graph import (
     PoseGraph,
     Priors,

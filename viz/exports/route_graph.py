@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.polyline import simplify, way_of
 from ...topology.topomap import TopoMap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MAX_ERROR_M = 0.05
 """How far a corridor's path may lie from the straight pieces it is given as: a third of what the

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import compose
 from ...topology.topomap import TopoMap
@@ -17,7 +17,7 @@ def recorded_tum(odometry: Odometry) -> str:
 
 
 def corrected_tum(
-    topomap: TopoMap, odometry: Odometry, T_out_map: NDArray[np.float64] | None = None
+    topomap: TopoMap, odometry: Odometry, T_out_map: FloatArray | None = None
 ) -> str | None:
     """The odometry bent onto the run's map, in the map's frame or, with T_out_map, another.
 
@@ -31,7 +31,7 @@ def corrected_tum(
     return _lines(track.time_ns, pose)
 
 
-def _lines(time_ns: NDArray[np.int64], pose: NDArray[np.float64]) -> str:
+def _lines(time_ns: IntArray, pose: FloatArray) -> str:
     """Seconds with nine decimals: a float would round them to some 200 ns."""
     half = pose[:, 2] / 2
     columns = zip(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from topobatch.topology.arrays import FloatArray
 from topobatch.topology.posegraph import solve as solver
 from topobatch.topology.posegraph.graph import PoseGraph, corrected_measurement
 from topobatch.topology.posegraph.skeleton import (
@@ -27,7 +28,6 @@ from topobatch.topology.posegraph.skeleton import (
     summed,
 )
 from topobatch.topology.posegraph.solve import Solution
-from topobatch.topology.se2 import FloatArray
 
 
 def solve(graph: PoseGraph) -> Solution:
