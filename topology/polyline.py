@@ -48,8 +48,10 @@ def join_centres(
     (cutting its corner, turning round) is left out, and the corridor is straight there. A robot
     that passes aside of a centre, farther off, drives as far as one that passes through it: from
     where it is nearest the track is bent onto the centre, the less the farther on. Returns (j, 2)
-    from `begin` to `end`.
+    from `begin` to `end`, straight where the track is a single point.
     """
+    if len(track) < 2:
+        return np.stack([begin, end])
     way = way_of(track)
     middle = min(max(int(np.count_nonzero(way <= way[-1] / 2)), 1), len(track) - 1)
     reach = min(junction_m, way[-1] / 3)

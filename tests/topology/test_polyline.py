@@ -48,6 +48,12 @@ def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [4, 0], [5, 0]])
 
 
+def test_where_the_track_is_one_point_the_way_between_the_centres_is_straight():
+    begin, end = np.zeros(2), np.array([2.0, 1.0])
+    for point in ([1.0, 1.0], [0.1, 0.0], [2.0, 1.0]):
+        np.testing.assert_array_equal(join_centres(np.array([point]), begin, end, 0.7), [begin, end])
+
+
 @pytest.mark.parametrize("aside", [0.8, -1.2])
 @pytest.mark.parametrize("length", [1.5, 6.0])
 def test_who_passes_aside_of_a_centre_goes_as_far_as_who_passes_through_it(aside, length):
