@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.topomap import Closure, TopoMap
+from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from .member_times import member_times
 from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
@@ -107,12 +108,7 @@ def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
     seen = chosen[topomap.observation_vertex]
     vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
     passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
-    rows, position, branch = np.flatnonzero(chosen), topomap.position_sigma, topomap.branch_sigma
-    sigmas: dict[str, Any] = {
-        "position_sigma": None if position is None else position[rows],
-        "branch_sigma": None if branch is None else branch.take(rows),
-    }
-    return replace(topomap, run=name, info={}, **graph_part(topomap, chosen), **passes, **sigmas)
+    return replace(topomap, run=name, info={}, **graph_part(topomap, chosen), **passes)
 
 
 def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:
@@ -146,12 +142,17 @@ def _cut_out(
     # What each part knew of its own shape says nothing of that of the whole: the merge does.
     told = None if fused.position_sigma is None else fused.position_sigma[chosen]
     known = told is not None and bool(np.isfinite(told).all())
-    plain = replace(topomap, position_sigma=None, branch_sigma=None)
-    part = graph_part(fused, chosen) | {"confidence": confidence[chosen]}
-    if times is not None:
-        edges = np.flatnonzero(chosen[fused.source]).tolist()
-        part["traversal_ns"] = tuple(times[e] for e in edges)
-    cut = replace(plain, position_sigma=told if known else None, **part, **passes)
+    edges = np.flatnonzero(chosen[fused.source]).tolist()
+    cut = replace(
+        topomap,
+        **graph_part(fused, chosen),
+        **passes,
+        position_sigma=told if known else None,
+        branch_sigma=None,
+        traversal_ns=None if times is None else tuple(times[e] for e in edges),
+        confidence=confidence[chosen],
+        turning_points=NO_TURNING_POINTS,
+    )
     return without_turning_points(cut)
 
 

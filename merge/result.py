@@ -5,17 +5,24 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.columns import columns_of, take
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
-from ..topology.topomap import ALL_SURE, Graph, TopoMap
-from ..topology.turning_points import NO_TURNING_POINTS
+from ..topology.topomap import (
+    EDGE_COLUMNS,
+    MAP_EDGE_COLUMNS,
+    MAP_VERTEX_COLUMNS,
+    VERTEX_COLUMNS,
+    Graph,
+    TopoMap,
+)
 
 T = TypeVar("T")
 
@@ -272,29 +279,15 @@ def by_run(members: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
 
 def graph_part(graph: Graph, chosen: BoolArray) -> dict[str, Any]:
     """The chosen vertices of a graph and the edges between them, as fields of a TopoMap."""
-    number = np.cumsum(chosen) - 1
-    times = graph.traversal_ns if isinstance(graph, TopoMap) else None
-    rows, edges = np.flatnonzero(chosen), np.flatnonzero(chosen[graph.source])
-    turned = NO_TURNING_POINTS
+    number, edges = np.cumsum(chosen) - 1, chosen[graph.source]
     if isinstance(graph, TopoMap):
-        at = graph.turning_points.vertex
-        turned = graph.turning_points.taken(np.flatnonzero(chosen[at]), number[at[chosen[at]]])
-    return {
-        "xy": graph.xy[rows],
-        "branches": graph.branches.take(rows),
-        "kind": tuple(graph.kind[r] for r in rows.tolist()),
-        "source": number[graph.source[edges]],
-        "target": number[graph.target[edges]],
-        "source_branch": graph.source_branch[edges],
-        "target_branch": graph.target_branch[edges],
-        "length": graph.length[edges],
-        "length_sigma": graph.length_sigma[edges],
-        "traversals": graph.traversals[edges],
-        "paths": tuple(graph.paths[e] for e in edges.tolist()),
-        "traversal_ns": None if times is None else tuple(times[e] for e in edges.tolist()),
-        "confidence": graph.confidence[rows] if isinstance(graph, TopoMap) else ALL_SURE,
-        "turning_points": turned,
-    }
+        part = columns_of(graph, MAP_VERTEX_COLUMNS, chosen)
+        part |= columns_of(graph, MAP_EDGE_COLUMNS, edges)
+        turned = take(graph.turning_points, chosen[graph.turning_points.vertex])
+        part["turning_points"] = replace(turned, vertex=number[turned.vertex])
+    else:
+        part = columns_of(graph, VERTEX_COLUMNS, chosen) | columns_of(graph, EDGE_COLUMNS, edges)
+    return part | {end: number[part[end]] for end in ("source", "target")}
 
 
 def fused_confidence(

@@ -14,6 +14,17 @@ from .passes import NO_BRANCH
 from .ragged import Ragged
 from .turning_points import KINDS, NO_TURNING_POINTS, TurningPoints
 
+VERTEX_COLUMNS = ("xy", "branches", "kind")
+EDGE_COLUMNS = (
+    *("source", "target", "source_branch", "target_branch"),
+    *("length", "length_sigma", "traversals", "paths"),
+)
+"""What a `Graph` says of each vertex, and of each edge …"""
+
+MAP_VERTEX_COLUMNS = (*VERTEX_COLUMNS, "position_sigma", "branch_sigma", "confidence")
+MAP_EDGE_COLUMNS = (*EDGE_COLUMNS, "traversal_ns")
+"""… and what a `TopoMap` does."""
+
 ALL_SURE = frozen_array(np.ones(1), np.float64, (1,), "confidence")
 """In place of a confidence for every vertex."""
 

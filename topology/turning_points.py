@@ -14,6 +14,9 @@ TURNING_POINT, TRACK_END = "turning_point", "track_end"
 KINDS = (TURNING_POINT, TRACK_END)
 """Where the robot turned round; where its log begins or ends."""
 
+WAY_COLUMNS = ("length", "length_sigma", "traversals", "paths", "traversal_ns")
+"""What is said of the ways to them, as of the edges of a map."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurningPoints:
@@ -74,24 +77,6 @@ class TurningPoints:
     def xy(self) -> FloatArray:
         """(k, 2) where they are [m]."""
         return np.array([path[-1] for path in self.paths], np.float64).reshape(-1, 2)
-
-    def taken(self, rows: IntArray, vertex: IntArray) -> TurningPoints:
-        """Those in `rows`, as ends of ways from vertices of other numbers."""
-        some = rows.tolist()
-        return TurningPoints(
-            kind=tuple(self.kind[k] for k in some),
-            vertex=vertex,
-            branch=self.branch[rows],
-            heading=self.heading[rows],
-            length=self.length[rows],
-            length_sigma=self.length_sigma[rows],
-            position_sigma=self.position_sigma[rows],
-            branch_sigma=self.branch_sigma[rows],
-            traversals=self.traversals[rows],
-            paths=tuple(self.paths[k] for k in some),
-            traversal_ns=tuple(self.traversal_ns[k] for k in some),
-            time_ns=tuple(self.time_ns[k] for k in some),
-        )
 
 
 _NO_INTS, _NO_FLOATS = np.zeros(0, np.int64), np.zeros(0)

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from .columns import columns_and, columns_of
 from .ragged import Ragged
-from .topomap import TopoMap
-from .turning_points import KINDS, NO_TURNING_POINTS, TurningPoints
+from .topomap import MAP_EDGE_COLUMNS, MAP_VERTEX_COLUMNS, TopoMap
+from .turning_points import KINDS, NO_TURNING_POINTS, WAY_COLUMNS, TurningPoints
 
 
 def with_turning_points(topomap: TopoMap) -> TopoMap:
@@ -22,27 +23,25 @@ def with_turning_points(topomap: TopoMap) -> TopoMap:
     at = np.repeat(np.arange(n, n + k), [len(times) for times in t.time_ns])
     whose = np.concatenate([topomap.observation_vertex, at])
     order = np.lexsort((whose, seen))
-    own, times, turn = topomap.position_sigma, topomap.traversal_ns, topomap.branch_sigma
     ends = np.arange(k + 1)
+    more = {
+        "xy": t.xy,
+        "branches": Ragged(ends, t.heading),
+        "kind": t.kind,
+        "position_sigma": t.position_sigma,
+        "branch_sigma": Ragged(ends, t.branch_sigma),
+        "confidence": topomap.confidence[t.vertex],
+        "source": t.vertex,
+        "target": np.arange(n, n + k),
+        "source_branch": t.branch,
+        "target_branch": np.zeros(k, np.int64),
+        **{name: getattr(t, name) for name in WAY_COLUMNS},
+    }
     return replace(
         topomap,
-        xy=np.concatenate([topomap.xy, t.xy]),
-        branches=Ragged.joined([topomap.branches, Ragged(ends, t.heading)]),
-        kind=(*topomap.kind, *t.kind),
-        source=np.concatenate([topomap.source, t.vertex]),
-        target=np.concatenate([topomap.target, np.arange(n, n + k)]),
-        source_branch=np.concatenate([topomap.source_branch, t.branch]),
-        target_branch=np.concatenate([topomap.target_branch, np.zeros(k, np.int64)]),
-        length=np.concatenate([topomap.length, t.length]),
-        length_sigma=np.concatenate([topomap.length_sigma, t.length_sigma]),
-        traversals=np.concatenate([topomap.traversals, t.traversals]),
-        paths=(*topomap.paths, *t.paths),
+        **columns_and(topomap, more),
         observation_vertex=whose[order],
         observation_time_ns=seen[order],
-        position_sigma=None if own is None else np.concatenate([own, t.position_sigma]),
-        branch_sigma=None if turn is None else Ragged.joined([turn, Ragged(ends, t.branch_sigma)]),
-        traversal_ns=None if times is None else (*times, *t.traversal_ns),
-        confidence=np.concatenate([topomap.confidence, topomap.confidence[t.vertex]]),
         turning_points=NO_TURNING_POINTS,
     )
 
@@ -70,41 +69,28 @@ def without_turning_points(topomap: TopoMap) -> TopoMap:
         )
     late = topomap.observation_vertex >= n
     whose, seen = topomap.observation_vertex, topomap.observation_time_ns
-    own, times, turn = topomap.position_sigma, topomap.traversal_ns, topomap.branch_sigma
-    none = (np.zeros((0, 2), np.int64),) * k
+    own = columns_of(topomap, MAP_VERTEX_COLUMNS, np.arange(n, n + k))
+    ways = columns_of(topomap, MAP_EDGE_COLUMNS, np.arange(m, m + k))
+    sigma, turn, times = own["position_sigma"], own["branch_sigma"], ways["traversal_ns"]
     points = TurningPoints(
-        kind=topomap.kind[n:],
-        vertex=topomap.source[m:],
-        branch=topomap.source_branch[m:],
-        heading=topomap.branches.take(np.arange(n, n + k)).values,
-        length=topomap.length[m:],
-        length_sigma=topomap.length_sigma[m:],
-        position_sigma=topomap.length_sigma[m:] if own is None else own[n:],
-        branch_sigma=np.zeros(k) if turn is None else turn.take(np.arange(n, n + k)).values,
-        traversals=topomap.traversals[m:],
-        paths=topomap.paths[m:],
-        traversal_ns=none if times is None else times[m:],
+        kind=own["kind"],
+        vertex=ways["source"],
+        branch=ways["source_branch"],
+        heading=own["branches"].values,
+        length=ways["length"],
+        length_sigma=ways["length_sigma"],
+        position_sigma=ways["length_sigma"] if sigma is None else sigma,
+        branch_sigma=np.zeros(k) if turn is None else turn.values,
+        traversals=ways["traversals"],
+        paths=ways["paths"],
+        traversal_ns=(np.zeros((0, 2), np.int64),) * k if times is None else times,
         time_ns=tuple(seen[whose == n + i][:, None] for i in range(k)),
     )
-    rows = np.arange(n)
     return replace(
         topomap,
-        xy=topomap.xy[:n],
-        branches=topomap.branches.take(rows),
-        kind=topomap.kind[:n],
-        source=topomap.source[:m],
-        target=topomap.target[:m],
-        source_branch=topomap.source_branch[:m],
-        target_branch=topomap.target_branch[:m],
-        length=topomap.length[:m],
-        length_sigma=topomap.length_sigma[:m],
-        traversals=topomap.traversals[:m],
-        paths=topomap.paths[:m],
+        **columns_of(topomap, MAP_VERTEX_COLUMNS, np.arange(n)),
+        **columns_of(topomap, MAP_EDGE_COLUMNS, np.arange(m)),
         observation_vertex=whose[~late],
         observation_time_ns=seen[~late],
-        position_sigma=None if own is None else own[:n],
-        branch_sigma=None if turn is None else turn.take(rows),
-        traversal_ns=None if times is None else times[:m],
-        confidence=topomap.confidence[:n],
         turning_points=points,
     )

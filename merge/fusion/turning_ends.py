@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...topology.arrays import FloatArray
+from ...topology.columns import columns_and
 from ...topology.mapbuilding import MapBuildingSettings
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import Ways
@@ -132,28 +133,22 @@ def _appended(fused: FusedMap, kept: Sequence[Sequence[_End]]) -> FusedMap:
     length_sigma = np.array([e.points.length_sigma[e.row] for e in deepest])
     heading = np.array([wrap(e.points.heading[e.row] + e.theta) for e in deepest])
     own = fused.position_sigma
-    return replace(
-        fused,
-        component=np.concatenate([fused.component, fused.component[at]]),
-        xy=np.concatenate([fused.xy, [e.path[-1] for e in deepest]]),
-        branches=Ragged.joined([fused.branches, Ragged(np.arange(k + 1), heading)]),
-        kind=(*fused.kind, *(e.points.kind[e.row] for e in deepest)),
-        members=(*fused.members, *(by_run(sorted(e.member for e in group)) for group in kept)),
-        observations=(
-            *fused.observations,
-            *(tuple(sorted(o for e in group for o in e.seen)) for group in kept),
-        ),
-        source=np.concatenate([fused.source, at]),
-        target=np.concatenate([fused.target, np.arange(n, n + k)]),
-        source_branch=np.concatenate([fused.source_branch, [e.branch for e in deepest]]),
-        target_branch=np.concatenate([fused.target_branch, np.zeros(k, np.int64)]),
-        length=np.concatenate([fused.length, [e.length for e in deepest]]),
-        length_sigma=np.concatenate([fused.length_sigma, length_sigma]),
-        traversals=np.concatenate([fused.traversals, [sum(e.drives for e in g) for g in kept]]),
-        paths=(*fused.paths, *(e.path for e in deepest)),
-        edge_members=(
-            *fused.edge_members,
-            *(tuple(sorted(e.edge for e in group)) for group in kept),
-        ),
-        position_sigma=None if own is None else np.append(own, np.hypot(own[at], length_sigma)),
-    )
+    more = {
+        "component": fused.component[at],
+        "xy": [e.path[-1] for e in deepest],
+        "branches": Ragged(np.arange(k + 1), heading),
+        "kind": [e.points.kind[e.row] for e in deepest],
+        "members": [by_run(sorted(e.member for e in group)) for group in kept],
+        "observations": [tuple(sorted(o for e in group for o in e.seen)) for group in kept],
+        "source": at,
+        "target": np.arange(n, n + k),
+        "source_branch": [e.branch for e in deepest],
+        "target_branch": np.zeros(k, np.int64),
+        "length": [e.length for e in deepest],
+        "length_sigma": length_sigma,
+        "traversals": [sum(e.drives for e in group) for group in kept],
+        "paths": [e.path for e in deepest],
+        "edge_members": [tuple(sorted(e.edge for e in group)) for group in kept],
+        "position_sigma": None if own is None else np.hypot(own[at], length_sigma),
+    }
+    return replace(fused, **columns_and(fused, more))

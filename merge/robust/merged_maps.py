@@ -187,6 +187,6 @@ def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
         observation_time_ns=times,
         noise=noise,
         shows_bends=any(m.shows_bends for m in own),
-        **graph_part(fused, np.ones(len(fused), np.bool_))
-        | {"confidence": fused_confidence(fused.members, {m.run: m for m in own})},
+        confidence=fused_confidence(fused.members, {m.run: m for m in own}),
+        **graph_part(fused, np.ones(len(fused), np.bool_)),
     )

@@ -51,7 +51,9 @@ def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
 def test_where_the_track_is_one_point_the_way_between_the_centres_is_straight():
     begin, end = np.zeros(2), np.array([2.0, 1.0])
     for point in ([1.0, 1.0], [0.1, 0.0], [2.0, 1.0]):
-        np.testing.assert_array_equal(join_centres(np.array([point]), begin, end, 0.7), [begin, end])
+        np.testing.assert_array_equal(
+            join_centres(np.array([point]), begin, end, 0.7), [begin, end]
+        )
 
 
 @pytest.mark.parametrize("aside", [0.8, -1.2])

@@ -15,6 +15,7 @@ from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
 from topobatch.merge.result import Alignment, MergeResult, PairVerdict, Verdict
+from topobatch.topology.columns import take
 from topobatch.topology.document import map_to_document
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.se2 import apply
@@ -149,7 +150,7 @@ def test_a_component_knows_when_its_turning_points_were_driven_to(two):
 
 
 def way_of_none(m):
-    return m.turning_points.taken(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    return take(m.turning_points, np.zeros(0, np.int64))
 
 
 def test_merging_says_the_same_with_them_and_without(maze_pair):
