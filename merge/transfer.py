@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
 from ..topology.matching.structure import padded_branches
-from ..topology.se2 import fit_rigid, wrap
+from ..topology.se2 import fit_rigid, turned, wrap
 from ..topology.topomap import TopoMap
 from .component_map import places_of
 from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
@@ -202,9 +202,8 @@ def _carried(
     total = np.maximum(weight.sum(axis=1), 1 / np.pi**2)
     first = matched.turn[rows[:, :1]]
     turn = first[:, 0] + (weight * wrap(matched.turn[rows] - first)).sum(axis=1) / total
-    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    turned = np.stack([c * arm[..., 0] - s * arm[..., 1], s * arm[..., 0] + c * arm[..., 1]], -1)
-    said = matched.target[rows] - turned
+    arm = turned(arm, turn[:, None])
+    said = matched.target[rows] - arm
     between = matched.source[rows][:, :, None] - matched.source[rows][:, None]
     apart = np.hypot(between[..., 0], between[..., 1])
     # Covariance of a random walk that starts at the point: two junctions share part of the way.
@@ -213,7 +212,7 @@ def _carried(
     n = rows.shape[1]
     walk = walk + own[:, :, None] * np.eye(n)
     # Turning by too much moves what is said across the arm, all by one angle.
-    across = np.stack([-turned[..., 1], turned[..., 0]], axis=-1)
+    across = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
     covariance = np.einsum("pij,ab->piajb", walk, np.eye(2))
     covariance = covariance + np.einsum("pia,pjb,p->piajb", across, across, 1 / total)
     flat = covariance.reshape(len(points), 2 * n, 2 * n)

@@ -1,12 +1,13 @@
 """Tables: dataclasses whose fields are columns with one row for each thing.
 
-A column is an array, a `Ragged`, or a sequence of other values; one that a table does not know is
+A column is an array, a `Ragged`, a sequence of other values, or a table; one that is not known is
 None, whichever rows are asked for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
@@ -45,20 +46,17 @@ def columns_and(table: object, more: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _taken(column: Any, rows: NDArray[Any]) -> Any:
-    if column is None or isinstance(column, np.ndarray):
-        return None if column is None else column[rows]
-    numbers = np.arange(len(column))[rows]
     if isinstance(column, Ragged):
-        return column.take(numbers)
-    return tuple(column[k] for k in numbers.tolist())
+        return column.take(np.arange(len(column))[rows])
+    if isinstance(column, Sequence):
+        return tuple(column[k] for k in np.arange(len(column))[rows].tolist())
+    return None if column is None else column[rows]
 
 
 def _end_to_end(parts: Sequence[Any]) -> Any:
     first = parts[0]
-    if first is None:
-        return None
     if isinstance(first, Ragged):
         return Ragged.joined(parts)
-    if isinstance(first, np.ndarray):
-        return np.concatenate(parts)
-    return tuple(value for part in parts for value in part)
+    if isinstance(first, Sequence):
+        return tuple(chain.from_iterable(parts))
+    return None if first is None else np.concatenate(parts)

@@ -21,11 +21,8 @@ LEAST_STEP_M = 0.001
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """Corridors as relative poses between the vertices they join, loops left out.
-
-    source, target: (k,) vertices; measurement: (k, 3) T_source_target in the map's directions,
-    the turn being 0; information: (k, 3, 3).
-    """
+    """Relative poses between vertices, or rows: source, target: (k,); measurement: (k, 3)
+    T_source_target; information: (k, 3, 3)."""
 
     source: IntArray
     target: IntArray
@@ -34,7 +31,8 @@ class Measurements:
 
 
 def odometry_measurements(topomap: TopoMap) -> Measurements:
-    """Relative poses along the corridors of a map, with the errors of the odometry between them.
+    """Relative poses along the corridors of a map, loops left out, in the map's directions (so that
+    the turn is 0), with the errors of the odometry between them.
 
     For a pose graph whose vertices are centres as this map saw them: an error of a vertex's centre
     is common to all of its corridors, and enters where that vertex is tied to other maps. What the

@@ -24,6 +24,13 @@ def rotation(theta_rad: float) -> FloatArray:
     return np.array([[c, -s], [s, c]])
 
 
+def turned(xy: FloatArray, theta_rad: Any) -> FloatArray:
+    """Vectors (..., 2), each turned by its angle: by one for all, or by angles (...,)."""
+    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    x, y = xy[..., 0], xy[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
 def turned_axes(theta_rad: FloatArray) -> FloatArray:
     """(k, 3, 3) diag(R(θ), 1) of angles (k,): turns x and y, and leaves directions."""
     out = np.zeros((len(theta_rad), 3, 3))

@@ -13,11 +13,12 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
+from .columns import joined, take
 from .mapbuilding import MapBuildingSettings, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
 from .polyline import Ways, simplify, way_of
-from .se2 import apply
+from .se2 import turned
 from .topomap import Graph, TopoMap
 from .track import times_between, track_directions, way_along, way_at
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
@@ -273,22 +274,20 @@ def _with_ends(
         ]
     )
     turn, at = visits.pose[nearest, 2], odometry.pose[row, :2]
-    turned = np.column_stack([np.zeros((len(turn), 2)), turn])
-    where = xy[visits.vertex[nearest]] + apply(turned, at - visits.centre[nearest])
-    own = np.arange(len(xy), len(xy) + len(row))
-    time_ns = np.concatenate([visits.time_ns, odometry.time_ns[row]])
+    where = xy[visits.vertex[nearest]] + turned(at - visits.centre[nearest], turn)
+    ends = Visits(
+        time_ns=odometry.time_ns[row],
+        vertex=np.arange(len(xy), len(xy) + len(row)),
+        seen=np.zeros(len(row), bool),
+        pose=np.column_stack([where, turn]),
+        centre=at,
+        chain=np.concatenate([chains, chains]),
+    )
+    both = joined([visits, ends])
     # A visit at the very begin comes after it, one at the very end before.
     rank = np.concatenate([np.ones(len(visits.time_ns)), np.repeat([0, 2], len(chains))])
-    order = np.lexsort((rank, time_ns, np.concatenate([visits.chain, chains, chains])))
-    ends = Visits(
-        time_ns=time_ns[order],
-        vertex=np.concatenate([visits.vertex, own])[order],
-        seen=np.concatenate([visits.seen, np.zeros(len(row), bool)])[order],
-        pose=np.concatenate([visits.pose, np.column_stack([where, turn])])[order],
-        centre=np.concatenate([visits.centre, at])[order],
-        chain=np.concatenate([visits.chain, chains, chains])[order],
-    )
-    return ends, (order < len(visits.time_ns)), np.concatenate([xy, where])
+    order = np.lexsort((rank, both.time_ns, both.chain))
+    return take(both, order), order < len(visits.time_ns), np.concatenate([xy, where])
 
 
 def farthest(points: FloatArray, near_m: float) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .odometry import Odometry
-from .se2 import wrap
+from .se2 import turned, wrap
 from .track import way_along, way_at
 
 
@@ -67,10 +67,8 @@ def draw_track(
     odom = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
 
     def seen_from(visit: IntArray) -> FloatArray:
-        turn, d = visits.pose[visit, 2][owner], odom - visits.centre[visit][owner]
-        c, sn = np.cos(turn), np.sin(turn)
-        turned = np.column_stack([c * d[:, 0] - sn * d[:, 1], sn * d[:, 0] + c * d[:, 1]])
-        return np.asarray(xy[visits.vertex[visit]][owner] + turned)
+        away = odom - visits.centre[visit][owner]
+        return xy[visits.vertex[visit]][owner] + turned(away, visits.pose[visit, 2][owner])
 
     w = share[:, None]
     drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)

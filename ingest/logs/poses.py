@@ -107,11 +107,5 @@ def join(parts: Sequence[Poses]) -> Poses:
         return no_poses()
     if len(parts) == 1:
         return parts[0]
-    joined = Poses(
-        np.concatenate([part.message for part in parts]),
-        np.concatenate([part.part for part in parts]),
-        np.concatenate([part.stamp_ns for part in parts]),
-        np.concatenate([part.frame for part in parts]),
-        np.concatenate([part.value for part in parts]),
-    )
+    joined = Poses(*map(np.concatenate, zip(*parts, strict=True)))
     return joined.rows(np.argsort(joined.message, kind="stable"))

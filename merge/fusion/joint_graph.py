@@ -17,7 +17,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.map_pose_graph import map_pose_graph, odometry_measurements
+from ...topology.columns import joined
+from ...topology.map_pose_graph import Measurements, map_pose_graph, odometry_measurements
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.structure import grid_direction, padded_branches
 from ...topology.posegraph.samples import SampledMarginals
@@ -82,16 +83,6 @@ SOLVER = SolverSettings(relative_tolerance=1e-5, max_iterations=25)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Factors:
-    """Relative measurements between rows: T_source_target (k, 3) and its information (k, 3, 3)."""
-
-    source: IntArray
-    target: IntArray
-    measurement: FloatArray
-    information: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Joint:
     """Poses (n, 3) of all rows of a pool in the component's frame (position, and turn of the run's
     map there), and the graph that gave them with its solution in a frame of its own; None where no
@@ -133,7 +124,7 @@ def settle(
     label: IntArray,
     start: Mapping[str, FloatArray],
     settings: JointSettings = DEFAULT_JOINT,
-    within: Factors | None = None,
+    within: Measurements | None = None,
 ) -> Joint:
     """The most likely poses of all rows of a pool.
 
@@ -146,7 +137,7 @@ def settle(
     if len(ties.source) == 0:
         return Joint(guess, None, None)
     within = within or measured_within(pool, settings)
-    factors = _concatenated([within, ties])
+    factors = joined([within, ties])
     kernel = np.full(len(factors.source), np.inf)
     kernel[len(within.source) :] = settings.kernel_sigmas
     graph = PoseGraph(
@@ -165,9 +156,9 @@ def settle(
     return Joint(compose(inverse(home), solution.pose), graph, solution)
 
 
-def measured_within(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> Factors:
+def measured_within(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> Measurements:
     """What every run measured between its own rows."""
-    return _concatenated([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
+    return joined([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
 
 
 def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
@@ -196,21 +187,12 @@ def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
     return compose(T_component_run, local)
 
 
-def _concatenated(parts: Sequence[Factors]) -> Factors:
-    return Factors(
-        source=np.concatenate([p.source for p in parts]),
-        target=np.concatenate([p.target for p in parts]),
-        measurement=np.concatenate([p.measurement for p in parts]),
-        information=np.concatenate([p.information for p in parts]),
-    )
-
-
-def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
+def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> Measurements:
     """The corridors of one map as relative measurements, from row `first` of the pool on."""
     given = odometry_measurements(topomap)
     information = given.information / bending(topomap, settings)
-    roads = Factors(given.source + first, given.target + first, given.measurement, information)
-    return _concatenated([roads, _bridges(topomap, first, settings)])
+    roads = Measurements(given.source + first, given.target + first, given.measurement, information)
+    return joined([roads, _bridges(topomap, first, settings)])
 
 
 def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
@@ -240,7 +222,7 @@ def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
     return max(left, _LEAST_BEND * float(stated.sum())) / max(float((bent**2).sum()), 1e-12)
 
 
-def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
+def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Measurements:
     """Loose measurements between the parts of a map that no corridor joins."""
     n = len(topomap)
     graph = coo_array((np.ones(len(topomap.source)), (topomap.source, topomap.target)), (n, n))
@@ -250,10 +232,12 @@ def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Factors:
     measured = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
     weight = np.array([settings.bridge_m, settings.bridge_m, settings.bridge_rad]) ** -2.0
     information = np.tile(np.diag(weight), (len(u), 1, 1))
-    return Factors(u + first, v + first, measured.reshape(-1, 3), information)
+    return Measurements(u + first, v + first, measured.reshape(-1, 3), information)
 
 
-def _scales(pool: Pool, factors: Factors, within: int, settings: JointSettings) -> SharedErrors:
+def _scales(
+    pool: Pool, factors: Measurements, within: int, settings: JointSettings
+) -> SharedErrors:
     """The scale of each run's odometry: one unknown that all its measurements share.
 
     within: how many of the factors, the first ones, are measurements within a run. How far scales
@@ -273,7 +257,7 @@ def _scales(pool: Pool, factors: Factors, within: int, settings: JointSettings) 
 
 def _identity_factors(
     pool: Pool, label: IntArray, guess: FloatArray, settings: JointSettings
-) -> Factors:
+) -> Measurements:
     """Every further row of a place tied to its first: same position, turn as the branches say."""
     order = np.argsort(label, kind="stable")
     first = order[np.searchsorted(label[order], label[order])]
@@ -293,7 +277,7 @@ def _identity_factors(
     information[:, 0, 0] = information[:, 1, 1] = position**-2.0
     information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
     measured = np.column_stack([np.zeros((len(source), 2)), turn])
-    return Factors(source, target, measured.reshape(-1, 3), information)
+    return Measurements(source, target, measured.reshape(-1, 3), information)
 
 
 def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Priors:

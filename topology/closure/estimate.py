@@ -20,7 +20,7 @@ from ..posegraph.solve import (
     SolverSettings,
     solve,
 )
-from ..se2 import wrap
+from ..se2 import turned, wrap
 from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
 from .manhattan import GridCorridors, GridHeadings
 from .places import ONE_WAY_RAD
@@ -167,9 +167,7 @@ def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> Float
         mine, known = np.flatnonzero(reckoning.chain == k), piece == k
         turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
     half = 0.5 * (turn[1:] + turn[:-1])
-    step = np.diff(centre, axis=0)
-    c, s = np.cos(half), np.sin(half)
-    steps = np.column_stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]])
+    steps = turned(np.diff(centre, axis=0), half)
     xy = centre[0] + np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     return np.column_stack([xy, wrap(turn)])
 

@@ -13,6 +13,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
+from ..se2 import turned
 from .branches import Alignment, Branches, align
 from .dead_reckoning import DeadReckoning
 from .evidence import Background, length_odds
@@ -234,9 +235,7 @@ def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSett
     near = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(var)
     da = state.xy[pairs.qa] - state.xy[front.a[pairs.row]]
     db = state.xy[pairs.qb] - state.xy[front.b[pairs.row]]
-    c, s = np.cos(front.turn[pairs.row]), np.sin(front.turn[pairs.row])
-    x = da[:, 0] - (c * db[:, 0] - s * db[:, 1])
-    y = da[:, 1] - (s * db[:, 0] + c * db[:, 1])
+    x, y = (da - turned(db, front.turn[pairs.row])).T
     room = LIKELIHOOD.gate_sigmas * np.sqrt(var + state.branches.variance * pairs.la**2)
     result: BoolArray = near & (np.hypot(x, y) < room)
     return result

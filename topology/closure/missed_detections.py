@@ -13,8 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..columns import joined, take
 from ..odometry import Odometry
-from ..se2 import wrap
+from ..se2 import turned, wrap
 from ..track import way_along
 from ..visits import DrawnTrack, Visits, draw_track
 from .answers import Identification
@@ -116,8 +117,8 @@ def _time_of(odometry: Odometry, way: FloatArray) -> IntArray:
 class DrivenBy:
     """Times when the robot drove by a known place that it did not report.
 
-    leg: (k,) pass before; place: (k,); way: (k,) [m]; share: (k,) of the leg; odom: (k, 2) point of
-    the track in the odometry's frame; xy: (k, 2) the same in the map; turn: (k,) between the two.
+    leg: (k,) pass before; place: (k,); way: (k,) [m]; odom: (k, 2) point of the track in the
+    odometry's frame; xy: (k, 2) the same in the map; turn: (k,) between the two.
     """
 
     leg: IntArray
@@ -216,21 +217,17 @@ def phantoms(
 
 def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: FloatArray) -> Visits:
     """The visits with the unseen ones put in where they happened. time_ns: (k,) of each."""
-    turn = found.turn
-    c, s = np.cos(turn), np.sin(turn)
-    d = xy[found.place] - found.xy
-    # The place in the odometry's frame at that time: the turn taken back.
-    centre = found.odom + np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]])
-    pose = np.column_stack([xy[found.place], turn])
-    order = np.argsort(np.concatenate([visits.time_ns, time_ns]), kind="stable")
-    return Visits(
-        time_ns=np.concatenate([visits.time_ns, time_ns])[order],
-        vertex=np.concatenate([visits.vertex, found.place])[order],
-        seen=np.concatenate([visits.seen, np.zeros(len(turn), bool)])[order],
-        pose=np.concatenate([visits.pose, pose])[order],
-        centre=np.concatenate([visits.centre, centre])[order],
-        chain=np.concatenate([visits.chain, visits.chain[found.leg]])[order],
+    unseen = Visits(
+        time_ns=time_ns,
+        vertex=found.place,
+        seen=np.zeros(len(time_ns), bool),
+        pose=np.column_stack([xy[found.place], found.turn]),
+        # The place in the odometry's frame at that time: the turn taken back.
+        centre=found.odom + turned(xy[found.place] - found.xy, -found.turn),
+        chain=visits.chain[found.leg],
     )
+    both = joined([visits, unseen])
+    return take(both, np.argsort(both.time_ns, kind="stable"))
 
 
 def visits_of(
@@ -245,9 +242,8 @@ def visits_of(
     row = np.flatnonzero(place >= 0)
     pose, centre = estimate.pose[row].copy(), reckoning.passes.centre[row].copy()
     off = np.where(fair[row, None], 0.0, xy[place[row]] - pose[:, :2])
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     pose[:, :2] += off
-    centre += np.column_stack([c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0]])
+    centre += turned(off, -pose[:, 2])
     return Visits(
         time_ns=reckoning.passes.time_ns[row],
         vertex=place[row],

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..frozen import freeze
-from ..se2 import wrap
+from ..se2 import turned, wrap
 
 
 def _symmetric(information: FloatArray, name: str) -> None:
@@ -163,12 +163,9 @@ def edge_errors(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> Float
     """(m, 3) e = T_ij^-1 ∘ (T_i^-1 ∘ T_j) of every edge at the given poses and shared errors."""
     T_i_j = corrected_measurement(graph, shared)
     step = pose[graph.target] - pose[graph.source]
-    theta = pose[graph.source, 2]
-    c, s = np.cos(theta), np.sin(theta)
-    x = c * step[:, 0] + s * step[:, 1] - T_i_j[:, 0]
-    y = c * step[:, 1] - s * step[:, 0] - T_i_j[:, 1]
-    c, s = np.cos(T_i_j[:, 2]), np.sin(T_i_j[:, 2])
-    return np.stack([c * x + s * y, c * y - s * x, wrap(step[:, 2] - T_i_j[:, 2])], axis=-1)
+    ahead = turned(step, -pose[graph.source, 2]) - T_i_j[:, :2]
+    off = turned(ahead, -T_i_j[:, 2])
+    return np.column_stack([off, wrap(step[:, 2] - T_i_j[:, 2])])
 
 
 def corrected_measurement(graph: PoseGraph, shared: FloatArray) -> FloatArray:
