@@ -27,3 +27,8 @@ def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:
 def counted(number: int, noun: str, plural: str | None = None) -> str:
     """ "1 junction", "2 junctions"."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
+def to_turning_points(number: int) -> str:
+    """After a count of corridors: how many of them lead to no other junction, where any do."""
+    return f" ({number:,} to turning points or ends of the log)" if number else ""

@@ -27,8 +27,9 @@ from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
+from ..topology.turning_vertices import with_turning_points
 from . import palette
-from .drawing import pen_m
+from .drawing import extent, pen_m
 from .map_sheet import (
     sheet_view,
     write_cards,
@@ -62,7 +63,7 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
     """
 
     def fill(recording: Recording) -> rrb.Blueprint:
-        cells = _pictures(recording, a, b, decision)
+        cells = _pictures(recording, with_turning_points(a), with_turning_points(b), decision)
         recording.static(("decision",), markdown(told(decision)))
         recording.static(("evidence",), markdown(all_told(decision)))
         recording.static(("legend",), markdown(_LEGEND))
@@ -75,7 +76,7 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
     drawn = placements(a, b, decision)
     if not drawn:  # nothing to lay over each other: the two maps as they are
         return _side_by_side(recording, a, b)
-    points = [np.concatenate([a.xy, apply(p.T_a_b, b.xy)]) for p in drawn]
+    points = [np.concatenate([extent(a), apply(p.T_a_b, extent(b))]) for p in drawn]
     margin = sheet_margin_m(points)
     cells = arrange(points, [upright_rad(a.paths)] * len(drawn), margin)
     recording.static((PLACEMENTS,), UP)
@@ -95,7 +96,7 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
 
 def _side_by_side(recording: Recording, a: TopoMap, b: TopoMap) -> list[Cell]:
     maps = [a, b]
-    points = [m.xy for m in maps]
+    points = [extent(m) for m in maps]
     cells = arrange(points, [upright_rad(m.paths) for m in maps], sheet_margin_m(points))
     recording.static((PLACEMENTS,), UP)
     write_cards(recording, PLACEMENTS, cells, [(short(m.run),) for m in maps])
@@ -160,7 +161,7 @@ def _links(
         lines = rr.LineStrips2D(
             at[np.array([(t.a, t.b)[ends] for t in shown])],
             radii=pen * (0.9 + 1.3 * np.minimum(np.abs(bits) / FULL_BITS, 1.0)),
-            colors=[palette.MERGED if t.bits > 0 else palette.REFUSED for t in shown],
+            colors=[palette.MERGED if t.bits >= 0 else palette.REFUSED for t in shown],
             draw_order=palette.Order.EVIDENCE,
         )
         recording.static((*here, "links", name), lines, _info(shown))

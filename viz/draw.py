@@ -20,9 +20,17 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_points import TRACK_END, TURNING_POINT
 from ..topology.turning_vertices import with_turning_points
-from ..topology.wording import counted
+from ..topology.wording import counted, to_turning_points
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
-from .drawing import MOST_NUMBERED, SHEET_MARGIN, bounds, branch_arrows, driven_branches, strands
+from .drawing import (
+    MOST_NUMBERED,
+    SHEET_MARGIN,
+    bounds,
+    branch_arrows,
+    driven_branches,
+    extent,
+    strands,
+)
 from .palette import Order
 from .parts import Part, lay_out, ranks
 from .placements import against, contradiction_spots, placements
@@ -46,15 +54,15 @@ _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches"
 def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     """One run's map: corridors, junctions by their branches, branches that were never driven."""
     turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
-    points = [apply(turn, whole.xy), *(apply(turn, p) for p in whole.paths)]
-    low, high = bounds(points)
+    low, high = bounds([apply(turn, extent(whole))])
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
     keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
     way_m = float(whole.length.sum())
     told = (
-        f"{counted(len(topomap), 'junction')}, {counted(len(whole.source), 'corridor')}, "
-        f"{way_m:.0f} m; {counted(len(topomap.observation_vertex), 'pass', 'passes')}"
+        f"{counted(len(topomap), 'junction')}, {counted(len(whole.source), 'corridor')}"
+        f"{to_turning_points(len(topomap.turning_points))}, {way_m:.0f} m; "
+        f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
     )
     canvas.finish([topomap.run, told], [keys])
     return canvas
@@ -247,6 +255,7 @@ def _fused(
 def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
     """Why two runs were merged or not: the placements, with matched junctions tied, the links that
     speak for them and what speaks against them."""
+    a, b = with_turning_points(a), with_turning_points(b)
     drawn = placements(a, b, decision)
     heading = [headline(decision), because(decision), missing(decision)]
     if not drawn:
@@ -295,7 +304,7 @@ def _over(
     width_pt: float = WIDTH_PT,
 ) -> tuple[Canvas, list[Cell]]:
     """Map b over map a, once for each title and T_a_b."""
-    points = [np.concatenate([a.xy, apply(T, b.xy)]) for _, T in laid]
+    points = [np.concatenate([extent(a), apply(T, extent(b))]) for _, T in laid]
     cells = arrange(points, [upright_rad(a.paths)] * len(laid), sheet_margin_m(points))
     canvas = _sheet(cells, theme, width_pt, name)
     _frames(canvas, cells, [title for title, _ in laid])
@@ -314,7 +323,7 @@ def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, colour: str) -> None:
 def _side_by_side(
     a: TopoMap, b: TopoMap, heading: Sequence[str], theme: Theme, name: str
 ) -> Canvas:
-    points = [m.xy for m in (a, b)]
+    points = [extent(m) for m in (a, b)]
     cells = arrange(points, [upright_rad(m.paths) for m in (a, b)], sheet_margin_m(points))
     canvas = _sheet(cells, theme, WIDTH_PT, name)
     _frames(canvas, cells, [a.run, b.run])
@@ -380,6 +389,7 @@ def draw_placements(
     a: TopoMap, b: TopoMap, pair: PairVerdict, theme: Theme, *, name: str = "pair"
 ) -> Canvas:
     """Where a verdict would lay b over a: its alignment and the next best one, side by side."""
+    a, b = with_turning_points(a), with_turning_points(b)
     laid = [
         (title, alignment)
         for title, alignment in (("best", pair.best), ("next best", pair.runner_up))

@@ -36,6 +36,11 @@ def pen_m(graphs: Sequence[Graph]) -> float:
     return float(np.clip(0.035 * np.median(lengths), 0.02, 2.0)) if len(lengths) else 0.2
 
 
+def extent(graph: Graph) -> FloatArray:
+    """(k, 2) the points that a picture of the map has to hold: its vertices and corridors."""
+    return np.concatenate([graph.xy, *graph.paths])
+
+
 def driven_branches(graph: Graph) -> BoolArray:
     """(total branches,) whether a corridor of the map leaves by the branch.
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
+from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted
 from . import palette
-from .drawing import pen_m
+from .drawing import extent, pen_m
 from .map_sheet import sheet_view, write_cards, write_laid_over, write_rings
 from .map_summary import plain
 from .recording import HAIR, UP, Recording, blueprint, markdown, write_recording
@@ -57,7 +58,7 @@ def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, e: Explanation) 
     def fill(recording: Recording) -> rrb.Blueprint:
         _table(recording, a, b, e)
         _transform_space(recording, e)
-        cells = _placements(recording, a, b, e)
+        cells = _placements(recording, with_turning_points(a), with_turning_points(b), e)
         recording.static(("summary",), markdown(_told(a, b, e)))
         views = [_table_view(a, b)]
         if len(e.hypotheses.size):
@@ -190,7 +191,7 @@ def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) ->
     """Map b over map a as each of the best clusters places it."""
     h, c = e.hypotheses, e.clusters
     shown = min(len(c.vertices), MOST_PLACEMENTS)
-    points = [np.concatenate([a.xy, apply(c.transform[k], b.xy)]) for k in range(shown)]
+    points = [np.concatenate([extent(a), apply(c.transform[k], extent(b))]) for k in range(shown)]
     cells = arrange(points, [upright_rad(a.paths)] * shown, sheet_margin_m(points))
     recording.static((PLACEMENTS,), UP)
     titles = [(_title(e, k),) for k in range(shown)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from ..topology.wording import counted, utc
+from ..topology.wording import counted, to_turning_points, utc
 from .drawing import driven_branches
 from .history import Question
 
@@ -80,7 +80,8 @@ def _counts(topomap: TopoMap) -> str:
     doubt = int(np.count_nonzero(topomap.confidence < 1))
     rows = [
         several(len(whole), "vertex", "vertices") + (f" ({plain(named)})" if named else ""),
-        f"{several(len(whole.source), 'corridor')}, {whole.length.sum():.0f} m in all",
+        f"{several(len(whole.source), 'corridor')}"
+        f"{to_turning_points(len(topomap.turning_points))}, {whole.length.sum():.0f} m in all",
         several(len(topomap.observation_vertex), "pass", "passes") + _span(topomap),
         f"{several(unseen, 'branch', 'branches')} seen and never driven",
         f"{several(doubt, 'vertex', 'vertices')} that not all looks show so (confidence below 1)",

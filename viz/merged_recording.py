@@ -9,6 +9,7 @@ import rerun.blueprint as rrb
 
 from ..merge.result import MergeResult
 from ..topology.topomap import TopoMap
+from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .fused_layers import (
     AGREEMENT,
@@ -102,7 +103,7 @@ def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]
     missing = sorted(needed - set(by_name))
     if missing:
         raise ValueError(f"the map of run {missing[0]!r} is missing ({len(missing)} in all)")
-    return {run: by_name[run] for run in sorted(needed)}
+    return {run: with_turning_points(by_name[run]) for run in sorted(needed)}
 
 
 def _matrix_view(result: MergeResult, runs: list[str]) -> rrb.Spatial2DView:

@@ -12,7 +12,7 @@ from ..topology.arrays import FloatArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import pen_m
+from .drawing import extent, pen_m
 from .map_sheet import (
     write_cards,
     write_contradictions,
@@ -202,7 +202,10 @@ def write_undecided(
         for name, alignment in (("best", pair.best), ("runner-up", pair.runner_up))
         if alignment is not None
     ]
-    points = [np.concatenate([maps[p.a].xy, apply(a.transform, maps[p.b].xy)]) for p, _, a in laid]
+    points = [
+        np.concatenate([extent(maps[p.a]), apply(a.transform, extent(maps[p.b]))])
+        for p, _, a in laid
+    ]
     turns = [upright_rad(maps[p.a].paths) for p, _, _ in laid]
     together = [pairs.index(pair) for pair, _, _ in laid]
     cells = arrange(points, turns, sheet_margin_m(points), groups=together)

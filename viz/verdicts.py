@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
-from ..topology.wording import listed
+from ..topology.wording import listed, to_turning_points
+from .drawing import driven_branches
 from .map_summary import bulleted, plain, several
 from .steps import Step
 
@@ -76,7 +77,9 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     rows = [
         f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
         f"{several(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
-        f"{several(len(fused.source), 'corridor')}, {float(fused.length.sum()):,.0f} m in all",
+        f"{several(len(fused.source), 'corridor')}"
+        f"{to_turning_points(len(fused) - fused.junctions)}, "
+        f"{float(fused.length.sum()):,.0f} m in all",
         f"pairs of runs: **{count[Standing.MERGED]:,}** merged, {joined}"
         f"**{count[Standing.AMBIGUOUS]:,}** ambiguous, "
         f"**{count[Standing.UNRELATED]:,}** unrelated{kept_out}",
@@ -114,6 +117,8 @@ def _legend(result: MergeResult, shown: MergeLayers) -> list[str]:
         )
     if shown.contradictions:
         views.append("**Red** dots: where joined runs contradict each other; point at one.")
+    if not driven_branches(result.fused).all():
+        views.append("Short strokes: branches that nobody drove.")
     if shared:
         views.append("**Agreement**: the brighter, the more runs.")
     if len(result.fused):
@@ -155,7 +160,7 @@ def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
 
 
 def _components(result: MergeResult) -> str:
-    size = Counter(result.fused.component.tolist())
+    size = Counter(result.fused.component[: result.fused.junctions].tolist())
     order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
     lines = [
         f"component {c.id}: {size[c.id]} junctions from "

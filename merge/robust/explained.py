@@ -290,7 +290,7 @@ def _links(naming: _Naming, c: Candidate) -> list[Term]:
         if along >= 0:
             row_a, row_b = agree.corridors[along].tolist()
             size = (float(a.length[row_a]), float(b.length[row_b]))
-            told = "corridor" if bits > 0 else "misfit"
+            told = "corridor" if bits >= 0 else "misfit"
             out.append(naming.term("corridor", bits, told, one=va, two=vb, size_m=size))
         else:
             gap_a, gap_b = a.z[va[1]] - a.z[va[0]], b.z[vb[1]] - b.z[vb[0]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from topobatch.topology.wording import counted, listed, utc
+from topobatch.topology.wording import counted, listed, to_turning_points, utc
 
 
 def test_names_beyond_the_first_are_counted() -> None:
@@ -15,6 +15,11 @@ def test_names_beyond_the_first_are_counted() -> None:
 def test_one_thing_and_several() -> None:
     assert [counted(n, "pass", "passes") for n in (0, 1, 2)] == ["0 passes", "1 pass", "2 passes"]
     assert counted(1234, "pair") == "1,234 pairs"
+
+
+def test_corridors_to_turning_points_are_told_where_there_are_any() -> None:
+    assert to_turning_points(0) == ""
+    assert to_turning_points(11) == " (11 to turning points or ends of the log)"
 
 
 def test_times_are_told_by_the_calendar_or_beyond_it() -> None:

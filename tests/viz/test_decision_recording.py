@@ -91,6 +91,15 @@ def test_an_unrelated_pair_shows_the_best_there_was(tmp_path: Path, make_map) ->
     assert "where 4 must be" in got.value("/decision", "TextDocument:text")[0]
 
 
+def test_ways_to_turning_points_are_drawn(tmp_path: Path, make_map, turned) -> None:
+    told = decision(Verdict.UNRELATED, [])
+    write_decision_recording(tmp_path / "a.rrd", turned(make_map("a")), make_map("b"), told)
+    strips = Readback(tmp_path / "a.rrd").value(
+        "/placements/maps/a/corridors", "LineStrips2D:strips"
+    )
+    assert len(strips) == 5
+
+
 def test_runs_that_others_join_are_drawn_as_these_place_them(tmp_path: Path, make_map) -> None:
     told = decision(Verdict.UNRELATED, [placement(3.0, EVERY[:2])], start=Start(1, 7, 4, 3))
     said = replace(told.said, through=("mid",))

@@ -38,6 +38,13 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
 
 
+def test_corridors_to_turning_points_are_counted_and_drawn(make_map, turned) -> None:
+    texts, titles = seen(draw_map(turned(make_map("run")), LIGHT))
+    counted = "4 junctions, 5 corridors (1 to turning points or ends of the log), 38 m; 7 passes"
+    assert {"run", counted, "robot turned round"} <= set(texts)
+    assert "robot turned round, 6.00 m from junction 2" in titles
+
+
 def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex) -> None:
     texts, _ = seen(draw_map(empty_map, LIGHT))
     assert "0 junctions, 0 corridors, 0 m; 0 passes" in texts

@@ -1,10 +1,19 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.drawing import bounds, branch_arrows, driven_branches, pen_m, ribbons, thinned
+from topobatch.viz.drawing import (
+    bounds,
+    branch_arrows,
+    driven_branches,
+    extent,
+    pen_m,
+    ribbons,
+    thinned,
+)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, 3.0])
@@ -25,6 +34,13 @@ def test_branches_that_corridors_name_are_driven(make_map: Callable[..., TopoMap
     # The first corridor says that it leaves vertex 0 downwards, whatever its path looks like.
     named = TopoMap(**parts | {"source_branch": np.array([0, -1, -1, -1, -1])})
     assert driven_branches(named)[0]
+
+
+def test_a_map_reaches_as_far_as_its_corridors(make_map: Callable[..., TopoMap]) -> None:
+    topomap = make_map("r")
+    beside = np.array([topomap.xy[2], (20.0, 12.0), topomap.xy[4]])
+    bulging = replace(topomap, paths=(*topomap.paths[:4], beside))
+    assert extent(bulging).max(axis=0).tolist() == [20.0, 12.0]
 
 
 def test_arrows_point_along_their_branches(make_map: Callable[..., TopoMap]) -> None:

@@ -38,6 +38,16 @@ def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> No
     assert "two ways" in got.value("/pairs", "TextDocument:text")[0]
 
 
+def test_ways_to_turning_points_are_part_of_a_runs_own_map(
+    tmp_path: Path, merge_of: Merge, turned
+) -> None:
+    result, maps = merge_of([["a"], ["b"]])
+    write_merged_recording(tmp_path / "merged.rrd", result, [turned(m) for m in maps])
+    got = Readback(tmp_path / "merged.rrd")
+    for k, run in enumerate("ab"):
+        assert len(got.value(f"/runs/component_{k}/{run}/corridors", "LineStrips2D:strips")) == 5
+
+
 def test_strands_lie_side_by_side(tmp_path: Path, merge_of: Merge) -> None:
     result, maps = merge_of([["a", "b"]])
     write_merged_recording(tmp_path / "merged.rrd", result, maps)

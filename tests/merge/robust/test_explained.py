@@ -34,6 +34,9 @@ def explained(batch, a, b):
     assert decision.notes == ()
     assert decision.merged
     for placement in decision.placements:
+        # A length that follows from others tells nothing; it fits all the same.
+        assert all(t.bits < 0 for t in placement.terms if t.told == "misfit")
+        assert all(t.bits >= 0 for t in placement.terms if t.told == "corridor")
         total = sum(term.bits for term in placement.terms)
         if decision.said.accepted_by != "components":
             assert total == pytest.approx(placement.alignment.evidence_bits, abs=1e-6)
