@@ -9,7 +9,8 @@ and merges state:
   place      where a junction lies, with the map as a whole laid over the truth (`sigma_m`)
   fused      a corridor's length in the fused map
   fused place  where a junction of the fused map lies
-  transform  where the middles of the maps of two merged runs lie, each seen from the other's
+  transform  how far off the middles of the maps of two merged runs lie, each seen from the other's,
+             by the radius that is to hold the share (`transform_sigma` states that of 68.3 %)
   turn       how the two are turned to each other (`transform_sigma`)
   placed     the same two for runs that only others tie (`placed`)
 
@@ -189,8 +190,9 @@ def judge_merge(truth, maps, merged):
         if error is None:
             continue
         names = ("transform", "turn") if v.accepted else ("placed", "placed turn")
-        # sigma_m is of the vector: half of its square is the mean variance of a coordinate.
-        out[names[0]].append(quantiles([2 * (error[0] / told[0]) ** 2], 2))
+        spread = home[v.a].spread
+        radii = [spread.sigmas([(v.a, v.b)], share)[0][0] for share in SHARES]
+        out[names[0]].append(error[:1] <= np.array([radii]))
         out[names[1]].append(quantiles([(error[1] / told[1]) ** 2], 1))
     return {name: np.concatenate(rows) for name, rows in out.items()}
 

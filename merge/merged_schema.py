@@ -154,7 +154,9 @@ class Placed(Model):
     is, seen from the other's (root mean square of both ways to see it), and of the turn between
     them."""
 
-    sigma_m: Finite = Field(description="Metres, of both coordinates together.")
+    sigma_m: Finite = Field(
+        description="Metres: the distance within which the truth lies in 68.3 % of cases."
+    )
     sigma_rad: Finite = Field(description="Radians.")
 
 

@@ -201,8 +201,8 @@ def _with_placements(
 def _relative_sigmas(
     verdicts: Sequence[PairVerdict], chains: Collection[Names], home: Mapping[str, Component]
 ) -> dict[Names, tuple[float, float]]:
-    """1 sigma [m, rad] of how the pairs of one component that are accepted, or joined by chains of
-    others, lie to each other: the mean square of both ways to see it."""
+    """How surely the pairs of one component that are accepted, or joined by chains of others, lie
+    to each other, as `PairVerdict.placed` has it."""
     pairs: dict[int, list[Names]] = {}
     for v in verdicts:
         one, names = home[v.a], (v.a, v.b)
@@ -212,9 +212,7 @@ def _relative_sigmas(
     for own in pairs.values():
         spread = home[own[0][0]].spread
         assert spread is not None
-        off, back = (spread.between_all(p) for p in (own, [(b, a) for a, b in own]))
-        metres = np.hypot(off[:, 0], back[:, 0]) / np.sqrt(2)
-        out.update(zip(own, zip(metres.tolist(), off[:, 1].tolist(), strict=True), strict=True))
+        out.update(zip(own, spread.sigmas(own), strict=True))
     return out
 
 

@@ -15,6 +15,7 @@ from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.columns import columns_of, take
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
+from ..topology.quadratic_forms import ONE_SIGMA, quadratic_quantile
 from ..topology.topomap import (
     EDGE_COLUMNS,
     MAP_EDGE_COLUMNS,
@@ -95,11 +96,11 @@ class PairVerdict:
     bits and margin_bits are those of the two components, and there is no runner_up. advice: what
     would settle an ambiguous pair; locked: "same" or "never" where a person decided. through: of
     two runs that only others place in one component, the runs of the shortest chain of accepted
-    pairs from a to b, without these two; placed: 1 sigma [m] of where the middle of one's map then
-    lies, seen from the other's (both coordinates together, the root mean square of both ways to see
-    it), and [rad] of the turn between them. together: the runs of the two components whose evidence
-    joined the pair. transform_sigma: the same as `placed` of an accepted pair, as all maps of its
-    component place it together. extra: JSON values that a method adds to its entry.
+    pairs from a to b, without these two; placed: how far off [m] the middle of one's map
+    then lies at most in 68.3 % of cases, seen from the other's (the root mean square of both ways
+    to see it), and 1 sigma [rad] of the turn between them. together: the runs of the two components
+    whose evidence joined the pair. transform_sigma: the same as `placed` of an accepted pair, as
+    all maps of its component place it together. extra: JSON values that a method adds to its entry.
     """
 
     a: str
@@ -155,25 +156,38 @@ class Spread:
     key: IntArray
     cross: FloatArray
 
-    def between(self, a: str, b: str) -> tuple[float, float]:
-        """1 sigma [m] of where the middle of b's map lies, seen from a's, and [rad] of the turn.
-        Raises KeyError of pairs that were not asked for."""
-        ((metres, radians),) = self.between_all([(a, b)]).tolist()
-        return metres, radians
-
-    def between_all(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
-        """(k, 2) the same of several pairs."""
-        ends = [[bisect_left(self.runs, run) for run in pair] for pair in pairs]
-        i, j = np.array(ends, np.int64).reshape(-1, 2).T
+    def relative(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
+        """(k, 3, 3) covariances of where the middle of the second map of each pair lies, seen from
+        the first, and of the turn between them, in the axes of the common frame [m, rad]. Raises
+        KeyError of pairs that were not asked for."""
+        i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
         # What is seen is A e_i + e_j, of the errors of the two.
         A = np.zeros((len(i), 3, 3)) - np.eye(3)
         A[:, 0, 2], A[:, 1, 2] = y, -x
-        cross = self._cross(i, j)
-        both = A @ cross
+        both = A @ self._cross(i, j)
         whole = A @ self.own[i] @ A.transpose(0, 2, 1) + both + both.transpose(0, 2, 1)
-        variance = np.diagonal(whole + self.own[j], axis1=1, axis2=2)
-        return np.sqrt(np.column_stack([variance[:, 0] + variance[:, 1], variance[:, 2]]))
+        return np.asarray(whole + self.own[j])
+
+    def sigmas(
+        self, pairs: Sequence[tuple[str, str]], share: float = ONE_SIGMA
+    ) -> list[tuple[float, float]]:
+        """[m] how far off the middle of one's map lies, seen from the other's (root mean square of
+        both ways to see it), no farther in `share` of all cases; [rad] 1 sigma of the turn."""
+        i, j = self._rows(pairs)
+        x, y = (self.middle[j] - self.middle[i]).T
+        covariance = self.relative(pairs)
+        # Seen the other way round the middle is off by as much, less the turn about the step.
+        back = np.zeros((len(i), 2, 3)) - np.eye(2, 3)
+        back[:, 0, 2], back[:, 1, 2] = -y, x
+        form = (np.diag([1.0, 1.0, 0.0]) + back.transpose(0, 2, 1) @ back) / 2
+        metres = np.sqrt(quadratic_quantile(covariance @ form, share))
+        return list(zip(metres.tolist(), np.sqrt(covariance[:, 2, 2]).tolist(), strict=True))
+
+    def _rows(self, pairs: Sequence[tuple[str, str]]) -> tuple[IntArray, IntArray]:
+        ends = [[bisect_left(self.runs, run) for run in pair] for pair in pairs]
+        i, j = np.array(ends, np.int64).reshape(-1, 2).T
+        return i, j
 
     def _cross(self, i: IntArray, j: IntArray) -> FloatArray:
         """(k, 3, 3) covariances of runs i with runs j."""
