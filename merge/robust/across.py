@@ -8,7 +8,7 @@ odometries do not err alike, and what differs between copies differs in most of 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -59,24 +59,26 @@ class Across:
     """What the pairs of a batch say of copies.
 
     prepared: the maps; places: their junctions, x + iy; joins: the alignments by which pairs would
-    be joined; other: those of pairs that are not merged for the one is larger; against_copies:
-    those of merged pairs and of pairs that were asked the second question, and what each says
-    against its being a copy [bits]; locked: pairs that a person joined; most_sigmas: by how much
-    one may be larger.
+    be joined; other: those of pairs that are not merged for the one is larger; asked: those of
+    pairs that were asked the second question, and their answers [bits]; answers: what some of the
+    other `joins` answer to it; locked: pairs that a person joined; most_sigmas: by how much one may
+    be larger.
     """
 
     prepared: Sequence[Prepared]
     places: Sequence[ComplexArray]
     joins: Mapping[Pair, Alignment]
     other: Mapping[Pair, Alignment]
-    against_copies: Mapping[Pair, tuple[Alignment, float]]
+    asked: Mapping[Pair, tuple[Alignment, float]]
+    answers: Callable[[Sequence[Pair]], Sequence[float]]
     locked: Collection[Pair]
     most_sigmas: float
 
     def refusal(self, components: Components, pair: Pair) -> Refusal | None:
         """Why the components of a pair are not to be joined by it, if they are not.
 
-        Looked at only where a pair across says by itself that one is larger, or a copy.
+        Looked at only where a pair across says by itself that one is larger, or a copy. Then all
+        answer whether it is one: what is beyond chance may well be a copy.
         """
         if pair in self.locked:
             return None
@@ -85,8 +87,10 @@ class Across:
             if self._sigmas(components, pair, across) > self.most_sigmas:
                 return LARGER_TOGETHER
         if any(self._across(components, pair, self._copies)):
-            agreeing = self._across(components, pair, self._asked)
-            if sum(self.against_copies[other][1] for other, _ in agreeing) < 0:
+            told = {p: self.asked[p][1] for p, _ in self._across(components, pair, self._asked)}
+            joined = (p for p, _ in self._across(components, pair, self._joined))
+            unasked = [p for p in joined if p not in told]
+            if sum(told.values()) + sum(self.answers(unasked)) < 0:
                 return COPY_TOGETHER
         return None
 
@@ -100,13 +104,12 @@ class Across:
 
     @cached_property
     def _asked(self) -> _ByRun:
-        return _ByRun({pair: found for pair, (found, _) in self.against_copies.items()})
+        return _ByRun({pair: found for pair, (found, _) in self.asked.items()})
 
     @cached_property
     def _copies(self) -> _ByRun:
         """Those of pairs that look more like copies than typical copies do."""
-        known = self.against_copies.items()
-        return _ByRun({pair: found for pair, (found, bits) in known if bits < 0})
+        return _ByRun({pair: found for pair, (found, bits) in self.asked.items() if bits < 0})
 
     def _across(
         self, components: Components, pair: Pair, known: _ByRun

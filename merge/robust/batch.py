@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, ly
 from .kept_verdicts import KeptVerdicts
 from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise, Told
+from .repetition import sameness_of
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
 from .tasks import in_tiles
@@ -177,17 +178,26 @@ class Batch:
             if told.best is not None and told.reason.endswith(OTHER_SIZE)
         }
 
-    def against_copies(self) -> dict[Pair, tuple[Alignment, float]]:
-        """Alignments of pairs, and what each says against their being copies [bits]: of merged
-        ones what they have beyond the threshold, of others the answer to the second question."""
-        out = {}
-        for pair, told in chain(self.joins.items(), self.alone.items()):
-            bits = told.extra.get("same_place_bits")
-            if told.accepted:
-                bits = told.evidence_bits - (told.threshold_bits or 0.0)
-            if told.best is not None and bits is not None:
-                out[pair] = told.best, bits
-        return out
+    def asked_for_copies(self) -> dict[Pair, tuple[Alignment, float]]:
+        """The alignments of pairs that were asked the second question, and their answers [bits]."""
+        held = chain(self.joins.items(), self.alone.items())
+        told = ((pair, v.best, v.extra.get("same_place_bits")) for pair, v in held)
+        return {pair: (best, bits) for pair, best, bits in told if best and bits is not None}
+
+    def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
+        """What the alignments of some merged pairs answer to the second question [bits], were they
+        asked."""
+        found, maps = self.candidates([pair for pair in pairs if pair in self.joins]), self.matcher
+        cases = []
+        for (i, j), candidates in found.items():
+            best = self.joins[i, j].best
+            assert best is not None
+            T_i_j, b = best.transform, maps.places[j]
+            chosen = (c for c in candidates if agrees(as_alignment(c), T_i_j, b))
+            cases += [(maps.prepared[i], maps.prepared[j], c) for c in islice(chosen, 1)]
+        if not cases:
+            return []
+        return [same.bits for same in sameness_of(cases, self.threshold(pairs[0]).copies)]
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""

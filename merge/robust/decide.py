@@ -76,7 +76,8 @@ def decide(
         matcher.places,
         best,
         other=batch.of_other_size(),
-        against_copies=batch.against_copies(),
+        asked=batch.asked_for_copies(),
+        answers=batch.same_place_bits,
         locked=forced,
         most_sigmas=settings.size_sigmas,
     )

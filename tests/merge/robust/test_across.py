@@ -27,7 +27,11 @@ def sizes(drawn):
     }
     joins = {pair: as_alignment(c) for pair, c in found.items()}
     places = [m.z for m in prepared]
-    return Across(prepared, places, joins, {}, {}, (), SETTINGS.size_sigmas), found
+    return Across(prepared, places, joins, {}, {}, _nothing, (), SETTINGS.size_sigmas), found
+
+
+def _nothing(pairs):
+    return [0.0] * len(pairs)
 
 
 def test_one_pair_tells_what_it_tells_alone(sizes):
@@ -72,10 +76,30 @@ def test_what_pairs_across_say_of_copies_adds_up(sizes):
     for bits, refused in (((-9.0, 3.0), True), ((-2.0, 3.0), False), ((1.0, 3.0), False)):
         told = dict(zip(((0, 3), (1, 2)), bits, strict=True))
         asked = {pair: (own.joins[pair], said) for pair, said in told.items()}
-        found = replace(own, against_copies=asked).refusal(components, (0, 2))
+        found = replace(own, asked=asked).refusal(components, (0, 2))
         assert found is (COPY_TOGETHER if refused else None)
-        locked = replace(own, against_copies=asked, locked=[(0, 2)])
+        locked = replace(own, asked=asked, locked=[(0, 2)])
         assert locked.refusal(components, (0, 2)) is None
+
+
+def test_pairs_that_would_be_merged_answer_whether_they_are_copies(sizes):
+    """That chance does not explain them says nothing of it."""
+    own, _ = sizes
+    components = Components(4, ())
+    for i, j in ((0, 1), (2, 3)):
+        components.join(i, j, own.joins[i, j].transform)
+    heard = []
+
+    def answers(bits):
+        return lambda pairs: heard.append(pairs) or [bits] * len(pairs)
+
+    asked = {(0, 3): (own.joins[0, 3], -5.0)}
+    for bits, refused in ((1.0, True), (2.0, False)):
+        known = replace(own, asked=asked, answers=answers(bits))
+        assert known.refusal(components, (0, 2)) is (COPY_TOGETHER if refused else None)
+    assert heard == [[(0, 2), (1, 2), (1, 3)]] * 2
+    assert replace(own, answers=answers(-9.0)).refusal(components, (0, 2)) is None
+    assert len(heard) == 2  # nobody was asked where no pair looks like a copy by itself
 
 
 def test_pairs_across_two_components_are_found_by_their_runs(sizes):
