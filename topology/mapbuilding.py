@@ -414,14 +414,17 @@ def _length_sigma(
     A path bent onto its two ends gets longer by their error along the chord times the share of the
     chord in it (the mean of its directions), to first order. The rest of a way that winds is
     odometry's, and what robots wander in a corridor, and go round where none leads them, shows
-    where they drive it again (`corridor_lengths`).
+    where they drive it again (`corridor_lengths`). No corridor is shorter than the line between its
+    ends: a drive is no farther beyond it than beyond that.
     """
     chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
     straight = np.minimum(chord / edges.length, 1.0)
     ends = errors.distance_sigma(xy, edges.source, edges.target)
     wound = 1 - straight**2
-    driven = (wound * noise.along_m_per_sqrt_m**2 + edges.wander) * edges.length
-    driven = driven / np.maximum(edges.traversals, 1)
-    detour = edges.detour * (edges.length - chord) / np.maximum(edges.traversals, 1)
+    times = np.maximum(edges.traversals, 1)
+    measured = wound * noise.along_m_per_sqrt_m**2 * edges.length / times
+    beyond = np.maximum(edges.length - chord, 0.0)
+    chosen = edges.wander * edges.length / times + (edges.detour * beyond / times) ** 2
+    driven = measured + np.minimum(chosen, beyond**2 / times)
     common = wound * (noise.scale * edges.length) ** 2
-    return np.asarray(np.sqrt((straight * ends) ** 2 + driven + detour**2 + common + 1e-6))
+    return np.asarray(np.sqrt((straight * ends) ** 2 + driven + common + 1e-6))

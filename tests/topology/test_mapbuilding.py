@@ -211,6 +211,21 @@ def test_so_much_of_a_single_drive_is_a_detour_as_drives_of_one_corridor_show(be
     assert found == pytest.approx(true, rel=0.06)
 
 
+@pytest.mark.parametrize(("wander", "detour"), [(0.01, 0.0), (0.0, 1.0), (0.01, 1.0)])
+@pytest.mark.parametrize("beyond", [0.01, 0.5])
+@pytest.mark.parametrize("times", [1, 4])
+def test_no_drive_wanders_farther_than_it_is_longer_than_the_line(wander, detour, beyond, times):
+    one, none = np.zeros(1, int), np.zeros((times, 2), int)
+    edges = mapbuilding._Edges(
+        one, one + 1, one, one, np.array([8.0 + beyond]), one + times, (none,), one, wander, detour
+    )
+    xy, noise = np.array([[0.0, 0.0], [8.0, 0.0]]), RunNoise(scale=0.0)
+    (sigma,) = mapbuilding._length_sigma(edges, xy, noise, VertexErrors.none(2))
+    straight = replace(edges, wander=0.0, detour=0.0)
+    (alone,) = mapbuilding._length_sigma(straight, xy, noise, VertexErrors.none(2))
+    assert alone < sigma <= np.hypot(beyond / np.sqrt(times), alone)
+
+
 def test_the_path_is_the_drive_that_the_length_is_of():
     odometry, rows = track((0, 0), (8, 0), (4, 0.7), (0, 0))
     passes = seen(odometry, rows[[0, 1, 3]], [[EAST], [WEST, NORTH], [EAST]])
