@@ -12,15 +12,8 @@ from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
 from ..topology.closure.estimate import optimise
-from ..topology.closure.incremental import (
-    Closed,
-    closure_without_grid,
-    full_closure,
-)
-from ..topology.closure.missed_detections import (
-    CorrectedPlaces,
-    correct_detections,
-)
+from ..topology.closure.incremental import Closed, closure_without_grid, full_closure
+from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
 from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import fitted_noise
@@ -70,7 +63,7 @@ def build_map_with_errors(
     odometry, reckoning, calibration = dead_reckoned(run, source, settings)
     if len(odometry.jumps) and settings.closure == "full":
         odometry, reckoning = _with_jumps_measured(odometry, reckoning, source, settings)
-    closed = _closed(reckoning, settings)
+    closed = _identified(reckoning, settings)
     fit = fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
     estimate = set_apart(reckoning, closed.place, fit.estimate)
     corrected = correct_detections(
@@ -91,7 +84,7 @@ def build_map_with_errors(
         return refine_noise(
             reckoning.passes,
             corrected.place,
-            estimate.pose[:, 2],
+            corrected.turn,
             prior,
             drive_bys=int(np.sum(~corrected.visits.seen)),
             settings=source.expected(),
@@ -101,15 +94,11 @@ def build_map_with_errors(
         run.name,
         odometry,
         reckoning.passes,
-        xy=corrected.xy,
-        visits=corrected.visits,
-        pass_vertex=corrected.place,
-        pass_fair=corrected.fair,
-        pass_turn=estimate.pose[:, 2],
-        askew_rad=source.askew_rad,
+        corrected,
         noise=refined(closed.reckoning.noise),
-        fitted_noise=refined(replace(measured.noise, branch_rad=reckoning.noise.branch_rad)),
         errors=errors,
+        askew_rad=source.askew_rad,
+        fitted_noise=refined(replace(measured.noise, branch_rad=reckoning.noise.branch_rad)),
         closures=_closures(closed, corrected, reckoning.passes),
         settings=settings.drawing,
     )
@@ -179,7 +168,7 @@ def _with_jumps_measured(
     return odometry, reckoning_of(odometry)
 
 
-def _closed(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:
+def _identified(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:
     """The places of the passes, by as much of loop closure as is asked for."""
     if settings.closure == "full":
         return full_closure(reckoning, settings.rounds)
@@ -226,7 +215,7 @@ def _info(
     odometry: Odometry,
 ) -> dict[str, Any]:
     """What the document says about the making of the map."""
-    pieces = len(np.unique(reckoning.chain))
+    pieces = len(np.unique(reckoning.piece))
     return {
         "source": dict(run.source),
         "settings": asdict(settings),

@@ -76,9 +76,7 @@ def merge_maps(
     verdicts = _decided(ordered, settings, locks, discarded, means)
     shown = _worth_listing(len(ordered), verdicts, discarded)
     asked = ((v.a, v.b) for v in shown)
-    components, fused = fuse(
-        ordered, verdicts, settings.fusion, how_sure=True, asked=asked, kept=means.kept
-    )
+    components, fused = fuse(ordered, verdicts, settings.fusion, asked=asked, kept=means.kept)
     fused = with_turning_ends(fused, components, ordered)
     told = _with_placements(shown, components)
     same = _same_recordings(ordered, means.kept.digest if means.kept else digest_of)

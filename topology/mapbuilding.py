@@ -18,7 +18,7 @@ from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
 from .track import times_between, track_directions, way_at
 from .vertex_errors import VertexErrors
-from .visits import Visits, draw_track
+from .visits import PassesAtPlaces, Visits, draw_track
 
 _Ends = tuple[int, int, int, int]
 """Of a corridor: source, target, and the branch at each."""
@@ -65,38 +65,24 @@ def build_topomap(
     run: str,
     odometry: Odometry,
     passes: Passes,
+    places: PassesAtPlaces,
     *,
-    xy: FloatArray,
-    visits: Visits,
-    pass_vertex: IntArray,
-    pass_fair: BoolArray,
-    pass_turn: FloatArray,
-    askew_rad: float = 0.0,
     noise: RunNoise,
     errors: VertexErrors,
+    askew_rad: float = 0.0,
     fitted_noise: RunNoise | None = None,
     closures: tuple[Closure, ...] = (),
     settings: MapBuildingSettings = MapBuildingSettings(),
 ) -> TopoMap:
     """The map of a run whose passes have been identified.
 
-    xy: (n, 2) vertices; pass_vertex: (p,) vertex of each pass, negative for none; pass_fair: (p,)
-    whether the pass shows its vertex as it is, so that its branches count; pass_turn: (p,) turn
-    from the odometry's frame to the map's at each pass; askew_rad: 1 sigma of headings that all
-    passes of a vertex share; errors: of the n vertices; noise,
+    errors: of vertices; askew_rad: 1 sigma of headings that all passes of a vertex share; noise,
     fitted_noise: as in TopoMap.
     """
+    xy, visits = places.xy, places.visits
     track = track_directions(odometry, visits.time_ns, visits.centre)
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
-    slots, votes, keep = _slots(
-        passes,
-        settings,
-        pass_vertex=np.where(pass_fair, pass_vertex, -1),
-        pass_turn=pass_turn,
-        visit_vertex=visits.vertex,
-        arriving=arriving,
-        leaving=leaving,
-    )
+    slots, votes, keep = _slots(passes, places, (arriving, leaving), settings)
     branches = Ragged(
         np.concatenate([[0], np.cumsum(np.bincount(slots.owner[keep], minlength=len(xy)))]),
         slots.mean[keep],
@@ -107,9 +93,10 @@ def build_topomap(
     legs = _legs(odometry, visits, exit_, entry, xy=xy, settings=settings)
     edges = _edges(legs, xy, settings)
     paths = _paths(legs, edges, settings)
-    seen = np.flatnonzero(pass_vertex >= 0)
+    seen = np.flatnonzero(places.place >= 0)
+    observed = places.place[seen]
     piece = np.zeros(len(xy), np.int64)
-    piece[visits.vertex] = visits.chain
+    piece[visits.vertex] = visits.piece
     shape = errors.as_a_whole(xy, piece)
     measured = fitted_noise or noise
     reading = np.hypot(measured.branch_rad / np.sqrt(votes[keep]), askew_rad)
@@ -127,14 +114,14 @@ def build_topomap(
         length_sigma=_length_sigma(edges, xy, measured, errors),
         traversals=edges.traversals,
         paths=paths,
-        observation_vertex=pass_vertex[seen],
+        observation_vertex=observed,
         observation_time_ns=passes.time_ns[seen],
         noise=noise,
         fitted_noise=fitted_noise,
         position_sigma=shape.position_sigma(),
         branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         traversal_ns=edges.time_ns,
-        confidence=mean_of((passes.confidence * pass_fair)[seen], pass_vertex[seen], len(xy)),
+        confidence=mean_of((passes.confidence * places.fair)[seen], observed, len(xy)),
         closures=closures,
     )
 
@@ -148,19 +135,16 @@ def mean_of(values: FloatArray, group: IntArray, count: int) -> FloatArray:
 
 def _slots(
     passes: Passes,
+    places: PassesAtPlaces,
+    driven_rad: tuple[FloatArray, FloatArray],
     settings: MapBuildingSettings,
-    *,
-    pass_vertex: IntArray,
-    pass_turn: FloatArray,
-    visit_vertex: IntArray,
-    arriving: FloatArray,
-    leaving: FloatArray,
 ) -> tuple[AngleClusters, IntArray, BoolArray]:
     """Branches of every vertex, by how many passes each was seen, and which of them stay: driven,
-    or seen by enough passes."""
+    or seen by enough passes. driven_rad: (v,) directions each, in which the track leaves visits."""
+    pass_vertex, visited = np.where(places.fair, places.place, -1), places.visits.vertex
     owner = passes.branches.owner
     known = pass_vertex[owner] >= 0
-    angle = (passes.branches.values + pass_turn[owner])[known]
+    angle = (passes.branches.values + places.turn[owner])[known]
     home = pass_vertex[owner][known]
     slots = cluster_angles(angle, home, settings.slot_gap_rad)
     by = np.unique(np.stack([slots.of, owner[known]]), axis=1)[0]
@@ -171,11 +155,11 @@ def _slots(
         np.searchsorted(slots.owner, np.arange(len(visits) + 1)).astype(np.int64), slots.mean
     )
     driven = np.zeros(len(slots), bool)
-    there = rows.take(visit_vertex)
-    for direction in (arriving, leaving):
+    there = rows.take(visited)
+    for direction in driven_rad:
         local = nearest_branch(there, direction, settings.match_rad)
         hit = local != NO_BRANCH
-        driven[rows.offsets[visit_vertex[hit]] + local[hit]] = True
+        driven[rows.offsets[visited[hit]] + local[hit]] = True
     best = np.lexsort((-share, slots.owner))[rows.offsets[:-1]]
     keep = driven | (share >= settings.least_share)
     keep[best] = True
@@ -225,7 +209,7 @@ def _legs(
     a, b = exit_[:-1], entry[1:]
     loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
     driven = np.diff(way_at(odometry, visits.time_ns)) > settings.moved_m
-    fine = (np.diff(visits.chain) == 0) & ~loop & driven
+    fine = (np.diff(visits.piece) == 0) & ~loop & driven
     path = _between_centres(odometry, visits, xy, first[fine], settings)
     length = np.array([way_of(p)[-1] for p in path])
     away = (u != v)[fine] | np.array([is_ring(p, settings) for p in path], bool)

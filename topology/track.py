@@ -27,7 +27,7 @@ def way_along(odometry: Odometry) -> FloatArray:
     return np.cumsum(odometry.step_m)
 
 
-def chain_of(odometry: Odometry, time_ns: IntArray) -> IntArray:
+def piece_of(odometry: Odometry, time_ns: IntArray) -> IntArray:
     """(m,) number of the unbroken piece of odometry that each time falls in."""
     starts = odometry.time_ns[odometry.breaks]
     return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")

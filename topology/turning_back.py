@@ -205,7 +205,7 @@ def _drives(
     known: (v,) which visits are no such ends, by which branch the robot left, and came."""
     real, away, home = known
     way, u, v = way_at(odometry, visits.time_ns), visits.vertex[:-1], visits.vertex[1:]
-    within = (np.diff(visits.chain) == 0) & (np.diff(way) > settings.moved_m)
+    within = (np.diff(visits.piece) == 0) & (np.diff(way) > settings.moved_m)
     first = np.flatnonzero(within & ((real[:-1] & real[1:] & (u == v)) | (real[:-1] != real[1:])))
     track = draw_track(odometry, visits, xy, first, settings.path_step_m)
     for k, visit in enumerate(first.tolist()):
@@ -264,13 +264,13 @@ def _with_ends(
 ) -> tuple[Visits, BoolArray, FloatArray]:
     """Visits with the begin and the end of each unbroken track among them, as vertices of their
     own, where the next visit sees them; which of them are visits; and where all vertices lie."""
-    chains = np.unique(visits.chain)
+    pieces = np.unique(visits.piece)
     rows = np.concatenate([[0], odometry.breaks, [len(odometry)]])
-    row = np.concatenate([rows[chains], rows[chains + 1] - 1])
+    row = np.concatenate([rows[pieces], rows[pieces + 1] - 1])
     nearest = np.concatenate(
         [
-            np.searchsorted(visits.chain, chains, side="left"),
-            np.searchsorted(visits.chain, chains, side="right") - 1,
+            np.searchsorted(visits.piece, pieces, side="left"),
+            np.searchsorted(visits.piece, pieces, side="right") - 1,
         ]
     )
     turn, at = visits.pose[nearest, 2], odometry.pose[row, :2]
@@ -281,12 +281,12 @@ def _with_ends(
         seen=np.zeros(len(row), bool),
         pose=np.column_stack([where, turn]),
         centre=at,
-        chain=np.concatenate([chains, chains]),
+        piece=np.concatenate([pieces, pieces]),
     )
     both = joined([visits, ends])
     # A visit at the very begin comes after it, one at the very end before.
-    rank = np.concatenate([np.ones(len(visits.time_ns)), np.repeat([0, 2], len(chains))])
-    order = np.lexsort((rank, both.time_ns, both.chain))
+    rank = np.concatenate([np.ones(len(visits.time_ns)), np.repeat([0, 2], len(pieces))])
+    order = np.lexsort((rank, both.time_ns, both.piece))
     return take(both, order), order < len(visits.time_ns), np.concatenate([xy, where])
 
 

@@ -18,7 +18,7 @@ class Visits:
 
     time_ns, vertex: (v,); seen: (v,) whether a pass tells it; pose: (v, 3) corrected: position in
     the map and turn from the odometry's frame to the map's; centre: (v, 2) the vertex in the
-    odometry frame at that time; chain: (v,) unbroken piece of odometry.
+    odometry frame at that time; piece: (v,) unbroken piece of odometry.
     """
 
     time_ns: IntArray
@@ -26,7 +26,23 @@ class Visits:
     seen: BoolArray
     pose: FloatArray
     centre: FloatArray
-    chain: IntArray
+    piece: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassesAtPlaces:
+    """By which vertices the passes of a run were, and how it lies by that.
+
+    place: (p,) vertex of each pass, negative for none; fair: (p,) whether the pass shows its vertex
+    as it is, so that its branches count; turn: (p,) from the odometry's frame to the map's [rad];
+    xy: (n, 2) vertices [m]; visits: by time.
+    """
+
+    place: IntArray
+    fair: BoolArray
+    turn: FloatArray
+    xy: FloatArray
+    visits: Visits
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -105,7 +105,7 @@ def _legs(odometry: Odometry, reckoning: DeadReckoning) -> IntArray:
     """(j,) the leg that each jump falls in: from that pass to the next; -1 if there is none."""
     leg = np.searchsorted(reckoning.passes.time_ns, odometry.time_ns[odometry.jumps]) - 1
     inside = (leg >= 0) & (leg < len(reckoning) - 1)
-    inside &= np.append(np.diff(reckoning.chain) == 0, False)[leg]
+    inside &= np.append(np.diff(reckoning.piece) == 0, False)[leg]
     return np.where(inside, leg, -1)
 
 

@@ -139,8 +139,8 @@ def heading_evidence(
         regressor - mean_regressor[reading.branch],
         settings.parts,
     )
-    chain = stretch_of(odometry, passes.time_ns)
-    parts = (within, _legs(passes, looks, chain), _grid(looks, chain, settings))
+    stretch = stretch_of(odometry, passes.time_ns)
+    parts = (within, _legs(passes, looks, stretch), _grid(looks, stretch, settings))
     stride = -(-len(passes) // settings.most_passes)
     return HeadingEvidence(*(rows.of_every(stride) if stride > 1 else rows for rows in parts))
 
@@ -237,11 +237,11 @@ def _mean(group: IntArray, values: FloatArray, n: IntArray) -> FloatArray:
     return np.asarray(np.bincount(group, values, len(n)) / np.maximum(n, 1))
 
 
-def _legs(passes: Passes, looks: _Looks, chain: IntArray) -> Rows:
+def _legs(passes: Passes, looks: _Looks, stretch: IntArray) -> Rows:
     """One row per leg between consecutive passes whose branches at both ends are known."""
     k = np.arange(max(len(passes) - 1, 0))
     known = (passes.exit[k] != NO_BRANCH) & (passes.entry[k + 1] != NO_BRANCH)
-    k = k[known & (chain[k] == chain[k + 1])]
+    k = k[known & (stretch[k] == stretch[k + 1])]
     left = passes.branches.offsets[k] + passes.exit[k]
     came = passes.branches.offsets[k + 1] + passes.entry[k + 1]
     both = looks.seen[left] & looks.seen[came]
@@ -251,10 +251,10 @@ def _legs(passes: Passes, looks: _Looks, chain: IntArray) -> Rows:
     return Rows(y, a, np.arange(len(y)), np.ones(len(y)), k[both] + 1)
 
 
-def _grid(looks: _Looks, chain: IntArray, settings: EvidenceSettings) -> Rows:
+def _grid(looks: _Looks, stretch: IntArray, settings: EvidenceSettings) -> Rows:
     """Every branch beside those of a few passes before: alternatives that may be square to it."""
     b = np.arange(len(looks.heading))
-    first = np.searchsorted(looks.owner, np.arange(len(chain) + 1))
+    first = np.searchsorted(looks.owner, np.arange(len(stretch) + 1))
     begin = first[np.maximum(looks.owner - settings.grid_reach, 0)]
     end = first[looks.owner]
     counts = end - begin
@@ -265,7 +265,7 @@ def _grid(looks: _Looks, chain: IntArray, settings: EvidenceSettings) -> Rows:
     keep = (
         looks.seen[here]
         & looks.seen[there]
-        & (chain[looks.owner[here]] == chain[looks.owner[there]])
+        & (stretch[looks.owner[here]] == stretch[looks.owner[there]])
         & (np.abs(a[:, 0]) <= settings.grid_reach_m)
     )
     here, there, a = here[keep], there[keep], a[keep]

@@ -38,7 +38,7 @@ class SquareBranches:
         far back as `reach_m`."""
         way = interpolated(odometry, np.cumsum(odometry.step_m), passes.time_ns)
         turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), passes.time_ns)
-        chain, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
+        stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
         stride = -(-len(passes) // most_passes)
         b = np.flatnonzero(of % stride == 0)
         # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then
@@ -48,7 +48,7 @@ class SquareBranches:
         earlier = of[b] - lag
         keep = earlier >= 0
         b, earlier = b[keep], earlier[keep]
-        keep = (chain[of[b]] == chain[earlier]) & (way[of[b]] - way[earlier] <= reach_m)
+        keep = (stretch[of[b]] == stretch[earlier]) & (way[of[b]] - way[earlier] <= reach_m)
         b, earlier = b[keep], earlier[keep]
         counts = passes.branches.counts[earlier]
         owner = np.repeat(np.arange(len(b)), counts)

@@ -11,7 +11,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, wrap
-from ...topology.track import chain_of
+from ...topology.track import piece_of
 from .alignment import Aligned, AlignmentSettings, Steps, align, match_steps
 from .association import Swept
 from .keyframes import Keyframes, KeyframeSettings, Posed, in_order, join, keyframes
@@ -69,7 +69,7 @@ def posed(
             between(at(t - half), at(t + half)),
             turned / (2e-9 * around),
             (t >= first) & (t <= last),
-            chain_of(odometry, t),
+            piece_of(odometry, t),
         )
 
 

@@ -63,8 +63,7 @@ def fuse(
     verdicts: Sequence[PairVerdict],
     settings: FusionSettings = DEFAULT_FUSION,
     *,
-    how_sure: bool = False,
-    asked: Iterable[Names] = (),
+    asked: Iterable[Names] | None = None,
     kept: Kept | None = None,
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
@@ -73,9 +72,9 @@ def fuse(
     over all vertices of a component; vertices are fused from matched pairs, transitively, and
     where they coincide afterwards. Components, vertices and edges are numbered by run name and
     vertex: independent of the order of the input. A run that nothing matched is a component of
-    its own, its map unchanged. how_sure: with the sigmas of all
-    vertices and the `spread` of every component, for accepted pairs and those asked for. kept:
-    components fused earlier, which are not fused again.
+    its own, its map unchanged. asked: with the sigmas of all vertices, and the `spread` of every
+    component for its accepted pairs and these; None: without. kept: components fused earlier, which
+    are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -85,13 +84,18 @@ def fuse(
     for v in accepted:
         inside[home[v.a]].append(v)
     wanted: list[list[Names]] = [[] for _ in groups]
-    for a, b in asked:
-        if how_sure and home[a] == home[b]:
+    for a, b in asked or ():
+        if home[a] == home[b]:
             wanted[home[a]].append((a, b))
     parts = [
-        fused_once([by_name[run] for run in runs], own, settings, sure, kept)
+        fused_once(
+            [by_name[run] for run in runs],
+            own,
+            settings,
+            None if asked is None else _keys(runs, own, some),
+            kept,
+        )
         for runs, own, some in zip(groups, inside, wanted, strict=True)
-        for sure in [_keys(runs, own, some) if how_sure else None]
     ]
     components = tuple(Component(k, p.poses, p.spread, p.text) for k, p in enumerate(parts))
     return components, _in_a_row([p.fused for p in parts])

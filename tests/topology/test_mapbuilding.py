@@ -14,7 +14,7 @@ from topobatch.topology.polyline import way_of
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import RunNoise
 from topobatch.topology.vertex_errors import VertexErrors
-from topobatch.topology.visits import Visits
+from topobatch.topology.visits import PassesAtPlaces, Visits
 
 from .tracks import EAST, NORTH, SOUTH, WEST, track
 
@@ -51,15 +51,12 @@ def build(odometry, passes, vertex, errors=None, fair=None, *, askew_rad=0.0):
         passes.centre[keep],
         np.zeros(len(keep), int),
     )
+    fair = np.ones(len(vertex), bool) if fair is None else np.array(fair)
     return build_topomap(
         "hand",
         odometry,
         passes,
-        xy=passes.centre[first],
-        visits=visits,
-        pass_vertex=vertex,
-        pass_fair=np.ones(len(vertex), bool) if fair is None else np.array(fair),
-        pass_turn=np.zeros(len(passes)),
+        PassesAtPlaces(vertex, fair, np.zeros(len(passes)), passes.centre[first], visits),
         askew_rad=askew_rad,
         noise=RunNoise(),
         errors=VertexErrors.none(n) if errors is None else errors,

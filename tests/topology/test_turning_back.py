@@ -18,7 +18,7 @@ from topobatch.topology.turning_back import TurnedBack, farthest, turning_points
 from topobatch.topology.turning_points import TRACK_END, TURNING_POINT
 from topobatch.topology.turning_vertices import with_turning_points, without_turning_points
 from topobatch.topology.vertex_errors import VertexErrors
-from topobatch.topology.visits import Visits
+from topobatch.topology.visits import PassesAtPlaces, Visits
 
 from .tracks import EAST, NORTH, SOUTH, WEST, track
 
@@ -62,17 +62,14 @@ def driven_and_turned(
         np.ones(len(rows)),
     )
     pose = np.column_stack([centre, np.zeros(len(rows))])
-    seen, chain = np.ones(len(rows), bool), np.zeros(len(rows), int)
-    visits = Visits(when, of, seen, pose, centre, chain)
+    seen, piece = np.ones(len(rows), bool), np.zeros(len(rows), int)
+    visits = Visits(when, of, seen, pose, centre, piece)
+    xy = centre[[vertex.index(v) for v in range(n)]]
     m = build_topomap(
         "hand",
         odometry,
         passes,
-        xy=centre[[vertex.index(v) for v in range(n)]],
-        visits=visits,
-        pass_vertex=of,
-        pass_fair=np.ones(len(rows), bool),
-        pass_turn=np.zeros(len(rows)),
+        PassesAtPlaces(of, seen, np.zeros(len(rows)), xy, visits),
         noise=RunNoise(),
         errors=VertexErrors.none(n),
     )

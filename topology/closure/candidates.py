@@ -165,7 +165,7 @@ def _known_apart(
     reach_m = settings.growth.hops * state.common.leg_m
     a, b = _pairs_within(estimate.xy, reach_m, settings.most_tabled).T
     i, j = _nearest_in_time(places, place, a, b)
-    same = reckoning.chain[i] == reckoning.chain[j]
+    same = reckoning.piece[i] == reckoning.piece[j]
     a, b = a[same], b[same]
     i, j = i[same], j[same]
     turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])

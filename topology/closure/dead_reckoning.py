@@ -10,7 +10,7 @@ from ..arrays import FloatArray, IntArray
 from ..odometry import Odometry
 from ..passes import Passes
 from ..topomap import RunNoise
-from ..track import chain_of, stretch_of, track_directions, way_at
+from ..track import piece_of, stretch_of, track_directions, way_at
 
 RANDOM = slice(7)
 """Columns of `DeadReckoning.sums` that are variances."""
@@ -33,7 +33,7 @@ class SystematicErrors:
 class DeadReckoning:
     """The passes of a run and what the odometry says about the way between them.
 
-    chain: (p,) unbroken piece of odometry of each pass. way: (p,) way driven so far [m].
+    piece: (p,) unbroken piece of odometry of each pass. way: (p,) way driven so far [m].
     leg: (p - 1,) way from each pass to the next [m], NaN across a break or a jump. arriving,
     leaving: (p,) headings [rad] from the place to where the robot came from and went to, NaN where
     unknown. aside: (p,) how far from the place the robot came by [m].
@@ -45,7 +45,7 @@ class DeadReckoning:
     passes: Passes
     noise: RunNoise
     systematic: SystematicErrors
-    chain: IntArray
+    piece: IntArray
     way: FloatArray
     leg: FloatArray
     arriving: FloatArray
@@ -67,7 +67,7 @@ def dead_reckoning(
 ) -> DeadReckoning:
     """Dead reckoning of a run. O(n + p log n) for n odometry rows and p passes."""
     way = way_at(odometry, passes.time_ns)
-    chain = chain_of(odometry, passes.time_ns)
+    piece = piece_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
     middle, about = _about_pieces(odometry)
@@ -75,13 +75,13 @@ def dead_reckoning(
         passes=passes,
         noise=noise,
         systematic=systematic,
-        chain=chain,
+        piece=piece,
         way=way,
         leg=leg,
         arriving=track.arriving,
         leaving=track.leaving,
         aside=np.hypot(*(odometry.at(passes.time_ns)[:, :2] - passes.centre).T),
-        origin=middle[chain],
+        origin=middle[piece],
         sums=_prefix_sums(odometry, passes, noise, about),
         jumps=_jump_sums(odometry, passes, about),
     )

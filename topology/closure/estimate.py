@@ -162,9 +162,9 @@ def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> Float
     centre = reckoning.passes.centre
     if grid is None:
         return np.column_stack([centre, np.zeros(len(centre))])
-    turn, piece = np.zeros(len(centre)), reckoning.chain[grid.row]
+    turn, piece = np.zeros(len(centre)), reckoning.piece[grid.row]
     for k in np.unique(piece).tolist():
-        mine, known = np.flatnonzero(reckoning.chain == k), piece == k
+        mine, known = np.flatnonzero(reckoning.piece == k), piece == k
         turn[mine] = np.interp(mine, grid.row[known], np.unwrap(grid.turn[known]))
     half = 0.5 * (turn[1:] + turn[:-1])
     steps = turned(np.diff(centre, axis=0), half)
@@ -228,7 +228,7 @@ class _Factors:
 
 
 def _legs(reckoning: DeadReckoning) -> _Factors:
-    row = np.flatnonzero(np.diff(reckoning.chain) == 0)
+    row = np.flatnonzero(np.diff(reckoning.piece) == 0)
     cov = relative_covariance(reckoning, row, row + 1) + np.diag([1e-6, 1e-6, 1e-8])
     shift = np.diff(reckoning.passes.centre, axis=0)[row]
     return _Factors(row, np.column_stack([shift, np.zeros(len(row))]), _information(cov))

@@ -102,18 +102,17 @@ class Closed:
 
 def full_closure(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
     """Identify the passes of a run, held straight by the grid of its building if it has one."""
-    return _closed(reckoning, grid_headings(reckoning, settings.grid), settings)
+    return _in_rounds(_Closure(reckoning, grid_headings(reckoning, settings.grid), settings))
 
 
 def closure_without_grid(
     reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()
 ) -> Closed:
     """Identify the passes of a run whose headings are known up to quarter turns only."""
-    return _closed(reckoning, None, settings)
+    return _in_rounds(_Closure(reckoning, None, settings))
 
 
-def _closed(reckoning: DeadReckoning, grid: GridHeadings | None, settings: RoundSettings) -> Closed:
-    under_way = _Closure(reckoning, grid, settings)
+def _in_rounds(under_way: _Closure) -> Closed:
     # Every round but the first identifies what was not, or is the last: what is taken back, is so
     # for good.
     for number in count(1):
@@ -124,7 +123,7 @@ def _closed(reckoning: DeadReckoning, grid: GridHeadings | None, settings: Round
             under_way.take_back_outliers(number)
         elif number > 1:
             break
-    return under_way.closed()
+    return under_way.result()
 
 
 class _Closure:
@@ -194,8 +193,8 @@ class _Closure:
         self._place = _partition(len(self._reckoning), self._links)
         self._estimate = self._optimised(self._estimate.pose)
 
-    def closed(self) -> Closed:
-        """The result, when nothing more is certain."""
+    def result(self) -> Closed:
+        """The run as it is closed when nothing more is certain."""
         if self._corridors is not None:
             # They were to tell places apart: the map shows corridors as they were measured.
             self._corridors = None

@@ -83,7 +83,7 @@ def grid_headings(
     sigma = np.sqrt(reckoning.noise.branch_rad**2 / n[row] + settings.spread_rad**2)
     drift = dead_reckoning_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
     excess = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
-    joined = reckoning.chain[row[:-1]] == reckoning.chain[row[1:]]
+    joined = reckoning.piece[row[:-1]] == reckoning.piece[row[1:]]
     wander = float(excess[joined].mean()) if joined.any() else 0.0
     if wander > settings.most_wander:
         return None
@@ -127,12 +127,12 @@ def grid_corridors(
     round one corner, where a junction was missed; chord c and way a + b give both its parts by a² +
     b² = c². On such legs an error of the heading displaces no pass sideways.
     """
-    piece = reckoning.chain[grid.row]
-    first = np.minimum(np.searchsorted(piece, reckoning.chain[:-1]), len(piece) - 1)
+    piece = reckoning.piece[grid.row]
+    first = np.minimum(np.searchsorted(piece, reckoning.piece[:-1]), len(piece) - 1)
     axis, step = grid.axis[first], np.diff(reckoning.passes.centre, axis=0)
     chord, leg = (
         np.hypot(*step.T),
-        np.where(piece[first] == reckoning.chain[:-1], reckoning.leg, np.nan),
+        np.where(piece[first] == reckoning.piece[:-1], reckoning.leg, np.nan),
     )
     half = np.sqrt(np.maximum(2 * chord**2 - leg**2, 0.0)) / 2
     course = np.arctan2(*step.T[::-1]) + 0.5 * (turn[:-1] + turn[1:]) - axis

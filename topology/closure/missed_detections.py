@@ -17,7 +17,7 @@ from ..columns import joined, take
 from ..odometry import Odometry
 from ..se2 import turned, wrap
 from ..track import way_along
-from ..visits import DrawnTrack, Visits, draw_track
+from ..visits import DrawnTrack, PassesAtPlaces, Visits, draw_track
 from .answers import Identification
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate, EstimateSettings
@@ -45,18 +45,12 @@ class DrivenBySettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CorrectedPlaces:
-    """The places that stay, and every visit to them.
+class CorrectedPlaces(PassesAtPlaces):
+    """The places that stay, without phantoms, and every visit to them, seen and unseen.
 
-    place: (p,) of each pass, negative for phantoms; fair: (p,) whether the pass shows its place as
-    it is; xy: (n, 2); visits: seen and unseen; kept: (n,) number that each had before; asked:
-    identifications made.
+    kept: (n,) number that each had before; asked: identifications made.
     """
 
-    place: IntArray
-    fair: BoolArray
-    xy: FloatArray
-    visits: Visits
     kept: IntArray
     asked: list[Identification]
 
@@ -95,7 +89,8 @@ def correct_detections(
     visits = visits_of(reckoning, place, fair, estimate, xy)
     found = driven_by(odometry, visits, xy, places, settings)
     visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
-    return CorrectedPlaces(place, fair, xy, visits, kept[real], one.asked)
+    turn = estimate.pose[:, 2]
+    return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], one.asked)
 
 
 def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
@@ -141,7 +136,7 @@ def driven_by(
     The whole track is sampled, each sample asked for its nearest place, runs of samples near one
     place become one event at its nearest sample. O(way / step · log n).
     """
-    first = np.flatnonzero(np.diff(visits.chain) == 0)
+    first = np.flatnonzero(np.diff(visits.piece) == 0)
     track = draw_track(odometry, visits, xy, first, settings.step_m)
     found = cKDTree(xy).query(track.xy, distance_upper_bound=settings.reach_m)
     distance, near = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
@@ -224,7 +219,7 @@ def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: Float
         pose=np.column_stack([xy[found.place], found.turn]),
         # The place in the odometry's frame at that time: the turn taken back.
         centre=found.odom + turned(xy[found.place] - found.xy, -found.turn),
-        chain=visits.chain[found.leg],
+        piece=visits.piece[found.leg],
     )
     both = joined([visits, unseen])
     return take(both, np.argsort(both.time_ns, kind="stable"))
@@ -250,5 +245,5 @@ def visits_of(
         seen=np.ones(len(row), bool),
         pose=pose,
         centre=centre,
-        chain=reckoning.chain[row],
+        piece=reckoning.piece[row],
     )

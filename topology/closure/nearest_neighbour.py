@@ -37,7 +37,7 @@ def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:
     places = 0
     for i in range(count):
         known = latest[:places]
-        known = known[reckoning.chain[known] == reckoning.chain[i]]
+        known = known[reckoning.piece[known] == reckoning.piece[i]]
         odds = _odds(state, known, i, settings.candidates)
         order = np.argsort(-odds, kind="stable")
         if len(order) and odds[order[0]] > 0:

@@ -20,15 +20,15 @@ def set_apart(
     place: (p,) of each pass, numbered from 0. Passes of one unbroken stretch of odometry make a
     piece. Only `pose` and `xy` of the result are moved.
     """
-    pieces = np.unique(reckoning.chain)
+    pieces = np.unique(reckoning.piece)
     if len(pieces) < 2:
         return estimate
     pose, xy = estimate.pose.copy(), estimate.xy.copy()
     piece_of = np.zeros(len(xy), np.int64)
-    piece_of[place[place >= 0]] = reckoning.chain[place >= 0]
+    piece_of[place[place >= 0]] = reckoning.piece[place >= 0]
     edge = None
     for piece in pieces.tolist():
-        mine = reckoning.chain == piece
+        mine = reckoning.piece == piece
         low, high = pose[mine, 0].min(), pose[mine, 0].max()
         shift = 0.0 if edge is None else edge + gap_m - low
         pose[mine, 0] += shift

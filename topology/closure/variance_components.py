@@ -177,7 +177,7 @@ def _unit_walks(reckoning: DeadReckoning, odometry: Odometry) -> list[DeadReckon
 
 def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> FloatArray:
     """(3, k, 3, 3) covariance of every leg by each random walk of 1 sigma of 1."""
-    row = np.flatnonzero(np.diff(reckoning.chain) == 0)
+    row = np.flatnonzero(np.diff(reckoning.piece) == 0)
     return np.stack([relative_covariance(unit, row, row + 1) for unit in units])
 
 

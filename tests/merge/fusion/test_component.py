@@ -91,15 +91,15 @@ def test_maps_of_other_sizes_are_refused(joined):
 def test_what_was_fused_is_not_fused_again(joined, monkeypatch, new_store):
     maps, inside = joined
     kept = Kept(new_store())
-    first = fuse(maps, inside, how_sure=True, kept=kept)
+    first = fuse(maps, inside, asked=(), kept=kept)
     (component,), fused = first
     assert component.text == places_text(fused)
-    same(((replace(component, text=b""),), fused), fuse(maps, inside, how_sure=True))
+    same(((replace(component, text=b""),), fused), fuse(maps, inside, asked=()))
     monkeypatch.setattr(fusing, "fuse_component", None)
-    same(fuse(maps, inside, how_sure=True, kept=kept), first)
+    same(fuse(maps, inside, asked=(), kept=kept), first)
     renamed = [replace(m, run=f"x{m.run}") for m in maps]
     other = replace(inside[0], a=renamed[0].run, b=renamed[1].run, evidence_bits=31.0)
-    poses = fuse(renamed, [other], how_sure=True, kept=kept)[0][0].poses
+    poses = fuse(renamed, [other], asked=(), kept=kept)[0][0].poses
     assert sorted(poses) == [m.run for m in renamed]
 
 
@@ -107,11 +107,11 @@ def test_a_component_kept_with_other_pairs_is_fused_again(joined, new_store):
     """A record that somebody exchanged for one of fewer pairs leaves no pair without its sigma."""
     maps, inside = joined
     store, other = new_store(), new_store()
-    first = fuse(maps, inside, how_sure=True, kept=Kept(store))
+    first = fuse(maps, inside, asked=(), kept=Kept(store))
     fused_once(maps, inside, DEFAULT_FUSION, FIRST_WITH_SECOND[:0], Kept(other))
     (theirs,) = (payload for (kind, _), payload in other.known.items() if kind is Kind.COMPONENT)
     store.known = {k: theirs if k[0] is Kind.COMPONENT else v for k, v in store.known.items()}
-    same(fuse(maps, inside, how_sure=True, kept=Kept(store)), first)
+    same(fuse(maps, inside, asked=(), kept=Kept(store)), first)
 
 
 def test_a_component_is_known_by_all_that_it_follows_from(joined):

@@ -110,22 +110,22 @@ def test_maps_that_do_not_bend_err_by_what_the_rest_of_them_saw_otherwise(draw):
 def test_only_what_is_asked_for_is_held_and_it_is_the_same(chain, monkeypatch):
     maps, links = chain
     asked = [("a", "c")]
-    (whole,), _ = fuse(maps, links, how_sure=True, asked=asked)
+    (whole,), _ = fuse(maps, links, asked=asked)
     assert len(whole.spread.cross) == 3
-    (less,), _ = fuse(maps, links, how_sure=True)
+    (less,), _ = fuse(maps, links, asked=())
     assert len(less.spread.cross) == 2
     assert less.spread.sigmas(["ab", "bc"]) == whole.spread.sigmas(["ab", "bc"])
     with pytest.raises(KeyError, match="'a', 'c'"):
         less.spread.sigmas(["ac"])
     monkeypatch.setattr(uncertainty, "CHUNK", 2)  # columns of a pair's runs apart
-    (parts,), _ = fuse(maps, links, how_sure=True, asked=asked)
+    (parts,), _ = fuse(maps, links, asked=asked)
     np.testing.assert_allclose(parts.spread.cross, whole.spread.cross, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(parts.spread.own, whole.spread.own, rtol=1e-9)
 
 
 def test_placements_grow_vaguer_along_a_chain(chain):
     maps, links = chain
-    (component,), _ = fuse(maps, links, how_sure=True, asked=[("a", "c")])
+    (component,), _ = fuse(maps, links, asked=[("a", "c")])
     *near, far = component.spread.sigmas(["ab", "bc", "ac"])
     assert far[0] > max(m for m, _ in near)
     assert far[1] > max(r for _, r in near)
@@ -133,7 +133,7 @@ def test_placements_grow_vaguer_along_a_chain(chain):
 
 def test_every_component_of_several_runs_is_asked_how_sure(chain):
     maps, links = chain
-    (first, second), _ = fuse(maps, links[:1], how_sure=True)
+    (first, second), _ = fuse(maps, links[:1], asked=())
     assert 0 < first.spread.sigmas(["ab"])[0][0] < 1
     assert second.spread is None
     assert all(c.spread is None for c in fuse(maps, links)[0])
@@ -145,7 +145,7 @@ def test_a_run_of_one_junction_has_its_own_heading(draw):
     links = [verdict(a, c, [(k + 4, k) for k in range(5)])]
     one = Alignment(np.array([*a.xy[3], 0.0]), 20.0, np.array([[3, 0]]), 0.0)
     links.append(PairVerdict("a", "b", Verdict.MERGED, True, 20.0, "by hand", best=one))
-    (component,), _ = fuse([a, b, c], links, how_sure=True, asked=[("b", "c")])
+    (component,), _ = fuse([a, b, c], links, asked=[("b", "c")])
     ((metres, radians),) = component.spread.sigmas(["bc"])
     assert 0 < metres < 5
     assert 0 < radians < 0.2
@@ -153,7 +153,7 @@ def test_a_run_of_one_junction_has_its_own_heading(draw):
 
 def test_fused_vertices_say_how_sure_they_are(chain):
     maps, links = chain
-    _, fused = fuse(maps, links, how_sure=True)
+    _, fused = fuse(maps, links, asked=())
     assert fused.position_sigma.shape == (len(fused),)
     # What the middle run ties lies surer than the far ends.
     order = np.argsort(fused.xy[:, 0])
@@ -165,5 +165,5 @@ def test_fused_vertices_say_how_sure_they_are(chain):
 def test_a_run_alone_is_as_sure_as_its_map(chain):
     (a, *_), _ = chain
     sigma = np.linspace(0.1, 0.2, len(a))
-    _, fused = fuse([replace(a, position_sigma=sigma)], [], how_sure=True)
+    _, fused = fuse([replace(a, position_sigma=sigma)], [], asked=())
     np.testing.assert_allclose(fused.position_sigma, sigma)

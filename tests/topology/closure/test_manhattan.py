@@ -89,7 +89,7 @@ def test_every_piece_of_a_broken_odometry_follows_the_grid_in_its_own_frame():
     reckoning = dead_reckoning(odometry, passes, NOISE)
     grid = grid_headings(reckoning)
     assert grid is not None
-    pieces = [reckoning.chain[grid.row] == k for k in range(3)]
+    pieces = [reckoning.piece[grid.row] == k for k in range(3)]
     for piece in pieces:
         aligned = [
             passes.branches[i] + t for i, t in zip(grid.row[piece], grid.turn[piece], strict=True)
@@ -102,7 +102,7 @@ def test_every_piece_of_a_broken_odometry_follows_the_grid_in_its_own_frame():
     estimate = optimise(reckoning, np.arange(len(reckoning)), grid=grid)
     start = optimise(reckoning, np.arange(len(reckoning)))
     for k in range(3):
-        rows = np.flatnonzero(reckoning.chain == k)
+        rows = np.flatnonzero(reckoning.piece == k)
         along = np.diff(estimate.xy[rows], axis=0)
         plain = np.diff(start.xy[rows], axis=0)
         heading, bent = (np.exp(4j * np.arctan2(d[:, 1], d[:, 0])) for d in (along, plain))
