@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -28,11 +28,6 @@ class Workers:
 
     start: Callable[[], AbstractContextManager[Executor]]
     worth: int = 0
-
-    @classmethod
-    def of(cls, executor: Executor) -> Workers:
-        """The workers of an executor that somebody else ends."""
-        return cls(lambda: nullcontext(executor))
 
     def results(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]

@@ -34,11 +34,6 @@ class VertexErrors:
             object.__setattr__(self, "own", np.zeros(len(self.sample)))
         freeze(self, np.float64, own=(len(self.sample),))
 
-    @classmethod
-    def none(cls, count: int) -> VertexErrors:
-        """No error at all: what is known exactly."""
-        return cls(np.zeros((count, 3, 1)))
-
     def distance_sigma(self, xy: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
         """(k,) 1 sigma [m] of the distance from vertices a to vertices b, which lie at xy (n, 2).
 

@@ -50,14 +50,6 @@ class Groups:
         self._head = list(range(len(run)))
         self._rows = [[row] for row in range(len(run))]
 
-    def head(self, row: int) -> int:
-        """The row that stands for the group of `row`."""
-        return self._head[row]
-
-    def rows(self, row: int) -> list[int]:
-        """All rows of the group of `row`, ascending."""
-        return sorted(self._rows[self._head[row]])
-
     def join(self, row: int, other: int) -> bool:
         """Make two groups one, unless that puts two vertices of a run into it."""
         keep, gone = sorted((self._head[row], self._head[other]))

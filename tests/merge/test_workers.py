@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -37,13 +38,13 @@ def fails(number):
 
 def test_results_come_with_their_numbers():
     with ThreadPoolExecutor(2) as pool:
-        found = dict(Workers.of(pool).results(squared, [5, 6, 7]))
+        found = dict(Workers(lambda: nullcontext(pool)).results(squared, [5, 6, 7]))
     assert found == {0: 25, 1: 36, 2: 49}
 
 
 def test_what_a_task_raises_is_raised():
     with ThreadPoolExecutor(1) as pool, pytest.raises(DataError, match="no 5"):
-        list(Workers.of(pool).results(fails, [5]))
+        list(Workers(lambda: nullcontext(pool)).results(fails, [5]))
 
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind")

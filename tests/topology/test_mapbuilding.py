@@ -59,7 +59,7 @@ def build(odometry, passes, vertex, errors=None, fair=None, *, askew_rad=0.0):
         PassesAtPlaces(vertex, fair, np.zeros(len(passes)), passes.centre[first], visits),
         askew_rad=askew_rad,
         noise=RunNoise(),
-        errors=VertexErrors.none(n) if errors is None else errors,
+        errors=VertexErrors(np.zeros((n, 3, 1))) if errors is None else errors,
     )
 
 

@@ -71,7 +71,7 @@ def driven_and_turned(
         passes,
         PassesAtPlaces(of, seen, np.zeros(len(rows)), xy, visits),
         noise=RunNoise(),
-        errors=VertexErrors.none(n),
+        errors=VertexErrors(np.zeros((n, 3, 1))),
     )
     return m, turning_points(m, odometry, visits, LEAST_M, SETTINGS)
 

@@ -32,10 +32,6 @@ class Marginals:
         pattern = build_pattern(graph, skeleton(graph))
         return cls(solution.pose, linearise(graph, pattern, solution).factorise())
 
-    def shared(self) -> FloatArray:
-        """(k, k) covariance of the shared errors."""
-        return np.asarray(np.linalg.inv(self.factor.schur), np.float64)
-
     def joint(self, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Covariances of poses in the graph's frame: (k, 3, 3) of a, of b, and between a and b.
 
