@@ -13,17 +13,18 @@ import numpy as np
 from ...topology.digits import significant
 from ...topology.document import map_to_document
 from ...topology.topomap import TopoMap
-from .route_graph import driving_seconds
+from .route_graph import driving_seconds, seconds_sigma
 
 
 def graphml(topomap: TopoMap) -> str:
     """The undirected multigraph of a map: ids, attributes and keys as in its document."""
     import networkx as nx
 
-    graph = nx.MultiGraph(run=topomap.run, frame=topomap.frame)
+    scale = significant(topomap.measured.scale)
+    graph = nx.MultiGraph(run=topomap.run, frame=topomap.frame, length_scale_sigma=scale)
     document = map_to_document(topomap)
     members = topomap.info.get("members", {})
-    seconds = driving_seconds(topomap)
+    seconds, spread = driving_seconds(topomap), seconds_sigma(topomap)
     for k, node in enumerate(document["nodes"]):
         more = {"members": members["nodes"][k]} if members else {}
         graph.add_node(node["id"], **_scalars({**node, **more}, leave={"id", "observations"}))
@@ -32,6 +33,8 @@ def graphml(topomap: TopoMap) -> str:
         more = {"members": members["edges"][k]} if members else {}
         if np.isfinite(seconds[k]):
             more["seconds"] = significant(float(seconds[k]))
+        if np.isfinite(spread[k]):
+            more["seconds_sigma"] = significant(float(spread[k]))
         values = _scalars({**edge, **more}, leave={"source", "target", "key", "traversal_ns"})
         graph.add_edge(edge["source"], edge["target"], key=edge["key"], **values)
     return "\n".join(nx.generate_graphml(graph, named_key_ids=False)) + "\n"

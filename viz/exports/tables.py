@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ...topology.digits import significant
 from ...topology.document import map_to_document
 from ...topology.topomap import TopoMap
-from .route_graph import driving_seconds, driving_speed
+from .route_graph import driving_seconds, driving_speed, seconds_sigma
 
 
 def junctions_csv(topomap: TopoMap) -> str:
@@ -37,8 +38,10 @@ def junctions_csv(topomap: TopoMap) -> str:
 
 
 def corridors_csv(topomap: TopoMap) -> str:
-    """One row per edge; `path` is a JSON list of points."""
+    """One row per edge; `path` is a JSON list of points. `length_scale_sigma` is of all lengths
+    together, the same in every row."""
     seconds, speed = driving_seconds(topomap), driving_speed(topomap)
+    spread, scale = seconds_sigma(topomap), significant(topomap.measured.scale)
     rows = [
         {
             "source": edge["source"],
@@ -46,10 +49,12 @@ def corridors_csv(topomap: TopoMap) -> str:
             "key": edge["key"],
             "length": edge["length"],
             "length_sigma": edge["length_sigma"],
+            "length_scale_sigma": scale,
             "source_branch": _or_empty(edge["source_branch"]),
             "target_branch": _or_empty(edge["target_branch"]),
             "traversals": edge["traversals"],
             "seconds": f"{seconds[k]:.2f}" if np.isfinite(seconds[k]) else "",
+            "seconds_sigma": f"{spread[k]:.2f}" if np.isfinite(spread[k]) else "",
             "speed_m_per_s": f"{speed[k]:.3f}" if np.isfinite(speed[k]) else "",
             "path": json.dumps(edge["path"]),
         }

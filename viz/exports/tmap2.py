@@ -75,7 +75,10 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
         }
         nodes.append({"meta": {"map": name, "node": names[k], "pointset": name}, "node": node})
     document = {
-        "meta": {"last_updated": utc(last_pass_ns(topomap), "%d-%m-%Y_%H-%M-%S")},
+        "meta": {
+            "last_updated": utc(last_pass_ns(topomap), "%d-%m-%Y_%H-%M-%S"),
+            "length_scale_sigma": significant(topomap.measured.scale),
+        },
         "metric_map": name,
         "name": name,
         "pointset": name,
@@ -120,6 +123,8 @@ def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
             }
             if np.isfinite(graph.seconds[k]):
                 properties["seconds"] = significant(float(graph.seconds[k]))
+            if np.isfinite(graph.seconds_sigma[k]):
+                properties["seconds_sigma"] = significant(float(graph.seconds_sigma[k]))
             out[start].append(
                 {
                     "action": ACTION,

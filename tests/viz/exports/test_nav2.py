@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
@@ -43,9 +42,3 @@ def test_without_times_there_is_none(driven) -> None:
 def test_nav2_wants_a_corridor(bare_map) -> None:
     with pytest.raises(DataError, match="no corridor"):
         text_of(bare_map, "nav2")
-
-
-def test_nav2_says_how_far_all_lengths_may_be_off_together(odd_map) -> None:
-    noise = replace(odd_map.noise, scale=0.0123)
-    document = json.loads(text_of(replace(odd_map, noise=noise), "nav2"))
-    assert document["length_scale_sigma"] == 0.0123
