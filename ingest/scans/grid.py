@@ -74,7 +74,9 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
     corner = own - half
     ranges = np.hypot(frames.xy[..., 0], frames.xy[..., 1])
     echo = np.isfinite(ranges)
-    reached = np.minimum(_beside(ranges, echo), frames.free[:, None])
+    nearer, farther = _beside(ranges, echo)
+    reached = np.minimum(nearer, frames.free[:, None])
+    reached[_blanked(frames.mount, echo, farther < 0.5 * frames.free[:, None])] = 0
     through = np.where(echo, ranges - settings.cell_m, reached)
     # One beam more than there are, seen through nowhere: for cells out of the field of view.
     through = np.pad(through, ((0, 0), (0, 1))).astype(np.float32)
@@ -97,8 +99,20 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
     return Looks(free & ~hit, hit, corner)
 
 
-def _beside(ranges: Float32Array, echo: BoolArray) -> Float32Array:
-    """(k, m) the nearer of the next echoes on either side of every beam, 0 where there is none.
+def _blanked(mount: FloatArray, echo: BoolArray, near: BoolArray) -> BoolArray:
+    """(k, m) beams of lasers mounted at (k, 3) that have no echo in any scan, though `near` walls
+    were on both sides of them: the robot itself is in their way, or a filter blanks them."""
+    out = np.zeros(echo.shape, bool)
+    laser = np.unique(mount, axis=0, return_inverse=True)[1].ravel()
+    for number in np.unique(laser):
+        own = laser == number
+        out[own] = near[own].any(axis=0) & ~echo[own].any(axis=0)
+    return out
+
+
+def _beside(ranges: Float32Array, echo: BoolArray) -> tuple[Float32Array, Float32Array]:
+    """(k, m) the nearer and the farther of the next echoes on either side of every beam, 0 where
+    there is none.
 
     A beam without an echo amid a wall met glass or something dark, not the way out.
     """
@@ -107,8 +121,8 @@ def _beside(ranges: Float32Array, echo: BoolArray) -> Float32Array:
     after = np.minimum.accumulate(np.where(echo, beam, len(beam))[:, ::-1], axis=1)[:, ::-1]
     padded = np.pad(np.where(echo, ranges, 0), ((0, 0), (1, 1)))
     rows = np.arange(len(ranges))[:, None]
-    nearer: Float32Array = np.minimum(padded[rows, before + 1], padded[rows, after + 1])
-    return nearer
+    sides = padded[rows, before + 1], padded[rows, after + 1]
+    return np.minimum(*sides), np.maximum(*sides)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,9 +25,6 @@ Stamp = Literal["begin", "middle", "end"]
 MOST_FREE_M = 50.0
 """As far as a beam without an echo is believed to be free."""
 
-BLIND_SHARE = 0.02
-"""A scan of which more beams hold no number at all tells nothing by those without an echo."""
-
 UNLIKELY_M = 100.0
 """Where half of the echoes come from farther, nothing is near enough to show a junction; robots
 that measure in millimetres do so in every room."""
@@ -287,21 +284,16 @@ def _count(tally: Tally, which: BoolArray, why: str) -> None:
 def _measured(raw: RawScans, rows: IntArray, tally: Tally) -> tuple[Float32Array, FloatArray]:
     """(n, m) ranges, NaN where nothing was returned; (n,) way that such a beam is free.
 
-    At or beyond range_max, and where a range is infinite, nothing came back. NaN, 0 and what lies
-    below range_min says nothing; a scan with many of these may mean either by them.
+    At or beyond range_max, where a range is infinite, NaN, 0 or below range_min nothing came back:
+    many drivers write one of the latter where nothing is within reach.
     """
     ranges, g = raw.ranges_m[rows], raw.geometry
     limit = (
         g.range_max if np.isfinite(g.range_max) and g.range_max > max(g.range_min, 0) else np.inf
     )
     with np.errstate(invalid="ignore"):
-        no_echo = ranges >= limit
-        seen = (ranges > 0) & (ranges >= g.range_min) & ~no_echo & (ranges < FARTHEST_M)
-    blind = ~seen & ~no_echo
-    trusted = blind.mean(axis=1) <= BLIND_SHARE
-    free_m = np.where(trusted & (not raw.blind), min(limit, MOST_FREE_M), 0.0)
-    if np.isinf(limit):
-        free_m[:] = 0.0
+        seen = (ranges > 0) & (ranges >= g.range_min) & (ranges < min(limit, FARTHEST_M))
+    free_m = np.full(len(rows), 0.0 if np.isinf(limit) or raw.blind else min(limit, MOST_FREE_M))
     empty = ~seen.any(axis=1)
     if empty.any():
         tally.mended["hold no usable range"] += int(empty.sum())

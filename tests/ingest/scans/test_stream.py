@@ -290,9 +290,7 @@ def test_a_band_needs_two_heights() -> None:
 # --- what is wrong with scans ------------------------------------------------------------------
 
 
-def test_ranges_that_say_nothing_and_ranges_without_echo(
-    sensors: ModuleType, tmp_path: Path
-) -> None:
+def test_ranges_without_echo_however_they_are_written(sensors: ModuleType, tmp_path: Path) -> None:
     payloads = [
         sensors.scan([1.0, 2.0, 3.0, INF, 10.0], sensors.START_NS),
         sensors.scan([1.0, NAN, 0.0, -1.0, 0.05], sensors.START_NS + 1),
@@ -306,7 +304,7 @@ def test_ranges_that_say_nothing_and_ranges_without_echo(
     assert np.isnan(ranges[2]).all()
     np.testing.assert_array_equal(ranges[3], [1, 2, 3, 4, NAN])
     free = np.concatenate([batch.free_m for batch in batches])
-    assert free.tolist() == [10.0, 0.0, 0.0, 0.0]
+    assert free.tolist() == [10.0, 10.0, 10.0, 0.0]
     assert found.tally.warnings("/scan") == ["/scan: 1 scans hold no usable range"]
 
 
