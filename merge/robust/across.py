@@ -20,6 +20,7 @@ from ..result import Alignment
 from .components import Components, Pair, Refusal, agrees
 from .prepare import Prepared
 from .repetition import size_difference
+from .settings import MATCH
 
 LARGER_TOGETHER = Refusal(
     "all runs that can be compared together show that one is larger throughout: this may be a copy "
@@ -78,7 +79,8 @@ class Across:
         """Why the components of a pair are not to be joined by it, if they are not.
 
         Looked at only where a pair across says by itself that one is larger, or a copy. Then all
-        answer whether it is one: what is beyond chance may well be a copy.
+        answer whether it is one, for what is beyond chance may well be a copy; that must lead what
+        says otherwise by `lead_bits`: it stands against a pair that by itself is merged.
         """
         if pair in self.locked:
             return None
@@ -90,7 +92,7 @@ class Across:
             told = {p: self.asked[p][1] for p, _ in self._across(components, pair, self._asked)}
             joined = (p for p, _ in self._across(components, pair, self._joined))
             unasked = [p for p in joined if p not in told]
-            if sum(told.values()) + sum(self.answers(unasked)) < 0:
+            if sum(told.values()) + sum(self.answers(unasked)) < -MATCH.lead_bits:
                 return COPY_TOGETHER
         return None
 

@@ -73,7 +73,7 @@ def test_what_pairs_across_say_of_copies_adds_up(sizes):
     components = Components(4, ())
     for i, j in ((0, 1), (2, 3)):
         components.join(i, j, own.joins[i, j].transform)
-    for bits, refused in (((-9.0, 3.0), True), ((-2.0, 3.0), False), ((1.0, 3.0), False)):
+    for bits, refused in (((-9.0, 3.0), True), ((-6.0, 3.0), False), ((1.0, 3.0), False)):
         told = dict(zip(((0, 3), (1, 2)), bits, strict=True))
         asked = {pair: (own.joins[pair], said) for pair, said in told.items()}
         found = replace(own, asked=asked).refusal(components, (0, 2))
@@ -93,7 +93,7 @@ def test_pairs_that_would_be_merged_answer_whether_they_are_copies(sizes):
     def answers(bits):
         return lambda pairs: heard.append(pairs) or [bits] * len(pairs)
 
-    asked = {(0, 3): (own.joins[0, 3], -5.0)}
+    asked = {(0, 3): (own.joins[0, 3], -9.0)}
     for bits, refused in ((1.0, True), (2.0, False)):
         known = replace(own, asked=asked, answers=answers(bits))
         assert known.refusal(components, (0, 2)) is (COPY_TOGETHER if refused else None)
