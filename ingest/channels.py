@@ -12,11 +12,7 @@ from .logs.intake import Intake, decoder_for
 from .logs.messages import Channel, Findings, first_messages
 from .logs.poses import PoseDecoder
 from .logs.recording import Recording, opened
-from .logs.topics import (
-    JUNCTION_KINDS,
-    ODOMETRY_KINDS,
-    choose_odometry,
-)
+from .logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS, choose_odometry
 from .read_settings import ReadSettings
 from .topic_poses import TopicPoses
 

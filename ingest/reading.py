@@ -17,14 +17,7 @@ from .junction_source import JunctionSource, junction_source, walks
 from .logs.grids import last_grid
 from .logs.intake import Intake
 from .logs.messages import Findings
-from .logs.recording import (
-    Recording,
-    find_logs,
-    log_fingerprint,
-    log_size,
-    recording_at,
-    run_name,
-)
+from .logs.recording import Recording, find_logs, log_fingerprint, log_size, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
 from .mounting import transforms_about

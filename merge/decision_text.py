@@ -14,16 +14,7 @@ import numpy as np
 from ..topology.arrays import FloatArray
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
-from .decision import (
-    AGAINST,
-    LINKS,
-    Decision,
-    Placement,
-    Start,
-    Term,
-    TermKind,
-    rounded_terms,
-)
+from .decision import AGAINST, LINKS, Decision, Placement, Start, Term, TermKind, rounded_terms
 from .result import PairVerdict, Verdict, shown_bits
 from .wording import decimals
 

@@ -15,14 +15,7 @@ from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import edge_fields, edges_to_document, vertex_fields
 from ..topology.files import Json, encoded, read_json, write_json
 from ..topology.map_schema import validated
-from .merged_schema import (
-    MERGED_SCHEMA,
-    MergedDocument,
-    MergeEntry,
-    Placed,
-    Pose,
-    RunnerUp,
-)
+from .merged_schema import MERGED_SCHEMA, MergedDocument, MergeEntry, Placed, Pose, RunnerUp
 from .result import (
     Alignment,
     Component,

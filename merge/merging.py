@@ -23,14 +23,7 @@ from .layers import layers_to_document
 from .locks import Lock
 from .paper import method as paper
 from .paper.method import DEFAULT_PAPER, PaperSettings
-from .result import (
-    Component,
-    MergeResult,
-    PairVerdict,
-    Unlisted,
-    Verdict,
-    pairs_of,
-)
+from .result import Component, MergeResult, PairVerdict, Unlisted, Verdict, pairs_of
 from .robust import DEFAULT_ROBUST, Means, RobustSettings
 from .through import joined_through
 

@@ -9,13 +9,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
-from ...topology.matching.association import (
-    Growth,
-    SingleMatches,
-    grow,
-    holding,
-    single_matches,
-)
+from ...topology.matching.association import Growth, SingleMatches, grow, holding, single_matches
 from ...topology.matching.correspondence import (
     DEFAULT_GROWTH,
     GrowthSettings,

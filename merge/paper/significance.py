@@ -30,12 +30,7 @@ from scipy.special import bdtrc
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.matching.association import Growth, components, grow
-from ...topology.matching.correspondence import (
-    TURNED,
-    GrowthSettings,
-    masks_agree,
-    node_rotations,
-)
+from ...topology.matching.correspondence import TURNED, GrowthSettings, masks_agree, node_rotations
 from ...topology.matching.structure import Structure
 
 

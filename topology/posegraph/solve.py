@@ -17,14 +17,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..se2 import wrap
-from .graph import (
-    PoseGraph,
-    Priors,
-    SharedErrors,
-    edge_errors,
-    prior_errors,
-    squared,
-)
+from .graph import PoseGraph, Priors, SharedErrors, edge_errors, prior_errors, squared
 from .marginals import Marginals
 from .normal_equations import Factor, NormalEquations, build_pattern, linearise
 from .skeleton import skeleton
