@@ -7,7 +7,7 @@ only where loops tie them. Samples of the whole tell the error of any function o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,11 +26,11 @@ class VertexErrors:
     """
 
     sample: FloatArray
-    own: FloatArray | None = None
+    own: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         freeze(self, np.float64, sample=(None, 3, None))
-        if self.own is None:
+        if len(self.own) == 0:  # left out
             object.__setattr__(self, "own", np.zeros(len(self.sample)))
         freeze(self, np.float64, own=(len(self.sample),))
 
@@ -75,8 +75,7 @@ class VertexErrors:
         errors of both cancel in part: with variances r of a reading and s of the turn, cov = -s ·
         own. No less than half of the reading's own sigma.
         """
-        own = np.zeros(len(self.sample)) if self.own is None else self.own
-        turn = self.turn_sigma() ** 2 * (1 - 2 * own)
+        turn = self.turn_sigma() ** 2 * (1 - 2 * self.own)
         return np.asarray(np.sqrt(np.maximum(reading**2 + turn[owner], 0.25 * reading**2)))
 
 

@@ -43,11 +43,6 @@ class TrackSettings:
     gap_min_s: float = 1.0
     backward_min_s: float = 1.0
 
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive")
-
 
 @dataclass(frozen=True, slots=True)
 class Track:
