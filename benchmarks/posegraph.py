@@ -23,7 +23,7 @@ import gtsam
 import numpy as np
 
 from topobatch.topology.posegraph.graph import edge_errors, squared
-from topobatch.topology.posegraph.solve import Marginals
+from topobatch.topology.posegraph.marginals import Marginals
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "topology" / "posegraph"))
 from chordal import solve

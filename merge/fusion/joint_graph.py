@@ -21,15 +21,9 @@ from ...topology.columns import joined
 from ...topology.map_pose_graph import Measurements, map_pose_graph, odometry_measurements
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.structure import grid_direction, padded_branches
+from ...topology.posegraph.graph import PoseGraph, Priors, SharedErrors
 from ...topology.posegraph.samples import SampledMarginals
-from ...topology.posegraph.solve import (
-    PoseGraph,
-    Priors,
-    SharedErrors,
-    Solution,
-    SolverSettings,
-    solve,
-)
+from ...topology.posegraph.solve import Solution, SolverSettings, solve
 from ...topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from ...topology.topomap import TopoMap
 from ...topology.vertex_errors import VertexErrors

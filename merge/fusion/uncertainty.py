@@ -13,8 +13,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.posegraph.graph import PoseGraph, SharedErrors
+from ...topology.posegraph.marginals import Marginals
 from ...topology.posegraph.samples import SampledMarginals, white
-from ...topology.posegraph.solve import Marginals, PoseGraph, SharedErrors, Solution
+from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
 from .joint_graph import centre_sigma

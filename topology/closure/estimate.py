@@ -10,16 +10,10 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..circular import cluster_angles
 from ..matching.likelihood import LIKELIHOOD
+from ..posegraph.graph import PoseGraph, Priors, SharedErrors
+from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
-from ..posegraph.solve import (
-    Marginals,
-    PoseGraph,
-    Priors,
-    SharedErrors,
-    Solution,
-    SolverSettings,
-    solve,
-)
+from ..posegraph.solve import Solution, SolverSettings, solve
 from ..se2 import turned, wrap
 from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
 from .manhattan import GridCorridors, GridHeadings

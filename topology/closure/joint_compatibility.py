@@ -16,7 +16,7 @@ from scipy.cluster.hierarchy import linkage
 from scipy.spatial.distance import squareform
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..posegraph.solve import Marginals
+from ..posegraph.marginals import Marginals
 from .candidates import Candidates
 from .estimate import Estimate
 from .evidence import Background, EvidenceSettings, among_neighbours, position_odds

@@ -17,20 +17,9 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..se2 import wrap
-from .graph import PoseGraph, Priors, SharedErrors, edge_errors, prior_errors, squared
-from .marginals import Marginals
+from .graph import PoseGraph, edge_errors, prior_errors, squared
 from .normal_equations import Factor, NormalEquations, build_pattern, linearise
 from .skeleton import skeleton
-
-__all__ = [
-    "Marginals",
-    "PoseGraph",
-    "Priors",
-    "SharedErrors",
-    "Solution",
-    "SolverSettings",
-    "solve",
-]
 
 
 @dataclass(frozen=True, slots=True)

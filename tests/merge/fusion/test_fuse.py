@@ -12,7 +12,7 @@ from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.polyline import way_of
-from topobatch.topology.posegraph.solve import Priors
+from topobatch.topology.posegraph.graph import Priors
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, fit_rigid, inverse
 

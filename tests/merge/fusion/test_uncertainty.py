@@ -11,7 +11,8 @@ from topobatch.merge.fusion.joint_graph import SOLVER, pass_counts, settle
 from topobatch.merge.fusion.uncertainty import spread
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
-from topobatch.topology.posegraph.solve import SharedErrors, solve
+from topobatch.topology.posegraph.graph import SharedErrors
+from topobatch.topology.posegraph.solve import solve
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
 

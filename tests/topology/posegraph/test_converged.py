@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from topobatch.topology.posegraph.graph import edge_errors, prior_errors
-from topobatch.topology.posegraph.solve import (
+from topobatch.topology.posegraph.graph import (
     PoseGraph,
     Priors,
     SharedErrors,
-    Solution,
-    solve,
+    edge_errors,
+    prior_errors,
 )
+from topobatch.topology.posegraph.solve import Solution, solve
 from topobatch.topology.se2 import between, compose
 
 from . import chordal

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from topobatch.topology.posegraph.graph import PoseGraph
+from topobatch.topology.posegraph.marginals import Marginals
 from topobatch.topology.posegraph.samples import MOST_DRAWN, SampledMarginals, white
-from topobatch.topology.posegraph.solve import Marginals, PoseGraph, solve
+from topobatch.topology.posegraph.solve import solve
 
 
 def ring(n: int) -> PoseGraph:

@@ -12,16 +12,17 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csc_array
 
-from topobatch.topology.posegraph.graph import edge_errors, prior_errors
-from topobatch.topology.posegraph.normal_equations import build_pattern, linearise
-from topobatch.topology.posegraph.skeleton import skeleton
-from topobatch.topology.posegraph.solve import (
-    Marginals,
+from topobatch.topology.posegraph.graph import (
     PoseGraph,
     Priors,
     SharedErrors,
-    Solution,
+    edge_errors,
+    prior_errors,
 )
+from topobatch.topology.posegraph.marginals import Marginals
+from topobatch.topology.posegraph.normal_equations import build_pattern, linearise
+from topobatch.topology.posegraph.skeleton import skeleton
+from topobatch.topology.posegraph.solve import Solution
 from topobatch.topology.posegraph.solve import solve as from_given
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, wrap
 
