@@ -79,7 +79,7 @@ OUT = {
 
 def _no_growth(state, a, *args):
     """What corridors around tell, if nobody looks at them."""
-    return growth.Support(np.zeros(len(a)), np.zeros(len(a)), np.zeros(len(a), np.int64))
+    return growth.Support(np.zeros(len(a)), np.zeros(len(a)))
 
 
 def _one_hop(state, a, b, aligned, settings):

@@ -55,7 +55,7 @@ class Laser:
         none = np.zeros(scans, np.int64)
         stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
         columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
-        return cls(choice, frozenset(frames), TopicPoses(columns, (), "", messages=scans))
+        return cls(choice, frozenset(frames), TopicPoses(columns, (), messages=scans))
 
 
 @dataclass(frozen=True, slots=True)

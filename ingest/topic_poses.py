@@ -30,7 +30,6 @@ class TopicPoses:
 
     columns: PoseColumns
     frames: tuple[tuple[str, str], ...]
-    type_name: str
     messages: int
     failed: int = 0
     not_finite: int = 0
@@ -59,7 +58,6 @@ class TopicPoses:
         return cls(
             _by_log_time(parts),
             tuple(frames),
-            sinks[0].channel.type_name if sinks else "",
             before,
             sum(sink.failed for sink in sinks),
             sum(sink.not_finite for sink in sinks),

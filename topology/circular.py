@@ -15,13 +15,12 @@ class AngleClusters:
     """Clusters of angles, sorted by (owner, mean angle).
 
     of: (k,) cluster of each given angle; owner: (c,) circle of each cluster; mean: (c,) [rad] in
-    [-pi, pi); size: (c,) angles in it.
+    [-pi, pi).
     """
 
     of: IntArray
     owner: IntArray
     mean: FloatArray
-    size: IntArray
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -35,7 +34,7 @@ def cluster_angles(angle_rad: FloatArray, owner: IntArray, gap_rad: float) -> An
     """
     if len(angle_rad) == 0:
         none = np.zeros(0, np.int64)
-        return AngleClusters(none, none, np.zeros(0), none)
+        return AngleClusters(none, none, np.zeros(0))
     circle = np.unique(owner, return_inverse=True)[1]
     angle = np.asarray(wrap(angle_rad))
     order = np.lexsort((angle, circle))
@@ -52,12 +51,11 @@ def cluster_angles(angle_rad: FloatArray, owner: IntArray, gap_rad: float) -> An
     new = np.diff(row, prepend=0.0) > gap_rad
     new[start[:-1]] = True
     cluster = np.cumsum(new) - 1
-    size = np.bincount(cluster)
     home = c[np.flatnonzero(new)]
-    mean = np.asarray(wrap(np.bincount(cluster, row) / size + seam[home]))
+    mean = np.asarray(wrap(np.bincount(cluster, row) / np.bincount(cluster) + seam[home]))
     final = np.lexsort((mean, home))
     rank = np.empty_like(final)
     rank[final] = np.arange(len(final))
     of = np.empty(len(angle), np.int64)
     of[order] = rank[cluster]
-    return AngleClusters(of, owner[order[new]][final], mean[final], size[final])
+    return AngleClusters(of, owner[order[new]][final], mean[final])

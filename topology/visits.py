@@ -50,14 +50,13 @@ class DrawnTrack:
     """Pieces of the track between visits, bent to meet the vertices at their ends.
 
     owner: (k,) number of the piece each point belongs to; offsets: (m + 1,) rows of each piece;
-    way: (k,) way driven [m]; share: (k,) 0 at the piece's first visit, 1 at its last; odom, xy:
-    (k, 2) in the odometry's frame and in the map's; turn: (k,) between the two.
+    way: (k,) way driven [m]; odom, xy: (k, 2) in the odometry's frame and in the map's; turn: (k,)
+    between the two.
     """
 
     owner: IntArray
     offsets: IntArray
     way: FloatArray
-    share: FloatArray
     odom: FloatArray
     xy: FloatArray
     turn: FloatArray
@@ -90,4 +89,4 @@ def draw_track(
     drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)
     turn = visits.pose[first, 2][owner]
     turn = turn + share * wrap(visits.pose[first + 1, 2][owner] - turn)
-    return DrawnTrack(owner, offsets, s, share, odom, drawn, np.asarray(wrap(turn)))
+    return DrawnTrack(owner, offsets, s, odom, drawn, np.asarray(wrap(turn)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..result import shown_bits
 from ..wording import told_bits
@@ -54,9 +53,3 @@ def _told(c: Contradiction, run_a: str, run_b: str) -> str:
         f"corridor {one} of {run_a} and corridor {two} of {run_b} "
         "leave the same junction by the same branch and lead to different ones"
     )
-
-
-def place(topomap: TopoMap, vertex: int) -> str:
-    """A junction by number and position."""
-    x, y = topomap.xy[vertex].tolist()
-    return f"junction {vertex} ({x:.1f}, {y:.1f})"

@@ -33,10 +33,10 @@ class SystematicErrors:
 class DeadReckoning:
     """The passes of a run and what the odometry says about the way between them.
 
-    piece: (p,) unbroken piece of odometry of each pass. way: (p,) way driven so far [m].
-    leg: (p - 1,) way from each pass to the next [m], NaN across a break or a jump. arriving,
-    leaving: (p,) headings [rad] from the place to where the robot came from and went to, NaN where
-    unknown. aside: (p,) how far from the place the robot came by [m].
+    piece: (p,) unbroken piece of odometry of each pass. leg: (p - 1,) way from each pass to the
+    next [m], NaN across a break or a jump. arriving, leaving: (p,) headings [rad] from the place to
+    where the robot came from and went to, NaN where unknown. aside: (p,) how far from the place the
+    robot came by [m].
     sums: (p, 13) prefix sums over the odometry up to each pass (`relative_covariance`), about
     `origin` (p, 2), the middle of the pass's piece; jumps: (p, 7) what the odometry's jumps add to
     the variances among them.
@@ -46,7 +46,6 @@ class DeadReckoning:
     noise: RunNoise
     systematic: SystematicErrors
     piece: IntArray
-    way: FloatArray
     leg: FloatArray
     arriving: FloatArray
     leaving: FloatArray
@@ -76,7 +75,6 @@ def dead_reckoning(
         noise=noise,
         systematic=systematic,
         piece=piece,
-        way=way,
         leg=leg,
         arriving=track.arriving,
         leaving=track.leaving,

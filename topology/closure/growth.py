@@ -57,13 +57,11 @@ class MapState:
 class Support:
     """What the surroundings say of each hypothesis, in natural log odds.
 
-    gain: (k,) from corridors that agree; loss: (k,) positive, from those that disagree; legs: (k,)
-    pairs of legs that agree.
+    gain: (k,) from corridors that agree; loss: (k,) positive, from those that disagree.
     """
 
     gain: FloatArray
     loss: FloatArray
-    legs: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +100,7 @@ def grow(
     """Support of the hypotheses "place a[k] is place b[k]", grown `settings.hops` corridors far."""
     places, common = state.places, state.common
     k = len(a)
-    gain, loss, legs = np.zeros(k), np.zeros(k), np.zeros(k, np.int64)
+    gain, loss = np.zeros(k), np.zeros(k)
     front = _Front(np.arange(k), a, b, aligned.turn, aligned.partner)
     seen = _keys(front.hypothesis, a, b, len(places))
     gaps = _Gaps(k, settings)
@@ -134,7 +132,6 @@ def grow(
         odds[further] += np.clip(fit, 2 * miss, settings.branch_cap)
         gain += weight * np.bincount(h, np.maximum(odds, 0.0), minlength=k)
         loss += weight * np.bincount(h, np.maximum(-odds, 0.0), minlength=k)
-        legs += np.bincount(h, minlength=k)
         good = (fit > 0.5 * miss) & (reached.missed[further] < 2)
         next_ = further[good]
         keys = _keys(h[next_], reached.qa[next_], reached.qb[next_], len(places))
@@ -150,7 +147,7 @@ def grow(
             ends.partner[np.flatnonzero(good)[at]],
         )
         weight *= settings.discount
-    return Support(gain, loss, legs)
+    return Support(gain, loss)
 
 
 class _Gaps:

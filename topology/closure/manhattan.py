@@ -41,15 +41,12 @@ class GridHeadings:
     at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; axis: (k,) [rad]
     direction of the grid in that frame; sigma: (k,) [rad], of which every corridor's own share is
     spread_rad.
-    wander: mean squared turn of the grid from one pass to the next, in units of what the odometry
-    may drift.
     """
 
     row: IntArray
     turn: FloatArray
     axis: FloatArray
     sigma: FloatArray
-    wander: float
     spread_rad: float
 
 
@@ -84,15 +81,14 @@ def grid_headings(
     drift = dead_reckoning_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
     excess = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
     joined = reckoning.piece[row[:-1]] == reckoning.piece[row[1:]]
-    wander = float(excess[joined].mean()) if joined.any() else 0.0
-    if wander > settings.most_wander:
+    if joined.any() and excess[joined].mean() > settings.most_wander:
         return None
     # A break in the odometry starts anew, in a frame of its own.
     turn = -np.concatenate([[0.0], np.cumsum(step)])
     begin = np.flatnonzero(np.concatenate([[True], ~joined]))
     size = np.diff(begin, append=len(row))
     turn, axis = np.asarray(wrap(turn - np.repeat(turn[begin], size))), np.repeat(grid[begin], size)
-    return GridHeadings(row, turn, axis, sigma, wander, settings.spread_rad)
+    return GridHeadings(row, turn, axis, sigma, settings.spread_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,10 +33,10 @@ class Places:
 
     heading: (n, s) [rad] in the map frame; share: (n, s) share of the place's passes that reported
     the branch, 0 for one known from the track alone; visits: (n,) passes; confidence: (n,) mean of
-    its passes', 1 if they come from a detector's topic; first, last: (n,) its
-    first and last pass. next_place, next_slot: (n, s) where the slot was seen to lead, NOWHERE if
-    it was not driven; length: (n, s) of that leg [m]; driven: (n, s) times driven so; tried: (n, s)
-    times driven, wherever it led. entry, exit: (p,) slot by which each pass came and left.
+    its passes', 1 if they come from a detector's topic; first: (n,) its first pass. next_place,
+    next_slot: (n, s) where the slot was seen to lead, NOWHERE if it was not driven; length: (n, s)
+    of that leg [m]; driven: (n, s) times driven so; tried: (n, s) times driven, wherever it led.
+    entry: (p,) slot by which each pass came.
     """
 
     heading: FloatArray
@@ -44,14 +44,12 @@ class Places:
     visits: IntArray
     confidence: FloatArray
     first: IntArray
-    last: IntArray
     next_place: IntArray
     next_slot: IntArray
     length: FloatArray
     driven: IntArray
     tried: IntArray
     entry: IntArray
-    exit: IntArray
 
     def __len__(self) -> int:
         return len(self.visits)
@@ -99,13 +97,12 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray, gap_ra
         ends[has] = slot[branches.offsets[has] + local_branch[has]]
         missing = came if extra == 0 else went
         ends[missing] = slot[len(owner) + extra + np.arange(len(missing))]
-    first, last = np.full(n, len(reckoning), np.int64), np.full(n, -1, np.int64)
+    first = np.full(n, len(reckoning), np.int64)
     member = rows[place >= 0]
     np.minimum.at(first, place[member], member)
-    np.maximum.at(last, place[member], member)
     ways = _ways(reckoning, place, entry, exit_, (n, width))
     sure = np.bincount(place[member], passes.confidence[member], n) / np.maximum(visits, 1)
-    return Places(heading, share, visits, sure, first, last, *ways, entry, exit_)
+    return Places(heading, share, visits, sure, first, *ways, entry)
 
 
 def _ways(

@@ -43,7 +43,7 @@ class Structure:
     unit numbers, 0 beyond it; degree: (n,);
     explored: (n, D) True where a corridor was driven by that branch. start, end: (2 m,) vertices;
     out_branch: branch by which the dart leaves its start; in_branch: branch of its end by which it
-    arrives; length, sigma: (2 m,) [m]; edge: (2 m,) edge of the map. Edges of which a branch is
+    arrives; length, sigma: (2 m,) [m]. Edges of which a branch is
     unknown and cannot be told from the path have no darts.
     grid_rad: direction of the grid in [0, pi/2) if the map is rectilinear, else None;
     slot: (n, D) the quarter turn 0..3 of each branch on that grid, -1 beyond the degree.
@@ -64,7 +64,6 @@ class Structure:
     in_branch: IntArray
     length: FloatArray
     sigma: FloatArray
-    edge: IntArray
     grid_rad: float | None
     slot: IntArray
     mask: IntArray
@@ -110,7 +109,6 @@ def prepare(topomap: TopoMap) -> Structure:
         in_branch=in_branch,
         length=np.repeat(topomap.length[edge], 2),
         sigma=np.repeat(topomap.length_sigma[edge], 2),
-        edge=np.repeat(edge, 2),
         grid_rad=grid,
         slot=slot,
         mask=mask,

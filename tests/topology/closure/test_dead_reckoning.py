@@ -29,7 +29,7 @@ def test_dead_reckoning_covariance_is_that_of_many_drives():
     quiet = dead_reckoning(odometry, passes, NOISE)
     expected = relative_covariance(quiet, np.array([0]), np.array([5]))[0]
     # The model lets positions walk sideways as much as along; the drive does not.
-    slack = NOISE.along_m_per_sqrt_m**2 * quiet.way[-1]
+    slack = NOISE.along_m_per_sqrt_m**2 * quiet.leg.sum()
     found = np.cov(np.array(ends).T)
     assert np.all(np.abs(found - expected[:2, :2]) < 0.25 * np.trace(expected[:2, :2]) + slack)
     more = dead_reckoning_covariance(quiet, np.array([0]), np.array([5]))[0]

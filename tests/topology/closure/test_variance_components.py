@@ -59,7 +59,7 @@ def test_a_grid_that_bends_is_none() -> None:
     for bent, holds in ((bend, False), (0 * bend, True)):
         sigma = np.full(len(row), 0.03)
         turn, axis = estimate.pose[:, 2] + bent, np.zeros(len(row))
-        grid = GridHeadings(row, turn, axis, sigma, wander=1.0, spread_rad=0.02)
+        grid = GridHeadings(row, turn, axis, sigma, spread_rad=0.02)
         fitted = fitted_noise(reckoning, odometry, place, estimate, grid=grid)
         assert (fitted.grid is not None) == holds
 
