@@ -217,9 +217,9 @@ def test_no_drive_wanders_farther_than_it_is_longer_than_the_line(wander, detour
         one, one + 1, one, one, np.array([8.0 + beyond]), one + times, (none,), one, wander, detour
     )
     xy, noise = np.array([[0.0, 0.0], [8.0, 0.0]]), RunNoise(scale=0.0)
-    (sigma,) = mapbuilding._length_sigma(edges, xy, noise, VertexErrors.none(2))
+    (sigma,) = mapbuilding._length_sigma(edges, xy, noise, VertexErrors(np.zeros((2, 3, 1))))
     straight = replace(edges, wander=0.0, detour=0.0)
-    (alone,) = mapbuilding._length_sigma(straight, xy, noise, VertexErrors.none(2))
+    (alone,) = mapbuilding._length_sigma(straight, xy, noise, VertexErrors(np.zeros((2, 3, 1))))
     assert alone < sigma <= np.hypot(beyond / np.sqrt(times), alone)
 
 
