@@ -50,7 +50,8 @@ class _Learned:
 class StepErrors:
     """A model of the odometry's steps, learned from what matching makes of them.
 
-    heading: θ_true = θ + β s + κ θ + δ ω (bias per metre, scale of turns, lag); shift: of the
+    heading: θ_true = θ + β s + κ θ + δ ω (bias per metre forwards, which unequal wheels turn the
+    other way when they go backwards; scale of turns, lag); shift: of the
     scale of ways, their direction, and x, y of the centre of the odometry's turns in the robot's
     frame.
     """
@@ -109,9 +110,8 @@ def odometry_motion(frames: Keyframes, first: IntArray, second: IntArray) -> Flo
 
 
 def _inputs(frames: Keyframes, first: IntArray, second: IntArray, own: FloatArray) -> FloatArray:
-    """(p, 3) way, turn and change of the rate of turn over each step."""
-    way = np.hypot(own[:, 0], own[:, 1])
-    return np.column_stack([way, own[:, 2], frames.rate[first] - frames.rate[second]])
+    """(p, 3) way forwards, turn and change of the rate of turn over each step."""
+    return np.column_stack([own[:, 0], own[:, 2], frames.rate[first] - frames.rate[second]])
 
 
 def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:

@@ -14,15 +14,17 @@ SCALE, DIRECTION, CENTRE, BIAS = 0.97, 0.01, np.array([0.08, -0.02]), 0.03
 
 
 def frames(n: int = 400) -> tuple[Keyframes, np.ndarray]:
-    """Keyframes of two lasers in turn, one of which looks back, and their true poses."""
+    """Keyframes of two lasers in turn, one of which looks back, and their true poses; the robot
+    drives backwards half of the time."""
     rng = np.random.default_rng(3)
     motion = np.column_stack([np.full(n, 0.25), np.zeros(n), rng.normal(0, 0.15, n)])
+    motion[n // 2 :, 0] *= -1
     real, told = np.zeros((n, 3)), np.zeros((n, 3))
     centre = np.array([*CENTRE, 0.0])
     for k in range(1, n):
         real[k] = compose(real[k - 1], motion[k])
         own = between(compose(real[k - 1], centre), compose(real[k], centre))
-        turn = own[2] - BIAS * np.hypot(*own[:2])
+        turn = own[2] - BIAS * own[0]
         c, s = np.cos(DIRECTION), np.sin(DIRECTION)
         own = np.array([*(np.array([[c, s], [-s, c]]) @ own[:2] / SCALE), turn])
         told[k] = compose(told[k - 1], own)
@@ -53,7 +55,7 @@ def test_steps_are_those_of_the_robot_once_learned() -> None:
     errors = StepErrors().learned(keyframes, pairs, (motion, sure, sure))
     assert errors.terms[0] == pytest.approx(BIAS, abs=0.003)
     assert errors.shift.terms == pytest.approx(
-        [SCALE - 1, SCALE * DIRECTION, -CENTRE[0], -CENTRE[1]], abs=0.004
+        [SCALE - 1, SCALE * DIRECTION, -CENTRE[0], -CENTRE[1]], abs=0.005
     )
     # From laser to laser, one of which looks the other way, as from scan to scan of one.
     steps, _ = errors.steps(keyframes, np.arange(1, n), np.arange(n - 1))
