@@ -133,8 +133,10 @@ def driven_by(
 ) -> DrivenBy:
     """Places on the track between two visits. visits.vertex: place of each, none negative.
 
-    The whole track is sampled, each sample asked for its nearest place, runs of samples near one
-    place become one event at its nearest sample. O(way / step · log n).
+    The whole track is sampled, each sample asked for its nearest place, runs of samples near any
+    place become one event at the sample nearest to one: which of two places was seen is not known
+    where the track is by both, as in the layers of a run whose second round was not recognised.
+    O(way / step · log n).
     """
     first = np.flatnonzero(np.diff(visits.piece) == 0)
     track = draw_track(odometry, visits, xy, first, settings.step_m)
@@ -144,7 +146,7 @@ def driven_by(
     if len(hit) == 0:
         return _events(track, first, near, hit)
     fresh = np.ones(len(hit), bool)
-    fresh[1:] = (np.diff(hit) != 1) | (np.diff(near[hit]) != 0) | (np.diff(track.owner[hit]) != 0)
+    fresh[1:] = (np.diff(hit) != 1) | (np.diff(track.owner[hit]) != 0)
     run = np.cumsum(fresh) - 1
     best = hit[np.lexsort((distance[hit], run))[np.flatnonzero(fresh)]]
     begin = hit[np.flatnonzero(fresh)]
