@@ -25,10 +25,10 @@ from revisits import revisits
 
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.scans.detection import detect
+from topobatch.ingest.scans.junctions import no_passes
 from topobatch.ingest.scans.keyframes import join
 from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
 from topobatch.ingest.scans.noise import matched_noise
-from topobatch.ingest.scans.scan import ScanPasses
 from topobatch.topology.columns import joined
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
@@ -62,7 +62,7 @@ def judged(log: Log) -> Judged:
     parts = list(matched(posed(log.odometry, log.scans, settings), settings))
     frames, spans = join([part.keyframes for part in parts]), joined([p.spans for p in parts])
     pose = compose(np.concatenate([part.pose for part in parts]), inverse(frames.mount))
-    noise = matched_noise([part.spans for part in parts], _no_passes())
+    noise = matched_noise([part.spans for part in parts], no_passes())
     t = log.truth.time_ns
     t = t[(t >= frames.time_ns[0]) & (t <= frames.time_ns[-1])]
     ours = bent_onto(Odometry(frames.time_ns, pose, np.zeros(0, np.int64)), log, t)
@@ -76,13 +76,6 @@ def judged(log: Log) -> Judged:
         float(way_at(log.truth, t)[-1]) / FAR_M,
         float(spans.apart.sum()),
         float(spans.apart_alone.sum()),
-    )
-
-
-def _no_passes() -> ScanPasses:
-    none, rows = np.zeros(0, np.int64), Ragged.from_rows([])
-    return ScanPasses(
-        none, none, none, np.zeros((0, 2)), rows, rows, np.zeros(0), none, np.zeros(0)
     )
 
 

@@ -78,7 +78,9 @@ def build_map_with_errors(
         odometry, run.detections, reckoning.passes, fit.reckoning.noise, settings.noise
     )
     measured = replace(fit.reckoning, noise=replace(fit.reckoning.noise, scale=scale))
-    errors = place_errors(measured, fit.estimate, closed.place, corrected.kept, fit.grid)
+    errors = place_errors(
+        measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=source.shared_m
+    )
 
     def refined(prior: RunNoise) -> RunNoise:
         return refine_noise(
@@ -216,9 +218,12 @@ def _info(
 ) -> dict[str, Any]:
     """What the document says about the making of the map."""
     pieces = len(np.unique(reckoning.piece))
+    chosen = asdict(settings)
+    # What passes share has no prior: scans tell it themselves, detections have none.
+    del chosen["noise"]["prior"]["shared_centre_m"]
     return {
         "source": dict(run.source),
-        "settings": asdict(settings),
+        "settings": chosen,
         "warnings": [*run.warnings, *split_told(run.odometry, odometry)],
         **({"pieces": pieces} if pieces > 1 else {}),
         **({"jumps": jumps_told(run.odometry, odometry)} if len(odometry.jumps) else {}),

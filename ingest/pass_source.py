@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from ..topology.arrays import FloatArray
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run, Scanned
@@ -22,8 +23,8 @@ class PassSource(Protocol):
     """What mapping asks.
 
     shows_bends: a bend without a branch is a junction, too; resolution_m: junctions nearer to each
-    other than this look like one [m]; askew_rad: 1 sigma of headings that all passes of a place
-    share; why_none: what is said of a run without any pass.
+    other than this look like one [m]; askew_rad: 1 sigma of headings, shared_m: (p,) of centres per
+    axis [m], that all passes of a place share; why_none: what is said of a run without any pass.
     """
 
     @property
@@ -34,6 +35,9 @@ class PassSource(Protocol):
 
     @property
     def askew_rad(self) -> float: ...  # noqa: D102
+
+    @property
+    def shared_m(self) -> FloatArray | None: ...  # noqa: D102
 
     @property
     def why_none(self) -> str: ...  # noqa: D102
@@ -65,6 +69,7 @@ class _Detected:
     shows_bends = True
     resolution_m = 0.0
     askew_rad = 0.0
+    shared_m = None
 
     @property
     def why_none(self) -> str:
@@ -104,6 +109,10 @@ class _FromScans:
     @property
     def askew_rad(self) -> float:
         return self.scanned.passes.askew_rad
+
+    @property
+    def shared_m(self) -> FloatArray:
+        return self.scanned.passes.shared_m
 
     def calibration(self) -> Calibration:
         """Of odometry that scans corrected, nothing is left but what usually is left."""

@@ -7,6 +7,7 @@ Documents are deterministic (same map, same bytes) and load with
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -60,12 +61,9 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
     xy = rounded(topomap.xy, METRES)
     graph: dict[str, Any] = {"run": topomap.run, "frame": topomap.frame}
     graph |= {k: v for k, v in sorted(topomap.info.items()) if k not in graph}
-    names = RunNoise.__dataclass_fields__
-    graph["noise"] = {name: significant(getattr(topomap.noise, name)) for name in names}
+    graph["noise"] = _noise_to_document(topomap.noise)
     if topomap.fitted_noise is not None:
-        graph["fitted_noise"] = {
-            name: significant(getattr(topomap.fitted_noise, name)) for name in names
-        }
+        graph["fitted_noise"] = _noise_to_document(topomap.fitted_noise)
     if not topomap.shows_bends:
         graph["shows_bends"] = False
     graph["closures"] = [_closure_to_document(c) for c in topomap.closures]
@@ -213,6 +211,14 @@ def _lengths(paths: Sequence[FloatArray]) -> FloatArray:
     long[between] = 0.0
     owner = np.arange(len(paths)).repeat(size)[1:]
     return np.asarray(np.bincount(owner, long, len(paths)), np.float64)
+
+
+def _noise_to_document(noise: RunNoise) -> dict[str, float]:
+    """By name; what junctions seen by a detector do not have is left out."""
+    told = {name: significant(value) for name, value in asdict(noise).items()}
+    if noise.shared_centre_m == 0.0:
+        del told["shared_centre_m"]
+    return told
 
 
 def _noise(values: dict[str, float]) -> RunNoise:

@@ -49,8 +49,9 @@ class ScanPasses:
     least one is there; support: the same rows, share of the variants of the settings that show the
     branch (0..1]; confidence: (p,) share of the variants that show the junction with just these
     branches (0..1]; windows: (p,) overlapping windows that show it; clearance_m: (p,) distance of
-    the centre from the nearest wall [m]; resolution_m: nearer to each other, junctions show as one;
-    askew_rad: 1 sigma of headings that all passes of a place share, for they see the same walls.
+    the centre from the nearest wall [m]; shared_m: (p,) 1 sigma of each coordinate of the centre
+    [m], and askew_rad: of headings, that all passes of a place share, for they see the same walls;
+    resolution_m: nearer to each other, junctions show as one.
     """
 
     time_ns: IntArray
@@ -62,13 +63,14 @@ class ScanPasses:
     confidence: FloatArray
     windows: IntArray
     clearance_m: FloatArray
+    shared_m: FloatArray
     resolution_m: float = 0.0
     askew_rad: float = 0.0
 
     def __post_init__(self) -> None:
         p = len(self.time_ns)
         freeze(self, np.int64, time_ns=(p,), start_ns=(p,), end_ns=(p,), windows=(p,))
-        freeze(self, np.float64, centre=(p, 2), confidence=(p,), clearance_m=(p,))
+        freeze(self, np.float64, centre=(p, 2), confidence=(p,), clearance_m=(p,), shared_m=(p,))
         if len(self.branches) != p or not np.array_equal(
             self.branches.offsets, self.support.offsets
         ):

@@ -51,6 +51,9 @@ class RunNoise:
     """Invented junctions per corridor driven."""
     branch_fault_rate: float = 0.03
     """Share of passes that saw a branch too many or too few."""
+    shared_centre_m: float = 0.0
+    """Junction centre, per axis, of all passes alike: scans that see the same walls put it where no
+    number of passes corrects it."""
 
 
 @dataclass(frozen=True, slots=True)

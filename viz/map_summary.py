@@ -199,12 +199,15 @@ def _noise(topomap: TopoMap) -> str:
     n = topomap.noise
     degrees = np.degrees([n.heading_rad_per_sqrt_m, n.branch_rad])
     per_sqrt_degree = np.sqrt(np.degrees(1.0)) * n.heading_rad_per_sqrt_rad
+    alike = n.shared_centre_m
+    shared = [("junction centre, all passes alike", f"{alike:.3f} m")] if alike else []
     rows = [
         ("odometry, along", f"{n.along_m_per_sqrt_m:.3f} m/√m"),
         ("odometry, heading", f"{degrees[0]:.2f} °/√m"),
         ("odometry, turning", f"{per_sqrt_degree:.2f} °/√°"),
         ("odometry, scale", f"{100 * n.scale:.2f} %"),
         ("junction centre", f"{n.centre_m:.3f} m"),
+        *shared,
         ("branch heading", f"{degrees[1]:.1f} °"),
         ("passes missed", f"{100 * n.miss_rate:.1f} %"),
         ("invented per corridor", f"{100 * n.phantom_rate:.1f} %"),

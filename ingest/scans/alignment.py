@@ -191,9 +191,8 @@ def align(
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
     # What walls and odometry ask for at poses that all of them together agree on.
     walls, curvature = wall_scores(scans, pose, pairs, gate, scans.each * worth)
-    some = looks.first % BACK == 0
-    turned = looks.second[some], looks.first[some]
-    back, _ = wall_scores(scans, pose, turned, gate, scans.each * worth)
+    sparser, turned = scans.sparser(BACK), (looks.second, looks.first)
+    back, _ = wall_scores(sparser, pose, turned, gate, sparser.each * worth)
     off, information = _odometry(pose, steps)
     odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off))
     band, _ = equations.at(pose, steps, quadratic, curvature * worth)

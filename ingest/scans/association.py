@@ -7,7 +7,7 @@ call, and no inner loop branches: which of two is nearer no processor guesses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,12 @@ class Swept:
         at = _with_neighbours(on.valid)
         lines = Lines(*(values.take(at) for values in (on.x, on.y, on.nx, on.ny)))
         return cls(start, increment, xy.shape[1], each, points, lines)
+
+    def sparser(self, every: int) -> Swept:
+        """The same surfaces, with one in `every` of the points."""
+        of = self.points
+        kept = (_every(values, every) for values in (of.x, of.y, of.nx, of.ny, of.valid))
+        return replace(self, each=every * self.each, points=Points(*kept))
 
 
 def _every(values: Any, each: int) -> Any:

@@ -18,9 +18,17 @@ from ...topology.se2 import wrap
 from .grid import GridSettings
 from .skeleton import Node, SkeletonGraph, SkeletonSettings
 
-AXIS_M = 3.0
-"""Length of a branch that its axis is taken from, beyond the widening: half of what a window shows.
-At 2 m furniture passes for corridors (repeatability .86 for .89 in one real building)."""
+AXIS_M = 4.0
+"""Length of a branch that its axis is taken from, beyond the widening: two thirds of what a window
+shows. At 2 m furniture passes for corridors (repeatability .86 for .89 in one real building)."""
+
+BEYOND = 1.5
+"""Clearances of a node from where on a branch is no part of its widening, which goes on for longer
+between acute corridors; where they are let bend, what is left of it would pass for a bend."""
+
+BENT_PER_M = 0.01
+"""1 sigma of how far a corridor's axis lies from a straight line, by the square of the way along it
+(half its curvature), as far as the branch itself does not show more."""
 
 ROUGH_M = GridSettings().cell_m
 """Walls in finer grids are no smoother than those in the grids of scans."""
@@ -32,12 +40,13 @@ class Crossing(Node):
     the node. headings: (b,) [rad] of its branches, ascending, as `ends` has them; bends: (b,) how
     they turn further on (`bends`), where that was asked for."""
 
-    headings: FloatArray
+    headings: FloatArray = field(kw_only=True)
     bends: FloatArray = field(default_factory=lambda: np.zeros(0), kw_only=True)
 
 
-Known = dict[tuple[bytes, ...], FloatArray]
-"""Centres of the nodes of a grid, by what they hang on: graphs of one grid share most of them."""
+Known = dict[tuple[bytes, ...], tuple[FloatArray, float]]
+"""Centres of the nodes of a grid and their sigmas, by what they hang on: graphs of one grid share
+most of them."""
 
 
 def placed(
@@ -58,7 +67,8 @@ def placed(
     if key not in known:
         branches = [_branch(graph, node, way, clearance_m, cell_m) for way in node.ends]
         known[key] = _centre(node, branches)
-    return Node(known[key], node.clearance_m, node.ends)
+    xy, sigma_m = known[key]
+    return Node(xy, node.clearance_m, node.ends, sigma_m)
 
 
 def crossing(
@@ -68,7 +78,7 @@ def crossing(
     headings = _headings(node.xy, graph, node.ends, _reach(node, settings), cell_m)
     order = np.argsort(headings, kind="stable")
     ends = tuple(node.ends[k] for k in order)
-    return Crossing(node.xy, node.clearance_m, ends, headings[order])
+    return Crossing(node.xy, node.clearance_m, ends, node.sigma_m, headings=headings[order])
 
 
 def bends(
@@ -158,14 +168,22 @@ def with_crossings(
 
 class _Branch(NamedTuple):
     """A branch beyond the widening of its node: bearing [rad] of its middle (2,) from the node;
-    normal (2,) of its axis; variance of the axis in its middle [m²], inf where there is none, and
-    of its cells along it."""
+    normal (2,) of its axis, a parabola about the middle.
+
+    With s along it, the axis lies bent (s² - spread - skew s) aside, known to `variance` [m²] in
+    its middle, inf where there is no axis, its direction to `turn_variance`, and `bent` to
+    bent_variance.
+    """
 
     bearing: float
     middle: FloatArray
     normal: FloatArray
     variance: float
-    along: float
+    turn_variance: float = 0.0
+    spread: float = 1.0
+    skew: float = 0.0
+    bent: float = 0.0
+    bent_variance: float = 0.0
 
 
 def _branch(
@@ -175,53 +193,89 @@ def _branch(
     clearance_m: Float32Array | FloatArray,
     cell_m: float,
 ) -> _Branch:
-    """A corridor is straight, and as wide everywhere as at its begin, to within the rounding of
-    cells: the likelihood of that says how much of a corridor's axis a branch has."""
+    """A corridor bends little, and is as wide everywhere as at its begin, to within the rounding of
+    cells: the likelihood of that says how much of a corridor's axis a branch has.
+
+    How far it bends is a normal number of the sigma of corridors in general, BENT_PER_M, and of
+    what the branch itself shows, one as likely as the other.
+    """
     cells = graph.edges[way].cells
     away = cells[:, ::-1] * cell_m - node.xy
     distance = np.hypot(away[:, 0], away[:, 1])
-    beyond = (distance >= node.clearance_m) & (distance <= node.clearance_m + AXIS_M)
+    widening = BEYOND * node.clearance_m
+    beyond = (distance >= widening) & (distance <= node.clearance_m + AXIS_M)
     own = away[beyond] if beyond.any() else away
-    x, y = middle = own.sum(axis=0) / max(len(own), 1)
+    count = max(len(own), 1)
+    x, y = middle = own.sum(axis=0) / count
     bearing = float(np.arctan2(y, x))
     # Two cells make a line, where cells are large.
-    short = np.count_nonzero(beyond) < max(0.4 * AXIS_M / cell_m, 2)
+    short = np.count_nonzero(beyond) < max(0.3 * AXIS_M / cell_m, 2)
     if short or node.ends.count(way) > 1:
-        return _Branch(bearing, middle + node.xy, np.zeros(2), np.inf, 1.0)
+        return _Branch(bearing, middle + node.xy, np.zeros(2), np.inf)
     u, v = (own - middle).T
-    xx, xy, yy = float(u @ u) / len(own), float(u @ v) / len(own), float(v @ v) / len(own)
-    spread = float(np.hypot(0.5 * (xx - yy), xy))
-    across, along = max(0.5 * (xx + yy) - spread, 0.0), 0.5 * (xx + yy) + spread
-    angle = 0.5 * np.arctan2(2 * xy, xx - yy)
-    normal = np.array([-np.sin(angle), np.cos(angle)])
+    angle = 0.5 * np.arctan2(2 * float(u @ v), float(u @ u) - float(v @ v))
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = c * u + s * v, c * v - s * u
+    square = along * along
+    spread = float(square.sum()) / count
+    skew = float(square @ along) / count / spread
     rounding = max(cell_m, ROUGH_M) ** 2 / 12
+    # What is left of the squares beside a straight line tells of the bend.
+    told = max(float(square @ square) / count - spread * spread - skew * skew * spread, 1e-9)
+    shown = float(square @ across) / count
+    usual = 0.5 * (BENT_PER_M**2 + (shown / told) ** 2)
+    bent_variance = 1 / (count / rounding * told + 1 / usual)
+    bent = bent_variance * count / rounding * shown
+    left = float(across @ across) / count - (2 * shown - bent * told) * bent
     wide = clearance_m[cells[beyond, 0], cells[beyond, 1]]
-    unlike = 0.5 * (across + float(wide.var())) / rounding
+    unlike = 0.5 * (max(left, 0.0) + float(wide.var())) / rounding
     # Beyond three sigma it is none: nothing would be left of it, and exp would run over.
-    variance = (across + rounding) * np.exp(unlike) if unlike < 4.5 else np.inf
-    return _Branch(bearing, middle + node.xy, normal, float(variance), along)
+    if unlike >= 4.5:
+        return _Branch(bearing, middle + node.xy, np.zeros(2), np.inf)
+    worse = float(np.exp(unlike))
+    of_mean = worse * rounding / count
+    return _Branch(
+        bearing,
+        middle + node.xy,
+        np.array([-s, c]),
+        # All cells of an axis along the grid are rounded alike.
+        rounding + of_mean,
+        of_mean / spread,
+        spread,
+        skew,
+        bent,
+        worse * bent_variance,
+    )
 
 
-def _centre(node: Node, branches: list[_Branch]) -> FloatArray:
-    """(2,) the point likeliest by the axes, and by the node itself; within the node's disc."""
+def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
+    """(2,) the point likeliest by the axes, and by the node itself, within the node's disc; 1 sigma
+    of each of its coordinates [m]."""
+    beside = float(aside(np.array([b.bearing for b in branches])) * node.clearance_m)
     axes = [branch for branch in branches if np.isfinite(branch.variance)]
     if len(axes) < 2:
-        return node.xy
-    prior = 1.0 / (aside(np.array([b.bearing for b in branches])) * node.clearance_m) ** 2
+        # So far is the fork off in the plane: on either axis by less.
+        return node.xy, beside / 2**0.5
     middle, normal = np.array([b.middle for b in axes]), np.array([b.normal for b in axes])
-    variance, along = np.array([b.variance for b in axes]), np.array([b.along for b in axes])
+    variance, turn, spread, skew, bent, bent_variance = np.array([b[3:] for b in axes]).T
     on_axis = np.einsum("ij,ij->i", normal, middle)
-    xy = node.xy
+    xy, information = node.xy, np.zeros((2, 2))
     for _ in range(2):
         # How far from the middle of its cells an axis is asked for makes it less sure.
         off = xy - middle
-        far = np.einsum("ij,ij->i", off, off) - np.einsum("ij,ij->i", off, normal) ** 2
-        weight = 1.0 / (variance * (1 + far / along))
-        information = prior * np.eye(2) + np.einsum("i,ij,ik->jk", weight, normal, normal)
-        xy = np.linalg.solve(information, prior * node.xy + (weight * on_axis) @ normal)
+        along = off[:, 0] * normal[:, 1] - off[:, 1] * normal[:, 0]
+        bow = along * along - spread - skew * along
+        weight = 1.0 / (variance + turn * along * along + bent_variance * bow * bow)
+        information = np.eye(2) / beside**2 + np.einsum("i,ij,ik->jk", weight, normal, normal)
+        right = node.xy / beside**2 + (weight * (on_axis + bent * bow)) @ normal
+        xy = np.linalg.solve(information, right)
+    # Of a symmetric matrix of two rows, the trace of the inverse.
+    sigma_m = float(np.sqrt(0.5 * np.trace(information) / np.linalg.det(information)))
     moved = xy - node.xy
     far_off = float(np.hypot(*moved))
-    return xy if far_off <= node.clearance_m else node.xy + moved * (node.clearance_m / far_off)
+    if far_off > node.clearance_m:
+        xy = node.xy + moved * (node.clearance_m / far_off)
+    return xy, sigma_m
 
 
 def aside(bearings: FloatArray) -> float:

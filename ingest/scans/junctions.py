@@ -60,6 +60,7 @@ def junction_passes(
     way = np.array([r[2] for r in records])
     xy = np.array([r[3].xy for r in records])
     clearance = np.array([r[3].clearance_m for r in records])
+    sigma = np.array([r[3].sigma_m for r in records])
     headings = Ragged.from_rows([r[3].headings for r in records])
     bends = np.concatenate([r[3].bends for r in records])
     group = _together(xy, way, settings)
@@ -89,6 +90,7 @@ def junction_passes(
                 int(degree.max()) / len(windows.variants),
                 len(np.unique(number[members])),
                 float(np.median(clearance[members])),
+                float(np.median(sigma[members])),
             )
         )
     rows.sort(key=lambda row: (row[0], *row[1]))
@@ -122,9 +124,8 @@ def _askew(turns: list[FloatArray], cell: float) -> float:
 def no_passes() -> ScanPasses:
     """Of a run that passed no junction."""
     none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
-    return ScanPasses(
-        none, none, none, np.zeros((0, 2)), empty, empty, np.zeros(0), none, np.zeros(0)
-    )
+    row = np.zeros(0)
+    return ScanPasses(none, none, none, np.zeros((0, 2)), empty, empty, row, none, row, row)
 
 
 def _together(xy: FloatArray, way: FloatArray, settings: JunctionSettings) -> IntArray:
@@ -178,7 +179,7 @@ def _branches(
 
 
 def _passes(
-    rows: list[tuple[float, FloatArray, FloatArray, FloatArray, float, int, float]],
+    rows: list[tuple[float, FloatArray, FloatArray, FloatArray, float, int, float, float]],
     driven: Driven,
     windows: WindowSettings,
 ) -> ScanPasses:
@@ -214,5 +215,6 @@ def _passes(
         confidence=np.array([row[4] for row in rows]),
         windows=np.array([row[5] for row in rows], np.int64),
         clearance_m=np.array([row[6] for row in rows]),
+        shared_m=np.array([row[7] for row in rows]),
         resolution_m=windows.skeleton.join_m,
     )

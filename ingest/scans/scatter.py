@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.columns import joined, take
+from ...topology.columns import joined
 from ...topology.se2 import apply, between, turned_axes
 from .association import MOST_PAIRS, Gate, Matches, Swept, matches
 
@@ -34,8 +34,10 @@ PATCH_M = 2.0
 """Longer than what one line is fitted to (0.7 m) and than a door. Patches of 1 m and of 4 m give
 headings a tenth less and more noise."""
 BACK = 4
-"""Of so many scans one is held against those before it the other way round as well: patches are
-wide enough to be seen by all, and matching takes a twentieth longer, not a fifth."""
+"""Of so many points one is held against surfaces the other way round as well: matching takes a
+twentieth longer, not a fifth. All points of every fourth scan cost as much, but what is seen in one
+scan errs together in all of its pairs: of four simulated drives `TurnErrors.apart` over apart_alone
+is off by 0.20 (r.m.s., all of all scans told 1.2 to 2.1), of every fourth point by 0.14."""
 STRETCH = 16
 """Steps of odometry that err together, 4 m: turns and bends go on for so long."""
 
@@ -72,8 +74,7 @@ class TurnErrors:
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
     """curvature: banded (lower form, 3 n columns); what walls and odometry ask for; back: walls,
-    where the points of the scan before are held against the surfaces of the one after, of every
-    `BACK`-th scan."""
+    where every `BACK`-th point of the scan before is held against the surfaces of the one after."""
 
     curvature: FloatArray
     walls: Scores
@@ -86,8 +87,7 @@ class Scatter:
         onto = np.zeros((3 * len(pose), len(q)))
         onto[3 * last + 2, q], onto[3 * first + 2, q] = 1.0, -1.0
         moved = self._solved(onto)
-        same = take(self.walls, self.walls.first % BACK == 0)
-        apart = joined([self.back, replace(same, gradient=-same.gradient)])
+        apart = joined([self.back, replace(self.walls, gradient=-self.walls.gradient)])
         walls, odometry, apart_by = (
             _pulls(pose, scores, moved) for scores in (self.walls, self.odometry, apart)
         )

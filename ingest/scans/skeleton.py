@@ -35,11 +35,13 @@ class SkeletonSettings:
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
     """A fork of a skeleton. xy: (2,) x, y [m] from the middle of the first cell; clearance_m: from
-    the nearest wall; ends: (b,) the edge of each branch, a ring's twice."""
+    the nearest wall; ends: (b,) the edge of each branch, a ring's twice; sigma_m: 1 sigma of each
+    coordinate of where its ways cross, NaN before that is known."""
 
     xy: FloatArray
     clearance_m: float
     ends: tuple[int, ...]
+    sigma_m: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

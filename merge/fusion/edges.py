@@ -41,7 +41,8 @@ SHORTEST_M = 1e-3
 class Corridor:
     """A corridor between two places: ends in ascending (place, branch), path from u to v.
 
-    members: (run, edge) pairs, sorted. Branches are those of the fused places.
+    members: (run, edge) pairs, sorted; shared: of sigma, what all runs' lengths are off by alike
+    [m]. Branches are those of the fused places.
     """
 
     u: int
@@ -53,6 +54,7 @@ class Corridor:
     traversals: int
     path: FloatArray
     members: tuple[tuple[str, int], ...]
+    shared: float
 
 
 def corridors_of(
@@ -84,6 +86,7 @@ def corridors_of(
                 traversals=int(m.traversals[e]),
                 path=path,
                 members=((m.run, e),),
+                shared=min(2**0.5 * m.measured.shared_centre_m, float(m.length_sigma[e])),
             )
             out.append(oriented(corridor))
     return out
@@ -168,18 +171,24 @@ def _mean_length(bundle: list[Corridor]) -> float:
 
 
 def _combined(bundle: list[Corridor]) -> Corridor:
-    """One corridor of several: lengths by inverse variance (§4), path of the best measured."""
+    """One corridor of several: lengths by inverse variance (§4), path of the best measured.
+
+    With weights w, what they are off by alike stands, of which the mean otherwise keeps w².
+    """
     if len(bundle) == 1:
         return bundle[0]
     best = min(bundle, key=lambda c: (c.sigma, _order(c)))
     lead = bundle[0]
+    weight = _weights(bundle)
+    left = max(1 - float(((weight / weight.sum()) ** 2).sum()), 0.0)
+    alike = np.sqrt(left) * min(c.shared for c in bundle)
     members = tuple(sorted({m for c in bundle for m in c.members}))
     return replace(
         best,
         branch_u=lead.branch_u,
         branch_v=lead.branch_v,
         length=_mean_length(bundle),
-        sigma=float(_weights(bundle).sum() ** -0.5),
+        sigma=float(np.hypot(weight.sum() ** -0.5, alike)),
         traversals=sum(c.traversals for c in bundle),
         members=members,
     )

@@ -209,7 +209,8 @@ def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
     arm = topomap.xy - topomap.xy.mean(axis=0)
     reach = (arm**2).sum(axis=1)
     kept = 1 - 1 / len(topomap) - reach / (2 * max(float(reach.sum()), 1e-12))
-    seen = kept * noise.centre_m**2 / np.maximum(topomap.passes, 1)
+    centre = noise.centre_m**2 / np.maximum(topomap.passes, 1) + noise.shared_centre_m**2
+    seen = kept * centre
     stretched = noise.scale**2 * reach / 2
     stated = topomap.position_sigma**2
     left = float((stated - seen - stretched).sum())
@@ -353,6 +354,16 @@ def centre_sigma(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> FloatAr
     one = np.array([m.measured.centre_m for m in pool.maps])[pool.run]
     least = settings.min_position_m / np.sqrt(2)
     return np.asarray(np.maximum(one / np.sqrt(pass_counts(pool)), least))
+
+
+def shared_sigma(pool: Pool) -> FloatArray:
+    """(n,) 1 sigma [m] per axis of what all passes by each row are off by alike: as in its run's
+    mean square, but no more than its map states of all errors there."""
+    alike = np.array([m.measured.shared_centre_m for m in pool.maps])[pool.run]
+    stated = [
+        np.full(len(m), np.inf) if m.position_sigma is None else m.position_sigma for m in pool.maps
+    ]
+    return np.asarray(np.minimum(alike, np.concatenate(stated)))
 
 
 def pass_counts(pool: Pool) -> IntArray:

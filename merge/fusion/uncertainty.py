@@ -19,7 +19,7 @@ from ...topology.posegraph.samples import SampledMarginals, white
 from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
-from .joint_graph import centre_sigma
+from .joint_graph import centre_sigma, shared_sigma
 from .vertex_partition import Pool
 
 VAGUE_M = 1.5
@@ -45,13 +45,16 @@ class Landmarks:
     maps that are tied there. So each row of such a place measures the place, which takes the part
     of the ties.
 
-    node: (n,) of each row, that of its place; seen: 0 where that is a place of several rows.
+    node: (n,) of each row, that of its place; seen: 0 where that is a place of several rows;
+    shared: (n,) what all passes by a row are off by alike [m]. Maps that are tied at a place see
+    the same there: it takes their places along, and does not tell them apart.
     """
 
     graph: PoseGraph
     solution: Solution
     node: IntArray
     seen: FloatArray
+    shared: FloatArray
 
     @classmethod
     def of(cls, pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution) -> Landmarks:
@@ -86,7 +89,12 @@ class Landmarks:
         )
         edge_weight = np.concatenate([solution.edge_weight[own], weight[rows]])
         at = replace(solution, pose=pose, edge_weight=edge_weight)
-        return cls(told, at, node, np.where(node < n, sigma, 0.0))
+        return cls(told, at, node, np.where(node < n, sigma, 0.0), shared_sigma(pool))
+
+    @property
+    def alone(self) -> FloatArray:
+        """(n,) error [m] per axis of the centre of each row that no other map saw; else 0."""
+        return np.where(self.seen > 0, np.hypot(self.seen, self.shared), 0.0)
 
 
 def place_sigmas(
@@ -103,7 +111,8 @@ def place_sigmas(
     node = marks.node[first]
     error = SampledMarginals.of(marks.graph, marks.solution, SAMPLES).error[node]
     (noise,) = white(20053, [(len(first), 2, SAMPLES)])
-    error[:, :2] += marks.seen[first, None, None] * noise
+    off = np.hypot(marks.seen, marks.shared)[first]
+    error[:, :2] += off[:, None, None] * noise
     error[:, 2] = 0.0
     whole = np.zeros(len(first), np.int64)
     return VertexErrors(error).as_a_whole(marks.solution.pose[node, :2], whole).position_sigma()
@@ -156,7 +165,7 @@ def spread(
         for blocks, row, column in ((above, first, second), (below, second, first)):
             rows = np.flatnonzero((column >= start) & (column < start + CHUNK))
             blocks[rows] = block[row[rows], column[rows] - start]
-    seen = weight[:, :, :2] * marks.seen[:, None, None]
+    seen = weight[:, :, :2] * marks.alone[:, None, None]
     np.add.at(own, pool.run, seen @ seen.transpose(0, 2, 1))
     names = tuple(m.run for m in pool.maps)
     return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below))

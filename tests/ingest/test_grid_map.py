@@ -87,7 +87,7 @@ def test_lengths_are_those_of_the_corridors() -> None:
     world = make_world("maze", 30, 8)
     found = topomap("maze", grid_of(world))
     chord = np.hypot(*(found.xy[found.source] - found.xy[found.target]).T)
-    assert np.all(found.length >= chord - 1e-3)  # documents are in millimetres
+    assert np.all(found.length >= chord - 2e-3)  # documents are in millimetres, also of the ends
     straight = found.length < 1.02 * chord
     assert straight.mean() > 0.3
     for path, source, target in zip(found.paths, found.source, found.target, strict=True):

@@ -262,6 +262,7 @@ def scanned_there_and_back(off_m):
         confidence=np.array([1.0, 1.0, 5 / 7, 1.0]),
         windows=np.full(4, 4),
         clearance_m=np.ones(4),
+        shared_m=np.zeros(4),
         resolution_m=1.3,
     )
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))

@@ -194,6 +194,7 @@ def scan_passes(odometry, rows, centres, headings, confidence):
         confidence=np.asarray(confidence, float),
         windows=np.full(len(rows), 3),
         clearance_m=np.ones(len(rows)),
+        shared_m=np.zeros(len(rows)),
     )
 
 

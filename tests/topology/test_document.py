@@ -20,7 +20,7 @@ from topobatch.topology.document import map_from_document, map_to_document, read
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.map_schema import MapDocument, validated
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.topomap import Closure, TopoMap
+from topobatch.topology.topomap import Closure, RunNoise, TopoMap
 
 
 def small_map(run: str = "run1") -> TopoMap:
@@ -225,3 +225,12 @@ def test_what_is_kept_unread_can_be_written_again():
     doc["graph"]["mine"] = {"deep": [float("inf")]}
     with pytest.raises(DocumentError, match=r"a\.json: graph: .*mine holds a number"):
         map_from_document(doc, "a.json")
+
+
+def test_centres_that_all_passes_share_are_told_where_there_are_any() -> None:
+    plain = small_map()
+    assert "shared_centre_m" not in map_to_document(plain)["graph"]["noise"]
+    told = replace(plain, fitted_noise=RunNoise(shared_centre_m=0.125))
+    again = map_from_document(map_to_document(told))
+    assert again.fitted_noise == told.fitted_noise
+    assert again.noise == plain.noise

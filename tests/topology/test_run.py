@@ -20,6 +20,7 @@ PASSES = ScanPasses(
     np.ones(2),
     np.ones(2, np.int64),
     np.ones(2),
+    np.zeros(2),
 )
 
 

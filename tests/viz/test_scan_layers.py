@@ -40,6 +40,7 @@ def scanned(topomap: TopoMap, odometry: Odometry, picture: bool = True) -> Scann
         confidence=np.linspace(0.4, 1.0, p),
         windows=np.full(p, 3),
         clearance_m=np.ones(p),
+        shared_m=np.zeros(p),
     )
     anchor_ns = odometry.time_ns[::100]
     k = len(anchor_ns)

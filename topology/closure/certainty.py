@@ -30,19 +30,21 @@ def place_errors(
     kept: IntArray,
     grid: GridHeadings | None = None,
     *,
+    shared_m: FloatArray | None = None,
     settings: CertaintySettings = CertaintySettings(),
 ) -> VertexErrors:
     """Errors of the places `kept` of an estimate, by the noise that it was optimised with.
 
-    Sampled from the posterior of the pose graph, with the two errors that the graph does not hold:
-    a place with a single pass is off by the error of its detection, and all lengths share the error
-    of the odometry's scale.
+    Sampled from the posterior of the pose graph, with the errors that the graph does not hold: a
+    place with a single pass is off by the error of its detection, all lengths share the error of
+    the odometry's scale, and all passes of a place what they see alike (shared_m: of each pass,
+    1 sigma per axis [m]; None for nothing).
     """
     count = settings.samples
     sampled = SampledMarginals.of(estimate.graph, estimate.solution.with_full_weights(), count)
     node = estimate.node[kept]
     error = sampled.error[node]
-    error[:, 2] = _mean_turns(sampled.error[: len(reckoning), 2], place, kept)
+    error[:, 2] = _means(sampled.error[: len(reckoning), 2], place)[kept]
     rng = np.random.default_rng(20052)
     alone = node < len(reckoning)
     error[alone, :2] += reckoning.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, count))
@@ -50,6 +52,9 @@ def place_errors(
     scale = reckoning.noise.scale * rng.standard_normal(count)
     if len(kept):
         error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
+    if shared_m is not None:
+        alike = np.sqrt(_means(shared_m**2, place)[kept])
+        error[:, :2] += alike[:, None, None] * rng.standard_normal((len(kept), 2, count))
     own = np.zeros(len(kept))
     if grid is not None:
         # The grid tells a pass its turn by the mean of its branches, to how well these were read
@@ -60,14 +65,14 @@ def place_errors(
     return VertexErrors(error, own)
 
 
-def _mean_turns(turn: FloatArray, place: IntArray, kept: IntArray) -> FloatArray:
-    """(k, s) errors of the turns (p, s) of the passes by each place kept, in the mean.
+def _means(values: FloatArray, place: IntArray) -> FloatArray:
+    """(n, …) mean over the passes by each place of their values (p, …).
 
-    Branches are drawn as every pass is turned. The place's own node in the pose graph is turned as
-    they were read, too, which `branch_sigma` counts for itself.
+    Of errors of turns: branches are drawn as every pass is turned. The place's own node in the pose
+    graph is turned as they were read, too, which `branch_sigma` counts for itself.
     """
     row = np.flatnonzero(place >= 0)
     size = (int(place.max(initial=-1)) + 1, len(place))
     passes = np.bincount(place[row], minlength=size[0])[place[row]]
     mean = csr_array((1 / passes, (place[row], row)), shape=size)
-    return np.asarray(mean @ turn)[kept]
+    return np.asarray(mean @ values)

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from topobatch.ingest.scans.crossing import Crossing, aside, bends, crossing, crossings, placed
+from topobatch.ingest.scans.crossing import (
+    AXIS_M,
+    Crossing,
+    aside,
+    bends,
+    crossing,
+    crossings,
+    placed,
+)
 from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, traced
 from topobatch.ingest.scans.skeleton_lines import lines_of
 from topobatch.topology.se2 import wrap
@@ -25,7 +33,7 @@ def corridors(*headings_deg: float, wave_m: float = 0.0) -> np.ndarray:
     for heading in np.radians(headings_deg):
         c, s = np.cos(heading), np.sin(heading)
         along, across = c * x + s * y, c * y - s * x
-        free |= (np.abs(across - wave_m * np.sin(2.1 * along)) <= 0.7) & (along >= 0)
+        free |= (np.abs(across - wave_m * np.sin(2.1 * along)) < 0.701) & (along >= 0)
     return free
 
 
@@ -44,8 +52,25 @@ def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
     off = np.hypot(*(found.xy - MIDDLE))
     assert off < max(0.15, 0.5 * np.hypot(*(node.xy - MIDDLE)))
     assert off < 0.25
-    wanted = np.sort(wrap(np.radians([0, 180, sharp])))
-    assert np.abs(wrap(found.headings - wanted)).max() < 0.15
+    apart = np.abs(wrap(found.headings[:, None] - np.radians([0, 180, sharp])))
+    assert apart.min(axis=0).max() < 0.15
+
+
+def test_corridors_that_bend_cross_where_their_bends_lead() -> None:
+    y, x = np.mgrid[:SIDE, :SIDE] * CELL - MIDDLE[0]
+    free = (np.abs(y - 0.05 * x * x) <= 0.7) | ((np.abs(x + 0.04 * y * y) <= 0.7) & (y >= 0))
+    node, found = seen(free)
+    off = np.hypot(*(found.xy - MIDDLE))
+    assert off < 0.5 * np.hypot(*(node.xy - MIDDLE))
+    assert off < 3 * found.sigma_m
+
+
+def test_axes_tell_a_centre_better_than_the_fork() -> None:
+    _, straight = seen(corridors(0, 180, 90))
+    _, winding = seen(corridors(0, 180, 90, wave_m=0.3))
+    fork = aside(np.radians([0, 90, 180])) * winding.clearance_m / np.sqrt(2)
+    assert winding.sigma_m == pytest.approx(fork, rel=0.1)
+    assert straight.sigma_m < 0.5 * winding.sigma_m
 
 
 def test_winding_ways_have_no_axes() -> None:
@@ -91,7 +116,7 @@ def test_a_fork_is_off_by_the_sharpest_angle() -> None:
 def test_cells_as_large_as_an_axis_have_none() -> None:
     free = np.zeros((40, 40), bool)
     free[18:22] = free[:, 18:22] = True
-    cell_m = 3.0
+    cell_m = AXIS_M
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * cell_m
     settings = SkeletonSettings()
     graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, cell_m), settings)

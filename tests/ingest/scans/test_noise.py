@@ -67,6 +67,7 @@ def test_a_walk_is_as_uncertain_as_its_spans() -> None:
         confidence=np.zeros(0),
         windows=no_time,
         clearance_m=np.zeros(0),
+        shared_m=np.zeros(0),
     )
 
     def noise(loud: float, together: float = 1.3) -> RunNoise:

@@ -81,6 +81,19 @@ def test_two_maps_become_one(town):
     assert fused.kind.count("dead_end") == 1
 
 
+def test_what_runs_see_alike_is_no_surer_for_being_seen_twice(draw):
+    def sigmas(shared_m):
+        maps = [part(draw, run, WEST) for run in ("one", "two")]
+        maps = [replace(m, noise=replace(m.noise, shared_centre_m=shared_m)) for m in maps]
+        _, fused = fuse(maps, [verdict(*maps, common(WEST, WEST))], how_sure=True)
+        return maps[0].length_sigma.min(), fused.length_sigma.min(), fused.position_sigma.max()
+
+    own, mean, place = sigmas(0.0)
+    assert mean == pytest.approx(own / np.sqrt(2))
+    assert sigmas(10.0)[1] == pytest.approx(own)
+    assert sigmas(0.5)[2] > place
+
+
 def test_lengths_are_combined_by_inverse_variance_with_provenance(draw):
     west = part(draw, "west", WEST, sigma=0.1, lengths={("p", "q"): 7.2})
     east = part(draw, "east", EAST, MOVED, sigma=0.05, lengths={("p", "q"): 6.95})

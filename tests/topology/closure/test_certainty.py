@@ -29,3 +29,17 @@ def test_readings_turn_no_place_that_the_odometry_holds() -> None:
     errors = place_errors(reckoning, optimise(reckoning, place), place, np.arange(8))
     xy = np.stack([passes.centre[place == k].mean(axis=0) for k in range(8)])
     assert errors.as_a_whole(xy, np.zeros(8, int)).turn_sigma().max() < 0.1 * 0.03
+
+
+def test_what_all_passes_share_no_number_of_them_takes_off() -> None:
+    exact = RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.001, 0.03)
+    odometry, passes, place = noisy_square(3, exact, 3)
+    reckoning = dead_reckoning(odometry, passes, exact, EXACT)
+    assert np.bincount(place).min() > 1
+    shared = np.where(place == 4, 0.2, 0.1)
+    errors = place_errors(
+        reckoning, optimise(reckoning, place), place, np.arange(8), shared_m=shared
+    )
+    xy = np.stack([passes.centre[place == k].mean(axis=0) for k in range(8)])
+    sigma = errors.distance_sigma(xy, np.array([0, 0]), np.array([1, 4]))
+    np.testing.assert_allclose(sigma, np.hypot(0.1, [0.1, 0.2]), rtol=0.15)
