@@ -139,7 +139,7 @@ class InFile:
             return b""  # as if it were damaged
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Pack:
     """Results of pairs of some maps. era: what else they depend on (the program, its settings)."""
 

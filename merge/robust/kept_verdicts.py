@@ -178,7 +178,7 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
         *own,
         threshold_bits=need,
         accepted_by=by,
-        best=_Late.of(data, "best"),
+        best=_aligned(entry, known[3:8], rows[: sizes[0]]) if merged else _Late.of(data, "best"),
         runner_up=None if second is None else _Late.of(data, "runner_up"),
         margin_bits=margin if "margin_bits" in entry else None,
         advice=entry.get("advice"),
@@ -188,7 +188,7 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
 
 class _Late(Alignment):
     """An alignment of a verdict that was kept, made of its bytes when somebody asks for anything of
-    it: of most nobody does, and the bytes take less memory."""
+    it: of most pairs that are not merged nobody does, and the bytes take less memory."""
 
     __slots__ = ("_which", "data")
 

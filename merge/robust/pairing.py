@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar, overload
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -129,7 +130,9 @@ class Pairwise:
         self._number = np.array([number[digest] for digest in self.digests], np.int64)
         self._images: dict[int, Prepared] = {}
         self._packs: list[Pack] = []
-        self._sorted: dict[tuple[int, Kind], tuple[Pack, IntArray, IntArray]] = {}
+        # Of packs that still are: those that a store has written since are not held here.
+        self._sorted: WeakKeyDictionary[Pack, dict[Kind, tuple[IntArray, IntArray]]]
+        self._sorted = WeakKeyDictionary()
         if self.means.store is not None and self.means.store.era != era_of(settings):
             raise ValueError("what the store keeps is of other settings")
 
@@ -232,17 +235,16 @@ class Pairwise:
     def _keys(self, kind: Kind, pack: Pack) -> tuple[IntArray, IntArray]:
         """The records of a pack that are of a kind and of maps of the batch: their pairs as
         numbers, ascending, and their rows."""
-        known = self._sorted.get((id(pack), kind))
-        if known is None or known[0] is not pack:
+        known = self._sorted.setdefault(pack, {})
+        if kind not in known:
             number = {digest: k for k, digest in enumerate(self._row)}
             to = np.array([number.get(d, -1) for d in pack.digests] or [-1], np.int64)
             a, b = to[pack.rows["a"]], to[pack.rows["b"]]
             rows = np.flatnonzero((a >= 0) & (b >= 0) & (pack.rows["kind"] == kind))
             keys = a[rows] * len(self._row) + b[rows]
             order = np.argsort(keys, kind="stable")
-            known = pack, keys[order], rows[order]
-            self._sorted[id(pack), kind] = known
-        return known[1], known[2]
+            known[kind] = keys[order], rows[order]
+        return known[kind]
 
     def _candidates(self, pack: Pack, row: int, pair: IntArray) -> tuple[Candidate, ...] | None:
         """What a record says in full; None if it cannot be of this pair."""
