@@ -143,7 +143,7 @@ def test_the_page_lists_every_format() -> None:
     from topobatch.cli.export import Format
 
     page = (Path(__file__).parents[2] / "docs" / "exports.md").read_text()
-    rows = re.findall(r"^\| `(\w+)` \| `", page, re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| `\.", page, re.MULTILINE)
     assert rows == list(get_args(Format))
     for form in rows:
         assert f"**{form}.**" in page

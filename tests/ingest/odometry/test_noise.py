@@ -157,4 +157,6 @@ def test_any_short_run_has_some_noise_and_some_calibration(
     assert np.isfinite(calibration.estimate).all()
     track = apply_calibration(odometry, calibration)
     noise = estimate_noise(track, detections, fuse_passes(track, detections))
-    assert all(0 < value < np.inf for value in asdict(noise).values())
+    told = asdict(noise)
+    assert told.pop("shared_centre_m") == 0.0  # of scans alone
+    assert all(0 < value < np.inf for value in told.values())

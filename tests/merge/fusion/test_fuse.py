@@ -85,7 +85,7 @@ def test_what_runs_see_alike_is_no_surer_for_being_seen_twice(draw):
     def sigmas(shared_m):
         maps = [part(draw, run, WEST) for run in ("one", "two")]
         maps = [replace(m, noise=replace(m.noise, shared_centre_m=shared_m)) for m in maps]
-        _, fused = fuse(maps, [verdict(*maps, common(WEST, WEST))], how_sure=True)
+        _, fused = fuse(maps, [verdict(*maps, common(WEST, WEST))], asked=())
         return maps[0].length_sigma.min(), fused.length_sigma.min(), fused.position_sigma.max()
 
     own, mean, place = sigmas(0.0)
