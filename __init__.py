@@ -1,4 +1,4 @@
-"""topobatch: recorded robot runs to topological maps, and maps of many runs merged.
+"""Recorded robot runs to topological maps, and maps of many runs merged.
 
     import topobatch
 
@@ -11,11 +11,16 @@ their docstrings. Importing the package does nothing but define names; they are 
 used, and the heavy libraries (rerun, rosbags, scipy.optimize) by the functions that need them.
 """
 
+from __future__ import annotations
+
 import sys
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from inspect import Signature
+
     from .cli.library import Workspace, ingest, merge, read_map, to_networkx
 
 __all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
@@ -39,14 +44,34 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 class _CallableFolder(ModuleType):
-    """`topobatch.ingest` and `topobatch.merge` are folders of modules, and functions as well."""
+    # `topobatch.ingest` and `topobatch.merge` are folders of modules, and the functions of
+    # `cli.library` that are called like them: `help` shows those.
 
     def __call__(self, *args: Any, **options: Any) -> Any:
         """Call the function that is called like the folder (`topobatch.cli.library`)."""
+        return self._function()(*args, **options)
+
+    @property
+    def __signature__(self) -> Signature:
+        from inspect import signature
+
+        return signature(self._function())
+
+    @property
+    def __doc__(self) -> str:  # type: ignore[override]
+        from inspect import getdoc
+
+        return f"{getdoc(self._function())}\n\nThe folder: {vars(self)['__doc__']}"
+
+    def _function(self) -> Callable[..., Any]:
         from .cli import library
 
-        return getattr(library, self.__name__.rpartition(".")[2])(*args, **options)
+        return cast("Callable[..., Any]", getattr(library, self.__name__.rpartition(".")[2]))
 
 
 class _Package(ModuleType):

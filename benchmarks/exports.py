@@ -10,6 +10,8 @@ Every export of every run and of every component goes through its reader (tests/
   times    `abs_time_taken` along those routes, against what the robots truly took to drive them
   said     routes of which the graph itself says that more than one in twenty may be off by more
            (`length_sigma` with `length_scale_sigma`; `time_sigma`), and of the others those within
+
+By length of the route: those within 2 %, and within 1 and 1.96 of the sigmas stated.
 """
 
 from __future__ import annotations
@@ -41,6 +43,7 @@ from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.topomap import TopoMap
+from topobatch.topology.turning_vertices import with_turning_points
 from topobatch.viz.exports import (
     MAP_FORMATS,
     MAX_ERROR_M,
@@ -66,6 +69,7 @@ class Tally:
     """What was read and measured: relative errors, one per route."""
 
     files: int = 0
+    metres: list[float] = field(default_factory=list)
     routes: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     route_sigmas: list[float] = field(default_factory=list)
@@ -82,15 +86,17 @@ class Tally:
             getattr(self, name).extend(getattr(other, name))
 
 
-_LISTS = ("routes", "times", "route_sigmas", "time_sigmas", "corridors", "corridor_times")
+_LISTS = (
+    "metres", "routes", "times", "route_sigmas", "time_sigmas", "corridors", "corridor_times",
+)  # fmt: skip
 
 
 def read_back(topomap: TopoMap, folder: Path) -> Tally:
     """Every format that a map alone is enough for, and its pose graph."""
-    count = 0
+    whole, count = with_turning_points(topomap), 0
     for writers in MAP_FORMATS.values():
         for ending, text_of in writers.items():
-            READERS[ending](text_of(topomap, MAX_ERROR_M))
+            READERS[ending](text_of(whole, MAX_ERROR_M))
             count += 1
     graph = pose_graph_g2o(map_pose_graph(topomap))
     readers.read_g2o(graph, folder)
@@ -132,16 +138,20 @@ def judged(topomap: TopoMap, true: np.ndarray, truth: Truth, runs: list[str]) ->
             out.unjudged += 1
             continue
         length, seconds = np.sum([known[c] for c in corridors], axis=0)
+        out.metres.append(length)
         out.routes.append(sum(step["length"] for step in steps) / length - 1)
         out.times.append(sum(step["abs_time_taken"] for step in steps) / seconds - 1)
-        out.route_sigmas.append(np.hypot(_sigma(steps, "length_sigma") / length, scale))
+        out.route_sigmas.append(_sigma(steps, "length_sigma", scale) / length)
         out.time_sigmas.append(_sigma(steps, "time_sigma") / seconds)
     return out
 
 
-def _sigma(steps: list[dict[str, float]], name: str) -> float:
-    """Of a sum, by the sigmas of what is added; without end where one is not stated."""
-    return float(np.sqrt(sum(step.get(name, np.inf) ** 2 for step in steps)))
+def _sigma(steps: list[dict[str, float]], name: str, scale: float = 0.0) -> float:
+    """Of a route, by its edges; without end where one states nothing."""
+    lengths, sigmas = (
+        np.array([step.get(n, np.inf) for step in steps], float) for n in ("length", name)
+    )
+    return readers.route_sigma(lengths, sigmas, scale)
 
 
 def _true_corridors(
@@ -244,6 +254,17 @@ def line(name: str, tally: Tally) -> str:
     return "  ".join([*cells, f"{tally.unjudged:5}"])
 
 
+def by_length(tally: Tally) -> str:
+    """How far the routes of each length are off, and whether their sigmas are that."""
+    metres, off = np.array(tally.metres), np.abs(tally.routes)
+    z, rows = off / np.array(tally.route_sigmas), ["route of        n  ≤ 2 %   68 %   95 %"]
+    for low, high in pairwise((0, 5, 10, 20, np.inf)):
+        of = (low <= metres) & (metres < high)
+        shares = (np.mean(x) for x in (off[of] <= 0.02, z[of] <= 1, z[of] <= 1.96))
+        rows.append(f"{low:2} to {high:3} m {of.sum():6}" + "".join(f"{x:7.3f}" for x in shares))
+    return "\n".join(rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=2)
@@ -262,7 +283,8 @@ def main() -> None:
                 tally = simulated(kind, seed, folder)
                 total.add(tally)
                 print(line(f"{kind} {seed}", tally), flush=True)
-        print(line("together", total))
+        if total.routes:
+            print(line("together", total), by_length(total), sep="\n")
         for logs in args.logs:
             print(line(logs.name if logs.name != "logs" else logs.parent.name, real(logs, folder)))
     print(f"{time.monotonic() - start:.0f} s")

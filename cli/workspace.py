@@ -33,8 +33,8 @@ NAME_BYTES = 200
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`maps/<run>.json`, `maps/<run>.rrd`, `merged.json`, `merged.rrd`, `locks.json`,
-    `discards.json`, `history.jsonl`, `cache/`.
+    """The folder of the command's results: `maps/<run>.json`, `maps/<run>.rrd`, `merged.json`,
+    `merged.rrd`, `locks.json`, `discards.json`, `history.jsonl`, `cache/`.
 
     What lies there may come from others. Raises DataError if one of its folders is a link, or is
     none: what is written and cleared away lies in the workspace. Names become paths only if they

@@ -114,7 +114,8 @@ def _legend(topomap: TopoMap, shown: MapLayers) -> str:
         lines.append("Corridors are brighter the more often they were driven.")
     if shown.odometry:
         lines.append(
-            "Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**)."
+            "Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). "
+            "**White**: the robot at the cursor, behind it its last minute (**bright green**)."
         )
     if shown.detections:
         lines.append(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import inspect
 import os
+import pydoc
 import re
 import subprocess
 import sys
@@ -48,6 +49,17 @@ def test_everything_offered_is_described(name) -> None:
     assert getattr(library, name).__doc__
     assert name in PAGE.read_text()
     assert callable(getattr(topobatch, name))
+
+
+def test_help_and_completion_know_everything_offered() -> None:
+    """`help` shows the functions, not the folders of modules that are called like them."""
+    assert set(topobatch.__all__) <= set(dir(topobatch))
+    for name in ("ingest", "merge"):
+        function = getattr(library, name)
+        shown = pydoc.plain(pydoc.render_doc(getattr(topobatch, name)))
+        assert function.__doc__.splitlines()[0] in shown
+        assert "Parameters" in shown
+        assert inspect.signature(getattr(topobatch, name)) == inspect.signature(function)
 
 
 def test_folders_stay_folders_and_can_be_called() -> None:

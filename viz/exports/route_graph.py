@@ -41,7 +41,9 @@ class RouteGraph:
 
 def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGraph:
     """The straight pieces of all corridors. A piece takes its share of its corridor's length and
-    time, and of their variances: errors along a route add up by their squares. The pieces
+    time, and of their variances: errors along a route add up by their squares. What the odometry's
+    scale is off by, which is part of `length_sigma`, is the same share of every length, so that
+    pieces add up to their corridor as corridors do to a route (docs/exports.md). The pieces
     themselves cut a bend short, by up to 0.5 %; the length was measured before it was cut.
 
     Raises ValueError unless max_error_m is positive. O(points of all paths).
@@ -67,6 +69,8 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
     lengths = np.concatenate(length) if some else np.zeros(0)
     whole = np.bincount(of, lengths, minlength=len(topomap.source))
     share = lengths / np.maximum(whole[of], 1e-9)
+    stretched = (topomap.measured.scale * topomap.length) ** 2
+    by_itself = np.maximum(topomap.length_sigma**2 - stretched, 0.0)
     return RouteGraph(
         xy=np.concatenate(points),
         vertex=np.concatenate(vertices).astype(np.int64),
@@ -74,7 +78,7 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
         target=np.concatenate(target) if some else none,
         edge=of,
         length=share * topomap.length[of],
-        length_sigma=np.sqrt(share) * topomap.length_sigma[of],
+        length_sigma=np.sqrt(share * by_itself[of] + share**2 * stretched[of]),
         seconds=share * driving_seconds(topomap)[of],
         seconds_sigma=np.sqrt(share) * seconds_sigma(topomap)[of],
     )

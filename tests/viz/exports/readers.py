@@ -280,6 +280,13 @@ def text_of(topomap: TopoMap, form: str, bound_m: float = BOUND_M) -> str:
     return write(topomap, bound_m)
 
 
+def route_sigma(length: np.ndarray, sigma: np.ndarray, scale: float) -> float:
+    """1 sigma of a route by its edges, as docs/exports.md says: each sigma holds the error of the
+    scale, which all lengths share. scale: 0 for what shares none, as times."""
+    shared = scale**2 * (length.sum() ** 2 - (length**2).sum())
+    return float(np.sqrt((sigma**2).sum() + shared))
+
+
 def distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     """(k,) of points from a polyline."""
     a, d = line[:-1], np.diff(line, axis=0)

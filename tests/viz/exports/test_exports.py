@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 import yaml
 
@@ -12,7 +13,7 @@ from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.viz.exports import MAP_FORMATS
 from topobatch.viz.exports.route_graph import seconds_sigma
 
-from .readers import BOUND_M, read_csv, read_graphml, read_nav2, read_tmap2, text_of
+from .readers import BOUND_M, read_csv, read_graphml, read_nav2, read_tmap2, route_sigma, text_of
 
 
 def test_the_same_map_gives_the_same_text(driven) -> None:
@@ -23,21 +24,29 @@ def test_the_same_map_gives_the_same_text(driven) -> None:
 
 
 def test_formats_that_state_lengths_say_how_sure_they_are(driven) -> None:
-    """Of a corridor, in squares over its pieces, of its time, and of all lengths together."""
+    """Of every edge; a route through every corridor has the same sigma by all of them."""
     topomap, scale = driven[1], significant(driven[1].measured.scale)
-    once = {"length_sigma": topomap.length_sigma, "seconds_sigma": seconds_sigma(topomap)}
-    square = {name: float((sigma**2).sum()) for name, sigma in once.items()}
+    length = route_sigma(topomap.length, topomap.length_sigma, scale)
+    seconds = route_sigma(topomap.length, seconds_sigma(topomap), 0.0)
 
-    def told(edges, names=("length_sigma", "seconds_sigma"), ways=1):
-        for name, key in zip(names, square, strict=True):
-            total = sum(float(edge[name]) ** 2 for edge in edges) / ways
-            assert total == pytest.approx(square[key], rel=0.05)
+    def told(edges, time_sigma="seconds_sigma"):
+        lengths, sigmas, times = (
+            np.array([edge[name] for edge in edges], float)
+            for name in ("length", "length_sigma", time_sigma)
+        )
+        assert route_sigma(lengths, sigmas, scale) == pytest.approx(length, rel=0.01)
+        assert route_sigma(lengths, times, 0.0) == pytest.approx(seconds, rel=0.03)
+
+    def one_way(graph):
+        there = [(u, v) for u, v in graph.edges() if u < v]
+        assert 2 * len(there) == graph.number_of_edges()
+        return [graph.edges[u, v, k] for u, v, k in graph.edges(keys=True) if u < v]
 
     nav2, tmap2 = text_of(topomap, "nav2"), text_of(topomap, "tmap2")
     graph = read_graphml(text_of(topomap, "graphml"))
     rows = read_csv(MAP_FORMATS["csv"][".corridors.csv"](topomap, BOUND_M))
-    told([d for *_, d in read_nav2(nav2).edges(data=True)], ("length_sigma", "time_sigma"), ways=2)
-    told([d for *_, d in read_tmap2(tmap2).edges(data=True)], ways=2)
+    told(one_way(read_nav2(nav2)), "time_sigma")
+    told(one_way(read_tmap2(tmap2)))
     told([d for *_, d in graph.edges(data=True)])
     told(rows)
     assert json.loads(nav2)["length_scale_sigma"] == scale

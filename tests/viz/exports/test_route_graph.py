@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from topobatch.topology.polyline import way_of
 from topobatch.viz.exports import route_graph
 
-from .readers import distance, read_nav2, read_rmf, read_tmap2, text_of
+from .readers import distance, read_nav2, read_rmf, read_tmap2, route_sigma, text_of
 
 READERS = {"nav2": read_nav2, "rmf": read_rmf, "tmap2": read_tmap2}
 
@@ -43,18 +45,23 @@ def test_straight_pieces_stay_near_the_path(driven) -> None:
         route_graph(driven[1], 0.0)
 
 
-def test_the_variances_of_the_pieces_add_up_to_those_of_the_corridors(driven) -> None:
-    topomap = driven[1]
-    graph = route_graph(topomap, 0.02)
-    assert np.bincount(graph.edge).max() > 1
-    whole = np.sqrt(np.bincount(graph.edge, graph.length_sigma**2))
-    assert whole == pytest.approx(topomap.length_sigma)
-    for form in ("nav2", "tmap2"):
-        told = sum(
-            data["length_sigma"] ** 2
-            for *_, data in READERS[form](text_of(topomap, form)).edges(data=True)
-        )
-        assert told == pytest.approx(2 * float((topomap.length_sigma**2).sum()), rel=0.05)
+def test_the_sigmas_of_the_pieces_add_up_to_those_of_the_corridors(driven) -> None:
+    """By the formula of docs/exports.md, whatever part of them is the scale's, and however coarse
+    the pieces; to no less than the scale's part, where a corridor states less."""
+    _, topomap = driven
+    for scale in (0.0, 0.002, topomap.measured.scale, 0.1):
+        noise = replace(topomap.measured, scale=scale)
+        stretched = replace(topomap, noise=noise, fitted_noise=noise)
+        for bound in (0.02, 0.3):
+            graph = route_graph(stretched, bound)
+            whole = [
+                route_sigma(graph.length[row], graph.length_sigma[row], scale)
+                for row in (graph.edge == e for e in range(len(topomap.source)))
+            ]
+            least = scale * topomap.length
+            assert whole == pytest.approx(np.maximum(topomap.length_sigma, least))
+    assert (topomap.measured.scale * topomap.length < topomap.length_sigma).all()
+    assert np.bincount(route_graph(topomap, 0.02).edge).max() > 1
 
 
 def test_the_lengths_of_the_pieces_add_up_to_those_of_the_corridors(driven) -> None:
