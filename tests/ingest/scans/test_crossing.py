@@ -67,14 +67,14 @@ def test_corridors_that_bend_cross_where_their_bends_lead() -> None:
 
 def test_axes_tell_a_centre_better_than_the_fork() -> None:
     _, straight = seen(corridors(0, 180, 90))
-    _, winding = seen(corridors(0, 180, 90, wave_m=0.3))
+    _, winding = seen(corridors(0, 180, 90, wave_m=0.4))
     fork = aside(np.radians([0, 90, 180])) * winding.clearance_m / np.sqrt(2)
     assert winding.sigma_m == pytest.approx(fork, rel=0.1)
     assert straight.sigma_m < 0.5 * winding.sigma_m
 
 
 def test_winding_ways_have_no_axes() -> None:
-    node, found = seen(corridors(0, 180, 90, wave_m=0.3))
+    node, found = seen(corridors(0, 180, 90, wave_m=0.4))
     assert np.array_equal(found.xy, node.xy)
     assert len(found.headings) == 3
 
