@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit
 
-from ...topology.arrays import Float32Array, FloatArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import wrap
 from .grid import GridSettings
-from .skeleton import Node, SkeletonGraph, SkeletonSettings
+from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
 
 AXIS_M = 3.0
 """Length of a branch that its axis is taken from, beyond the widening: half of what a window shows.
@@ -33,6 +33,9 @@ APART_M = 0.3
 """Cells of an axis nearer to each other than that are off alike, for what stands along a wall is no
 smaller. Were each to count, what stands along straight corridors would bend them (centres in
 simulated rows and mazes off by 5 and 6 cm for 3.5 and 4)."""
+
+ANGLES_RAD = (np.pi / 6, np.pi / 2)
+"""Between these, the sharpest angle of two branches counts."""
 
 ROUGH_M = GridSettings().cell_m
 """Walls in finer grids are no smoother than those in the grids of scans."""
@@ -69,10 +72,10 @@ def placed(
     own = (*node.xy, node.clearance_m)
     key = (np.array(own).tobytes(), *(graph.edges[way].cells.tobytes() for way in node.ends))
     if key not in known:
-        begins = _begins(graph, node, cell_m)
+        seen = [_Cells.of(graph.edges[way], node, cell_m) for way in node.ends]
         branches = [
-            _branch(graph, node, way, clearance_m, cell_m, begin_m=begin)
-            for way, begin in zip(node.ends, begins.tolist(), strict=True)
+            _branch(cells, node, begin, clearance_m, ring=node.ends.count(way) > 1)
+            for way, cells, begin in zip(node.ends, seen, _begins(node, seen).tolist(), strict=True)
         ]
         known[key] = _centre(node, branches)
     xy, sigma_m = known[key]
@@ -95,7 +98,7 @@ def bends(
     """(b,) how far each branch of a place turns [rad] from where its heading is taken to twice as
     far away; NaN where it ends before, or is one of both ends of a ring."""
     reach = 2 * _reach(place, settings)
-    far = [np.hypot(*(graph.edges[k].cells[:, ::-1] * cell_m - place.xy).T) for k in place.ends]
+    far = [np.hypot(*graph.edges[k].away(place.xy, cell_m).T) for k in place.ends]
     known = [
         place.ends.count(way) == 1 and away.max(initial=0.0) >= reach
         for way, away in zip(place.ends, far, strict=True)
@@ -194,17 +197,34 @@ class _Branch(NamedTuple):
     bent_variance: float = 0.0
 
 
-def _begins(graph: SkeletonGraph, node: Node, cell_m: float) -> FloatArray:
+class _Cells(NamedTuple):
+    """Cells (n, 2) of a branch, how far they lie from its node, away (n, 2) and distance (n,) [m],
+    and their size [m]."""
+
+    cells: IntArray
+    away: FloatArray
+    distance: FloatArray
+    cell_m: float
+
+    @classmethod
+    def of(cls, edge: Edge, node: Node, cell_m: float) -> _Cells:
+        """Those of a way, seen from a node of it."""
+        away = edge.away(node.xy, cell_m)
+        return cls(edge.cells, away, np.hypot(away[:, 0], away[:, 1]), cell_m)
+
+    def axis(self, begin_m: float) -> tuple[BoolArray, FloatArray]:
+        """(n,) which of them an axis is taken from that begins so far from the node, and where
+        these lie; all, if there are none."""
+        beyond = (self.distance >= begin_m) & (self.distance <= begin_m + AXIS_M)
+        return beyond, self.away[beyond] if beyond.any() else self.away
+
+
+def _begins(node: Node, branches: Sequence[_Cells]) -> FloatArray:
     """(b,) how far from a node the widening of each of its branches ends [m]: its clearance, or,
     of corridors of one width at an acute angle a, cot(a / 2) half widths, where their walls
     meet."""
-    bearings = np.zeros(len(node.ends))
-    for k, way in enumerate(node.ends):
-        away = graph.edges[way].cells[:, ::-1] * cell_m - node.xy
-        distance = np.hypot(away[:, 0], away[:, 1])
-        near = (distance >= node.clearance_m) & (distance <= node.clearance_m + AXIS_M)
-        x, y = (away[near] if near.any() else away).sum(axis=0)
-        bearings[k] = np.arctan2(y, x)
+    toward = np.array([cells.axis(node.clearance_m)[1].sum(axis=0) for cells in branches])
+    bearings = np.arctan2(toward[:, 1], toward[:, 0])
     apart = np.abs(wrap(bearings[:, None] - bearings))
     np.fill_diagonal(apart, np.pi)
     a = np.clip(apart.min(axis=0), *ANGLES_RAD)
@@ -212,31 +232,26 @@ def _begins(graph: SkeletonGraph, node: Node, cell_m: float) -> FloatArray:
 
 
 def _branch(
-    graph: SkeletonGraph,
+    seen: _Cells,
     node: Node,
-    way: int,
-    clearance_m: Float32Array | FloatArray,
-    cell_m: float,
-    *,
     begin_m: float,
+    clearance_m: Float32Array | FloatArray,
+    *,
+    ring: bool,
 ) -> _Branch:
     """A corridor bends little, and is as wide everywhere as at its begin, to within the rounding of
-    cells: the likelihood of that says how much of a corridor's axis a branch has.
+    cells: the likelihood of that says how much of a corridor's axis a branch has. begin_m: how far
+    from its node that begins; ring: the branch is one of both ends of a way.
 
     Before its cells are looked at, it is as likely straight as bent, and then by a normal number of
     sigma BENT_PER_M.
     """
-    cells = graph.edges[way].cells
-    away = cells[:, ::-1] * cell_m - node.xy
-    distance = np.hypot(away[:, 0], away[:, 1])
-    beyond = (distance >= begin_m) & (distance <= begin_m + AXIS_M)
-    own = away[beyond] if beyond.any() else away
+    beyond, own = seen.axis(begin_m)
     count = max(len(own), 1)
     x, y = middle = own.sum(axis=0) / count
     bearing = float(np.arctan2(y, x))
     # Two cells make a line, where cells are large.
-    short = np.count_nonzero(beyond) < max(0.4 * AXIS_M / cell_m, 2)
-    if short or node.ends.count(way) > 1:
+    if ring or np.count_nonzero(beyond) < max(0.4 * AXIS_M / seen.cell_m, 2):
         return _Branch(bearing, middle + node.xy, np.zeros(2), np.inf)
     u, v = (own - middle).T
     angle = 0.5 * np.arctan2(2 * float(u @ v), float(u @ u) - float(v @ v))
@@ -245,7 +260,7 @@ def _branch(
     square = along * along
     spread = float(square.sum()) / count
     skew = float(square @ along) / count / spread
-    rounding = max(cell_m, ROUGH_M) ** 2 / 12
+    rounding = max(seen.cell_m, ROUGH_M) ** 2 / 12
     # What is left of the squares beside a straight line tells of the bend.
     told = max(float(square @ square) / count - spread * spread - skew * skew * spread, 1e-9)
     shown = float(square @ across) / count
@@ -257,7 +272,7 @@ def _branch(
     bent = share * by
     bent_variance = share * (if_bent + (1 - share) * by * by)
     left = float(across @ across) / count - (2 * shown - bent * told) * bent
-    wide = clearance_m[cells[beyond, 0], cells[beyond, 1]]
+    wide = clearance_m[seen.cells[beyond, 0], seen.cells[beyond, 1]]
     unlike = 0.5 * (max(left, 0.0) + float(wide.var())) / rounding
     # Beyond three sigma it is none: nothing would be left of it, and exp would run over.
     if unlike >= 4.5:
@@ -308,10 +323,6 @@ def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
     return xy, sigma_m
 
 
-ANGLES_RAD = (np.pi / 6, np.pi / 2)
-"""Between these, the sharpest angle of two branches counts."""
-
-
 def aside(bearings: FloatArray) -> float:
     """How far a fork lies from where axes cross, of its clearance, by the sharpest angle a of two
     branches.
@@ -339,7 +350,7 @@ def _headings(
     out = np.zeros(len(ways))
     used: dict[int, float] = {}
     for k, way in enumerate(ways):
-        away = graph.edges[way].cells[:, ::-1] * cell_m - centre
+        away = graph.edges[way].away(centre, cell_m)
         if len(away) == 0:
             continue
         off = np.abs(np.hypot(away[:, 0], away[:, 1]) - reach_m)

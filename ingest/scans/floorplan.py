@@ -167,7 +167,7 @@ def _polylines(graph: SkeletonGraph, cell_m: float) -> list[FloatArray | None]:
     begun = [k for k, edge in enumerate(graph.edges) if edge.nodes[0] >= 0 and len(edge.cells)]
     ways = []
     for edge in (graph.edges[k] for k in begun):
-        away = edge.cells[:, ::-1] * cell_m - graph.nodes[edge.nodes[0]].xy
+        away = edge.away(graph.nodes[edge.nodes[0]].xy, cell_m)
         first = int(np.argmin(np.hypot(*away.T)))
         ways.append(_Way(edge.cells, first, edge.nodes[0] == edge.nodes[1]))
     chains = dict(zip(begun, _chains(ways), strict=True))

@@ -63,6 +63,10 @@ class Edge:
     length_m: float
     border: bool
 
+    def away(self, xy: FloatArray, cell_m: float) -> FloatArray:
+        """(k, 2) where its cells lie from a point of the grid [m]."""
+        return self.cells[:, ::-1] * cell_m - xy
+
 
 @dataclass(slots=True, eq=False)
 class _Segment:
