@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.posegraph.graph import PoseGraph, SharedErrors
 from ...topology.posegraph.marginals import Marginals
-from ...topology.posegraph.samples import SampledMarginals, white
+from ...topology.posegraph.samples import SampledMarginals, of_unit_variance, white
 from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
@@ -112,7 +112,7 @@ def place_sigmas(
     error = SampledMarginals.of(marks.graph, marks.solution, SAMPLES).error[node]
     (noise,) = white(20053, [(len(first), 2, SAMPLES)])
     off = np.hypot(marks.seen, marks.shared)[first]
-    error[:, :2] += off[:, None, None] * noise
+    error[:, :2] += off[:, None, None] * of_unit_variance(noise)
     error[:, 2] = 0.0
     whole = np.zeros(len(first), np.int64)
     return VertexErrors(error).as_a_whole(marks.solution.pose[node, :2], whole).position_sigma()

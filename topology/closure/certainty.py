@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..arrays import FloatArray, IntArray
-from ..posegraph.samples import SampledMarginals
+from ..posegraph.samples import SampledMarginals, of_unit_variance
 from ..vertex_errors import VertexErrors
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate
@@ -46,15 +46,19 @@ def place_errors(
     error = sampled.error[node]
     error[:, 2] = _means(sampled.error[: len(reckoning), 2], place)[kept]
     rng = np.random.default_rng(20052)
+
+    def drawn(*shape: int) -> FloatArray:
+        return of_unit_variance(rng.standard_normal((*shape, count)))
+
     alone = node < len(reckoning)
-    error[alone, :2] += reckoning.noise.centre_m * rng.standard_normal((int(alone.sum()), 2, count))
+    error[alone, :2] += reckoning.noise.centre_m * drawn(int(alone.sum()), 2)
     position = sampled.pose[node, :2]
-    scale = reckoning.noise.scale * rng.standard_normal(count)
+    scale = reckoning.noise.scale * drawn()
     if len(kept):
         error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
     if shared_m is not None:
         alike = np.sqrt(_means(shared_m**2, place)[kept])
-        error[:, :2] += alike[:, None, None] * rng.standard_normal((len(kept), 2, count))
+        error[:, :2] += alike[:, None, None] * drawn(len(kept), 2)
     own = np.zeros(len(kept))
     if grid is not None:
         # The grid tells a pass its turn by the mean of its branches, to how well these were read

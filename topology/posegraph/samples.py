@@ -145,6 +145,15 @@ def white(seed: int, shapes: Sequence[tuple[int, ...]]) -> list[FloatArray]:
     return [stream[end - size : end].reshape(shape) for shape, size, end in parts]
 
 
+def of_unit_variance(noise: FloatArray) -> FloatArray:
+    """White noise (…, s) scaled so that the mean square of the s samples is 1.
+
+    The same noise is drawn for every map. As drawn, that of the first 20 places is 3 % too large in
+    the mean, and a single number of 256 samples by up to 20 %: no error that averages out.
+    """
+    return np.asarray(noise / np.sqrt(np.mean(noise**2, axis=-1, keepdims=True)))
+
+
 MOST_DRAWN = 2**21
 """Numbers that are kept of a stream, 16 MB: drawing them takes longer than all that is done with
 them."""

@@ -22,6 +22,17 @@ def test_places_seen_once_are_as_far_off_as_their_detection() -> None:
     np.testing.assert_allclose(sigma, 0.05 * np.sqrt(2), rtol=0.15)
 
 
+def test_what_is_drawn_is_as_large_as_stated() -> None:
+    odometry, passes, place = noisy_square(1, RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.05, 0.02), 2)
+    alone, middle = np.arange(len(place)), passes.centre.mean(axis=0)
+    for scale, centre, rms in ((0.0, 0.05, 0.05), (0.01, 0.001, 0.01 * (passes.centre - middle))):
+        exact = RunNoise(1e-6, 1e-6, 1e-6, scale, centre, 0.02)
+        reckoning = dead_reckoning(odometry, passes, exact, EXACT)
+        error = place_errors(reckoning, optimise(reckoning, alone), alone, alone).sample[:, :2]
+        found = np.sqrt(np.mean(error**2, axis=2))
+        np.testing.assert_allclose(found, np.abs(rms) + 0 * found, rtol=0.01, atol=0.002)
+
+
 def test_readings_turn_no_place_that_the_odometry_holds() -> None:
     exact = RunNoise(1e-5, 1e-5, 1e-5, 0.0, 0.02, 0.03)
     odometry, passes, place = noisy_square(2, exact, 3)

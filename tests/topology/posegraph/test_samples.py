@@ -6,7 +6,12 @@ import numpy as np
 
 from topobatch.topology.posegraph.graph import PoseGraph
 from topobatch.topology.posegraph.marginals import Marginals
-from topobatch.topology.posegraph.samples import MOST_DRAWN, SampledMarginals, white
+from topobatch.topology.posegraph.samples import (
+    MOST_DRAWN,
+    SampledMarginals,
+    of_unit_variance,
+    white,
+)
 from topobatch.topology.posegraph.solve import solve
 
 
@@ -37,3 +42,11 @@ def test_white_noise_is_the_same_however_much_was_drawn_before() -> None:
         first, second = white(5, [(size // 2, 2), (3,)])
         assert np.array_equal(first, rng.standard_normal((size // 2, 2)))
         assert np.array_equal(second, rng.standard_normal(3))
+
+
+def test_noise_of_unit_variance_has_it_in_every_row() -> None:
+    (drawn,) = white(5, [(7, 2, 64)])
+    scaled = of_unit_variance(drawn)
+    assert np.ptp(np.mean(drawn**2, axis=-1)) > 0.1
+    np.testing.assert_allclose(np.mean(scaled**2, axis=-1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(scaled / drawn, (scaled / drawn)[..., :1].repeat(64, axis=-1))
