@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .arrays import FloatArray, IntArray
+from .se2 import wrap
+from .topomap import RunNoise, TopoMap
 
 LIKE_SIGMAS = 4.0
 """The shortest of a few normal ways is one or two sigmas below their mean, and hardly any lies as
@@ -44,3 +46,47 @@ def corridor_lengths(
         length[e] = way[like].mean()
         leg[e] = like[np.abs(way[like] - length[e]).argmin()]
     return length, leg
+
+
+def turning_variance(paths: Sequence[FloatArray], noise: RunNoise) -> FloatArray:
+    """(m,) variance [m²] of how far apart the ends of m polylines (k, 2) lie, by what an odometry
+    turned wrongly on one drive: ∫ h² dq, with h the offset from the chord and q the variance of the
+    heading. A wrong turn moves the far end along the chord by as much times the offset."""
+    size = np.array([len(path) for path in paths], np.int64)
+    owner, last = np.repeat(np.arange(len(paths)), size), np.cumsum(size) - 1
+    points = np.concatenate([np.zeros((0, 2)), *paths])
+    begin = points[last - size + 1]
+    chord = points[last] - begin
+    unit = chord / np.maximum(np.hypot(*chord.T), 1e-9)[:, None]
+    x, y = (points - begin[owner]).T
+    off = unit[owner, 0] * y - unit[owner, 1] * x
+    step, along = np.diff(points, axis=0), owner[1:] == owner[:-1]
+    square = (off[:-1] ** 2 + off[:-1] * off[1:] + off[1:] ** 2) / 3
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    turn = np.abs(wrap(np.diff(heading))) * (along[1:] & along[:-1])
+    on_the_way = np.bincount(owner[1:], along * np.hypot(*step.T) * square, len(paths))
+    turning = np.bincount(owner[1:-1], turn * off[1:-1] ** 2, len(paths))
+    walk, swing = noise.heading_rad_per_sqrt_m**2, noise.heading_rad_per_sqrt_rad**2
+    return np.asarray(walk * on_the_way + swing * turning)
+
+
+def way_sigma(topomap: TopoMap) -> FloatArray:
+    """(m,) 1 sigma [m] of a map's lengths, were the ends of its corridors and the scale of its
+    odometry known.
+
+    What odometry does on ways that wind is known, what robots wandered is the rest of what the map
+    states: beyond that, the scale, and the errors of both ends by this corridor alone; and not
+    more than the corridor is longer than the line between them.
+    """
+    noise, length, times = topomap.measured, topomap.length, np.maximum(topomap.traversals, 1)
+    ends = topomap.source, topomap.target
+    chord = np.hypot(*(topomap.xy[ends[1]] - topomap.xy[ends[0]]).T)
+    straight = np.minimum(chord / length, 1.0)
+    along = noise.along_m_per_sqrt_m**2 * length
+    turned = turning_variance(topomap.paths, noise)
+    driven = ((1 - straight**2) * along + straight**2 * turned) / times
+    seen = noise.centre_m**2 / np.maximum(topomap.passes, 1) + noise.shared_centre_m**2
+    apart = (along + turned) / times + seen[ends[0]] + seen[ends[1]]
+    rest = topomap.length_sigma**2 - (noise.scale * length) ** 2 - straight**2 * apart
+    beyond = np.maximum(length - chord, 0.0)
+    return np.asarray(np.sqrt(np.clip(rest, driven, driven + beyond**2 / times)))

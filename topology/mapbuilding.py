@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .circular import AngleClusters, cluster_angles
-from .corridor_lengths import corridor_lengths
+from .corridor_lengths import LIKE_SIGMAS, corridor_lengths, turning_variance
 from .odometry import Odometry
 from .passes import NO_BRANCH, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
@@ -111,7 +112,7 @@ def build_topomap(
         source_branch=edges.source_branch,
         target_branch=edges.target_branch,
         length=edges.length,
-        length_sigma=_length_sigma(edges, xy, measured, errors),
+        length_sigma=_length_sigma(edges, paths, xy, measured, errors),
         traversals=edges.traversals,
         paths=paths,
         observation_vertex=observed,
@@ -287,7 +288,9 @@ class _Edges:
     """Variance, per metre, of the ways driven through one corridor."""
     detour: float
     """How much of what ways go round between their ends was the robots' choice, not the corridors'
-    (`_chosen_detour`)."""
+    …"""
+    farthest_m: float
+    """… and how far hardly any goes round by choice (`_chosen_detour`)."""
 
 
 def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges:
@@ -307,6 +310,7 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
     )
     at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
     times = (at[member] for member in members)
+    detour, farthest_m = _chosen_detour(legs, members, xy)
     source, target, source_branch, target_branch = np.array(keys, np.int64).reshape(-1, 4).T
     return _Edges(
         source=source,
@@ -318,7 +322,8 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
         time_ns=tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times),
         leg=leg,
         wander=excess / way,
-        detour=_chosen_detour(legs, members, xy),
+        detour=detour,
+        farthest_m=farthest_m,
     )
 
 
@@ -346,23 +351,26 @@ def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[i
     return {ends: member for some in between.values() for ends, member in some.items()}
 
 
-def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> float:
-    """Root mean square share of the detours driven that a robot takes one time and not another.
+def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> tuple[float, float]:
+    """Root mean square share of the detours driven that a robot takes one time and not another, and
+    how long [m] hardly any is.
 
     What a way is longer than the line between its ends is the corridor's bend, or the robot's
     wandering: what it drives again tells how much of it is not there the next time. Beyond the
     shortest of several ways the others go as far as one goes beyond the corridor (were ways longer
-    by exponential amounts, exactly); the shortest itself tells nothing.
+    by exponential amounts, exactly); the shortest itself tells nothing. What drives of straight
+    corridors differ by, which is all of their detours, says nothing of bends of metres.
     """
     again = [member for member in corridors if len(member) > 1]
     if not again:
-        return 0.0
+        return 0.0, 0.0
     row = np.concatenate(again)
     shortest = np.concatenate([np.full(len(m), legs.length[m].min()) for m in again])
     line = np.hypot(*(xy[legs.target[row]] - xy[legs.source[row]]).T)
     chosen, gone = legs.length[row] - shortest, legs.length[row] - line
-    share = float((chosen**2).sum()) / (len(row) - len(again)) / max(np.mean(gone**2), 1e-9)
-    return float(np.sqrt(min(share, 1.0)))
+    usual = float((chosen**2).sum()) / (len(row) - len(again))
+    share = usual / max(float(np.mean(gone**2)), 1e-9)
+    return float(np.sqrt(min(share, 1.0))), LIKE_SIGMAS * float(np.sqrt(usual))
 
 
 def _fitting(
@@ -391,24 +399,33 @@ def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[F
 
 
 def _length_sigma(
-    edges: _Edges, xy: FloatArray, noise: RunNoise, errors: VertexErrors
+    edges: _Edges,
+    paths: Sequence[FloatArray],
+    xy: FloatArray,
+    noise: RunNoise,
+    errors: VertexErrors,
 ) -> FloatArray:
     """(m,) 1 sigma [m] of the corridors' lengths.
 
     A path bent onto its two ends gets longer by their error along the chord times the share of the
-    chord in it (the mean of its directions), to first order. The rest of a way that winds is
-    odometry's, and what robots wander in a corridor, and go round where none leads them, shows
-    where they drive it again (`corridor_lengths`). No corridor is shorter than the line between its
-    ends: a drive is no farther beyond it than beyond that.
+    chord in it (the mean of its directions), to first order. That holds the scale of the odometry
+    to the share squared, and the rest of the way to the rest: one error of the whole length.
+
+    What is left of a way that winds is the odometry's. Of what it errs by along the way, to bend
+    the path takes out the share of the chord, squared; and where it turned wrongly, the ends are
+    moved (`turning_variance`) though the length was right. What robots wander in a corridor, and
+    go round where none leads them, shows where they drive it again (`corridor_lengths`). No
+    corridor is shorter than the line between its ends: a drive is no farther beyond it than beyond
+    that.
     """
     chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
     straight = np.minimum(chord / edges.length, 1.0)
     ends = errors.distance_sigma(xy, edges.source, edges.target)
-    wound = 1 - straight**2
     times = np.maximum(edges.traversals, 1)
-    measured = wound * noise.along_m_per_sqrt_m**2 * edges.length / times
+    along = (1 - straight**2) * noise.along_m_per_sqrt_m**2 * edges.length
+    driven = along + straight**2 * turning_variance(paths, noise)
     beyond = np.maximum(edges.length - chord, 0.0)
-    chosen = edges.wander * edges.length / times + (edges.detour * beyond / times) ** 2
-    driven = measured + np.minimum(chosen, beyond**2 / times)
-    common = wound * (noise.scale * edges.length) ** 2
-    return np.asarray(np.sqrt((straight * ends) ** 2 + driven + common + 1e-6))
+    detour = np.minimum(edges.detour * beyond, edges.farthest_m)
+    chosen = np.minimum(edges.wander * edges.length + detour**2 / times, beyond**2)
+    common = (1 - straight**4) * (noise.scale * edges.length) ** 2
+    return np.asarray(np.sqrt((straight * ends) ** 2 + (driven + chosen) / times + common + 1e-6))

@@ -34,19 +34,21 @@ class VertexErrors:
             object.__setattr__(self, "own", np.zeros(len(self.sample)))
         freeze(self, np.float64, own=(len(self.sample),))
 
-    def distance_sigma(self, xy: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
-        """(k,) 1 sigma [m] of the distance from vertices a to vertices b, which lie at xy (n, 2).
-
-        To first order only errors along the line between the two change it; of vertices that
-        coincide the larger of both axes counts.
-        """
+    def distance_errors(self, xy: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
+        """(k, s) errors [m] of the distance from vertices a to vertices b, which lie at xy (n, 2):
+        to first order those along the line between the two, 0 where they coincide."""
         step = xy[b] - xy[a]
-        distance = np.hypot(*step.T)
+        unit = step / np.maximum(np.hypot(*step.T), 1e-9)[:, None]
         off = self.sample[b, :2] - self.sample[a, :2]
-        unit = step / np.maximum(distance, 1e-9)[:, None]
-        along = np.sqrt(np.mean((off * unit[:, :, None]).sum(axis=1) ** 2, axis=1))
+        return np.asarray((off * unit[:, :, None]).sum(axis=1))
+
+    def distance_sigma(self, xy: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
+        """(k,) 1 sigma [m] of these distances; of vertices that coincide the larger of both axes
+        counts."""
+        along = np.sqrt(np.mean(self.distance_errors(xy, a, b) ** 2, axis=1))
+        off = self.sample[b, :2] - self.sample[a, :2]
         either = np.sqrt(np.mean(off**2, axis=2).max(axis=1))
-        return np.asarray(np.where(distance > 1e-6, along, either))
+        return np.asarray(np.where(np.hypot(*(xy[b] - xy[a]).T) > 1e-6, along, either))
 
     def as_a_whole(self, xy: FloatArray, piece: IntArray) -> VertexErrors:
         """The errors that are left when a map is laid rigidly over the truth: those of its shape.

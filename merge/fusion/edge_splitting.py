@@ -272,6 +272,7 @@ def _cut(
                 branch_v=into,
                 length=max((s1 - s0) * scale, SHORTEST_M),
                 sigma=float(np.hypot(c.sigma * np.sqrt(share), 0.1)),
+                way=float(np.hypot(c.way * np.sqrt(share), 0.1)),
                 path=points[i : j + 1].copy() if j > i else points[[i, min(i + 1, j)]].copy(),
             )
         )

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.corridor_lengths import way_sigma
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.se2 import apply
@@ -41,8 +42,9 @@ SHORTEST_M = 1e-3
 class Corridor:
     """A corridor between two places: ends in ascending (place, branch), path from u to v.
 
-    members: (run, edge) pairs, sorted; shared: of sigma, what all runs' lengths are off by alike
-    [m]. Branches are those of the fused places.
+    sigma: as each run knows its ends by itself [m]; shared: of it, what all runs' lengths are off
+    by alike; way: of it, what is left where the ends and the scales of the runs are known
+    (`way_sigma`). members: (run, edge) pairs, sorted. Branches are those of the fused places.
     """
 
     u: int
@@ -55,6 +57,7 @@ class Corridor:
     path: FloatArray
     members: tuple[tuple[str, int], ...]
     shared: float
+    way: float
 
 
 def corridors_of(
@@ -66,7 +69,7 @@ def corridors_of(
     """
     out = []
     for m in pool.maps:
-        first = pool.first[m.run]
+        first, own = pool.first[m.run], way_sigma(m)
         for e in range(len(m.source)):
             s, t = first + int(m.source[e]), first + int(m.target[e])
             i, j = int(m.source_branch[e]), int(m.target_branch[e])
@@ -87,6 +90,7 @@ def corridors_of(
                 path=path,
                 members=((m.run, e),),
                 shared=min(2**0.5 * m.measured.shared_centre_m, float(m.length_sigma[e])),
+                way=float(own[e]),
             )
             out.append(oriented(corridor))
     return out
@@ -180,7 +184,8 @@ def _combined(bundle: list[Corridor]) -> Corridor:
     best = min(bundle, key=lambda c: (c.sigma, _order(c)))
     lead = bundle[0]
     weight = _weights(bundle)
-    left = max(1 - float(((weight / weight.sum()) ** 2).sum()), 0.0)
+    square = (weight / weight.sum()) ** 2
+    left = max(1 - float(square.sum()), 0.0)
     alike = np.sqrt(left) * min(c.shared for c in bundle)
     members = tuple(sorted({m for c in bundle for m in c.members}))
     return replace(
@@ -191,4 +196,5 @@ def _combined(bundle: list[Corridor]) -> Corridor:
         sigma=float(np.hypot(weight.sum() ** -0.5, alike)),
         traversals=sum(c.traversals for c in bundle),
         members=members,
+        way=float(np.sqrt(square @ np.array([c.way for c in bundle]) ** 2)),
     )

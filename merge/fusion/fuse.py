@@ -38,7 +38,7 @@ from .joint_graph import (
     settle,
 )
 from .places import DEFAULT_PLACE, Place, PlaceSettings, fused_places
-from .uncertainty import place_sigmas, spread
+from .uncertainty import fused_sigmas, spread
 from .vertex_partition import Groups, Pool, identify
 
 
@@ -204,9 +204,11 @@ def fuse_component(
         return FusedComponent(own, fused)
     if joint.graph is None or joint.solution is None:  # of one run what its map says
         return FusedComponent(own, replace(fused, position_sigma=pool.maps[0].position_sigma))
-    sigmas = place_sigmas(pool, label, joint.graph, joint.solution)
     errors = spread(pool, label, joint.graph, joint.solution, sure)
-    return FusedComponent(own, replace(fused, position_sigma=sigmas), errors)
+    sigmas = fused_sigmas(pool, label, joint.graph, joint.solution, corridors)
+    if sigmas is not None:
+        fused = replace(fused, position_sigma=sigmas[0], length_sigma=sigmas[1])
+    return FusedComponent(own, fused, errors)
 
 
 def _settle(

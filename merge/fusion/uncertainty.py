@@ -7,6 +7,7 @@ carried over to the rigid fit of each run's map.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from ...topology.posegraph.samples import SampledMarginals, of_unit_variance, wh
 from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
+from .edges import Corridor
 from .joint_graph import centre_sigma, shared_sigma
 from .vertex_partition import Pool
 
@@ -34,6 +36,9 @@ SAMPLES = 64
 """A sigma estimated from them has an error of 1 / √(2 · 64) = 9 %, which costs some coverage."""
 MOST_ROWS = 10_000
 """Samples of so many vertices take some 200 MB."""
+
+LEAST_M = 0.001
+"""No length is known better, which is what documents are rounded to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,10 +102,15 @@ class Landmarks:
         return np.where(self.seen > 0, np.hypot(self.seen, self.shared), 0.0)
 
 
-def place_sigmas(
-    pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution
-) -> FloatArray | None:
-    """(places,) 1 sigma [m] of each coordinate, with the component laid rigidly over the truth.
+def fused_sigmas(
+    pool: Pool,
+    label: IntArray,
+    graph: PoseGraph,
+    solution: Solution,
+    corridors: Sequence[Corridor],
+) -> tuple[FloatArray, FloatArray] | None:
+    """1 sigma [m] of each coordinate of the places, (p,), with the component laid rigidly over the
+    truth, and of the lengths of its corridors, (c,).
 
     label: (n,) the place of each row of the pool. None for components of more than MOST_ROWS rows.
     """
@@ -109,13 +119,45 @@ def place_sigmas(
     marks = Landmarks.of(pool, label, graph, solution)
     first = np.unique(label, return_index=True)[1]
     node = marks.node[first]
-    error = SampledMarginals.of(marks.graph, marks.solution, SAMPLES).error[node]
+    sampled = SampledMarginals.of(marks.graph, marks.solution, SAMPLES)
+    error = sampled.error[node]
     (noise,) = white(20053, [(len(first), 2, SAMPLES)])
     off = np.hypot(marks.seen, marks.shared)[first]
     error[:, :2] += off[:, None, None] * of_unit_variance(noise)
     error[:, 2] = 0.0
+    errors, xy = VertexErrors(error), marks.solution.pose[node, :2]
     whole = np.zeros(len(first), np.int64)
-    return VertexErrors(error).as_a_whole(marks.solution.pose[node, :2], whole).position_sigma()
+    lengths = _length_sigmas(errors, xy, pool, sampled.shared, corridors)
+    return errors.as_a_whole(xy, whole).position_sigma(), lengths
+
+
+def _length_sigmas(
+    errors: VertexErrors,
+    xy: FloatArray,
+    pool: Pool,
+    scale: FloatArray,
+    corridors: Sequence[Corridor],
+) -> FloatArray:
+    """(c,) 1 sigma [m] of the lengths of corridors between places that lie at xy (p, 2).
+
+    All runs' drives are bent onto the same places, of whose errors along the chord a length takes
+    the share of the chord in it, whichever runs drove there. The rest of the way is stretched by
+    the scales of those that did, and off by what each did on the way (`Corridor.way`). scale: (r,
+    s) errors of the scales of all runs, which belong to those of the places; without rows where
+    there are more runs than scales are estimated for: the places then have no part of them.
+    """
+    ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
+    length, way = np.array([(c.length, c.way) for c in corridors], np.float64).reshape(-1, 2).T
+    straight = np.minimum(np.hypot(*(xy[ends[1]] - xy[ends[0]]).T) / length, 1.0)
+    rest = (1 - straight**2) * length
+    if not len(scale):
+        usual = np.sqrt(np.mean([m.measured.scale**2 for m in pool.maps]))
+        scale, rest = usual * white(20054, [(len(pool.maps), SAMPLES)])[0], length
+    number = {m.run: k for k, m in enumerate(pool.maps)}
+    drivers = [sorted({number[run] for run, _ in c.members}) for c in corridors]
+    stretched = np.array([scale[runs].mean(axis=0) for runs in drivers]).reshape(-1, SAMPLES)
+    off = straight[:, None] * errors.distance_errors(xy, *ends) + rest[:, None] * stretched
+    return np.asarray(np.sqrt(np.mean(off**2, axis=1) + way**2 + LEAST_M**2))
 
 
 def spread(

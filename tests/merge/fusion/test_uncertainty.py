@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from topobatch.merge.fusion import uncertainty
-from topobatch.merge.fusion.fuse import fuse
-from topobatch.merge.fusion.joint_graph import SOLVER, pass_counts, settle
+from topobatch.merge.fusion.fuse import FusionSettings, fuse
+from topobatch.merge.fusion.joint_graph import SOLVER, JointSettings, pass_counts, settle
 from topobatch.merge.fusion.uncertainty import spread
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.posegraph.graph import SharedErrors
 from topobatch.topology.posegraph.solve import solve
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
+from topobatch.topology.topomap import RunNoise
 
 
 def verdict(a, b, matched):
@@ -161,6 +162,50 @@ def test_fused_vertices_say_how_sure_they_are(chain):
     sigma = fused.position_sigma[order]
     assert sigma[len(sigma) // 2] < min(sigma[0], sigma[-1])
     assert fuse(maps, links)[1].position_sigma is None
+
+
+def test_lengths_are_as_sure_as_all_runs_are_of_their_ends(draw):
+    # Odometry that errs in nothing: where a junction lies is known by its sightings alone.
+    exact = RunNoise(1e-6, 1e-6, 1e-6, scale=0.0, centre_m=0.1)
+    maps = [replace(along(draw, name, 0, 16), noise=exact) for name in "abcd"]
+    links = [verdict(maps[0], m, [(k, k) for k in range(17)]) for m in maps[1:]]
+    for count in (2, 4):
+        _, fused = fuse(maps[:count], links[: count - 1], asked=())
+        sigma = np.sqrt(np.mean(fused.length_sigma**2))
+        assert sigma == pytest.approx(np.sqrt(2 / count) * exact.centre_m, rel=0.1)
+
+
+def winding(draw, name, noise, **stated):
+    """A run of doors, of which the corridor from the third to the fourth winds."""
+    m = along(draw, name, 0, 8)
+    paths, stated = list(m.paths), dict(stated)
+    half = (m.xy[2] + m.xy[3]) / 2 + np.array([0.0, 6.0])
+    paths[2] = np.array([m.xy[2], half, m.xy[3]])
+    length = m.length.copy()
+    length[2] = np.hypot(*np.diff(paths[2], axis=0).T).sum()
+    return replace(m, paths=tuple(paths), length=length, noise=noise, **stated)
+
+
+def test_what_robots_did_on_a_winding_way_is_not_told_by_its_ends(draw):
+    exact = RunNoise(1e-6, 1e-6, 1e-6, scale=0.0, centre_m=0.01)
+    stated = np.full(8, 0.4)
+    maps = [winding(draw, name, exact, length_sigma=stated) for name in "ab"]
+    _, fused = fuse(maps, [verdict(*maps, [(k, k) for k in range(9)])], asked=())
+    sigma = fused.length_sigma[fused.length.argmax()]
+    assert sigma == pytest.approx(0.4 / np.sqrt(2), rel=0.02)
+    assert np.sort(fused.length_sigma)[-2] < 0.02
+
+
+def test_the_scales_of_the_runs_stretch_all_of_a_way(draw):
+    stretched = RunNoise(1e-6, 1e-6, 1e-6, scale=0.1, centre_m=1e-3)
+    maps = [winding(draw, name, stretched, length_sigma=np.full(8, 1e-3)) for name in "ab"]
+    link = verdict(*maps, [(k, k) for k in range(9)])
+    for scaled_runs in (24, 1):  # estimated, and not
+        settings = FusionSettings(joint=JointSettings(scaled_runs=scaled_runs))
+        _, fused = fuse(maps, [link], settings, asked=())
+        share = fused.length_sigma / fused.length
+        np.testing.assert_allclose(share, 0.1 / np.sqrt(2), rtol=0.25)
+        assert np.ptp(share) < 0.15 * share.mean()
 
 
 def test_a_run_alone_is_as_sure_as_its_map(chain):
