@@ -152,7 +152,8 @@ def _length_sigmas(
     rest = (1 - straight**2) * length
     if not len(scale):
         usual = np.sqrt(np.mean([m.measured.scale**2 for m in pool.maps]))
-        scale, rest = usual * white(20054, [(len(pool.maps), SAMPLES)])[0], length
+        (drawn,) = white(20054, [(len(pool.maps), SAMPLES)])
+        scale, rest = usual * of_unit_variance(drawn), length
     number = {m.run: k for k, m in enumerate(pool.maps)}
     drivers = [sorted({number[run] for run, _ in c.members}) for c in corridors]
     stretched = np.array([scale[runs].mean(axis=0) for runs in drivers]).reshape(-1, SAMPLES)
