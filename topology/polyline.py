@@ -35,7 +35,9 @@ def simplify(path: FloatArray, tolerance: float) -> FloatArray:
 
 def way_of(path: FloatArray) -> FloatArray:
     """(k,) way from the first point of a polyline (k, 2) to each of its points [m]."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    out, step = np.zeros(max(len(path), 1)), path[1:] - path[:-1]
+    np.cumsum(np.hypot(step[:, 0], step[:, 1]), out=out[1:])
+    return out
 
 
 def join_centres(

@@ -8,7 +8,7 @@ with them at both ends, or by the path it took.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -78,12 +78,20 @@ def split_at_places(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _World:
-    """The places that corridors may run through."""
+    """The places that corridors may run through, and the parts of those corridors that were looked
+    at: most of them stay as they are from round to round."""
 
     tree: Any
     xy: FloatArray
     branches: list[FloatArray]
     settings: PassageSettings
+    known: dict[Corridor, list[Corridor]] = field(default_factory=dict)
+
+    def parts(self, c: Corridor) -> list[Corridor]:
+        """`_parts`, worked out once."""
+        if c not in self.known:
+            self.known[c] = _parts(c, self)
+        return self.known[c]
 
 
 def _replaced_once(
@@ -99,7 +107,7 @@ def _replaced_once(
             continue
         c = corridors[number]
         chain = _chain(number, corridors, leaving, world.settings, agreement)
-        parts = [c] * len(chain) if chain else _parts(c, world)
+        parts = [c] * len(chain) if chain else world.parts(c)
         known = (_known_part(p, number, corridors, index, agreement) for p in parts)
         found = list(chain) if chain else list(known)
         if len(parts) < 2 or all(f is None for f in found) or gone & {*found}:

@@ -7,8 +7,9 @@ apart.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ...topology.corridor_lengths import way_sigma
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.se2 import apply
+from ...topology.topomap import TopoMap
 from .vertex_partition import Pool
 
 
@@ -69,46 +71,56 @@ def corridors_of(
     """
     out = []
     for m in pool.maps:
-        first, own = pool.first[m.run], way_sigma(m)
-        for e in range(len(m.source)):
-            s, t = first + int(m.source[e]), first + int(m.target[e])
-            i, j = int(m.source_branch[e]), int(m.target_branch[e])
-            branch_s = int(branch_of[s][i]) if i != NO_BRANCH else NO_BRANCH
-            branch_t = int(branch_of[t][j]) if j != NO_BRANCH else NO_BRANCH
-            ends = (m.xy[m.source[e]], m.xy[m.target[e]])
-            path = _drawn(m.paths[e], ends, pose[[s, t]], place_xy[label[[s, t]]])
+        first, shared = pool.first[m.run], 2**0.5 * m.measured.shared_centre_m
+        rows = slice(first, first + len(m))
+        home, branches = label[rows].tolist(), branch_of[rows]
+        ways = [way_of(path) for path in m.paths]
+        drawn = _drawn(m, ways, pose[rows, 2], place_xy[label[rows]])
+        columns = (
+            *(m.source, m.target, m.source_branch, m.target_branch),
+            *(m.length, m.length_sigma, m.traversals, way_sigma(m)),
+        )
+        told = zip(*(column.tolist() for column in columns), strict=True)
+        for e, (s, t, i, j, length, sigma, traversals, own) in enumerate(told):
             # All runs told where the ends lie: the length changes by what its path is bent by.
-            bent = float(way_of(path)[-1] - way_of(m.paths[e])[-1])
+            bent = float(way_of(drawn[e])[-1] - ways[e][-1])
             corridor = Corridor(
-                u=int(label[s]),
-                v=int(label[t]),
-                branch_u=branch_s,
-                branch_v=branch_t,
-                length=max(float(m.length[e]) + bent, SHORTEST_M),
-                sigma=float(m.length_sigma[e]),
-                traversals=int(m.traversals[e]),
-                path=path,
+                u=home[s],
+                v=home[t],
+                branch_u=int(branches[s][i]) if i != NO_BRANCH else NO_BRANCH,
+                branch_v=int(branches[t][j]) if j != NO_BRANCH else NO_BRANCH,
+                length=max(length + bent, SHORTEST_M),
+                sigma=sigma,
+                traversals=traversals,
+                path=drawn[e],
                 members=((m.run, e),),
-                shared=min(2**0.5 * m.measured.shared_centre_m, float(m.length_sigma[e])),
-                way=float(own[e]),
+                shared=min(shared, sigma),
+                way=own,
             )
             out.append(oriented(corridor))
     return out
 
 
 def _drawn(
-    path: FloatArray, ends: tuple[FloatArray, FloatArray], pose: FloatArray, place: FloatArray
-) -> FloatArray:
-    """A path of a run's map in the component's frame, its ends on the fused places.
+    m: TopoMap, ways: Sequence[FloatArray], turn: FloatArray, place: FloatArray
+) -> list[FloatArray]:
+    """The paths of a run's map in the component's frame, their ends on the fused places.
 
-    Both ends carry the path along rigidly; in between they hand over in proportion to the way.
+    Both ends carry a path along rigidly; in between they hand over in proportion to the way.
+    ways: `way_of` each path; turn: (n,) [rad] and place: (n, 2) of the run's vertices there.
     """
-    way = way_of(path)
-    t = (way / way[-1] if way[-1] > 0 else np.linspace(0, 1, len(path)))[:, None]
-    turned = [
-        apply(np.array([place[k, 0], place[k, 1], pose[k, 2]]), path - ends[k]) for k in (0, 1)
-    ]
-    return np.asarray((1 - t) * turned[0] + t * turned[1])
+    if not m.paths:
+        return []
+    sizes = list(map(len, m.paths))
+    flat, T = np.concatenate(m.paths), np.column_stack([place, turn])
+    at_source, at_target = (
+        apply(T[end], flat - m.xy[end]) for end in (m.source.repeat(sizes), m.target.repeat(sizes))
+    )
+    shares = [w / w[-1] if w[-1] > 0 else np.linspace(0, 1, len(w)) for w in ways]
+    t = np.concatenate(shares)[:, None]
+    stops = np.cumsum([0, *sizes]).tolist()
+    both = np.asarray((1 - t) * at_source + t * at_target)
+    return [both[start:stop] for start, stop in pairwise(stops)]
 
 
 def oriented(c: Corridor) -> Corridor:

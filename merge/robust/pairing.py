@@ -190,6 +190,7 @@ class Pairwise:
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
         """The evidence of the best alignment with the mirror image of each pair's second map."""
         told = self._all(Kind.IMAGE, wanted, _told, said=True)
+        self._images.clear()  # .1 MB a map, and hardly asked for again
         pairs = ((i, j) for i, j in wanted.tolist())
         bits = (-np.inf if t.faint is None else t.faint.bits for t in told)
         return dict(zip(pairs, bits, strict=True))

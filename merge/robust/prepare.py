@@ -342,10 +342,7 @@ def _sector(angle: FloatArray) -> IntArray:
 
 
 def _mask_of(sector: IntArray, there: BoolArray) -> IntArray:
-    bits = np.zeros(len(sector), np.int64)
-    for s in range(4):
-        bits |= ((there & (sector == s)).any(axis=1)).astype(np.int64) << s
-    return bits
+    return np.asarray(np.bitwise_or.reduce(np.where(there, 1 << sector, 0), axis=1))
 
 
 def _probes(
