@@ -17,7 +17,8 @@ from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
 from .odometry.reading import OdometryTopic, described, driven, odometry_topic
-from .scans.detection import detect
+from .scans.clock_lag import LaggingError
+from .scans.detection import ScanSettings, detect
 from .scans.handedness import MirroredError
 from .scans.mount_yaw import MountYaw, mount_yaw
 from .scans.scan import ScanResult, ScanStatistics
@@ -112,28 +113,37 @@ class _Scans:
 def _detected(
     scans: _Scans, odometry: Odometry | None
 ) -> tuple[ScanResult, InterleavedScans, list[str]]:
-    """What the scans show, their stream and what was assumed; as mirror images if they are some."""
-    stream, told = scans.stream(overturned=False)
-    try:
-        return _detect(odometry, stream), stream, told
-    except MirroredError as mirrored:
-        seen = str(mirrored)
-    stream, told = scans.stream(overturned=True)
-    upside_down = (
-        f"{seen}, as those of a laser upside down do; taken to be mounted so, which the log does "
-        "not say"
-    )
-    try:
-        return _detect(odometry, stream), stream, [*told, upside_down]
-    except MirroredError as error:
-        raise DataError(f"{seen}; turned over {error}: it fits neither way up") from error
+    """What the scans show, their stream and what was assumed.
+
+    As mirror images if they are some, and beside the odometry as late as they lag behind it.
+    """
+    settings, overturned, found = ScanSettings(), False, list[str]()
+    while True:
+        stream, told = scans.stream(overturned)
+        try:
+            return _detect(odometry, stream, settings), stream, told + found
+        except MirroredError as error:
+            if overturned:
+                raise DataError(f"turned over {error}: it fits neither way up") from error
+            overturned = True
+            found.append(
+                f"{error}, as those of a laser upside down do; taken to be mounted so, which the "
+                "log does not say"
+            )
+        except LaggingError as error:
+            assert odometry is not None
+            settings = replace(settings, lag=None)
+            odometry = replace(odometry, time_ns=odometry.time_ns + np.int64(1e9 * error.lag_s))
+            found.append(f"{error}: the odometry was taken by the scans' clock")
 
 
-def _detect(odometry: Odometry | None, stream: InterleavedScans) -> ScanResult:
+def _detect(
+    odometry: Odometry | None, stream: InterleavedScans, settings: ScanSettings
+) -> ScanResult:
     """`detect`; errors say as well what is wrong with the scans."""
     try:
-        return detect(odometry, stream)
-    except MirroredError:
+        return detect(odometry, stream, settings)
+    except (MirroredError, LaggingError):
         raise
     except DataError as error:
         raise DataError("; ".join((str(error), *stream.warnings))) from error

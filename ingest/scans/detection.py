@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import apply, compose, inverse
+from .clock_lag import LaggingError, LagSettings, clock_lag
 from .handedness import MirroredError, Turns
 from .junctions import Driven, JunctionSettings, junction_passes
 from .matching import Matched, MatchingSettings, matched, posed
@@ -30,6 +32,8 @@ class ScanSettings:
     junctions: JunctionSettings = field(default_factory=JunctionSettings)
     least_fit: float = 0.5
     """A keyframe of which less fits what the one before saw tells nothing."""
+    lag: LagSettings | None = field(default_factory=LagSettings)
+    """None: stamps are taken as they are."""
 
 
 def detect(
@@ -41,13 +45,15 @@ def detect(
 
     scans: in the order of time, several lasers interleaved. The odometry of the result has a row
     per keyframe. Memory follows the keyframes' poses and a thinned picture, not the scans.
-    Raises MirroredError as soon as the scans turn against the odometry, DataError where nothing can
-    be made of them.
+    Raises MirroredError as soon as the scans turn against the odometry, LaggingError as soon as
+    they turn earlier or later than it does, DataError where nothing can be made of them.
     """
     counted = _Counted(scans)
     track = _Track()
     if odometry is not None and len(odometry) > 0:
         poses = posed(odometry, counted, settings.matching)
+        if settings.lag is not None:
+            track = _Track(lag=partial(clock_lag, odometry, settings=settings.lag))
     else:
         odometry, m = None, settings.matching
         poses = scan_odometry(counted, (m.keyframes, m.surfaces, m.alignment))
@@ -108,6 +114,8 @@ class _Track:
     searched: int = 0
     bias_rad_per_m: float = 0.0
     turns: Turns = field(default_factory=Turns)
+    lag: Callable[[IntArray, FloatArray, IntArray], float] | None = None
+    """How much the scans lag, asked once, when turns enough are known."""
 
     def passing(self, parts: Iterable[Matched]) -> Iterator[Matched]:
         """The parts as they come, what is needed of them noted."""
@@ -128,6 +136,11 @@ class _Track:
             self.turns = self.turns.more(self.recorded[-1], self.pose[-1], self.piece[-1])
             if self.turns.mirrored:
                 raise MirroredError(f"the scans turn {self.turns}")
+            if self.lag is not None and self.turns.enough:
+                times, pieces = np.concatenate(self.time_ns), np.concatenate(self.piece)
+                if lag_s := self.lag(times, np.concatenate(self.pose), pieces):
+                    raise LaggingError(lag_s)
+                self.lag = None
             yield part
 
     def driven(self) -> Driven:

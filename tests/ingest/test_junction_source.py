@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -253,6 +254,31 @@ def test_a_laser_upside_down_is_found_to_be(
     assert run.scanned is not None
     assert straight.scanned is not None
     assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
+
+
+def test_scans_that_are_stamped_late_are_found_to_be(
+    both: Path, sensors: ModuleType, tmp_path: Path
+) -> None:
+    def late(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic == "/scan":
+            scan = sensors.ROS2.deserialize_cdr(raw, kind)
+            stamp_ns = scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec + 400_000_000
+            scan.header = sensors.header(stamp_ns, scan.header.frame_id)
+            raw = sensors.packed(scan, kind)
+        return [(topic, kind, log_ns, raw)]
+
+    settings = ReadSettings(junctions_from="scan")
+    run = read_run(rewritten(both, tmp_path / "x.mcap", sensors, late), settings)
+    (told,) = run.warnings
+    found = re.fullmatch(r".* does, (.*) s late: the odometry was taken by the scans' clock", told)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(0.4, abs=0.05)
+    straight = read_run(both, settings)
+    assert run.scanned is not None
+    assert straight.scanned is not None
+    ours, true = run.scanned.passes, straight.scanned.passes
+    assert abs(len(ours) - len(true)) <= 2
+    assert run.source["junctions"]["drift_after_m"] < 0.2
 
 
 def test_a_second_laser_that_the_log_does_not_place_is_named(
