@@ -113,10 +113,10 @@ def placements(kind, worlds, first):
         found += best_of(one, two, [home], tested=tested, settings=DEFAULT_ROBUST)
         copies = repetition.default_copies(DEFAULT_ROBUST)
         told = {True: [(-np.inf, -np.inf)], False: [(-np.inf, -np.inf)]}
-        for c in found:
-            same = repetition.sameness(one, two, c, copies).bits
+        cases = [(one, two, c) for c in found]
+        for c, same in zip(found, repetition.sameness_of(cases, copies), strict=True):
             right = bool(np.mean(true_a[c.a] == true_b[c.b]) >= 0.5)
-            told[right].append((verdict.counted_bits(c), same))
+            told[right].append((verdict.counted_bits(c), same.bits))
         right, wrong = (np.max(told[k], axis=0) for k in (True, False))
         beside = bool(np.isfinite(right[0]) and np.isfinite(wrong[0]))
         lead = wrong[0] - right[0] if beside else 0.0

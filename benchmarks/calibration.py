@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from observed import scattered_maps
 
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
-from topobatch.merge.robust.repetition import default_copies, sameness
+from topobatch.merge.robust.repetition import default_copies, sameness_of
 from topobatch.merge.robust.verdict import counted_bits
 from topobatch.simulation import make_world
 
@@ -52,10 +52,14 @@ def bits_against_chance(a, b):
 
 def bits_against_copies(a, b):
     """As above, of both questions the one answered worse, with the margin that verdicts use."""
-    found = [
-        min(counted_bits(c), sameness(a, b, c, COPIES).bits + DEFAULT_ROBUST.copy_margin_bits)
+    cases = [
+        (a, b, c)
         for c in match(a, b, DEFAULT_ROBUST)
         if len(c) >= DEFAULT_ROBUST.min_matches and c.bits > 0
+    ]
+    found = [
+        min(counted_bits(c), same.bits + DEFAULT_ROBUST.copy_margin_bits)
+        for (_, _, c), same in zip(cases, sameness_of(cases, COPIES), strict=True)
     ]
     return max(found, default=-np.inf)
 

@@ -189,10 +189,10 @@ def _plan(
             if passed_over := packed_below(path):
                 screen.warn(f"{path}: {passed_over}")
         except LogError as error:
-            planned.append(IngestOutcome(path, path.name, "failed", str(error)))
+            planned.append(IngestOutcome(path.name, "failed", str(error)))
         except OSError as error:
             text = f"{error.filename or path}: {error.strerror or error}"
-            planned.append(IngestOutcome(path, path.name, "failed", text))
+            planned.append(IngestOutcome(path.name, "failed", text))
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
     named: dict[str, dict[LogPath, LogPath]] = {}
@@ -202,7 +202,7 @@ def _plan(
             place.check_run(run)
         except UsageError as error:
             text = f"{log}: {error}; give it another by --name"
-            planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))
+            planned.append(IngestOutcome(log.name, "failed", text, needs_option=True))
             continue
         named.setdefault(run, {}).setdefault(_at(log), log)  # or the same by another way
     for run, of_it in named.items():
@@ -212,7 +212,7 @@ def _plan(
                 f"{log}: {other} would become run {run!r} as well; "
                 "rename one, or ingest it alone with --name"
             )
-            planned.append(IngestOutcome(log, log.name, "failed", text, needs_option=True))
+            planned.append(IngestOutcome(log.name, "failed", text, needs_option=True))
         if others:
             continue
         planned.append(

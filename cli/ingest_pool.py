@@ -46,7 +46,7 @@ def outcomes_of(
     for job in left:  # one by one: a log that ends its process costs no other
         for _, outcome in _side_by_side([job], 1, advance):
             text = f"{job.log}: the process that read it was killed (out of memory?)"
-            yield outcome or IngestOutcome(job.log, job.run, "failed", text)
+            yield outcome or IngestOutcome(job.run, "failed", text)
 
 
 def _side_by_side(

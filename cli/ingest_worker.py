@@ -48,7 +48,6 @@ class IngestJob:
 class IngestOutcome:
     """What became of one log; `text` is a summary or, where it failed, the error."""
 
-    log: LogPath
     run: str
     status: Literal["done", "unchanged", "failed"]
     text: str
@@ -78,16 +77,16 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
         return _ingest_one(job, on_bytes)
     except TopobatchError as error:
         asks = isinstance(error, UsageError)
-        return IngestOutcome(job.log, job.run, "failed", str(error), needs_option=asks)
+        return IngestOutcome(job.run, "failed", str(error), needs_option=asks)
     except OSError as error:
         place = error.filename or job.log
-        return IngestOutcome(job.log, job.run, "failed", f"{place}: {error.strerror or error}")
+        return IngestOutcome(job.run, "failed", f"{place}: {error.strerror or error}")
     except Exception as error:
         if os.environ.get("TOPOBATCH_DEBUG"):
             raise
         # One log that trips over a defect of ours must not cost the others.
         text = f"{job.log}: internal error, please report it: {type(error).__name__}: {error}"
-        return IngestOutcome(job.log, job.run, "failed", text)
+        return IngestOutcome(job.run, "failed", text)
     finally:
         if isinstance(job.log, RemotePath):
             job.log.forget()
@@ -100,7 +99,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     before = job.place.ingested(job.run) or {}
     had = _kept(job, key)
     if had:
-        return IngestOutcome(job.log, job.run, "unchanged", "unchanged, kept", maps=len(had))
+        return IngestOutcome(job.run, "unchanged", "unchanged, kept", maps=len(had))
     found = read_log(job.log, job.read, on_bytes=on_bytes)
     found = found if found.name == job.run else replace(found, name=job.run)
     topomap = map_of_log(found, job.mapping)
@@ -131,9 +130,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     text += source_told(maps[0].info)
     told = maps[0].info.get("warnings", ())
     details = _details(job, topomap)
-    return IngestOutcome(
-        job.log, job.run, "done", text, tuple(told), maps=len(maps), details=details
-    )
+    return IngestOutcome(job.run, "done", text, tuple(told), maps=len(maps), details=details)
 
 
 def is_unchanged(job: IngestJob) -> bool:

@@ -14,7 +14,6 @@ from .logs.intake import Intake
 from .logs.recording import Recording
 from .logs.topics import TRANSFORM_KINDS
 from .read_settings import ReadSettings
-from .scans.mount_yaw import MountYaw
 from .scans.slicing import mount_of_camera
 from .scans.stream import Mounting
 from .sightings import side_of
@@ -81,13 +80,13 @@ def mounting(
     where: Joined,
     frames: Collection[str],
     settings: ReadSettings,
-    yaw_of: Callable[[str], MountYaw | None] | None = None,
+    yaw_of: Callable[[str], float | None] | None = None,
 ) -> tuple[Mounting, list[str]]:
     """Where the sensors with these frames are on the robot, and what had to be assumed.
 
-    yaw_of: which way the sensor of a frame looks by what it saw and the odometry, None if that is
-    not sure; asked where the log does not say. None: there is no odometry, and the robot's frame is
-    the sensor's own.
+    yaw_of: which way the sensor of a frame looks [rad] by what it saw and the odometry, None if
+    that is not sure; asked where the log does not say. None: there is no odometry, and the robot's
+    frame is the sensor's own.
     """
     if settings.laser_pose is not None:
         x, y, yaw = settings.laser_pose
@@ -105,7 +104,7 @@ def mounting(
         ]
     yaws = {name: yaw_of(name) for name in lost if np.array_equal(mount_of_camera(name), AHEAD)}
     facing = {name: yaw for name, yaw in yaws.items() if yaw is not None}
-    turned = {name: planar(0.0, 0.0, yaw.yaw_rad) for name, yaw in facing.items()}
+    turned = {name: planar(0.0, 0.0, yaw) for name, yaw in facing.items()}
     looks = "".join(f"; {name!r} looks {_told(yaw)}" for name, yaw in facing.items())
     return Mounting(where.known, lambda name: turned.get(name, mount_of_camera(name))), [
         f"{unknown} ({where.body!r}); taken to be at its middle and to look "
@@ -119,8 +118,8 @@ def planar(x: float, y: float, yaw: float) -> FloatArray:
     return np.array([x, y, 0.0, 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
 
 
-def _told(yaw: MountYaw) -> str:
-    degrees = round(float(np.degrees(yaw.yaw_rad)))
+def _told(yaw_rad: float) -> str:
+    degrees = round(float(np.degrees(yaw_rad)))
     if degrees == 0:
         return "ahead"
     return f"{abs(degrees)} degrees to the {'left' if degrees > 0 else 'right'}"

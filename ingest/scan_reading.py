@@ -20,7 +20,7 @@ from .odometry.reading import OdometryTopic, described, driven, odometry_topic
 from .scans.clock_lag import LaggingError
 from .scans.detection import ScanSettings, detect
 from .scans.handedness import MirroredError
-from .scans.mount_yaw import MountYaw, mount_yaw
+from .scans.mount_yaw import mount_yaw
 from .scans.scan import ScanResult, ScanStatistics
 from .scans.stream import InterleavedScans, Mounting, ScanStream
 from .survey import LogRead
@@ -81,7 +81,7 @@ class _Scans:
 
         first, recorded = self.lasers.used[0], self.recorded
 
-        def yaw_of(odometry: Odometry, frame: str) -> MountYaw | None:
+        def yaw_of(odometry: Odometry, frame: str) -> float | None:
             if first.frames != {frame}:
                 return None
             return mount_yaw(odometry, self._of(first, replace(ANYWHERE, overturned=overturned)))

@@ -35,9 +35,6 @@ MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 HEADER_BYTES = 2 * NAME_BYTES + 128
 """Longest record header that is believed: it holds one or two names and a few numbers."""
 
-RECORD_BYTES = 16
-"""No record is shorter: two lengths and the field that tells its kind."""
-
 INDEX_BYTES = 1 << 26
 """Largest index section that is read: a chunk with a dozen topics takes 200 bytes in it,
 so 300,000 of them."""

@@ -42,11 +42,6 @@ class Cursor:
         self.position += length
         return self._data[self.position - length : self.position]
 
-    @property
-    def left(self) -> int:
-        """Bytes not taken yet."""
-        return len(self._data) - self.position
-
     def u16(self) -> int:
         """The next two bytes as a number."""
         return int(_U16(self.take(2))[0])

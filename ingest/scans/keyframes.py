@@ -28,8 +28,7 @@ class Keyframes:
     """`k` scans by time. odometry: (k, 3) pose of the *laser* in the odometry frame; mount: (k, 3)
     T_body_laser; xy: (k, m, 2) points in the laser's frame, NaN without return; start, increment:
     (k,) bearing of the first beam and between beams [rad]; free: (k,) way free along beams without
-    return [m]; rate: (k,) [rad/s]; piece: (k,) of unbroken odometry; scans: (k,) read since the
-    keyframe before."""
+    return [m]; rate: (k,) [rad/s]; piece: (k,) of unbroken odometry."""
 
     time_ns: IntArray
     odometry: FloatArray
@@ -40,7 +39,6 @@ class Keyframes:
     free: FloatArray
     rate: FloatArray
     piece: IntArray
-    scans: IntArray
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -84,12 +82,11 @@ def keyframes(
 ) -> Iterator[Keyframes]:
     """The keyframes of every batch. The first scan of each laser is one."""
     last: dict[tuple[float, ...], FloatArray] = {}
-    waiting = 0
     for part in posed:
         laser = (*part.batch.T_body_laser.tolist(), float(len(part.batch.angles_rad)))
-        rows, counts, waiting = _chosen(part, last, laser, waiting, settings)
+        rows = _chosen(part, last, laser, settings)
         if rows:
-            yield prepared(part, np.array(rows), np.array(counts), settings)
+            yield prepared(part, np.array(rows), settings)
 
 
 def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Iterator[Keyframes]:
@@ -128,18 +125,13 @@ def _chosen(
     part: Posed,
     last: dict[tuple[float, ...], FloatArray],
     laser: tuple[float, ...],
-    waiting: int,
     settings: KeyframeSettings,
-) -> tuple[list[int], list[int], int]:
-    """Rows of a batch that are keyframes, scans that each stands for, scans left over."""
+) -> list[int]:
+    """Rows of a batch that are keyframes."""
     rows: list[int] = []
-    counts: list[int] = []
     poses = part.pose.tolist()
     seen = np.isfinite(part.batch.ranges_m).any(axis=1) & part.usable
-    for row, usable in enumerate(seen.tolist()):
-        waiting += 1
-        if not usable:
-            continue
+    for row in np.flatnonzero(seen).tolist():
         x, y, theta = poses[row]
         if laser in last:
             x0, y0, theta0 = last[laser]
@@ -148,15 +140,11 @@ def _chosen(
                 continue
         last[laser] = np.array(poses[row])
         rows.append(row)
-        counts.append(waiting)
-        waiting = 0
-    return rows, counts, waiting
+    return rows
 
 
-def prepared(
-    part: Posed, rows: IntArray, counts: IntArray, settings: KeyframeSettings
-) -> Keyframes:
-    """Scans `rows` of a batch as keyframes that stand for `counts` scans each."""
+def prepared(part: Posed, rows: IntArray, settings: KeyframeSettings) -> Keyframes:
+    """Scans `rows` of a batch as keyframes."""
     batch, n = part.batch, len(rows)
     columns, start, step = raster(batch.angles_rad, settings.raster_rad)
     angles = np.asarray(batch.angles_rad[columns])
@@ -177,7 +165,6 @@ def prepared(
         np.asarray(batch.free_m)[rows],
         part.rate[rows],
         part.piece[rows],
-        counts,
     )
 
 

@@ -9,7 +9,6 @@ for mobile robots, 2013). Each scan is matched to the one before without asking 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,20 +33,13 @@ SAME_RAD, SAME_SHARE = 0.2, 0.8
 """So near each other so many directions have to be: scans matched wrongly go anywhere."""
 
 
-@dataclass(frozen=True, slots=True)
-class MountYaw:
-    """yaw_rad: of the laser in the robot's frame, with 1 sigma."""
-
-    yaw_rad: float
-    sigma_rad: float
-
-
 def mount_yaw(
     odometry: Odometry,
     batches: Iterable[ScanBatch],
     settings: MatchingSettings = DEFAULT_MATCHING,
-) -> MountYaw | None:
-    """The yaw of a laser whose scans are taken to be of the robot's middle; None if not sure.
+) -> float | None:
+    """The yaw [rad] of a laser in the robot's frame, whose scans are taken to be of the robot's
+    middle; None if not sure.
 
     batches: of one laser. Reads as few as needed.
     """
@@ -88,11 +80,11 @@ def _yaws(frames: Keyframes, settings: MatchingSettings) -> FloatArray:
     return np.asarray(wrap(np.arctan2(own[:, 1], own[:, 0]) - np.arctan2(y, x))[sure])
 
 
-def _agreed(yaws: FloatArray) -> MountYaw | None:
+def _agreed(yaws: FloatArray) -> float | None:
     near = np.abs(wrap(yaws[:, None] - yaws)) < SAME_RAD
     middle = int(near.sum(axis=1).argmax())
     best = near[middle]
     if best.mean() < SAME_SHARE:
         return None
     off = wrap(yaws[best] - yaws[middle])
-    return MountYaw(float(wrap(yaws[middle] + off.mean())), float(off.std() / np.sqrt(len(off))))
+    return float(wrap(yaws[middle] + off.mean()))

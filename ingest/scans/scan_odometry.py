@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def _posed(
     rows = _apart(batch, before)
     if len(rows) == 0:
         return part, pose, before
-    fresh = prepared(part, rows, np.ones(len(rows), np.int64), settings[0])
+    fresh = prepared(part, rows, settings[0])
     frames = fresh if before is None else join([before, fresh])
     scans = Swept.of(frames.xy, frames.start, frames.increment, settings[1])
     seconds = np.maximum(np.diff(frames.time_ns) * 1e-9, 1e-3)
@@ -119,8 +119,7 @@ def _posed(
     usable = np.zeros(len(batch), bool)
     usable[rows] = True
     done = Posed(batch, poses, swept, rate, usable, np.zeros(len(batch), np.int64))
-    last = Keyframes(*(getattr(fresh, f.name)[-1:] for f in fields(fresh)))
-    return done, seen[-1], last
+    return done, seen[-1], fresh.take(slice(-1, None))
 
 
 def _apart(batch: ScanBatch, before: Keyframes | None) -> IntArray:

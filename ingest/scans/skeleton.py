@@ -56,12 +56,11 @@ class SkeletonGraph:
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
     """A way of the skeleton. nodes: at its ends, -1 for none (a dead end, or the border); cells:
-    (k, 2) row and column, in no order; length_m: along it; border: whether it runs into it."""
+    (k, 2) row and column, in no order; length_m: along it."""
 
     nodes: tuple[int, int]
     cells: IntArray
     length_m: float
-    border: bool
 
     def away(self, xy: FloatArray, cell_m: float) -> FloatArray:
         """(k, 2) where its cells lie from a point of the grid [m]."""
@@ -261,7 +260,7 @@ def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
         segment = net.segments[k]
         ends = [names[n] for n in segment.nodes] + [-1, -1]
         own = cells[bounds[number] : bounds[number + 1]]
-        edges.append(Edge((ends[0], ends[1]), own, segment.length, segment.border))
+        edges.append(Edge((ends[0], ends[1]), own, segment.length))
     place = {k: number for number, k in enumerate(kept)}
     nodes = [
         Node(net.centre[n], net.clearance[n], tuple(place[k] for k in net.incident[n]))

@@ -31,7 +31,7 @@ _AROUND = np.ones((3, 3), np.int8)
 class Lines:
     """Forks and lines of a skeleton, each numbered from 1 on.
 
-    cells: (c, 2) row and column of all cells of lines; line: (c,) of which; cell_m: side of a cell;
+    cells: (c, 2) row and column of all cells of lines; line: (c,) of which;
     fork_xy: (f + 1, 2) x, y [m] of each fork's middle, from that of the first cell;
     fork_clearance_m: (f + 1,) from the nearest wall; fork_cells: (f + 1,) in it; length_m: (l + 1,)
     of each line, and from its ends into the forks; touching: line and fork of every end of a line;
@@ -40,7 +40,6 @@ class Lines:
 
     cells: IntArray
     line: Labels
-    cell_m: float
     fork_xy: FloatArray
     fork_clearance_m: FloatArray
     fork_cells: FloatArray
@@ -78,7 +77,6 @@ def lines_of(
     return Lines(
         cells,
         line_label[tuple(cells.T)],
-        cell_m,
         np.stack([x, y], axis=1),
         wide,
         size.astype(np.float64),

@@ -11,7 +11,6 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.matching.association import Growth, SingleMatches, grow, holding, single_matches
 from ...topology.matching.correspondence import (
-    DEFAULT_GROWTH,
     GrowthSettings,
     Nodes,
     candidate_nodes,
@@ -23,7 +22,7 @@ from ...topology.matching.correspondence import (
 from ...topology.matching.structure import Structure
 from ...topology.se2 import apply
 from .registration import Weights, fit_groups
-from .significance import SelfSimilarity, match_bits, self_similarity, single_bits
+from .significance import SelfSimilarity, match_bits, single_bits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,22 +30,19 @@ class Hypotheses:
     """H valid hypotheses, the largest first, then by their first pair.
 
     of: (N,) hypothesis of each vertex pair, ascending; nodes: the N pairs with the correspondence
-    of their branches, rotation (N,) its angle. size: (H,) vertex pairs; corridors: (H,) corridor
-    pairs; transform: (H, 3) T_a_b; error: (H,) mean squared distance of the matched vertices [m²].
-    bits: (H,) how much more each is than chance (`significance`); candidates: compatible (vertex,
-    vertex, correspondence) in all.
+    of their branches. size: (H,) vertex pairs; corridors: (H,) corridor pairs; transform: (H, 3)
+    T_a_b; error: (H,) mean squared distance of the matched vertices [m²]; bits: (H,) how much more
+    each is than chance (`significance`).
     """
 
     of: IntArray
     nodes: Nodes
-    rotation: FloatArray
     size: IntArray
     corridors: IntArray
     transform: FloatArray
     error: FloatArray
     bits: FloatArray
     rectilinear: bool
-    candidates: int
 
     def __len__(self) -> int:
         return len(self.size)
@@ -76,26 +72,23 @@ def hypothesise(
     a: Structure,
     b: Structure,
     xy: tuple[FloatArray, FloatArray],
-    settings: GrowthSettings = DEFAULT_GROWTH,
+    settings: GrowthSettings,
     *,
-    near: tuple[IntArray, IntArray] | None = None,
-    alike: tuple[SelfSimilarity, SelfSimilarity] | None = None,
-    weights: Weights = "equal",
+    near: tuple[IntArray, IntArray] | None,
+    alike: tuple[SelfSimilarity, SelfSimilarity],
+    weights: Weights,
 ) -> Hypotheses:
     """All valid hypotheses of two maps and their transforms.
 
     With the pairs of vertices that no corridor tests (§2.3: "cannot be grown further"). xy:
     embedded vertices of a and of b (§3.1). near: vertices of a and of b from which alone
-    matches are grown (§4.2). alike: how each map resembles itself, if at hand. weights:
-    of the vertices in registration.
+    matches are grown (§4.2). alike: how each map resembles itself. weights: of the vertices in
+    registration.
     """
-    if alike is None:
-        alike = self_similarity(a, settings), self_similarity(b, settings)
     grown, singles = _grown(a, b, settings, near)
     share = 1.0 if near is None else len(near[0]) * len(near[1]) / (len(a) * len(b))
     matches = _surviving(grown, match_bits(grown, a, b, alike, share))
-    candidates = singles.candidates
-    matches = _ordered(_with_singles(matches, singles.nodes, single_bits(candidates)))
+    matches = _ordered(_with_singles(matches, singles.nodes, single_bits(singles.candidates)))
     of, nodes = matches.of, matches.nodes
     rectilinear = is_rectilinear(a, b, settings)
     rotation = node_rotations(a, b, nodes, rectilinear)
@@ -106,14 +99,12 @@ def hypothesise(
     return Hypotheses(
         of=of,
         nodes=nodes,
-        rotation=rotation,
         size=size,
         corridors=matches.corridors,
         transform=transform,
         error=squared / np.maximum(size, 1),
         bits=matches.bits,
         rectilinear=rectilinear,
-        candidates=candidates,
     )
 
 

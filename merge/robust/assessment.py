@@ -90,12 +90,11 @@ def _told_once(copy: Candidate) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssessedPair:
-    """What two maps of a batch say by themselves, and what they must reach."""
+    """What two maps of a batch say by themselves, and what was made of it."""
 
     a: Prepared
     b: Prepared
     candidates: tuple[Candidate, ...]
-    threshold: Threshold
     view: Assessment
 
     def alone(self) -> PairVerdict:
@@ -126,4 +125,4 @@ def assess_pair(
         return {p: c[0].bits if c else -np.inf for p, c in best.items()}
 
     view = doubt_mirrored({pair: view}, image_bits)[pair]
-    return AssessedPair(prepared[i], prepared[j], found, threshold, view)
+    return AssessedPair(prepared[i], prepared[j], found, view)

@@ -103,8 +103,10 @@ def default_copies(settings: RobustSettings) -> CopyModel:
     return CopyModel(settings.copy_variation, COPIES.exact_prior, settings.copy_change_rate)
 
 
-def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sameness:
-    """How surely an alignment is the place itself, by what copies differ in: shape and changes.
+def sameness_of(
+    cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
+) -> Iterator[Sameness]:
+    """How surely alignments are the place itself, by what copies differ in: shape and changes.
 
     Shape: the lengths of common corridors. Changes: junctions that differ in their branches, or
     that only one map has, come at the runs' fault rates in one place, more often between copies.
@@ -112,13 +114,6 @@ def sameness(a: Prepared, b: Prepared, best: Candidate, copies: CopyModel) -> Sa
     is how often a copy reaches it, bounded after Chernoff by min over x of E[exp(x (T' - T))] with
     T' the statistic of a copy (at x = 1 this is the odds themselves: the bound is never worse).
     """
-    return next(sameness_of([(a, b, best)], copies))
-
-
-def sameness_of(
-    cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
-) -> Iterator[Sameness]:
-    """The same of many alignments at once."""
     for start in range(0, len(cases), TOGETHER):
         yield from _sameness_of(cases[start : start + TOGETHER], copies)
 

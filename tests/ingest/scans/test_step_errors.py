@@ -30,7 +30,6 @@ def frames(n: int = 400) -> tuple[Keyframes, np.ndarray]:
         told[k] = compose(told[k - 1], own)
     mount = MOUNTS[np.arange(n) % 2]
     zeros = np.zeros(n)
-    count = np.zeros(n, np.int64)
     keyframes = Keyframes(
         np.arange(n) * 10**9,
         compose(told, mount),
@@ -40,8 +39,7 @@ def frames(n: int = 400) -> tuple[Keyframes, np.ndarray]:
         zeros + 0.01,
         zeros,
         zeros,
-        count,
-        count,
+        np.zeros(n, np.int64),
     )
     return keyframes, compose(real, mount)
 

@@ -23,14 +23,12 @@ def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
     return Hypotheses(
         of=of,
         nodes=Nodes(pairs[:, 0], pairs[:, 1], np.zeros(len(pairs), np.int64)),
-        rotation=transforms[of, 2],
         size=size,
         corridors=size - 1,
         transform=transforms,
         error=np.zeros(len(groups)) if errors is None else np.array(errors, float),
         bits=np.zeros(len(groups)),
         rectilinear=rectilinear,
-        candidates=len(pairs),
     )
 
 

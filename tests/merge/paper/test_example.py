@@ -99,9 +99,7 @@ def hypotheses_of(example):
     """(rotation of A, pairs) of every hypothesis."""
     h = matched(example).hypotheses
     pairs = np.column_stack([h.vertex_a, h.vertex_b])
-    return [
-        (rotated_a_deg(h.rotation[h.of == k][0]), named(pairs[h.of == k])) for k in range(len(h))
-    ]
+    return [(rotated_a_deg(h.transform[k, 2]), named(pairs[h.of == k])) for k in range(len(h))]
 
 
 def printed(example):

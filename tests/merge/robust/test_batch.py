@@ -9,7 +9,7 @@ from topobatch.merge.robust.assessment import thresholds
 from topobatch.merge.robust.batch import Batch
 from topobatch.merge.robust.entries import Case
 from topobatch.merge.robust.pairing import Pairwise
-from topobatch.merge.robust.repetition import sameness
+from topobatch.merge.robust.repetition import sameness_of
 from topobatch.merge.robust.verdict import assess
 
 from .plans import EDGES, POINTS, SETTINGS
@@ -46,5 +46,6 @@ def test_pairs_that_would_be_merged_answer_whether_they_are_copies(drawn):
     assert list(batch.joins) == [(0, 1)]
     copies, best = batch.threshold((0, 1)).copies, batch.candidates([(0, 1)])[0, 1][0]
     (told,) = batch.same_place_bits([(0, 1), (0, 2)])
-    assert told == sameness(prepared[0], prepared[1], best, copies).bits > 0
+    (same,) = sameness_of([(prepared[0], prepared[1], best)], copies)
+    assert told == same.bits > 0
     assert batch.same_place_bits([]) == []

@@ -7,7 +7,7 @@ import pytest
 
 from topobatch.merge.robust.alignment import match, self_matches
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.repetition import SHARES, copy_model, sameness
+from topobatch.merge.robust.repetition import SHARES, copy_model, sameness_of
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
 
@@ -29,9 +29,10 @@ def test_the_same_place_and_a_copy_of_it_are_told_apart(maze, see):
         gaps = np.diff(lines, prepend=lines[0]) * (1 + rng.normal(0, 0.03, len(lines)))
         stretched[:, axis] = np.cumsum(gaps)[line]
     other = prepare(_redrawn(copy, stretched))
-    same = [sameness(a, m, match(a, m, SETTINGS)[0], COPIES) for m in (again, other)]
-    assert same[0].bits > 10
-    assert same[1].bits < 2
+    cases = [(a, m, match(a, m, SETTINGS)[0]) for m in (again, other)]
+    same, copied = sameness_of(cases, COPIES)
+    assert same.bits > 10
+    assert copied.bits < 2
 
 
 def _redrawn(topomap, xy):
