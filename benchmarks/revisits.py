@@ -24,6 +24,7 @@ from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.ingest.scans.step_errors import StepErrors
 from topobatch.ingest.scans.surfaces import SurfaceSettings
+from topobatch.topology.columns import take
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, turned_axes, wrap
 
@@ -64,7 +65,7 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
     inside = np.flatnonzero(
         (frames.time_ns >= truth.time_ns[0]) & (frames.time_ns <= truth.time_ns[-1])
     )
-    ours, frames = np.concatenate([part.pose for part in parts])[inside], frames.take(inside)
+    ours, frames = np.concatenate([part.pose for part in parts])[inside], take(frames, inside)
     scans = Swept.of(frames.xy, frames.start, frames.increment, SurfaceSettings())
     real = compose(truth.at(frames.time_ns), frames.mount)
     start, again = _started(real, ours), _again(real, ours)

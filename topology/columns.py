@@ -23,8 +23,8 @@ class _Dataclass(Protocol):
 Table = TypeVar("Table", bound=_Dataclass)
 
 
-def take(table: Table, rows: NDArray[Any]) -> Table:
-    """The given rows of a table, by their numbers or a mask."""
+def take(table: Table, rows: NDArray[Any] | slice) -> Table:
+    """The given rows of a table, by their numbers, a mask or a slice."""
     return type(table)(*(_taken(getattr(table, name), rows) for name in table.__dataclass_fields__))
 
 
@@ -45,7 +45,7 @@ def columns_and(table: object, more: Mapping[str, Any]) -> dict[str, Any]:
     return {name: _end_to_end([getattr(table, name), rows]) for name, rows in more.items()}
 
 
-def _taken(column: Any, rows: NDArray[Any]) -> Any:
+def _taken(column: Any, rows: NDArray[Any] | slice) -> Any:
     if isinstance(column, Ragged):
         return column.take(np.arange(len(column))[rows])
     if isinstance(column, Sequence):

@@ -46,10 +46,6 @@ class Looks:
     def __len__(self) -> int:
         return len(self.corner)
 
-    def take(self, rows: slice | IntArray) -> Looks:
-        """Those of some keyframes."""
-        return Looks(self.free[rows], self.hit[rows], self.corner[rows])
-
 
 @lru_cache(maxsize=4)
 def _patch(half: int, cell_m: float) -> tuple[Float32Array, Float32Array]:

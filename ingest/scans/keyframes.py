@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from ...topology.columns import joined, take
 from ...topology.se2 import compose, inverse, wrap
 from .scan import ScanBatch
 
@@ -43,24 +44,16 @@ class Keyframes:
     def __len__(self) -> int:
         return len(self.time_ns)
 
-    def take(self, rows: slice | IntArray) -> Keyframes:
-        """Some of them."""
-        return Keyframes(*(getattr(self, f.name)[rows] for f in fields(self)))
-
 
 def join(parts: list[Keyframes]) -> Keyframes:
     """Keyframes one after the other; rasters of different width are filled up with NaN."""
-    width = max((part.xy.shape[1] for part in parts), default=0)
-    columns = []
-    for f in fields(Keyframes):
-        values = [getattr(part, f.name) for part in parts]
-        if f.name == "xy":
-            values = [
-                np.pad(v, ((0, 0), (0, width - v.shape[1]), (0, 0)), constant_values=np.nan)
-                for v in values
-            ]
-        columns.append(np.concatenate(values))
-    return Keyframes(*columns)
+    width = max(part.xy.shape[1] for part in parts)
+    return joined([replace(part, xy=_widened(part.xy, width)) for part in parts])
+
+
+def _widened(xy: Float32Array, width: int) -> Float32Array:
+    """(k, width, 2) points of a raster that wide, NaN in the columns that it has not."""
+    return np.pad(xy, ((0, 0), (0, width - xy.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,19 +99,19 @@ def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Ite
         ready = int(np.searchsorted(held.time_ns, settled, side="right"))
         whole = ready - ready % size
         for begin in range(0, whole, size):
-            yield held.take(slice(begin, begin + size))
-        waiting = [held.take(slice(whole, None))]
+            yield take(held, slice(begin, begin + size))
+        waiting = [take(held, slice(whole, None))]
     if waiting:
         rest = _by_time(waiting)
         for begin in range(0, len(rest), size):
-            yield rest.take(slice(begin, begin + size))
+            yield take(rest, slice(begin, begin + size))
 
 
 def _by_time(parts: list[Keyframes]) -> Keyframes:
     """Keyframes of several lasers by time, those of one time by where their lasers are."""
     joint = join(parts)
     x, y, theta = joint.mount.T
-    return joint.take(np.lexsort((theta, y, x, joint.time_ns)))
+    return take(joint, np.lexsort((theta, y, x, joint.time_ns)))
 
 
 def _chosen(

@@ -9,6 +9,7 @@ from math import cos, sin
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.columns import take
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, wrap
 from ...topology.track import piece_of
@@ -89,7 +90,7 @@ def matched(
             upto = len(held) - settings.lag
             yield _finished(held, solved, slice(final, upto), errors)
             keep = max(upto - settings.lag, 0)
-            held, solved, final = held.take(slice(keep, None)), solved.since(keep), upto - keep
+            held, solved, final = take(held, slice(keep, None)), solved.since(keep), upto - keep
         held = fresh if held is None else join([held, fresh])
         solved, errors = _solve(held, solved, final, errors, settings)
     if held is not None:
@@ -187,4 +188,4 @@ def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors)
     assert solved.aligned is not None
     spans = span_errors(solved.aligned, rows)
     own = solved.pose[rows], solved.fit[rows], solved.searched[rows]
-    return Matched(held.take(rows), *own, spans, errors)
+    return Matched(take(held, rows), *own, spans, errors)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.columns import take
 from ...topology.se2 import between, compose, inverse
 from .alignment import AlignmentSettings, Steps, chained, match_steps
 from .association import Swept
@@ -119,7 +120,7 @@ def _posed(
     usable = np.zeros(len(batch), bool)
     usable[rows] = True
     done = Posed(batch, poses, swept, rate, usable, np.zeros(len(batch), np.int64))
-    return done, seen[-1], fresh.take(slice(-1, None))
+    return done, seen[-1], take(fresh, slice(-1, None))
 
 
 def _apart(batch: ScanBatch, before: Keyframes | None) -> IntArray:

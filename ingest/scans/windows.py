@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.columns import joined, take
 from ...topology.se2 import compose, inverse
 from .crossing import Crossing, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
@@ -103,10 +104,9 @@ def windows(
                 driven, held = float(held.way[-1]), None
                 following = driven
             piece = own
-            fresh = _rolling(
+            held = _rolling(
                 run.keyframes, run.pose, body, held=held, driven=driven, settings=settings
             )
-            held = fresh
             ready = float(held.way[-1]) - settings.way_m
             for seen in _due(held, following, ready, number, settings):
                 yield seen
@@ -123,7 +123,7 @@ def _pieces(part: Matched) -> Iterator[Matched]:
     for a, b in zip([0, *cuts], [*cuts, len(part.pose)], strict=True):
         if b > a:
             rows = slice(int(a), int(b))
-            yield replace(part, keyframes=part.keyframes.take(rows), pose=part.pose[rows])
+            yield replace(part, keyframes=take(part.keyframes, rows), pose=part.pose[rows])
 
 
 def _rolling(
@@ -135,18 +135,14 @@ def _rolling(
     driven: float,
     settings: WindowSettings,
 ) -> _Rolling:
-    seen = looks(frames, pose, settings.grid)
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
     step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
     way = start + np.cumsum(step)
+    seen = looks(frames, pose, settings.grid)
     if held is None:
         return _Rolling(seen, body, way)
-    joint = Looks(
-        np.concatenate([held.seen.free, seen.free]),
-        np.concatenate([held.seen.hit, seen.hit]),
-        np.concatenate([held.seen.corner, seen.corner]),
-    )
+    joint = joined([held.seen, seen])
     return _Rolling(joint, np.concatenate([held.body, body]), np.concatenate([held.way, way]))
 
 
@@ -155,7 +151,7 @@ def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
     # A robot that turns and turns on the spot adds no way: every second keyframe tells as much.
     every = 1 + (len(held.way) - first) // MOST_HELD
     rows = np.arange(len(held.way) - 1, first - 1, -every)[::-1]
-    return _Rolling(held.seen.take(rows), held.body[rows], held.way[rows])
+    return _Rolling(take(held.seen, rows), held.body[rows], held.way[rows])
 
 
 def _due(

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from ...topology.columns import take
 from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
 from .atlas import Atlas, cuts
 from .branches import common_branches
@@ -97,8 +98,7 @@ class _Unseen:
     @property
     def weighty(self) -> _Unseen:
         """Those that say anything."""
-        rows = self.bits.nonzero()[0]
-        return _Unseen(self.lane[rows], self.vertex[rows], self.edge[rows], self.bits[rows])
+        return take(self, self.bits.nonzero()[0])
 
 
 def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
