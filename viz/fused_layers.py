@@ -19,7 +19,7 @@ from .growing import colour_columns, light_up_by_step
 from .map_sheet import write_cards, write_contradictions, write_own_maps, write_words
 from .parts import Part, legend_step_m, rows_of
 from .placements import Spot, contradiction_spots
-from .recording import JOIN, UP, PathParts, Recording, placed, strips
+from .recording import UP, PathParts, Recording, placed, strips
 from .sheet import Cell
 from .steps import Step, first_steps
 from .story import shared_from
@@ -297,7 +297,7 @@ def _junctions_in_time(
         (when[None, :] <= numbers[:, None])[:, :, None], single, np.array(palette.UNLIT, np.uint8)
     )
     rows[(shared[None, :] > 0) & (shared[None, :] <= numbers[:, None])] = palette.WHITE
-    recording.over_steps(path, JOIN, numbers, colour_columns(rr.Points2D, rows.astype(np.uint8)))
+    recording.over_steps(path, numbers, colour_columns(rr.Points2D, rows.astype(np.uint8)))
 
 
 def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..topology.arrays import IntArray
 from . import palette
 from .palette import Colour, Colours
-from .recording import JOIN, PathParts, Recording
+from .recording import PathParts, Recording
 
 MOST_CELLS = 400_000
 """Colours logged for one entity at most, of 4 bytes each: where a thing for every time would take
@@ -53,7 +53,7 @@ def light_up_by_step(
     rows = _lit(numbers, when, colours, dim)
     if now is not None:
         rows[numbers[:, None] == when[None, :]] = now
-    recording.over_steps(path, JOIN, numbers, colour_columns(archetype, rows))
+    recording.over_steps(path, numbers, colour_columns(archetype, rows))
 
 
 def _lit(

@@ -98,11 +98,9 @@ class Recording:
         stamps = np.asarray(time_ns, np.int64).astype("datetime64[ns]")
         self._send(path, [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS], columns)
 
-    def over_steps(
-        self, path: PathParts, timeline: str, steps: Any, columns: Iterable[Any]
-    ) -> None:
-        """Log one row per number of a sequence."""
-        self._send(path, [rr.TimeColumn(timeline, sequence=np.asarray(steps, np.int64))], columns)
+    def over_steps(self, path: PathParts, steps: IntArray, columns: Iterable[Any]) -> None:
+        """Log one row per step of a merge."""
+        self._send(path, [rr.TimeColumn(JOIN, sequence=steps)], columns)
 
     def _send(self, path: PathParts, times: list[rr.TimeColumn], columns: Iterable[Any]) -> None:
         self._stream.send_columns(entity(path), times, columns)

@@ -14,7 +14,7 @@ from ..topology.topomap import TopoMap
 from . import palette
 from .growing import light_up_by_step
 from .parts import Part
-from .recording import JOIN, Recording
+from .recording import Recording
 from .steps import Step
 from .verdicts import joining_told
 
@@ -79,4 +79,4 @@ def write_story(
     )
     pages = joining_told(steps)
     columns = rr.TextDocument.columns(text=pages, media_type=["text/markdown"] * len(pages))
-    recording.over_steps((STORY,), JOIN, np.arange(len(pages)), columns)
+    recording.over_steps((STORY,), np.arange(len(pages)), columns)
