@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run
-from ..topology.topomap import Closure, RunNoise, TopoMap
+from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
 from .driven_shares import ON_THE_WAY, driven_shares
@@ -81,17 +82,14 @@ def build_map_with_errors(
     errors = place_errors(
         measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=source.shared_m
     )
-
-    def refined(prior: RunNoise) -> RunNoise:
-        return refine_noise(
-            reckoning.passes,
-            corrected.place,
-            corrected.turn,
-            prior,
-            drive_bys=int(np.sum(~corrected.visits.seen)),
-            settings=source.expected(),
-        )
-
+    refined = partial(
+        refine_noise,
+        reckoning.passes,
+        corrected.place,
+        corrected.turn,
+        drive_bys=int(np.sum(~corrected.visits.seen)),
+        settings=source.expected(),
+    )
     topomap = build_topomap(
         run.name,
         odometry,
@@ -109,10 +107,10 @@ def build_map_with_errors(
         turned = turning_points(
             topomap, odometry, corrected.visits, source.resolution_m, settings.drawing
         )
-        topomap = replace(topomap, turning_points=turned.points)
+    topomap = replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, turned)
-    return replace(topomap, info=info, shows_bends=source.shows_bends), errors
+    return replace(topomap, info=info), errors
 
 
 def dead_reckoned(

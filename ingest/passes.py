@@ -204,13 +204,8 @@ def _cluster_branches(
     A branch counts if enough of the messages saw it; the best seen one always does.
     """
     clusters = cluster_angles(heading, group, settings.cluster_gap_rad)
-    home = clusters.owner
-    # Distinct messages per cluster: a message that reports one branch twice counts once.
-    pairs = np.unique(np.stack([clusters.of, message]), axis=1)[0]
-    share = np.bincount(pairs, minlength=len(clusters)) / messages[home]
-    best = np.lexsort((-share, home))[np.searchsorted(home, np.arange(len(messages)))]
-    keep = share >= settings.least_support
-    keep[best] = True
-    counts = np.bincount(home[keep], minlength=len(messages))
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return Ragged(offsets, clusters.mean[keep]), Ragged(offsets, share[keep])
+    share = clusters.votes(message) / messages[clusters.owner]
+    keep = clusters.well_seen(share, settings.least_support)
+    owner, count = clusters.owner[keep], len(messages)
+    mean = Ragged.by_owner(owner, clusters.mean[keep], count)
+    return mean, Ragged.by_owner(owner, share[keep], count)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray
 from .se2 import wrap
 
 
@@ -14,8 +14,8 @@ from .se2 import wrap
 class AngleClusters:
     """Clusters of angles, sorted by (owner, mean angle).
 
-    of: (k,) cluster of each given angle; owner: (c,) circle of each cluster; mean: (c,) [rad] in
-    [-pi, pi).
+    of: (k,) cluster of each given angle; owner: (c,) circle of each cluster, from 0 on; mean: (c,)
+    [rad] in [-pi, pi).
     """
 
     of: IntArray
@@ -24,6 +24,21 @@ class AngleClusters:
 
     def __len__(self) -> int:
         return len(self.owner)
+
+    def votes(self, by: IntArray, which: BoolArray | None = None) -> IntArray:
+        """(c,) how many different of those who gave the angles (`by`, (k,)) gave one of each
+        cluster; which: (k,) angles that count, all by default."""
+        given = np.stack([self.of, by])
+        if which is not None:
+            given = given[:, which]
+        return np.bincount(np.unique(given, axis=1)[0], minlength=len(self))
+
+    def well_seen(self, share: FloatArray, least: float) -> BoolArray:
+        """(c,) the clusters that have at least such a share (c,), and the best of each circle."""
+        out = share >= least
+        first = np.flatnonzero(np.diff(self.owner, prepend=-1))
+        out[np.lexsort((-share, self.owner))[first]] = True
+        return out
 
 
 def cluster_angles(angle_rad: FloatArray, owner: IntArray, gap_rad: float) -> AngleClusters:

@@ -84,10 +84,7 @@ def build_topomap(
     track = track_directions(odometry, visits.time_ns, visits.centre)
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
     slots, votes, keep = _slots(passes, places, (arriving, leaving), settings)
-    branches = Ragged(
-        np.concatenate([[0], np.cumsum(np.bincount(slots.owner[keep], minlength=len(xy)))]),
-        slots.mean[keep],
-    )
+    branches = Ragged.by_owner(slots.owner[keep], slots.mean[keep], len(xy))
     there = branches.take(visits.vertex)
     exit_ = nearest_branch(there, leaving, settings.match_rad)
     entry = nearest_branch(there, arriving, settings.match_rad)
@@ -148,23 +145,17 @@ def _slots(
     angle = (passes.branches.values + places.turn[owner])[known]
     home = pass_vertex[owner][known]
     slots = cluster_angles(angle, home, settings.slot_gap_rad)
-    by = np.unique(np.stack([slots.of, owner[known]]), axis=1)[0]
-    votes = np.bincount(by, minlength=len(slots))
+    votes = slots.votes(owner[known])
     visits = np.bincount(pass_vertex[pass_vertex >= 0])
     share = votes / visits[slots.owner]
-    rows = Ragged(
-        np.searchsorted(slots.owner, np.arange(len(visits) + 1)).astype(np.int64), slots.mean
-    )
+    rows = Ragged.by_owner(slots.owner, slots.mean, len(visits))
     driven = np.zeros(len(slots), bool)
     there = rows.take(visited)
     for direction in driven_rad:
         local = nearest_branch(there, direction, settings.match_rad)
         hit = local != NO_BRANCH
         driven[rows.offsets[visited[hit]] + local[hit]] = True
-    best = np.lexsort((-share, slots.owner))[rows.offsets[:-1]]
-    keep = driven | (share >= settings.least_share)
-    keep[best] = True
-    return slots, votes, keep
+    return slots, votes, driven | slots.well_seen(share, settings.least_share)
 
 
 def _kind(branches: FloatArray, settings: MapBuildingSettings) -> str:

@@ -43,6 +43,11 @@ class Ragged:
         return cls(offsets, values)
 
     @classmethod
+    def by_owner(cls, owner: IntArray, values: FloatArray, count: int) -> Ragged:
+        """So many rows of values whose rows (`owner`) ascend."""
+        return cls(np.searchsorted(owner, np.arange(count + 1)), values)
+
+    @classmethod
     def joined(cls, parts: Sequence[Ragged]) -> Ragged:
         """The rows of several in a row."""
         counts = np.concatenate([np.zeros(1, np.int64), *(p.counts for p in parts)])

@@ -87,9 +87,7 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray, gap_ra
     local = np.arange(len(clusters)) - start[clusters.owner]
     heading[clusters.owner, local] = clusters.mean
     visits = np.bincount(place[place >= 0], minlength=n)
-    votes = inside & told
-    unique = np.unique(np.stack([home[votes], slot[votes], by[votes]]), axis=1)
-    np.add.at(share, (unique[0], unique[1]), 1.0)
+    share[clusters.owner, local] = clusters.votes(by[inside], told[inside])
     share /= np.maximum(visits, 1)[:, None]
     entry, exit_ = np.full(len(reckoning), NO_BRANCH), np.full(len(reckoning), NO_BRANCH)
     for ends, local_branch, extra in ((entry, passes.entry, 0), (exit_, passes.exit, len(came))):
