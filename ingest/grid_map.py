@@ -7,11 +7,10 @@ from dataclasses import asdict, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.connected import connected
 from ..topology.errors import DataError
 from ..topology.polyline import simplify, way_of
 from ..topology.ragged import Ragged
@@ -146,10 +145,7 @@ def _largest(
     ends = np.array([(c.source, c.target) for c in corridors], np.int64).reshape(-1, 2)
     if len(ends) == 0:
         return [0], [], len(places) - 1
-    graph = coo_array(
-        (np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(places), len(places))
-    )
-    _, part = connected_components(graph, directed=False)
+    part = connected(ends[:, 0], ends[:, 1], len(places))
     weight = np.zeros(int(part.max()) + 1)
     np.add.at(weight, part[ends[:, 0]], [len(c.path) for c in corridors])
     best = int(weight.argmax())

@@ -26,7 +26,7 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.digits import BITS, METRES, rounded
 from ..topology.matching.structure import padded_branches
 from ..topology.passes import NO_BRANCH
-from ..topology.polyline import way_of
+from ..topology.polyline import leaving_rad, way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .component_map import component_map, places_of
@@ -192,9 +192,7 @@ class _Seen:
         branch = int((m.source_branch, m.target_branch)[end][edge])
         if branch >= 0:
             return float(m.branches[node][branch])
-        path = m.paths[edge]
-        step = path[1] - path[0] if end == 0 else path[-2] - path[-1]
-        return float(np.arctan2(step[1], step[0]))
+        return leaving_rad(m.paths[edge], end)
 
 
 def _lookalikes(

@@ -18,7 +18,7 @@ from .fusion.joint_graph import settle
 from .fusion.vertex_partition import Pool
 from .member_times import member_times
 from .merged_schema import MergedDocument, MergedNode
-from .result import fused_confidence
+from .result import fused_confidence, fused_of
 
 
 def component_map(
@@ -53,15 +53,16 @@ def component_map(
     times, sure, noise = None, ALL_SURE, RunNoise()
     if maps is not None and not stale_runs(document, component, maps):
         whole = {run: with_turning_points(maps[run]) for run in sorted(runs)}
+        members = [node.members for node in chosen]
         times = member_times(
             whole,
             [[(run, k) for run, ids in sorted(e.members.items()) for k in ids] for e in edges],
-            fused_of=_fused_of(chosen),
+            fused_of=fused_of(members),
             source=corridors["source"],
             target=corridors["target"],
             length=corridors["length"],
         )
-        sure = fused_confidence([node.members for node in chosen], whole)
+        sure = fused_confidence(members, whole)
         # Robots of one kind err alike: their scales do not average out.
         scales = [maps[run].measured.scale for run in runs]
         noise = replace(noise, scale=float(np.sqrt(np.mean(np.square(scales)))))
@@ -121,15 +122,6 @@ def stale_runs(
     return out
 
 
-def _fused_of(nodes: list[MergedNode]) -> dict[tuple[str, int], int]:
-    return {
-        (run, v): k
-        for k, node in enumerate(nodes)
-        for run, ids in node.members.items()
-        for v in ids
-    }
-
-
 def component_pose_graph(
     document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
 ) -> PoseGraph:
@@ -141,7 +133,7 @@ def component_pose_graph(
     """
     pool = Pool.of([maps[run] for run in document.graph.runs_of(component)])
     where = zip(pool.run, pool.vertex.tolist(), strict=True)
-    fused = _fused_of(places_of(document, component))
+    fused = fused_of([node.members for node in places_of(document, component)])
     label = np.array([fused[pool.maps[r].run, v] for r, v in where], np.int64)
     joint = settle(pool, label, poses_from_document(document))
     if joint.graph is None:

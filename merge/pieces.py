@@ -7,16 +7,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.connected import connected
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from .member_times import member_times
 from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
-from .result import FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
+from .result import FusedMap, PairVerdict, Verdict, fused_confidence, fused_of, graph_part
 
 
 def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> tuple[TopoMap, ...]:
@@ -81,11 +80,8 @@ def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
 
 def _parts(topomap: TopoMap) -> list[TopoMap]:
     """The connected parts of a map as maps of their own, named by their order in time."""
-    n = len(topomap)
-    links = coo_array(
-        (np.ones(len(topomap.source)), (topomap.source, topomap.target)), shape=(n, n)
-    )
-    count, label = connected_components(links, directed=False)
+    label = connected(topomap.source, topomap.target, len(topomap))
+    count = int(label.max()) + 1
     first = np.full(count, np.iinfo(np.int64).max)
     np.minimum.at(first, label, _first_passes(topomap))
     order = np.argsort(first, kind="stable")
@@ -116,7 +112,7 @@ def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...
     return member_times(
         parts,
         fused.edge_members,
-        fused_of={(n, v): k for k, of in enumerate(fused.members) for n in of for v in of[n]},
+        fused_of=fused_of(fused.members),
         source=fused.source,
         target=fused.target,
         length=fused.length,

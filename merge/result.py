@@ -304,6 +304,11 @@ def graph_part(graph: Graph, chosen: BoolArray) -> dict[str, Any]:
     return part | {end: number[part[end]] for end in ("source", "target")}
 
 
+def fused_of(members: Sequence[Mapping[str, Iterable[int]]]) -> dict[tuple[str, int], int]:
+    """The fused vertex of every (run, vertex) that is a member of one."""
+    return {(run, v): k for k, of in enumerate(members) for run, own in of.items() for v in own}
+
+
 def fused_confidence(
     members: Sequence[Mapping[str, Sequence[int]]], maps: Mapping[str, TopoMap]
 ) -> FloatArray:

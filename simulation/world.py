@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.connected import connected
 from ..topology.frozen import frozen_array
 from ..topology.polyline import way_of
 from ..topology.ragged import Ragged
@@ -151,8 +150,7 @@ def world_of_links(name: str, kind: str, xy: FloatArray, links: Sequence[Link]) 
     """The largest connected part of what is given, vertices renumbered in their order."""
     xy = np.round(xy, COORDINATE_DECIMALS) + 0.0
     ends = np.array([(u, v) for u, v, _ in links], np.int64).reshape(-1, 2)
-    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(xy), len(xy)))
-    _, part = connected_components(graph, directed=False)
+    part = connected(ends[:, 0], ends[:, 1], len(xy))
     keep = part == np.bincount(part[ends[:, 0]]).argmax()
     number = np.cumsum(keep) - 1
     chosen = [(u, v, path) for u, v, path in links if keep[u]]

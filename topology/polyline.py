@@ -40,6 +40,12 @@ def way_of(path: FloatArray) -> FloatArray:
     return out
 
 
+def leaving_rad(path: FloatArray, end: int) -> float:
+    """Direction in which a polyline leaves its first point (end 0) or its last one (1) [rad]."""
+    x, y = path[1] - path[0] if end == 0 else path[-2] - path[-1]
+    return float(np.arctan2(y, x))
+
+
 def join_centres(
     track: FloatArray, begin: FloatArray, end: FloatArray, junction_m: float
 ) -> FloatArray:

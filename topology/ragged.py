@@ -13,6 +13,12 @@ from .arrays import FloatArray, IntArray
 from .frozen import freeze
 
 
+def numbered(counts: IntArray) -> tuple[IntArray, IntArray]:
+    """The row of every thing, and its number in that row, of (n,) rows with so many things."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Ragged:
     """`n` rows of numbers; row i is `values[offsets[i]:offsets[i + 1]]`.

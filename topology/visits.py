@@ -8,6 +8,7 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .odometry import Odometry
+from .ragged import numbered
 from .se2 import turned, wrap
 from .track import way_along, way_at
 
@@ -75,9 +76,9 @@ def draw_track(
     at = way_at(odometry, visits.time_ns)
     length = at[first + 1] - at[first]
     points = np.maximum(np.ceil(length / step_m), 2).astype(np.int64) + 1
-    owner = np.repeat(np.arange(len(first)), points)
+    owner, nth = numbered(points)
     offsets = np.concatenate([[0], np.cumsum(points)]).astype(np.int64)
-    share = (np.arange(len(owner)) - offsets[owner]) / (points[owner] - 1)
+    share = nth / (points[owner] - 1)
     s = at[first][owner] + share * length[owner]
     odom = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
 

@@ -18,6 +18,7 @@ from rerun.chunk import Chunk, LazyChunkStream, McapReader, RrdReader
 
 from ..topology.errors import LogError
 from ..topology.files import write_atomically
+from ..topology.ragged import numbered
 from ..topology.topomap import TopoMap
 from . import palette
 from .map_blueprint import WHOLE_RUN, log_blueprint
@@ -138,8 +139,7 @@ def _laser(message: Messages) -> Drawn:
     ranges = message.field("ranges")
     count = np.diff(ranges.offsets.to_numpy(zero_copy_only=False))
     reach = ranges.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
-    row = np.repeat(np.arange(len(message)), count)
-    beam = np.arange(len(reach)) - np.repeat(np.cumsum(count) - count, count)
+    row, beam = numbered(count)
     angle = _at(message, "angle_min")[row] + beam * _at(message, "angle_increment")[row]
     echo = (reach >= _at(message, "range_min")[row]) & (reach < _at(message, "range_max")[row])
     reach, angle, row = reach[echo], angle[echo], row[echo]

@@ -79,7 +79,6 @@ class Messages(Protocol):
 
     tally: Tally
     findings: Findings
-    packed: bool
 
     def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: where an index says they are."""

@@ -64,14 +64,12 @@ class Calibration:
 
     Each triple is (bias per metre [rad/m], scale of turns, lag [s]). `applied` values are zero
     where the data do not show the error at `apply_at_z` sigmas. `estimate` and `sigma` are those
-    of the fit with all three free; `z` is signed: the smaller of estimate / sigma and the root of
-    twice the gain in log-likelihood over an error of zero.
+    of the fit with all three free.
     """
 
     applied: Terms = (0.0, 0.0, 0.0)
     estimate: Terms = (0.0, 0.0, 0.0)
     sigma: Terms = (0.035, 0.03, 0.3)
-    z: Terms = (0.0, 0.0, 0.0)
 
     @property
     def bias_rad_per_m(self) -> float:
@@ -156,12 +154,11 @@ def _fit(
     # the gain over an error of zero must say the same.
     total = x + already
     likely = np.sqrt(2 * np.maximum(gain, 0.0)) * plain / spread
-    z = np.sign(total) * np.minimum(np.abs(total) / spread, likely)
-    shown = np.abs(z) >= settings.apply_at_z
+    shown = np.minimum(np.abs(total) / spread, likely) >= settings.apply_at_z
     applied = total
     if not shown.all():
         applied = _without(model, [*starts, x], shown, already)[1] + already
-    return Calibration(*(_terms(v) for v in (np.where(shown, applied, 0.0), total, spread, z)))
+    return Calibration(*(_terms(v) for v in (np.where(shown, applied, 0.0), total, spread)))
 
 
 def _without(

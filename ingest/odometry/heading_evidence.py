@@ -20,6 +20,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.passes import NO_BRANCH, Passes
+from ...topology.ragged import numbered
 from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ...topology.track import stretch_of
@@ -208,15 +209,13 @@ def assign_readings(
     if len(rows) == 0:
         none = np.zeros(0, np.int64)
         return Readings(none, none, np.zeros(0))
-    starts = np.cumsum(counts) - counts
-    local = np.arange(int(counts.sum())) - np.repeat(starts, counts)
-    candidate = np.repeat(passes.branches.offsets[home[rows]], counts) + local
-    pair_row = np.repeat(rows, counts)
-    off = np.abs(wrap(heading[pair_row] - passes.branches.values[candidate]))
+    of, local = numbered(counts)
+    candidate = passes.branches.offsets[home[rows]][of] + local
+    off = np.abs(wrap(heading[rows[of]] - passes.branches.values[candidate]))
     # Least of each contiguous block, and where it is; backwards, so that the first of equals stays.
-    hit = np.flatnonzero(off == np.repeat(np.minimum.reduceat(off, starts), counts))[::-1]
+    hit = np.flatnonzero(off == np.minimum.reduceat(off, np.flatnonzero(local == 0))[of])[::-1]
     nearest = np.empty(len(rows), np.int64)
-    nearest[np.repeat(np.arange(len(rows)), counts)[hit]] = hit
+    nearest[of[hit]] = hit
     near = off[nearest] <= match_rad
     return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
 
@@ -253,14 +252,10 @@ def _legs(passes: Passes, looks: _Looks, stretch: IntArray) -> Rows:
 
 def _grid(looks: _Looks, stretch: IntArray, settings: EvidenceSettings) -> Rows:
     """Every branch beside those of a few passes before: alternatives that may be square to it."""
-    b = np.arange(len(looks.heading))
     first = np.searchsorted(looks.owner, np.arange(len(stretch) + 1))
     begin = first[np.maximum(looks.owner - settings.grid_reach, 0)]
-    end = first[looks.owner]
-    counts = end - begin
-    here = np.repeat(b, counts)
-    starts = np.cumsum(counts) - counts
-    there = np.arange(int(counts.sum())) - np.repeat(starts, counts) + np.repeat(begin, counts)
+    here, nth = numbered(first[looks.owner] - begin)
+    there = begin[here] + nth
     a = looks.regressor[here] - looks.regressor[there]
     keep = (
         looks.seen[here]

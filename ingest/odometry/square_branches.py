@@ -9,6 +9,7 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
+from ...topology.ragged import numbered
 from ...topology.se2 import wrap
 from ...topology.track import stretch_of
 
@@ -51,8 +52,7 @@ class SquareBranches:
         keep = (stretch[of[b]] == stretch[earlier]) & (way[of[b]] - way[earlier] <= reach_m)
         b, earlier = b[keep], earlier[keep]
         counts = passes.branches.counts[earlier]
-        owner = np.repeat(np.arange(len(b)), counts)
-        local = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+        owner, local = numbered(counts)
         there = passes.branches.offsets[earlier][owner] + local
         turn = passes.branches.values[b][owner] - passes.branches.values[there]
         return cls(

@@ -228,7 +228,6 @@ class _Looks:
 
     first: IntArray
     second: IntArray
-    offset: IntArray
     motion: FloatArray
     moments: FloatArray
     weight: FloatArray
@@ -240,9 +239,8 @@ class _Looks:
         first = np.concatenate(rows)
         second = np.concatenate([j[i] for i, j in zip(rows, earlier, strict=True)])
         p = len(first)
-        offset = np.repeat(np.arange(len(rows)), [len(i) for i in rows])
         nothing = np.zeros((p, 3)), np.zeros((p, 4, 4)), np.zeros(p), np.zeros(p, bool)
-        return cls(first, second, offset, *nothing)
+        return cls(first, second, *nothing)
 
     def renewed(
         self, scans: Swept, pose: FloatArray, gate: Gate, settings: AlignmentSettings

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.connected import connected
 from ...topology.digits import significant
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, inverse, wrap
@@ -132,8 +131,7 @@ def _together(xy: FloatArray, way: FloatArray, settings: JunctionSettings) -> In
     """(q,) number of the junction of each record: linked if near in place and way."""
     scaled = np.column_stack([xy, way * (settings.together_m / settings.together_way_m)])
     pairs = cKDTree(scaled).query_pairs(settings.together_m, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xy),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    return connected(pairs[:, 0], pairs[:, 1], len(xy))
 
 
 def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> IntArray:

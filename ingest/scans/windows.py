@@ -82,6 +82,10 @@ class _Rolling:
     body: FloatArray
     way: FloatArray
 
+    def at(self, way: FloatArray | float) -> FloatArray:
+        """(…, 2) where the robot was after so much of the way."""
+        return np.stack([np.interp(way, self.way, self.body[:, k]) for k in (0, 1)], axis=-1)
+
 
 def windows(
     parts: Iterable[Matched], settings: WindowSettings = WindowSettings()
@@ -170,7 +174,7 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
     variants = settings.variants
     cell = settings.grid.cell_m
     half = round(settings.half_m / cell)
-    centre = np.array([np.interp(middle, held.way, held.body[:, k]) for k in (0, 1)])
+    centre = held.at(middle)
     masks, corner = _masks(held, middle, (centre, half), variants)
     side = 2 * half + 1
     path = _dense(held, middle - settings.every_m, middle + settings.every_m, cell)
@@ -282,8 +286,7 @@ def _masks(
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:
     """(w, 2) points of the way, closer than `step`."""
     begin, end = max(begin, float(held.way[0])), min(end, float(held.way[-1]))
-    way = np.linspace(begin, end, max(2, int((end - begin) / (0.7 * step)) + 2))
-    return np.stack([np.interp(way, held.way, held.body[:, k]) for k in (0, 1)], axis=1)
+    return held.at(np.linspace(begin, end, max(2, int((end - begin) / (0.7 * step)) + 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,8 +298,7 @@ class _Span:
 def _near(held: _Rolling, middle: float, reach: float) -> _Span:
     begin, end = max(middle - reach, held.way[0]), min(middle + reach, held.way[-1])
     way = np.linspace(begin, end, 64)
-    xy = np.stack([np.interp(way, held.way, held.body[:, k]) for k in (0, 1)], axis=1)
-    return _Span(way, xy)
+    return _Span(way, held.at(way))
 
 
 def _passed(xy: FloatArray, span: _Span, near_m: float) -> float | None:

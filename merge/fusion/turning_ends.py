@@ -24,7 +24,7 @@ from ...topology.se2 import apply, wrap
 from ...topology.topomap import TopoMap
 from ...topology.turning_back import told_by_deepest
 from ...topology.turning_points import TurningPoints
-from ..result import Component, FusedMap, by_run
+from ..result import Component, FusedMap, by_run, fused_of
 
 
 class _End(NamedTuple):
@@ -108,7 +108,7 @@ def _ends(
     settings: MapBuildingSettings,
 ) -> Iterator[_End]:
     poses = {run: pose for c in components for run, pose in c.poses.items()}
-    home = {(run, v): k for k, of in enumerate(fused.members) for run in of for v in of[run]}
+    home = fused_of(fused.members)
     for m in maps:
         T, t = poses[m.run], m.turning_points
         for row in range(len(t)):

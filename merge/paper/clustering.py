@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.connected import connected
 from ...topology.se2 import apply
 from .hypotheses import Hypotheses
 from .registration import Weights, fit_groups
@@ -95,10 +94,9 @@ def _complete_linkage(
     # Strategy: complete linkage never joins across components of the graph of pairs within the
     # threshold, so scipy's linkage runs on each of these (mostly tiny) components alone.
     i, j = _near_pairs(h, kept, xy_b, threshold, settings)
-    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(len(kept), len(kept)))
-    count, part = connected_components(graph, directed=False)
+    part = connected(i, j, len(kept))
     order = np.argsort(part, kind="stable")
-    first = np.searchsorted(part[order], np.arange(count + 1))
+    first = np.searchsorted(part[order], np.arange(int(part.max(initial=-1)) + 2))
     out = np.zeros(len(kept), np.int64)
     out[order] = np.arange(len(kept))  # alone, unless the linkage below says otherwise
     for k in np.flatnonzero(np.diff(first) > 1).tolist():

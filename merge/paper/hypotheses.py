@@ -123,8 +123,7 @@ def _grown(
     reached, asked = (node_codes(a, b, n, growth.rectilinear) for n in (growth.nodes, seeds))
     growth = holding(growth, np.isin(reached, asked))
     untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
-    pairs = len(np.unique(seeds.vertex_a * len(b) + seeds.vertex_b))
-    return growth, SingleMatches(take(seeds, untested), len(seeds), pairs)
+    return growth, SingleMatches(take(seeds, untested), len(seeds))
 
 
 def _surviving(growth: Growth, bits: FloatArray) -> _Matches:

@@ -56,8 +56,8 @@ class _Looks:
 def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:
     """(k,) log odds, whatever the confidence.
 
-    Chance is how common such junctions are in both maps (`self_information`); each branch that only
-    one side has costs what a fault costs in that run, an agreeing one tells the more, the more
+    Chance is how common such junctions are in both maps (`Prepared.descriptor`); each branch that
+    only one side has costs what a fault costs in that run, an agreeing one tells the more, the more
     freely branches point in these maps (`turn_rarity`).
     """
     pairs = mutual_nearest(a.unit, b.unit * turn[:, None])

@@ -13,6 +13,7 @@ from ...topology.matching.branches import unit_headings
 from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
 from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
+from ...topology.ragged import numbered
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise, TopoMap
 from ..result import FusedMap
@@ -48,16 +49,15 @@ class Extent(NamedTuple):
 class Prepared:
     """A map of n junctions and k directed corridors (both directions of each, loops left out).
 
-    z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NaN behind the last;
-    count: (n,) branches; observations: (n,) passes that saw the junction; self_information: (n,)
-    bits that the branches of this junction tell, by how common such a pattern is in this map;
-    turn_rarity: (n, d) -ln density [1/rad] of finding a branch at its angle to the others.
-    branch_unit: (n, d) headings as unit numbers, 0 behind the last; fault_rate: (n,) chance of a
-    branch too many or too few. descriptor: (n, 5) count, variance of one heading [rad²],
-    fault_rate, self_information and ln confidence side by side. confidence: (n,) chance that a look
-    at the junction shows just these branches. neighbour: (n, q) the nearest junctions, itself
-    first; near_m: (n, q) their distances, infinite where there are no more; near_rarity: (n, q)
-    -log2 density [1/m] of neighbours this far; near_weight: (n, q) what their matches weigh in
+    z: (n,) positions x + iy [m]. heading: (n, d) branch headings, NaN behind the last; count: (n,)
+    branches; observations: (n,) passes that saw the junction; turn_rarity: (n, d) -ln density
+    [1/rad] of finding a branch at its angle to the others. branch_unit: (n, d) headings as unit
+    numbers, 0 behind the last; fault_rate: (n,) chance of a branch too many or too few. descriptor:
+    (n, 5) count, variance of one heading [rad²], fault_rate, bits that the branches tell by how
+    common such a pattern is in this map, and ln confidence, side by side. confidence: (n,) chance
+    that a look at the junction shows just these branches. neighbour: (n, q) the nearest junctions,
+    itself first; near_m: (n, q) their distances, infinite where there are no more; near_rarity: (n,
+    q) -log2 density [1/m] of neighbours this far; near_weight: (n, q) what their matches weigh in
     predicting this one. tail, head: (k,); length: (k,) chord [m]; angle: (k,) chord direction
     [rad]; leave: (k,) row-local branch used at the tail, NO_BRANCH where unknown; by_branch: (n, d)
     row of a corridor that leaves by this branch, -1 where none is known; sagitta: (k,) [m] signed
@@ -81,7 +81,6 @@ class Prepared:
     heading: FloatArray
     count: IntArray
     observations: IntArray
-    self_information: FloatArray
     turn_rarity: FloatArray
     branch_unit: ComplexArray
     fault_rate: FloatArray
@@ -185,7 +184,6 @@ def prepare(topomap: TopoMap) -> Prepared:
         heading=heading,
         count=count,
         observations=observations,
-        self_information=self_information,
         turn_rarity=turn_rarity,
         branch_unit=unit,
         fault_rate=fault_rate,
@@ -288,12 +286,11 @@ def _corridor_shapes(
     bow = ((middle - (z[m.source[rows]] + z[m.target[rows]]) / 2) * unit.conj()).imag
     inner = np.maximum(end - start - 2 * MATCH.clear_m, 0.0)
     pieces = np.ceil(inner / MATCH.clear_m).astype(np.int64)
-    owner = np.repeat(np.arange(len(rows)), pieces)
-    nth = np.arange(len(owner)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    owner, nth = numbered(pieces)
     s = (start + shift)[owner] + MATCH.clear_m + (nth + 0.5) / pieces[owner] * inner[owner]
     tangent = point(s + MATCH.clear_m / 2) - point(s - MATCH.clear_m / 2)
     tangent = tangent / np.maximum(np.abs(tangent), 1e-9)
-    return np.concatenate([bow, -bow]), point(s), tangent, owner.astype(np.int64)
+    return np.concatenate([bow, -bow]), point(s), tangent, owner
 
 
 def _offsets(

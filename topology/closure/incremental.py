@@ -11,11 +11,10 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
+from ..connected import connected
 from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import (
     AGREE,
@@ -263,13 +262,7 @@ def _partition(count: int, links: list[Identification]) -> IntArray:
     """(p,) places by the links, numbered by first visit."""
     i = np.array([q.first for q in links], np.int64)
     j = np.array([q.second for q in links], np.int64)
-    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
-    label = connected_components(graph, directed=False)[1]
-    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    out: IntArray = rank[inverse]
-    return out
+    return connected(i, j, count)
 
 
 def _turns(place: IntArray, new: list[Identification]) -> FloatArray:

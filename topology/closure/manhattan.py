@@ -13,6 +13,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import Passes
+from ..ragged import numbered
 from ..se2 import wrap
 from .dead_reckoning import DeadReckoning, dead_reckoning_covariance
 from .places import ONE_WAY_RAD
@@ -154,8 +155,7 @@ def grid_corridors(
     on = same & straight[row[1:]] & straight[row[:-1]]
     begin = np.flatnonzero(np.concatenate([[True], ~on])[: len(row)])
     size = np.diff(begin, append=len(row)) + 1
-    corridor = np.repeat(np.arange(len(begin)), size)
-    along = np.arange(len(corridor)) - np.repeat(np.cumsum(size) - size, size)
+    corridor, along = numbered(size)
     passed = row[begin][corridor] + along
     return GridCorridors(
         direction=(axis + quarter * (np.pi / 2))[row[begin]],

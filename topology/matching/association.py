@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
+from ..ragged import numbered
 from .correspondence import (
     DEFAULT_GROWTH,
     GrowthSettings,
@@ -177,9 +178,8 @@ def _windows(
     """All (row of centre, row of sorted keys) with the key inside the row's window."""
     low = np.searchsorted(keys, centre - half_width, "left")
     count = np.searchsorted(keys, centre + half_width, "right") - low
-    rows = np.repeat(np.arange(len(centre)), count)
-    offsets = np.cumsum(count) - count
-    return rows, np.arange(len(rows)) + np.repeat(low - offsets, count)
+    rows, nth = numbered(count)
+    return rows, low[rows] + nth
 
 
 def _slot_nodes(
@@ -320,12 +320,11 @@ class SingleMatches:
     """Compatible nodes outside all grown matches that nothing contradicts (H1 of §2.3).
 
     candidates: compatible nodes in all, whether grown, single, or rejected by their first
-    corridor; pairs: distinct vertex pairs among these.
+    corridor.
     """
 
     nodes: Nodes
     candidates: int
-    pairs: int
 
 
 def single_matches(
@@ -339,11 +338,7 @@ def single_matches(
     if growth.rectilinear:
         return _slot_singles(a, b, settings)
     nodes = candidate_nodes(a, b, settings)
-    return SingleMatches(
-        nodes=take(nodes, shared_branches(a, b, nodes, False) == 0),
-        candidates=len(nodes),
-        pairs=len(np.unique(nodes.vertex_a * len(b) + nodes.vertex_b)),
-    )
+    return SingleMatches(take(nodes, shared_branches(a, b, nodes, False) == 0), len(nodes))
 
 
 def _slot_singles(a: Structure, b: Structure, settings: GrowthSettings) -> SingleMatches:
@@ -351,5 +346,4 @@ def _slot_singles(a: Structure, b: Structure, settings: GrowthSettings) -> Singl
     return SingleMatches(
         nodes=classes.expanded(classes.compatible & classes.disjoint),
         candidates=int((classes.compatible.sum(axis=2) * classes.sizes).sum()),
-        pairs=int((classes.compatible.any(axis=2) * classes.sizes).sum()),
     )

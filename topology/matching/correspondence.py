@@ -16,6 +16,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..errors import UsageError
+from ..ragged import numbered
 from ..se2 import wrap
 from .branches import mutual_nearest
 from .structure import Structure
@@ -285,8 +286,7 @@ class SlotClasses:
         # Strategy: a flat ragged product; node k of a triple is (k // width, k % width) of it.
         i, j, turn = np.nonzero(chosen)
         count, width = self.sizes[i, j], np.diff(self.first[1])[j]
-        triple = np.repeat(np.arange(len(i)), count)
-        within = np.arange(len(triple)) - np.repeat(np.cumsum(count) - count, count)
+        triple, within = numbered(count)
         x, y = np.divmod(within, width[triple])
         vertex_a = self.rows[0][self.first[0][i][triple] + x]
         vertex_b = self.rows[1][self.first[1][j][triple] + y]

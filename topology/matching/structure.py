@@ -13,6 +13,7 @@ import numpy as np
 
 from ..arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ..passes import NO_BRANCH
+from ..polyline import leaving_rad
 from ..se2 import wrap
 from ..topomap import TopoMap
 from .branches import unit_headings
@@ -171,9 +172,8 @@ def _with_inferred(
     known = branches != NO_BRANCH
     taken = set(zip(ends[known].tolist(), branches[known].tolist(), strict=True))
     for k, side in np.argwhere(~known).tolist():
-        vertex, path = int(ends[k, side]), topomap.paths[k]
-        step = path[1] - path[0] if side == 0 else path[-2] - path[-1]
-        off = np.abs(wrap(heading[vertex] - np.arctan2(step[1], step[0])))
+        vertex = int(ends[k, side])
+        off = np.abs(wrap(heading[vertex] - leaving_rad(topomap.paths[k], side)))
         near = [int(i) for i in np.argsort(off) if off[i] <= STRUCTURE.inferred_rad]
         free = [i for i in near if (vertex, i) not in taken]
         if free:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..connected import connected
 from .graph import PoseGraph
 
 _THIN = 1e-9
@@ -62,9 +62,7 @@ def summed(where: IntArray, values: NDArray[Any], size: int) -> FloatArray:
 
 def _groups(graph: PoseGraph, joined: BoolArray) -> IntArray:
     """(n,) connected component of every pose by the edges that are `joined` (m,)."""
-    n, ends = len(graph), (graph.source[joined], graph.target[joined])
-    links = sparse.csr_array((np.ones(len(ends[0])), ends), shape=(n, n))
-    return connected_components(links, directed=False)[1].astype(np.int64)
+    return connected(graph.source[joined], graph.target[joined], len(graph))
 
 
 def _gauge(graph: PoseGraph, piece: IntArray) -> BoolArray:

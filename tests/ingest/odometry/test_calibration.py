@@ -102,7 +102,7 @@ def test_known_errors_are_found(seed: int, bias: float, scale: float, lag: float
     assert np.all(np.abs(error) < 4 * np.array(found.sigma)), (found, error)
     assert np.all(np.abs(error) < (0.004, 0.008, 0.04))
     assert all(
-        z > 0 for z, value in zip(np.abs(found.z) - 3, (bias, scale, lag), strict=True) if value
+        applied for applied, value in zip(found.applied, (bias, scale, lag), strict=True) if value
     )
     assert off(apply_calibration(recorded, found), truth) < 0.25 * off(recorded, truth) + 0.3
 

@@ -1,0 +1,18 @@
+"""Things that hang together by pairs of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from .arrays import IntArray
+
+
+def connected(one: IntArray, other: IntArray, count: int) -> IntArray:
+    """(count,) connected component of each of so many nodes, numbered by their first nodes.
+
+    one, other: (k,) the nodes at both ends of each link. O(count + k).
+    """
+    links = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    return connected_components(links, directed=False)[1].astype(np.int64)
