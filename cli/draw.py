@@ -87,9 +87,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     if pair is not None:
         from .explain import decided
 
-        maps = {run: place.read_map(run) for run in pair}
-        decision = decided(place, pair, maps)
-        return drawings.draw_decision(maps[pair[0]], maps[pair[1]], decision, theme)
+        return drawings.draw_decision(*decided(place, pair), theme)
     return drawings.draw_merged(read_result(_merge_of(place, what, runs)), theme)
 
 

@@ -106,8 +106,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     from ..merge.decision_text import lines
     from ..viz.decision_recording import write_decision_recording
 
-    maps = {run: place.read_map(run) for run in pair}
-    decision = decided(place, pair, maps)
+    a, b, decision = decided(place, pair)
     if as_json:
         say_lines(json.dumps(to_document(decision)))
     else:
@@ -116,19 +115,21 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     recording = place.explain_rrd(*pair)
     _record(
         recording,
-        lambda: write_decision_recording(recording, maps[pair[0]], maps[pair[1]], decision),
+        lambda: write_decision_recording(recording, a, b, decision),
         as_json,
     )
 
 
-def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -> Decision:
-    """The decision on a pair, with the settings and the runs of the merge that had both."""
+def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:
+    """The maps of a pair, and the decision on it, with the settings and the runs of the merge that
+    had both."""
     from dataclasses import replace
 
     from ..merge.document import poses_from_document, verdict_from_entry
     from ..merge.robust.explained import Batch, explain
     from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
 
+    maps = {run: place.read_map(run) for run in pair}
     document = _last_merge(place)
     why_not = _not_merged(document, pair)
     said, poses, settings, runs = {}, {}, DEFAULT_ROBUST, place.runs()
@@ -153,7 +154,8 @@ def decided(place: Workspace, pair: tuple[str, str], maps: dict[str, TopoMap]) -
     ordered = [maps[run] for run in sorted(maps)]
     batch = Batch(ordered, said, settings, place.locks(), poses)
     decision = explain(batch, *pair)
-    return replace(decision, notes=(*notes, *decision.notes))
+    told = replace(decision, notes=(*notes, *decision.notes))
+    return maps[pair[0]], maps[pair[1]], told
 
 
 def _last_merge(place: Workspace) -> MergedDocument | None:

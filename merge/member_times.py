@@ -8,6 +8,7 @@ import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.topomap import TopoMap
+from ..topology.track import by_begin
 
 
 def member_times(
@@ -43,8 +44,7 @@ def member_times(
             rows.append(
                 _part(topomap.traversal_ns[k], share, ends, (int(source[e]), int(target[e])))
             )
-        times = np.concatenate(rows)
-        out.append(times[np.argsort(times.min(axis=1), kind="stable")])
+        out.append(by_begin(np.concatenate(rows)))
     return tuple(out)
 
 

@@ -17,7 +17,7 @@ from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, w
 from .ragged import Ragged
 from .se2 import wrap
 from .topomap import Closure, RunNoise, TopoMap
-from .track import times_between, track_directions, way_at
+from .track import by_begin, times_between, track_directions, way_at
 from .vertex_errors import VertexErrors
 from .visits import PassesAtPlaces, Visits, draw_track
 
@@ -300,7 +300,6 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
         float(shown * (len(some) - 1)) for shown, some in zip(length, sound, strict=True)
     )
     at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
-    times = (at[member] for member in members)
     detour, farthest_m = _chosen_detour(legs, members, xy)
     source, target, source_branch, target_branch = np.array(keys, np.int64).reshape(-1, 4).T
     return _Edges(
@@ -310,7 +309,7 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
         target_branch=target_branch,
         length=length,
         traversals=np.array([len(member) for member in members], np.int64),
-        time_ns=tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times),
+        time_ns=tuple(by_begin(at[member]) for member in members),
         leg=leg,
         wander=excess / way,
         detour=detour,

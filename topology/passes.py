@@ -43,12 +43,7 @@ class Passes:
         freeze(self, np.int64, time_ns=(p,), start_ns=(p,), end_ns=(p,))
         freeze(self, np.int64, entry=(p,), exit=(p,), messages=(p,))
         freeze(self, np.float64, centre=(p, 2), confidence=(p,))
-        if len(self.branches) != p or not np.array_equal(
-            self.branches.offsets, self.support.offsets
-        ):
-            raise ValueError("branches and support must have one row per pass, of equal lengths")
-        if np.any(np.diff(self.time_ns) < 0):
-            raise ValueError("passes must be in the order of time")
+        check_passes(self.time_ns, self.branches, self.support)
         for name in ("entry", "exit"):
             index = getattr(self, name)
             if np.any(index < NO_BRANCH) or np.any(index >= self.branches.counts):
@@ -56,6 +51,14 @@ class Passes:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+
+def check_passes(time_ns: IntArray, branches: Ragged, support: Ragged) -> None:
+    """ValueError if passes (p,) with such branches are none, or not by time."""
+    if len(branches) != len(time_ns) or not np.array_equal(branches.offsets, support.offsets):
+        raise ValueError("branches and support must have one row per pass, of equal lengths")
+    if np.any(np.diff(time_ns) < 0):
+        raise ValueError("passes must be in the order of time")
 
 
 def nearest_branch(branches: Ragged, direction: FloatArray, match_rad: float) -> IntArray:

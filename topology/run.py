@@ -11,6 +11,7 @@ import numpy as np
 from .arrays import BoolArray, Float32Array, FloatArray, IntArray
 from .frozen import freeze
 from .odometry import Odometry
+from .passes import check_passes
 from .ragged import Ragged
 from .topomap import RunNoise
 
@@ -71,12 +72,7 @@ class ScanPasses:
         p = len(self.time_ns)
         freeze(self, np.int64, time_ns=(p,), start_ns=(p,), end_ns=(p,), windows=(p,))
         freeze(self, np.float64, centre=(p, 2), confidence=(p,), clearance_m=(p,), shared_m=(p,))
-        if len(self.branches) != p or not np.array_equal(
-            self.branches.offsets, self.support.offsets
-        ):
-            raise ValueError("branches and support must have one row per pass, of equal lengths")
-        if np.any(np.diff(self.time_ns) < 0):
-            raise ValueError("passes must be in the order of time")
+        check_passes(self.time_ns, self.branches, self.support)
 
     def __len__(self) -> int:
         return len(self.time_ns)

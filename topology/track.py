@@ -48,6 +48,21 @@ def way_at(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     return result
 
 
+def point_at(odometry: Odometry, way_m: FloatArray) -> FloatArray:
+    """(…, 2) where the robot was after so much of the way (…), in the odometry's frame."""
+    way = way_along(odometry)
+    # Strictly ascending ways, so that standing still does not make the interpolation ambiguous.
+    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
+    track = odometry.pose[keep]
+    return np.stack([np.interp(way_m, way[keep], track[:, k]) for k in (0, 1)], axis=-1)
+
+
+def by_begin(times_ns: IntArray) -> IntArray:
+    """Drives (t, 2), each with the times at its two ends, whichever came first, in their order."""
+    ordered: IntArray = times_ns[np.argsort(times_ns.min(axis=1), kind="stable")]
+    return ordered
+
+
 def times_between(
     odometry: Odometry, time_ns: IntArray, first: IntArray, near_m: float
 ) -> IntArray:
@@ -91,16 +106,12 @@ def track_directions(
     stretch = stretch_of(odometry, time_ns)
     edges = np.concatenate([[0], odometry.cuts, [len(odometry)]])
     first, last = way[edges[stretch]], way[edges[stretch + 1] - 1]
-    # Strictly ascending ways, so that standing still does not make the interpolation ambiguous.
-    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
     # All places at once: a table (places, steps) of track points before and after.
     steps = np.arange(0.0, search_m + step_m, step_m)
 
     def towards(sign: float) -> FloatArray:
         at = here[:, None] + sign * steps
-        x = np.interp(at, way[keep], odometry.pose[keep, 0])
-        y = np.interp(at, way[keep], odometry.pose[keep, 1])
-        dx, dy = x - centre[:, :1], y - centre[:, 1:]
+        dx, dy = np.moveaxis(point_at(odometry, at) - centre[:, None], -1, 0)
         inside = (at >= first[:, None] - 1e-9) & (at <= last[:, None] + 1e-9)
         out = inside & (dx * dx + dy * dy >= reach_m * reach_m)
         hit = out.argmax(axis=1)

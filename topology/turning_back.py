@@ -20,7 +20,7 @@ from .passes import NO_BRANCH, nearest_branch
 from .polyline import Ways, simplify, way_of
 from .se2 import turned
 from .topomap import Graph, TopoMap
-from .track import times_between, track_directions, way_along, way_at
+from .track import by_begin, times_between, track_directions, way_along, way_at
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
 from .visits import Visits, draw_track
 
@@ -349,7 +349,7 @@ def _as_points(
         branch_sigma=turn,
         traversals=np.array([len(t) for t in times]),
         paths=paths,
-        traversal_ns=tuple(t[np.argsort(t.min(axis=1), kind="stable")] for t in times),
+        traversal_ns=tuple(by_begin(t) for t in times),
         time_ns=tuple(np.sort([e.time_ns for e in group])[:, None] for group in kept),
     )
 

@@ -10,7 +10,7 @@ from .arrays import BoolArray, FloatArray, IntArray
 from .odometry import Odometry
 from .ragged import numbered
 from .se2 import turned, wrap
-from .track import way_along, way_at
+from .track import point_at, way_at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +71,6 @@ def draw_track(
     All pieces are sampled in one flat row. Each point is placed as seen from either visit, and
     between the two views by the way driven; what is left at the ends is spread likewise.
     """
-    way = way_along(odometry)
-    keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
     at = way_at(odometry, visits.time_ns)
     length = at[first + 1] - at[first]
     points = np.maximum(np.ceil(length / step_m), 2).astype(np.int64) + 1
@@ -80,7 +78,7 @@ def draw_track(
     offsets = np.concatenate([[0], np.cumsum(points)]).astype(np.int64)
     share = nth / (points[owner] - 1)
     s = at[first][owner] + share * length[owner]
-    odom = np.column_stack([np.interp(s, way[keep], odometry.pose[keep, k]) for k in (0, 1)])
+    odom = point_at(odometry, s)
 
     def seen_from(visit: IntArray) -> FloatArray:
         away = odom - visits.centre[visit][owner]

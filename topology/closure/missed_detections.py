@@ -77,19 +77,19 @@ def correct_detections(
     # One drive-by is one visit.
     again = np.zeros(len(place), bool)
     again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
-    place = np.where(again, NOWHERE, place)
-    places = tabulate(reckoning, np.where(fair, place, NOWHERE), estimate.pose[:, 2], gap)
-    found = driven_by(
-        odometry, visits_of(reckoning, place, fair, estimate, xy), xy, places, settings
-    )
+    place, turn = np.where(again, NOWHERE, place), estimate.pose[:, 2]
+
+    def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, DrivenBy]:
+        places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn, gap)
+        visits = visits_of(reckoning, place, fair, estimate, xy)
+        return places, visits, driven_by(odometry, visits, xy, places, settings)
+
+    places, _, found = driven(place, xy)
     unseen = np.bincount(found.place, minlength=len(places))
     real, number = _renumbered(~phantoms(reckoning, places, unseen, settings))
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
-    places = tabulate(reckoning, np.where(fair, place, NOWHERE), estimate.pose[:, 2], gap)
-    visits = visits_of(reckoning, place, fair, estimate, xy)
-    found = driven_by(odometry, visits, xy, places, settings)
+    _, visits, found = driven(place, xy)
     visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
-    turn = estimate.pose[:, 2]
     return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], one.asked)
 
 
