@@ -41,10 +41,15 @@ def stretch_of(odometry: Odometry, time_ns: IntArray) -> IntArray:
 
 def way_at(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """(m,) way driven up to each time [m]."""
+    return interpolated(odometry, way_along(odometry), time_ns)
+
+
+def interpolated(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> FloatArray:
+    """(m,) values (n,) of the rows of an odometry at any times, held at the ends."""
     origin = odometry.time_ns[0]
     times = (odometry.time_ns - origin).astype(np.float64)
     query = (np.asarray(time_ns, np.int64) - origin).astype(np.float64)
-    result: FloatArray = np.interp(query, times, way_along(odometry))
+    result: FloatArray = np.interp(query, times, values)
     return result
 
 

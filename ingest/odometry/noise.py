@@ -23,9 +23,10 @@ from ...topology.passes import Passes
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
+from ...topology.track import interpolated, way_at
 from .heading_evidence import assign_readings
 from .revisits import Repeats
-from .square_branches import SquareBranches, interpolated
+from .square_branches import SquareBranches
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,7 @@ class _Thirds:
             heading[sequence, None], readings.branch[sequence], settings.prior.branch_rad, settings
         )
         third = np.minimum(3 * order // np.maximum(n[message_pass], 1), 2)
-        way, turned = np.cumsum(odometry.step_m), np.cumsum(np.abs(odometry.turn_rad))
+        turned = np.cumsum(np.abs(odometry.turn_rad))
         usable = np.flatnonzero(n >= settings.least_messages)
 
         def mean(values: FloatArray, which: int) -> FloatArray:
@@ -142,7 +143,7 @@ class _Thirds:
             total = np.bincount(home[chosen], values[chosen], p)
             return np.asarray(total / np.maximum(size, 1))[usable]
 
-        track = [interpolated(odometry, column, time_ns) for column in (way, turned)]
+        track = way_at(odometry, time_ns), interpolated(odometry, turned, time_ns)
         moved = mean(track[0], 2) - mean(track[0], 0)
         spun = mean(track[1], 2) - mean(track[1], 0)
         drift = np.column_stack([mean(c, 2) - mean(c, 0) for c in centre.T])

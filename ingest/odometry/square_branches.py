@@ -11,7 +11,7 @@ from ...topology.odometry import Odometry
 from ...topology.passes import Passes
 from ...topology.ragged import numbered
 from ...topology.se2 import wrap
-from ...topology.track import stretch_of
+from ...topology.track import interpolated, stretch_of, way_at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class SquareBranches:
     ) -> SquareBranches:
         """Branches of `most_passes` passes beside those of `reach_passes` passes before each, as
         far back as `reach_m`."""
-        way = interpolated(odometry, np.cumsum(odometry.step_m), passes.time_ns)
+        way = way_at(odometry, passes.time_ns)
         turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), passes.time_ns)
         stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
         stride = -(-len(passes) // most_passes)
@@ -82,10 +82,3 @@ class SquareBranches:
         ) / np.sqrt(2 * np.pi * variance)
         inlier = np.bincount(self.owner, self.share * density, len(self.worth))
         return -float((self.worth * np.log((1 - square) + square * quarter * inlier)).sum())
-
-
-def interpolated(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> FloatArray:
-    """(k,) values (n,) of the rows of an odometry at other times."""
-    origin = odometry.time_ns[0]
-    out = np.interp((time_ns - origin) * 1e-9, (odometry.time_ns - origin) * 1e-9, values)
-    return np.asarray(out, np.float64)

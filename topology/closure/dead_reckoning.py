@@ -10,7 +10,7 @@ from ..arrays import FloatArray, IntArray
 from ..odometry import Odometry
 from ..passes import Passes
 from ..topomap import RunNoise
-from ..track import piece_of, stretch_of, track_directions, way_at
+from ..track import interpolated, piece_of, stretch_of, track_directions, way_at
 
 RANDOM = slice(7)
 """Columns of `DeadReckoning.sums` that are variances."""
@@ -146,10 +146,7 @@ def _variances(q: FloatArray, along: FloatArray, x: FloatArray, y: FloatArray) -
 def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray]) -> FloatArray:
     """Sums of the columns over the odometry steps before each pass."""
     total = np.cumsum(np.stack(columns, axis=1), axis=0)
-    origin_ns = odometry.time_ns[0]
-    times = (odometry.time_ns - origin_ns).astype(np.float64)
-    query = (passes.time_ns - origin_ns).astype(np.float64)
-    return np.stack([np.interp(query, times, column) for column in total.T], axis=1)
+    return np.stack([interpolated(odometry, column, passes.time_ns) for column in total.T], axis=1)
 
 
 def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
