@@ -82,28 +82,20 @@ def robot_frame_sightings(
     frame = columns.frame[first]
 
     outside = settings.outside_s * 1e9
-    keep = _leave_out(
-        np.ones(len(first), bool),
-        ~mounted.on("foreign")[frame],
-        warnings,
-        mounted.expected(odometry, fixed),
-    )
     steep = np.maximum.reduceat(mounted.rise, first) if len(first) else np.zeros(0)
-    keep = _leave_out(
-        keep,
-        steep <= settings.steepest,
-        warnings,
-        f"point a branch up or down, seen from {odometry.child_frame!r} (angles turn about the z "
-        "axis of their frame)",
-    )
-    keep = _leave_out(
-        keep,
-        counts <= settings.max_branches,
-        warnings,
-        f"have more than {settings.max_branches} branches",
-    )
     within = (time >= odometry.time_ns[0] - outside) & (time <= odometry.time_ns[-1] + outside)
-    keep = _leave_out(keep, within, warnings, "lie outside the time of the odometry")
+    keep = np.ones(len(first), bool)
+    for good, why in (
+        (~mounted.on("foreign")[frame], mounted.expected(odometry, fixed)),
+        (
+            steep <= settings.steepest,
+            f"point a branch up or down, seen from {odometry.child_frame!r} (angles turn about the "
+            "z axis of their frame)",
+        ),
+        (counts <= settings.max_branches, f"have more than {settings.max_branches} branches"),
+        (within, "lie outside the time of the odometry"),
+    ):
+        keep = _leave_out(keep, good, warnings, why)
 
     chosen = np.flatnonzero(keep)
     chosen = chosen[np.argsort(time[chosen], kind="stable")]
