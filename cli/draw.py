@@ -88,7 +88,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
         from .explain import decided
 
         return drawings.draw_decision(*decided(place, pair), theme)
-    return drawings.draw_merged(read_result(_merge_of(place, what, runs)), theme)
+    return drawings.draw_merged(read_result(_merge_of(place, what)), theme)
 
 
 def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
@@ -99,7 +99,7 @@ def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
     return found[0] if found else None
 
 
-def _merge_of(place: Workspace, what: str, runs: list[str]) -> Workspace:
+def _merge_of(place: Workspace, what: str) -> Workspace:
     """The workspace with the merge that is named, or a message that says what there is."""
     if what == MERGED:
         place.require_merge()

@@ -66,7 +66,7 @@ def sightings(
     chance: Chance,
 ) -> Sightings:
     """Everything that the detector reports during a drive, and the truth about it."""
-    passes = _visits(world, drive, closed, faults, chance) + _phantoms(world, drive, faults, chance)
+    passes = _visits(world, drive, closed, faults, chance) + _phantoms(drive, faults, chance)
     passes.sort(key=lambda p: p.start_s)
     time, owner = _message_times(passes, float(drive.time_s[-1]), rate_hz, faults, chance)
     pose = drive.at(time)
@@ -136,7 +136,7 @@ def _altered(branches: tuple[float, ...], chance: Chance) -> tuple[float, ...]:
     return (*branches, float(np.round(wrap(new), 9)))
 
 
-def _phantoms(world: World, drive: Drive, faults: Faults, chance: Chance) -> list[_Pass]:
+def _phantoms(drive: Drive, faults: Faults, chance: Chance) -> list[_Pass]:
     """Invented junctions in corridors: the corridor's two branches and up to two more."""
     length = drive.leg_to_m - drive.leg_from_m
     hit = chance.happens(faults.phantom_rate, len(length)) & (length > 4.5)

@@ -137,14 +137,12 @@ class SqliteFile:
             pages = Pages(window, anyhow=True)
             declared = int.from_bytes(window.view(28, 4).tobytes(), "big")
             findings.truncated |= pages.count < declared < MOST_PAGES
-            channels = self._described(window, pages, findings)
+            channels = self._described(pages, findings)
             yield from _Reader(None, channels, want, findings).by_every_page(pages)
         except (*_ERRORS, DamageError) as error:
             findings.note(f"its rows cannot be read ({one_line(error)})")
 
-    def _described(
-        self, window: FileWindow, pages: Pages, findings: Findings
-    ) -> dict[int, Channel]:
+    def _described(self, pages: Pages, findings: Findings) -> dict[int, Channel]:
         """The topics by the library where it opens the file, else by what they look like."""
         try:
             with _connected(self.path) as base:
@@ -153,7 +151,7 @@ class SqliteFile:
                 return _channels(base)
         except (*_ERRORS, DamageError) as error:
             findings.note(f"its topics cannot be read ({one_line(error)})")
-        return topics_by_looks(window, pages)
+        return topics_by_looks(pages)
 
 
 class _Reader:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .messages import Channel, DamageError, FileWindow, normal_topic, normal_type, text
+from .messages import Channel, DamageError, normal_topic, normal_type, text
 from .spelling import ENCODINGS, TYPES, spelled
 from .sqlite_pages import LEAF, Pages
 
@@ -16,7 +16,7 @@ TEXT, BLOB = 13, 12
 """Kinds of values with a length: odd ones from 13 on are text, even ones from 12 on are bytes."""
 
 
-def topics_by_looks(window: FileWindow, pages: Pages) -> dict[int, Channel]:
+def topics_by_looks(pages: Pages) -> dict[int, Channel]:
     """Topics of the wanted types, by their numbers, on any page that looks like a leaf.
 
     A row of `topics` holds a name, a type and a format as text one behind the other. O(bytes).

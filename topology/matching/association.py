@@ -99,7 +99,7 @@ def holding(growth: Growth, chosen: BoolArray) -> Growth:
 # --- links: compatible pairs of corridors ---------------------------------------------------------
 
 
-def _find_links(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) -> Links:
+def _find_links(a: Structure, b: Structure, settings: GrowthSettings) -> Links:
     """Pairs of corridors that agree in length and in the vertices at both ends."""
     rectilinear = is_rectilinear(a, b, settings)
     rows_a = np.arange(0, len(a.start), 2)

@@ -298,7 +298,7 @@ def _angle_candidates(
     a: Structure,
     b: Structure,
     settings: GrowthSettings,
-    near: tuple[IntArray, IntArray] | None = None,
+    near: tuple[IntArray, IntArray] | None,
 ) -> IntArray:
     """Codes of all compatible nodes on general angles, ascending; chunked over vertices of a."""
     rows, columns = near or (np.arange(len(a)), np.arange(len(b)))
