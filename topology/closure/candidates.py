@@ -170,7 +170,7 @@ def _known_apart(
     i, j = i[same], j[same]
     turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])
     cov = _turned(dead_reckoning_covariance(reckoning, i, j), turn)
-    bounds = known_way_variance(state, a, b, _telling_way(state, reach_m, settings), settings)
+    bounds = known_way_variance(state, a, b, _telling_way(state, reach_m), settings)
     cov = _tighter(cov, *bounds)
     return _Apart(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
@@ -266,7 +266,7 @@ def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatAr
     return out
 
 
-def _telling_way(state: MapState, reach_m: float, settings: CandidateSettings) -> float:
+def _telling_way(state: MapState, reach_m: float) -> float:
     """A way [m] at whose end places may lie anywhere within reach: it excludes nothing."""
     way = np.array(reach_m)
     while LIKELIHOOD.gate_chi2(2) * _way_variance(state, way)[0] < reach_m**2:

@@ -13,7 +13,6 @@ from ..arrays import FloatArray, IntArray
 from ..matching.likelihood import BIT, LIKELIHOOD
 from .answers import Identification
 from .branches import align, branches_of
-from .candidates import CandidateSettings
 from .dead_reckoning import DeadReckoning, dead_reckoning_covariance, scale_noise
 from .estimate import optimise
 from .evidence import background, position_odds
@@ -38,7 +37,7 @@ def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:
     for i in range(count):
         known = latest[:places]
         known = known[reckoning.piece[known] == reckoning.piece[i]]
-        odds = _odds(state, known, i, settings.candidates)
+        odds = _odds(state, known, i)
         order = np.argsort(-odds, kind="stable")
         if len(order) and odds[order[0]] > 0:
             best, first = int(known[order[0]]), float(odds[order[0]])
@@ -66,7 +65,7 @@ def _scene(reckoning: DeadReckoning, settings: RoundSettings) -> MapState:
     return MapState(reckoning, places, reckoning.passes.centre, common, branches)
 
 
-def _odds(state: MapState, known: IntArray, i: int, settings: CandidateSettings) -> FloatArray:
+def _odds(state: MapState, known: IntArray, i: int) -> FloatArray:
     """(k,) log odds that pass i was by the place of each known pass, by position and branches."""
     common = state.common
     here = np.full(len(known), i, np.int64)
