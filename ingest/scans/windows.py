@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import numpy as np
 from scipy import ndimage
@@ -13,7 +14,6 @@ from ...topology.columns import joined, take
 from ...topology.se2 import compose, inverse
 from .crossing import Crossing, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
-from .keyframes import Keyframes
 from .matching import Matched
 from .skeleton import SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
@@ -95,30 +95,23 @@ def windows(
     Memory: the keyframes of two windows.
     """
     held: _Rolling | None = None
-    piece, driven, number = -1, 0.0, 0
-    following = 0.0
+    piece, numbers = -1, count()
+    driven = following = 0.0
     for part in parts:
         for run in _pieces(part):
             own = int(run.keyframes.piece[0])
-            body = compose(run.pose, inverse(run.keyframes.mount))
             if held is not None and own != piece:
-                for seen in _due(held, following, np.inf, number, settings):
-                    yield seen
-                    number += 1
-                driven, held = float(held.way[-1]), None
-                following = driven
-            piece = own
-            held = _rolling(
-                run.keyframes, run.pose, body, held=held, driven=driven, settings=settings
-            )
+                yield from _due(held, following, np.inf, numbers, settings)
+                driven = following = float(held.way[-1])
+                held = None
+            piece, held = own, _rolling(run, held, driven, settings)
             ready = float(held.way[-1]) - settings.way_m
-            for seen in _due(held, following, ready, number, settings):
+            for seen in _due(held, following, ready, numbers, settings):
                 yield seen
-                number += 1
                 following = seen.way + settings.every_m
             held = _trimmed(held, following - settings.way_m)
     if held is not None:
-        yield from _due(held, following, np.inf, number, settings)
+        yield from _due(held, following, np.inf, numbers, settings)
 
 
 def _pieces(part: Matched) -> Iterator[Matched]:
@@ -131,19 +124,15 @@ def _pieces(part: Matched) -> Iterator[Matched]:
 
 
 def _rolling(
-    frames: Keyframes,
-    pose: FloatArray,
-    body: FloatArray,
-    *,
-    held: _Rolling | None,
-    driven: float,
-    settings: WindowSettings,
+    run: Matched, held: _Rolling | None, driven: float, settings: WindowSettings
 ) -> _Rolling:
+    """The keyframes held, with more behind them; driven: the way before the first of all."""
+    body = compose(run.pose, inverse(run.keyframes.mount))
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
     step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
     way = start + np.cumsum(step)
-    seen = looks(frames, pose, settings.grid)
+    seen = looks(run.keyframes, run.pose, settings.grid)
     if held is None:
         return _Rolling(seen, body, way)
     joint = joined([held.seen, seen])
@@ -159,14 +148,13 @@ def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
 
 
 def _due(
-    held: _Rolling, following: float, ready: float, number: int, settings: WindowSettings
+    held: _Rolling, following: float, ready: float, numbers: Iterator[int], settings: WindowSettings
 ) -> Iterator[Seen]:
     """The windows whose middles lie from `following` to `ready` on the way held."""
     last = float(held.way[-1])
     while following <= min(ready, last):
-        yield _look(held, following, number, settings)
+        yield _look(held, following, next(numbers), settings)
         following += settings.every_m
-        number += 1
 
 
 def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) -> Seen:
