@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -40,6 +41,21 @@ class Driven:
     way: FloatArray
 
 
+class _Junction(NamedTuple):
+    """A junction as the windows around it show it: when [m of way], where [m], headings of its
+    branches with the share of looks that show each; confidence, clearance_m, sigma_m: as in
+    `ScanPasses`; windows: how many show it."""
+
+    way: float
+    xy: FloatArray
+    branches: FloatArray
+    support: FloatArray
+    confidence: float
+    windows: int
+    clearance_m: float
+    sigma_m: float
+
+
 def junction_passes(
     seen: Sequence[Seen],
     driven: Driven,
@@ -47,24 +63,20 @@ def junction_passes(
     settings: JunctionSettings,
 ) -> ScanPasses:
     """Fuse the forks of all windows and variants to passes. O(q log q) for q forks."""
-    records = [
-        (window.number, variant, way, node)
-        for window in seen
-        for variant, way, node in window.forks
-    ]
-    if not records:
+    nodes = [node for window in seen for _, _, node in window.forks]
+    if not nodes:
         return no_passes()
-    number = np.array([r[0] for r in records])
-    variant = np.array([r[1] for r in records])
-    way = np.array([r[2] for r in records])
-    xy = np.array([r[3].xy for r in records])
-    clearance = np.array([r[3].clearance_m for r in records])
-    sigma = np.array([r[3].sigma_m for r in records])
-    headings = Ragged.from_rows([r[3].headings for r in records])
-    bends = np.concatenate([r[3].bends for r in records])
+    number = np.array([window.number for window in seen for _ in window.forks])
+    variant = np.array([variant for window in seen for variant, _, _ in window.forks])
+    way = np.array([way for window in seen for _, way, _ in window.forks])
+    xy = np.array([node.xy for node in nodes])
+    clearance = np.array([node.clearance_m for node in nodes])
+    sigma = np.array([node.sigma_m for node in nodes])
+    headings = Ragged.from_rows([node.headings for node in nodes])
+    bends = np.concatenate([node.bends for node in nodes])
     group = _together(xy, way, settings)
     middles = np.array([window.way for window in seen])
-    rows, turns = [], []
+    found, turns = [], []
     for g in range(int(group.max()) + 1):
         members = np.flatnonzero(group == g)
         at = float(np.median(way[members]))
@@ -80,22 +92,22 @@ def junction_passes(
             (headings, bends), members, votes, int(np.argmax(degree)), settings
         )
         turns.append(turn)
-        rows.append(
-            (
-                at,
-                np.median(xy[members], axis=0),
-                branches,
-                support,
-                int(degree.max()) / len(windows.variants),
-                len(np.unique(number[members])),
-                float(np.median(clearance[members])),
-                float(np.median(sigma[members])),
+        found.append(
+            _Junction(
+                way=at,
+                xy=np.median(xy[members], axis=0),
+                branches=branches,
+                support=support,
+                confidence=int(degree.max()) / len(windows.variants),
+                windows=len(np.unique(number[members])),
+                clearance_m=float(np.median(clearance[members])),
+                sigma_m=float(np.median(sigma[members])),
             )
         )
-    rows.sort(key=lambda row: (row[0], *row[1]))
+    found.sort(key=lambda junction: (junction.way, *junction.xy))
     usual = windows.variants[0]
     askew_rad = _askew(turns, usual.grid.cell_m / usual.skeleton.chord_m)
-    return replace(_passes(rows, driven, windows), askew_rad=askew_rad)
+    return replace(_passes(found, driven, windows), askew_rad=askew_rad)
 
 
 QUARTILE = 0.3186
@@ -176,43 +188,38 @@ def _branches(
     return np.asarray(wrap(medoid + mean)), share, turn
 
 
-def _passes(
-    rows: list[tuple[float, FloatArray, FloatArray, FloatArray, float, int, float, float]],
-    driven: Driven,
-    windows: WindowSettings,
-) -> ScanPasses:
-    """Rows in the corrected frame, turned into the robot's at the time it was nearest."""
-    if not rows:
+def _passes(found: list[_Junction], driven: Driven, windows: WindowSettings) -> ScanPasses:
+    """Junctions in the corrected frame, turned into the robot's at the time it was nearest."""
+    if not found:
         return no_passes()
-    at = np.array([row[0] for row in rows])
-    xy = np.array([row[1] for row in rows])
-    nearest = np.empty(len(rows), np.int64)
-    start, end = np.empty(len(rows), np.int64), np.empty(len(rows), np.int64)
-    for k in range(len(rows)):
-        a, b = np.searchsorted(driven.way, [at[k] - 2 * windows.near_m, at[k] + 2 * windows.near_m])
+    nearest, start, end = np.empty((3, len(found)), np.int64)
+    for k, junction in enumerate(found):
+        around = junction.way + 2 * windows.near_m * np.array([-1.0, 1.0])
+        a, b = np.searchsorted(driven.way, around)
         b = max(int(b), int(a) + 1)
         a = min(int(a), len(driven.way) - 1)
-        distance = np.hypot(*(driven.pose[a:b, :2] - xy[k]).T)
+        distance = np.hypot(*(driven.pose[a:b, :2] - junction.xy).T)
         best = a + int(np.argmin(distance))
         within = np.flatnonzero(distance <= max(windows.near_m, float(distance.min())))
         nearest[k] = best
         start[k], end[k] = a + within[0], a + within[-1]
-    order = np.lexsort((at, driven.time_ns[nearest]))
-    rows = [rows[k] for k in order]
-    nearest, start, end, xy = nearest[order], start[order], end[order], xy[order]
+    way = np.array([junction.way for junction in found])
+    order = np.lexsort((way, driven.time_ns[nearest]))
+    found = [found[k] for k in order]
+    nearest, start, end = nearest[order], start[order], end[order]
     pose = driven.pose[nearest]
-    branches = Ragged.from_rows([row[2] for row in rows])
+    branches = Ragged.from_rows([junction.branches for junction in found])
     owner = branches.owner
     return ScanPasses(
         time_ns=driven.time_ns[nearest],
         start_ns=driven.time_ns[start],
         end_ns=driven.time_ns[end],
-        centre=apply(inverse(pose), xy),
+        centre=apply(inverse(pose), [junction.xy for junction in found]),
         branches=Ragged(branches.offsets, wrap(branches.values - pose[owner, 2])),
-        support=Ragged.from_rows([row[3] for row in rows]),
-        confidence=np.array([row[4] for row in rows]),
-        windows=np.array([row[5] for row in rows], np.int64),
-        clearance_m=np.array([row[6] for row in rows]),
-        shared_m=np.array([row[7] for row in rows]),
+        support=Ragged.from_rows([junction.support for junction in found]),
+        confidence=np.array([junction.confidence for junction in found]),
+        windows=np.array([junction.windows for junction in found], np.int64),
+        clearance_m=np.array([junction.clearance_m for junction in found]),
+        shared_m=np.array([junction.sigma_m for junction in found]),
         resolution_m=windows.skeleton.join_m,
     )
