@@ -10,7 +10,7 @@ import numpy as np
 
 from ..topology.arrays import IntArray
 from ..topology.closure.answers import Identification
-from ..topology.closure.certainty import place_errors
+from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
 from ..topology.closure.estimate import optimise
 from ..topology.closure.incremental import Closed, closure_without_grid, full_closure
@@ -18,6 +18,7 @@ from ..topology.closure.missed_detections import CorrectedPlaces, correct_detect
 from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import fitted_noise
+from ..topology.digits import significant
 from ..topology.errors import DataError
 from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
@@ -78,9 +79,13 @@ def build_map_with_errors(
     scale = refine_scale(
         odometry, run.detections, reckoning.passes, fit.reckoning.noise, settings.noise
     )
-    measured = replace(fit.reckoning, noise=replace(fit.reckoning.noise, scale=scale))
+    told = replace(fit.reckoning.noise, scale=scale)
+    alike = None if source.shared_m is None else seen_alike(source.shared_m, told)
+    if alike is not None and len(alike):
+        told = replace(told, shared_centre_m=significant(float(np.median(alike))))
+    measured = replace(fit.reckoning, noise=told)
     errors = place_errors(
-        measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=source.shared_m
+        measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=alike
     )
     refined = partial(
         refine_noise,

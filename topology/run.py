@@ -51,7 +51,7 @@ class ScanPasses:
     branch (0..1]; confidence: (p,) share of the variants that show the junction with just these
     branches (0..1]; windows: (p,) overlapping windows that show it; clearance_m: (p,) distance of
     the centre from the nearest wall [m]; shared_m: (p,) 1 sigma of each coordinate of the centre
-    [m], and askew_rad: of headings, that all passes of a place share, for they see the same walls;
+    [m] that its walls leave open, and askew_rad: of headings that all passes of a place share;
     resolution_m: nearer to each other, junctions show as one.
     """
 

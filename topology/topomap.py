@@ -52,8 +52,8 @@ class RunNoise:
     branch_fault_rate: float = 0.03
     """Share of passes that saw a branch too many or too few."""
     shared_centre_m: float = 0.0
-    """Junction centre, per axis, of all passes alike: scans that see the same walls put it where no
-    number of passes corrects it."""
+    """Junction centre, per axis, of all passes alike (median): scans that see the same walls put it
+    where no number of passes corrects it."""
 
 
 @dataclass(frozen=True, slots=True)

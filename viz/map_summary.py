@@ -200,7 +200,7 @@ def _noise(topomap: TopoMap) -> str:
     n = topomap.noise
     degrees = np.degrees([n.heading_rad_per_sqrt_m, n.branch_rad])
     per_sqrt_degree = np.sqrt(np.degrees(1.0)) * n.heading_rad_per_sqrt_rad
-    alike = n.shared_centre_m
+    alike = topomap.measured.shared_centre_m
     shared = [("junction centre, all passes alike", f"{alike:.3f} m")] if alike else []
     rows = [
         ("odometry, along", f"{n.along_m_per_sqrt_m:.3f} m/√m"),

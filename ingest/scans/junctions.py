@@ -120,16 +120,14 @@ def _askew(turns: list[FloatArray], cell: float) -> float:
     Where a centre is off by d across a branch, a chord of length r to it is off by d / r, one of
     2 r by half of that, and they differ by the other half. Where the branch bends, a chord is off
     by what it differs from one twice as long. Twice the difference covers both. By the first
-    quartile: half of the corridors between racks have a corner there. Both chords end at cells,
-    which windows share: cell is the side of one, by r. What rounding to it adds to the difference
-    is taken off, what it does to the shorter chord stays.
+    quartile: half of the corridors between racks have a corner there. Both chords end at cells:
+    cell is the side of one, by r. What rounding to it adds to the difference is taken off; in the
+    heading it differs from pass to pass, as `branch_rad` tells.
     """
     every = np.concatenate([np.zeros(0), *turns])
     told = np.abs(every[np.isfinite(every)])
-    rounding = cell**2 / 12
     differ = (float(np.quantile(told, 0.25)) / QUARTILE) ** 2 if len(told) else 0.0
-    seen = max(differ - 1.25 * rounding, 0.0)
-    return significant(float(np.sqrt(4 * seen + rounding)))
+    return significant(2 * float(np.sqrt(max(differ - 1.25 * cell**2 / 12, 0.0))))
 
 
 def no_passes() -> ScanPasses:

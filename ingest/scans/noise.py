@@ -43,12 +43,11 @@ def matched_noise(
 
     alone: there was no odometry beside the scans.
     """
-    seen_alike = float(np.sqrt(np.mean(passes.shared_m**2))) if len(passes) else 0.0
     doubt = float(np.mean(1 - passes.confidence)) if len(passes) else PRIOR.branch_fault_rate
     fault = float(np.clip(doubt, PRIOR.branch_fault_rate, 0.5))
     told = joined(spans) if spans else None
     if told is None or len(told.way) == 0:
-        return replace(PRIOR, branch_fault_rate=fault, shared_centre_m=significant(seen_alike))
+        return replace(PRIOR, branch_fault_rate=fault)
     along = float(np.sqrt(np.median(told.along / np.maximum(told.way, 0.1))))
     walk = _heading_walk(told.far, told.turned, _variance(told))
     heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
@@ -58,7 +57,6 @@ def matched_noise(
         heading_rad_per_sqrt_m=significant(heading),
         heading_rad_per_sqrt_rad=significant(max(float(np.sqrt(walk[1])), LEAST_HEADING)),
         branch_fault_rate=significant(fault),
-        shared_centre_m=significant(seen_alike),
     )
 
 

