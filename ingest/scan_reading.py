@@ -133,7 +133,7 @@ def _detected(
         except LaggingError as error:
             assert odometry is not None
             settings = replace(settings, lag=None)
-            odometry = replace(odometry, time_ns=odometry.time_ns + np.int64(1e9 * error.lag_s))
+            odometry = odometry.delayed(error.lag_s)
             found.append(f"{error}: the odometry was taken by the scans' clock")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -67,6 +67,10 @@ class Odometry:
         turn[1:] = wrap(np.diff(self.pose[:, 2]))
         turn[self.breaks] = 0.0
         return turn
+
+    def delayed(self, by_s: float) -> Odometry:
+        """The same poses, each so much later."""
+        return replace(self, time_ns=self.time_ns + round(by_s * 1e9))
 
     def at(self, time_ns: IntArray) -> FloatArray:
         """(m, 3) poses at any times, linear between rows, held at the ends. O(n + m log n)."""

@@ -106,7 +106,7 @@ def calibrate(
         passes = fuse_passes(track, detections, pass_settings or PassSettings())
         if len(passes) < 2:
             return result
-        nominal = _shifted(odometry, result.lag_s)
+        nominal = odometry.delayed(-result.lag_s)
         evidence = heading_evidence(track, nominal, detections, passes, settings.evidence)
         before, result = (
             result,
@@ -225,11 +225,4 @@ def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:
     start = complex(odometry.pose[0, 0], odometry.pose[0, 1])
     at = start + np.concatenate([[0.0], np.cumsum(step)])
     pose = np.column_stack([at.real, at.imag, wrap(odometry.pose[:, 2] + correction)])
-    return replace(_shifted(odometry, calibration.lag_s), pose=pose)
-
-
-def _shifted(odometry: Odometry, lag_s: float) -> Odometry:
-    """The track at the times at which the detector's clock would have seen it."""
-    if lag_s == 0:
-        return odometry
-    return replace(odometry, time_ns=odometry.time_ns - round(lag_s * 1e9))
+    return replace(odometry.delayed(-calibration.lag_s), pose=pose)
