@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.map_schema import Model, validated
@@ -22,6 +22,9 @@ class Lock:
     by the best one that identifies these two vertices. "never": they never share a component, not
     even through other runs; `at` must be None then. Raises UsageError where that does not hold.
     """
+
+    # Documents allow keys that nobody knows; values have no room for them.
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="ignore")
 
     a: str
     b: str

@@ -61,6 +61,12 @@ def _document(*locks, schema="topobatch.locks/1"):
     return {"schema": schema, "locks": [dict(zip("ab", k, strict=True)) | v for k, v in locks]}
 
 
+def test_keys_that_nobody_knows_are_passed_over():
+    doc = locks_to_document([Lock("a", "b", "never")])
+    doc["locks"][0] |= {"../x": 1, "noted": "by hand"}
+    assert locks_from_document(doc) == (Lock("a", "b", "never"),)
+
+
 @pytest.mark.parametrize(
     "doc",
     [
