@@ -197,13 +197,14 @@ def _cast(
     high = origin.max(axis=0) + settings.range_max_m
     walls = _reached(scene.walls, low, high)
     way, wall, at = cast_at_segments(origin, direction, take(scene.walls, walls))
-    way = np.where(_through_glass(direction, wall, at, walls, scene), np.inf, way)
     doors = _reached(scene.doors.walls, low, high)
     shut = np.repeat(scene.doors.shut(start_s)[:, doors], len(beam_s), axis=0)
     to_door, _, _ = cast_at_segments(origin, direction, take(scene.doors.walls, doors), shut)
     people = np.repeat(_people_seen(scene.people, start_s, drive), len(beam_s), axis=0)
-    to_person = cast_at_circles(origin, direction, people, PERSON_M)
-    return np.minimum(np.minimum(way, to_door), to_person).reshape(len(start_s), -1)
+    moving = np.minimum(to_door, cast_at_circles(origin, direction, people, PERSON_M))
+    # Who stands behind a wall of glass stands behind other walls as well.
+    lost = (way <= moving) & _lost_in_glass(direction, wall, at, walls, scene)
+    return np.where(lost, np.inf, np.minimum(way, moving)).reshape(len(start_s), -1)
 
 
 def _reached(segments: Segments, low: FloatArray, high: FloatArray) -> IntArray:
@@ -212,7 +213,7 @@ def _reached(segments: Segments, low: FloatArray, high: FloatArray) -> IntArray:
     return np.flatnonzero(((least <= high) & (most >= low)).all(axis=1)).astype(np.int64)
 
 
-def _through_glass(
+def _lost_in_glass(
     direction: FloatArray, wall: IntArray, at: FloatArray, numbers: IntArray, scene: _Scene
 ) -> BoolArray:
     """(r,) which beams meet glass and do not come back; wall, at: as met, among `numbers`."""

@@ -144,6 +144,24 @@ def test_walls_stand_around_the_free_space_and_nowhere_within(kind: str) -> None
         assert np.isfinite(way).all()
 
 
+def test_what_is_behind_glass_is_not_seen() -> None:
+    run = RunSettings(
+        motion=MotionSettings(1.3, 1.5),
+        laser=replace(BARE, door_share=0.5, people_per_100_m=20.0, beams=60, rate_hz=2.0),
+        tells_junctions=False,
+    )
+    glazed = replace(run, laser=replace(run.laser, glass_share=0.5))
+    world = make_world("maze", 20, 3)
+    opaque, seen = (
+        simulate_run(world, settings=settings, seed=1).scans for settings in (run, glazed)
+    )
+    assert opaque is not None
+    assert seen is not None
+    back = np.isfinite(seen.ranges_m)
+    assert 0.3 < back.mean() < 0.95, "some beams are lost, not all"
+    np.testing.assert_array_equal(seen.ranges_m[back], opaque.ranges_m[back])
+
+
 def test_doors_shut_off_corridors_but_not_the_robots_way() -> None:
     run = RunSettings(
         motion=MotionSettings(1.3, 1.5),
