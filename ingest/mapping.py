@@ -221,12 +221,9 @@ def _info(
 ) -> dict[str, Any]:
     """What the document says about the making of the map."""
     pieces = len(np.unique(reckoning.piece))
-    chosen = asdict(settings)
-    # What passes share has no prior: scans tell it themselves, detections have none.
-    del chosen["noise"]["prior"]["shared_centre_m"]
     return {
         "source": dict(run.source),
-        "settings": chosen,
+        "settings": asdict(settings),
         "warnings": [*run.warnings, *split_told(run.odometry, odometry)],
         **({"pieces": pieces} if pieces > 1 else {}),
         **({"jumps": jumps_told(run.odometry, odometry)} if len(odometry.jumps) else {}),

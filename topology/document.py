@@ -214,11 +214,7 @@ def _lengths(paths: Sequence[FloatArray]) -> FloatArray:
 
 
 def _noise_to_document(noise: RunNoise) -> dict[str, float]:
-    """By name; what junctions seen by a detector do not have is left out."""
-    told = {name: significant(value) for name, value in asdict(noise).items()}
-    if noise.shared_centre_m == 0.0:
-        del told["shared_centre_m"]
-    return told
+    return {name: significant(value) for name, value in asdict(noise).items()}
 
 
 def _noise(values: dict[str, float]) -> RunNoise:

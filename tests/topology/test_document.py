@@ -227,9 +227,9 @@ def test_what_is_kept_unread_can_be_written_again():
         map_from_document(doc, "a.json")
 
 
-def test_centres_that_all_passes_share_are_told_where_there_are_any() -> None:
+def test_what_all_passes_of_a_centre_share_is_told() -> None:
     plain = small_map()
-    assert "shared_centre_m" not in map_to_document(plain)["graph"]["noise"]
+    assert map_to_document(plain)["graph"]["noise"]["shared_centre_m"] == 0.0
     told = replace(plain, fitted_noise=RunNoise(shared_centre_m=0.125))
     again = map_from_document(map_to_document(told))
     assert again.fitted_noise == told.fitted_noise
