@@ -14,7 +14,7 @@ from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
 from ..topology.turning_points import KINDS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from .document import poses_from_document
-from .fusion.joint_graph import settle
+from .fusion.joint_graph import settle, usual_scale
 from .fusion.vertex_partition import Pool
 from .member_times import member_times
 from .merged_schema import MergedDocument, MergedNode
@@ -64,8 +64,7 @@ def component_map(
         )
         sure = fused_confidence(members, whole)
         # Robots of one kind err alike: their scales do not average out.
-        scales = [maps[run].measured.scale for run in runs]
-        noise = replace(noise, scale=float(np.sqrt(np.mean(np.square(scales)))))
+        noise = replace(noise, scale=usual_scale([maps[run] for run in runs]))
     fused = TopoMap(
         run=name,
         frame=name,

@@ -14,6 +14,9 @@ LIKE_SIGMAS = 4.0
 """The shortest of a few normal ways is one or two sigmas below their mean, and hardly any lies as
 far above the shortest as this."""
 
+LEAST_M = 0.001
+"""No length is known better, which is what documents are rounded to."""
+
 _MEDIAN_CHI2 = 0.4549
 """Median of χ² with one degree of freedom."""
 
@@ -48,6 +51,15 @@ def corridor_lengths(
     return length, leg
 
 
+def straightness(
+    xy: FloatArray, source: IntArray, target: IntArray, length: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(m,) chords [m] of corridors between vertices that lie at xy (n, 2), and their shares in the
+    lengths (m,) of the corridors, 1 at most."""
+    chord = np.hypot(*(xy[target] - xy[source]).T)
+    return chord, np.minimum(chord / length, 1.0)
+
+
 def turning_variance(paths: Sequence[FloatArray], noise: RunNoise) -> FloatArray:
     """(m,) variance [m²] of how far apart the ends of m polylines (k, 2) lie, by what an odometry
     turned wrongly on one drive: ∫ h² dq, with h the offset from the chord and q the variance of the
@@ -80,12 +92,11 @@ def way_sigma(topomap: TopoMap) -> FloatArray:
     """
     noise, length, times = topomap.measured, topomap.length, np.maximum(topomap.traversals, 1)
     ends = topomap.source, topomap.target
-    chord = np.hypot(*(topomap.xy[ends[1]] - topomap.xy[ends[0]]).T)
-    straight = np.minimum(chord / length, 1.0)
+    chord, straight = straightness(topomap.xy, *ends, length)
     along = noise.along_m_per_sqrt_m**2 * length
     turned = turning_variance(topomap.paths, noise)
     driven = ((1 - straight**2) * along + straight**2 * turned) / times
-    seen = noise.centre_m**2 / np.maximum(topomap.passes, 1) + noise.shared_centre_m**2
+    seen = topomap.centre_variance
     apart = (along + turned) / times + seen[ends[0]] + seen[ends[1]]
     rest = topomap.length_sigma**2 - (noise.scale * length) ** 2 - straight**2 * apart
     beyond = np.maximum(length - chord, 0.0)

@@ -10,7 +10,13 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .circular import AngleClusters, cluster_angles
-from .corridor_lengths import LIKE_SIGMAS, corridor_lengths, turning_variance
+from .corridor_lengths import (
+    LEAST_M,
+    LIKE_SIGMAS,
+    corridor_lengths,
+    straightness,
+    turning_variance,
+)
 from .odometry import Odometry
 from .passes import NO_BRANCH, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
@@ -408,8 +414,7 @@ def _length_sigma(
     corridor is shorter than the line between its ends: a drive is no farther beyond it than beyond
     that.
     """
-    chord = np.hypot(*(xy[edges.target] - xy[edges.source]).T)
-    straight = np.minimum(chord / edges.length, 1.0)
+    chord, straight = straightness(xy, edges.source, edges.target, edges.length)
     ends = errors.distance_sigma(xy, edges.source, edges.target)
     times = np.maximum(edges.traversals, 1)
     along = (1 - straight**2) * noise.along_m_per_sqrt_m**2 * edges.length
@@ -418,4 +423,5 @@ def _length_sigma(
     detour = np.minimum(edges.detour * beyond, edges.farthest_m)
     chosen = np.minimum(edges.wander * edges.length + detour**2 / times, beyond**2)
     common = (1 - straight**4) * (noise.scale * edges.length) ** 2
-    return np.asarray(np.sqrt((straight * ends) ** 2 + (driven + chosen) / times + common + 1e-6))
+    variance = (straight * ends) ** 2 + (driven + chosen) / times + common + LEAST_M**2
+    return np.asarray(np.sqrt(variance))

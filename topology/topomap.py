@@ -215,3 +215,11 @@ class TopoMap(Graph):
     def passes(self) -> IntArray:
         """(n,) number of passes by each vertex."""
         return np.bincount(self.observation_vertex, minlength=len(self))
+
+    @property
+    def centre_variance(self) -> FloatArray:
+        """(n,) variance of each coordinate of the vertices by their own passes alone [m²]: what
+        these differ by, and what they are off by alike."""
+        noise = self.measured
+        own = noise.centre_m**2 / np.maximum(self.passes, 1) + noise.shared_centre_m**2
+        return np.asarray(own)

@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
+from ...topology.connected import connected
 from ...topology.map_pose_graph import Measurements, map_pose_graph, odometry_measurements
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.structure import grid_direction, padded_branches
@@ -210,8 +209,7 @@ def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
     arm = topomap.xy - topomap.xy.mean(axis=0)
     reach = (arm**2).sum(axis=1)
     kept = 1 - 1 / len(topomap) - reach / (2 * max(float(reach.sum()), 1e-12))
-    centre = noise.centre_m**2 / np.maximum(topomap.passes, 1) + noise.shared_centre_m**2
-    seen = kept * centre
+    seen = kept * topomap.centre_variance
     stretched = noise.scale**2 * reach / 2
     stated = topomap.position_sigma**2
     left = float((stated - seen - stretched).sum())
@@ -220,10 +218,8 @@ def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
 
 def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Measurements:
     """Loose measurements between the parts of a map that no corridor joins."""
-    n = len(topomap)
-    graph = coo_array((np.ones(len(topomap.source)), (topomap.source, topomap.target)), (n, n))
-    parts, label = connected_components(graph, directed=False)
-    anchor = np.array([np.flatnonzero(label == p)[0] for p in range(parts)], np.int64)
+    part = connected(topomap.source, topomap.target, len(topomap))
+    anchor = np.unique(part, return_index=True)[1]
     u, v = anchor[:-1], anchor[1:]
     measured = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
     weight = np.array([settings.bridge_m, settings.bridge_m, settings.bridge_rad]) ** -2.0
@@ -231,14 +227,18 @@ def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Measureme
     return Measurements(u + first, v + first, measured.reshape(-1, 3), information)
 
 
+def usual_scale(maps: Sequence[TopoMap]) -> float:
+    """1 sigma of the scales of a component's odometries, which all its runs tell together, in the
+    mean square: robots of one fleet are alike, and few runs can see their own."""
+    return float(np.sqrt(np.mean([m.measured.scale**2 for m in maps])))
+
+
 def _scales(
     pool: Pool, factors: Measurements, within: int, settings: JointSettings
 ) -> SharedErrors:
     """The scale of each run's odometry: one unknown that all its measurements share.
 
-    within: how many of the factors, the first ones, are measurements within a run. How far scales
-    err is told by all runs of a component together, in the mean square: robots of one fleet are
-    alike, and few runs can see their own.
+    within: how many of the factors, the first ones, are measurements within a run.
     """
     count = len(pool.maps)
     if count > settings.scaled_runs:
@@ -246,8 +246,7 @@ def _scales(
     sensitivity = np.zeros((len(factors.source), 3, count))
     run = pool.run[factors.source[:within]]
     sensitivity[np.arange(within), :2, run] = factors.measurement[:within, :2]
-    usual = np.sqrt(np.mean([m.measured.scale**2 for m in pool.maps]))
-    sigma = np.full(count, max(float(usual), settings.min_scale))
+    sigma = np.full(count, max(usual_scale(pool.maps), settings.min_scale))
     return SharedErrors(sensitivity, sigma)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.corridor_lengths import LEAST_M, straightness
 from ...topology.posegraph.graph import PoseGraph, SharedErrors
 from ...topology.posegraph.marginals import Marginals
 from ...topology.posegraph.samples import SampledMarginals, of_unit_variance, white
@@ -21,7 +22,7 @@ from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
 from .edges import Corridor
-from .joint_graph import centre_sigma, shared_sigma
+from .joint_graph import centre_sigma, shared_sigma, usual_scale
 from .vertex_partition import Pool
 
 VAGUE_M = 1.5
@@ -36,9 +37,6 @@ SAMPLES = 64
 """A sigma estimated from them has an error of 1 / √(2 · 64) = 9 %, which costs some coverage."""
 MOST_ROWS = 10_000
 """Samples of so many vertices take some 200 MB."""
-
-LEAST_M = 0.001
-"""No length is known better, which is what documents are rounded to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,12 +146,11 @@ def _length_sigmas(
     """
     ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
     length, way = np.array([(c.length, c.way) for c in corridors], np.float64).reshape(-1, 2).T
-    straight = np.minimum(np.hypot(*(xy[ends[1]] - xy[ends[0]]).T) / length, 1.0)
+    _, straight = straightness(xy, ends[0], ends[1], length)
     rest = (1 - straight**2) * length
     if not len(scale):
-        usual = np.sqrt(np.mean([m.measured.scale**2 for m in pool.maps]))
         (drawn,) = white(20054, [(len(pool.maps), SAMPLES)])
-        scale, rest = usual * of_unit_variance(drawn), length
+        scale, rest = usual_scale(pool.maps) * of_unit_variance(drawn), length
     number = {m.run: k for k, m in enumerate(pool.maps)}
     drivers = [sorted({number[run] for run, _ in c.members}) for c in corridors]
     stretched = np.array([scale[runs].mean(axis=0) for runs in drivers]).reshape(-1, SAMPLES)

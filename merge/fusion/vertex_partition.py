@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.arrays import IntArray
+from ...topology.ragged import numbered
 from ...topology.topomap import TopoMap
 from ..result import PairVerdict
 
@@ -29,13 +30,14 @@ class Pool:
     def of(cls, maps: Sequence[TopoMap]) -> Pool:
         """Pool the maps, sorted by run name."""
         ordered = tuple(sorted(maps, key=lambda m: m.run))
-        sizes = [len(m) for m in ordered]
-        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        sizes = np.array([len(m) for m in ordered], np.int64)
+        starts = np.cumsum(sizes) - sizes
+        run, vertex = numbered(sizes)
         return cls(
             maps=ordered,
-            run=np.repeat(np.arange(len(ordered)), sizes),
-            vertex=np.arange(starts[-1]) - np.repeat(starts[:-1], sizes),
-            first={m.run: int(s) for m, s in zip(ordered, starts[:-1], strict=True)},
+            run=run,
+            vertex=vertex,
+            first={m.run: int(s) for m, s in zip(ordered, starts, strict=True)},
         )
 
     def __len__(self) -> int:
