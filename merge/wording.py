@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from ..topology.digits import BITS
 from .result import shown_bits
 
 
 def decimals(bits: float, need_bits: float) -> int:
-    """How many decimals show which of two numbers is the greater one."""
+    """How many decimals show which of two numbers is the greater one, of those that documents
+    have."""
     two = (bits, need_bits)
-    return next((d for d in (1, 2, 3) if len({shown_bits(b, d) for b in two}) > 1), 4)
+    return next((d for d in range(1, BITS) if len({shown_bits(b, d) for b in two}) > 1), BITS)
 
 
 def told_bits(bits: float, need_bits: float) -> str:
