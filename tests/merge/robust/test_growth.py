@@ -40,6 +40,17 @@ def test_a_match_of_few_of_the_junctions_that_should_be_there_is_given_up(drawn)
         assert grown.a.tolist() == kept
 
 
+def test_places_that_the_runs_joined_by_different_ways_are_matched_as_one(drawn):
+    there = [(x + 30.0, y) for x, y in POINTS]
+    edges = EDGES + [(u + 8, v + 8) for u, v in EDGES]
+    a = prepare(drawn("a", [*POINTS, *there, (20, 20)], [*edges, (7, 16), (16, 13)]))
+    b = prepare(drawn("b", [*POINTS, *there, (25, -25)], [*edges, (4, 16), (16, 11)]))
+    seed = Seed(np.array([0, 1]), np.array([0, 1]), 0.0, 0j, 1.0)
+    grown = grow(lanes_of([(a, b)]), [seed], SETTINGS)
+    assert set(range(16)) - set(grown.a.tolist()) <= {4, 7, 11, 13}  # where the ways differ
+    assert grown.a.tolist() == grown.b.tolist()
+
+
 def test_junctions_with_contradicting_branches_are_not_matched(drawn):
     a = prepare(drawn("a", POINTS, EDGES))
     other = [(7, heading) for heading in (0.8, 2.0, -0.8, -2.0)]
