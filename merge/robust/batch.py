@@ -105,9 +105,7 @@ class Batch:
             (self.joins if verdict.accepted else self.alone)[pair] = verdict
 
     def _keep(self, fresh: Mapping[Pair, PairVerdict]) -> None:
-        self._hold(fresh)
-        if self._kept:
-            self._kept.keep(fresh)
+        self._hold(self._kept.keep(fresh) if self._kept else fresh)
 
     def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
         """Pairs of one component, one of whose candidates agrees with where other runs have put the

@@ -271,17 +271,24 @@ class KeptVerdicts:
                     break
         return out
 
-    def keep(self, verdicts: Mapping[Pair, PairVerdict], which: Mapping[Pair, int] = NONE) -> None:
-        """Leave verdicts to later merges."""
-        out = PackWriter(self.store.era)
+    def keep(
+        self, verdicts: Mapping[Pair, PairVerdict], which: Mapping[Pair, int] = NONE
+    ) -> dict[Pair, PairVerdict]:
+        """Leave verdicts to later merges. What these will find is the same and takes less memory:
+        whoever goes on to hold the verdicts holds that."""
+        out, again = PackWriter(self.store.era), {}
         for pair, verdict in verdicts.items():
             asked = self._threshold(self.threshold(pair), copies="same_place_bits" in verdict.extra)
             key = self._of(pair, which.get(pair)), asked
+            payload = to_bytes(verdict)
+            found = from_bytes(payload, *(self.maps[k] for k in pair))
+            again[pair] = verdict if found is None else found
             if self.store.find(Kind.VERDICT, key) is None:  # else one that is not believed
-                self.keys[verdict] = key
-            out.add(key, Kind.VERDICT, payload=to_bytes(verdict))
+                self.keys[again[pair]] = key
+            out.add(key, Kind.VERDICT, payload=payload)
         if len(out):
             self.store.keep(out.pack())
+        return again
 
     def _of(self, pair: Pair, second: int | None) -> bytes:
         """Changes with the maps, with their names, which stand in the words, and with the

@@ -156,9 +156,10 @@ def test_a_verdict_is_known_by_all_that_it_hangs_on(pair, new_store):
 def test_what_is_kept_says_where_its_entry_is(pair, new_store):
     shelf, left, found = new_store(), {}, {}
     verdict = verdicts(*pair)[1]
-    kept_by(shelf, pair, keys=left).keep({(0, 1): verdict})
+    (held,) = kept_by(shelf, pair, keys=left).keep({(0, 1): verdict}).values()
     (again,) = kept_by(shelf, pair, keys=found).find([(0, 1)]).values()
-    assert found[again] == left[verdict]
+    same(held, verdict)
+    assert found[again] == left[held]
     assert json.loads(entry_text(shelf.find(Kind.VERDICT, found[again])))["b"] == pair[1].run
 
 
