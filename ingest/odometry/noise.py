@@ -27,6 +27,7 @@ from ...topology.track import interpolated, way_at
 from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches
+from .walk_means import WalkMeans
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,22 +93,22 @@ class _Thirds:
     """How readings moved from the first to the last third of each pass that is long enough.
 
     turn (q,) [rad] of the branches, turn_variance (q,) of it by the detector's scatter; shift
-    (q, 2) [m] of the centre along and across the motion, shift_variance (q,); way (q,) and turned
-    (q,) driven in between, as far as a random walk averaged over both thirds counts; moved (q,) way
-    between the middles of the thirds. branch_sigma, centre_sigma: scatter of single messages;
-    messages: usual number in a pass.
+    (q, 2) [m] of the centre along and across the motion, shift_variance (q,); walked (q, 2) way [m]
+    and angle turned [rad] in between, as far as a random walk averaged over both thirds counts;
+    moved (q,) way between the middles of the thirds. branch_sigma, centre_sigma: scatter of single
+    messages; messages: usual number in a pass; passes: walks averaged over whole passes.
     """
 
     turn: FloatArray
     turn_variance: FloatArray
     shift: FloatArray
     shift_variance: FloatArray
-    way: FloatArray
-    turned: FloatArray
+    walked: FloatArray
     moved: FloatArray
     branch_sigma: float
     centre_sigma: float
     messages: float
+    passes: WalkMeans
 
     @classmethod
     def of(
@@ -134,7 +135,6 @@ class _Thirds:
             heading[sequence, None], readings.branch[sequence], settings.prior.branch_rad, settings
         )
         third = np.minimum(3 * order // np.maximum(n[message_pass], 1), 2)
-        turned = np.cumsum(np.abs(odometry.turn_rad))
         usable = np.flatnonzero(n >= settings.least_messages)
 
         def mean(values: FloatArray, which: int) -> FloatArray:
@@ -143,9 +143,10 @@ class _Thirds:
             total = np.bincount(home[chosen], values[chosen], p)
             return np.asarray(total / np.maximum(size, 1))[usable]
 
-        track = way_at(odometry, time_ns), interpolated(odometry, turned, time_ns)
-        moved = mean(track[0], 2) - mean(track[0], 0)
-        spun = mean(track[1], 2) - mean(track[1], 0)
+        turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), time_ns)
+        track = np.column_stack([way_at(odometry, time_ns), turned])
+        thirds = WalkMeans.of(track, 3 * home + third[rows], 3 * p)
+        moved = thirds.middle[3 * usable + 2, 0] - thirds.middle[3 * usable, 0]
         drift = np.column_stack([mean(c, 2) - mean(c, 0) for c in centre.T])
         going = np.column_stack([mean(c, 2) - mean(c, 0) for c in pose[:, :2].T])
         size = n[usable] / 3.0
@@ -162,14 +163,12 @@ class _Thirds:
             turn_variance=branch_sigma**2 * variance[usable],
             shift=shift,
             shift_variance=centre_sigma**2 * 2 / size,
-            # Mean of a random walk over one window against that over another one window later:
-            # variance (1 + 2/3) of a window, where the middles are two windows apart.
-            way=moved * 5 / 6,
-            turned=spun * 5 / 6,
+            walked=thirds.between(3 * usable, 3 * usable + 2),
             moved=moved,
             branch_sigma=branch_sigma,
             centre_sigma=centre_sigma,
             messages=float(np.median(n[n > 0])),
+            passes=WalkMeans.of(track, home, p),
         )
 
 
@@ -303,6 +302,7 @@ def _heading_walk(
     pairs = SquareBranches.of(
         odometry,
         passes,
+        thirds.passes,
         reach_passes=settings.reach_passes,
         reach_m=settings.reach_m,
         most_passes=settings.most_passes,
@@ -311,16 +311,23 @@ def _heading_walk(
     branch = np.log(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages))
 
     def cost(x: FloatArray) -> float:
-        walk_m, walk_rad = np.exp(2 * x[:2])
-        variance = thirds.turn_variance + walk_m * thirds.way + walk_rad * thirds.turned
+        walk = np.exp(2 * x[:2])
+        variance = thirds.turn_variance + thirds.walked @ walk
         out = _student_cost(thirds.turn[seen], variance[seen])
-        out += pairs.cost(walk_m, walk_rad, float(np.exp(x[2])), float(1 / (1 + np.exp(-x[3]))))
+        out += pairs.cost(walk, float(np.exp(x[2])), float(1 / (1 + np.exp(-x[3]))))
         pull = (x[:2] - centre) / settings.prior_spread
         out += 0.5 * float(pull @ pull) + 2.0 * float((x[2] - branch) ** 2)
         return out + 0.05 * float(x[3] ** 2)
 
     start = np.array([*centre, branch, 0.0])
-    found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02})
+    # By itself it would begin with a step of nothing from what is 0: the share would stay there.
+    simplex = start + settings.prior_spread * np.vstack([np.zeros(4), np.eye(4)])
+    found = minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 0.02, "initial_simplex": simplex},
+    )
     walk_m, walk_rad = np.exp(found.x[:2])
     return float(walk_m), float(walk_rad)
 
@@ -345,7 +352,7 @@ def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
     """
     from scipy.optimize import minimize_scalar
 
-    straight = thirds.turned <= settings.straight_rad
+    straight = thirds.walked[:, 1] <= settings.straight_rad
     along, moved = thirds.shift[straight, 0], np.maximum(thirds.moved[straight], 0.0)
     variance = thirds.shift_variance[straight]
     belief = moved @ (moved / variance) + settings.scale_prior**-2
@@ -353,7 +360,7 @@ def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
     centre = np.log(settings.prior.along_m_per_sqrt_m)
 
     def cost(x: float) -> float:
-        spread = variance + np.exp(2 * x) * np.maximum(thirds.way[straight], 0.0)
+        spread = variance + np.exp(2 * x) * np.maximum(thirds.walked[straight, 0], 0.0)
         pull = (x - centre) / settings.prior_spread
         return _student_cost(along - scale * moved, spread) + 0.5 * float(pull**2)
 
@@ -363,7 +370,7 @@ def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
 
 def _shown_scale(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
     """Relative error of lengths by how junctions move along with the robot, and its 1 sigma."""
-    straight = np.flatnonzero(thirds.turned <= settings.straight_rad)
+    straight = np.flatnonzero(thirds.walked[:, 1] <= settings.straight_rad)
     moved = np.maximum(thirds.moved[straight], 0.0)
     weight = moved / thirds.shift_variance[straight]
     belief = float(weight @ moved)

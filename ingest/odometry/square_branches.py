@@ -6,23 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...topology.arrays import FloatArray, IntArray
+from ...topology.arrays import FloatArray
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
 from ...topology.ragged import numbered
 from ...topology.se2 import wrap
-from ...topology.track import interpolated, stretch_of, way_at
+from ...topology.track import stretch_of
+from .walk_means import WalkMeans
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SquareBranches:
-    """Branches beside those of passes before: angle to the next multiple of 90°, way between."""
+    """Pairs of branches of different passes: residual (k,) [rad], the angle between them to the
+    next multiple of 90°; walked (k, 2), what the heading walked between both (way [m], angle turned
+    [rad]); worth (k,) of each pair, in independent looks."""
 
     residual: FloatArray
-    way: FloatArray
-    turned: FloatArray
-    owner: IntArray
-    share: FloatArray
+    walked: FloatArray
     worth: FloatArray
 
     @classmethod
@@ -30,15 +30,14 @@ class SquareBranches:
         cls,
         odometry: Odometry,
         passes: Passes,
+        means: WalkMeans,
         *,
         reach_passes: int,
         reach_m: float,
         most_passes: int,
     ) -> SquareBranches:
         """Branches of `most_passes` passes beside those of `reach_passes` passes before each, as
-        far back as `reach_m`."""
-        way = way_at(odometry, passes.time_ns)
-        turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), passes.time_ns)
+        far back as `reach_m`. means: over the messages of each pass."""
         stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
         stride = -(-len(passes) // most_passes)
         b = np.flatnonzero(of % stride == 0)
@@ -49,36 +48,34 @@ class SquareBranches:
         earlier = of[b] - lag
         keep = earlier >= 0
         b, earlier = b[keep], earlier[keep]
-        keep = (stretch[of[b]] == stretch[earlier]) & (way[of[b]] - way[earlier] <= reach_m)
-        b, earlier = b[keep], earlier[keep]
+        walked = means.between(earlier, of[b])
+        keep = (stretch[of[b]] == stretch[earlier]) & (walked[:, 0] <= reach_m)
+        b, earlier, walked = b[keep], earlier[keep], walked[keep]
         counts = passes.branches.counts[earlier]
-        owner, local = numbered(counts)
-        there = passes.branches.offsets[earlier][owner] + local
-        turn = passes.branches.values[b][owner] - passes.branches.values[there]
+        pair, local = numbered(counts)
+        there = passes.branches.offsets[earlier][pair] + local
+        turn = passes.branches.values[b][pair] - passes.branches.values[there]
         return cls(
             np.asarray(wrap(4 * turn) / 4),
-            (way[of[b]] - way[earlier])[owner],
-            (turned[of[b]] - turned[earlier])[owner],
-            owner,
-            1.0 / counts[owner],
+            walked[pair],
             # Branches of one pass share the error of the heading, and the lags share the way:
             # together they are one look.
-            1.0 / (passes.branches.counts[of[b]] * reach_passes),
+            1.0 / (passes.branches.counts[of[b]] * counts * reach_passes)[pair],
         )
 
-    def cost(self, walk_m: float, walk_rad: float, sigma: float, square: float) -> float:
-        """Negative log-likelihood gain over "anything goes"; `square` is the share that is square.
+    def cost(self, walk: FloatArray, sigma: float, square: float) -> float:
+        """Negative log-likelihood gain over "anything goes"; walk: (2,) variances of the heading
+        [rad²] per metre and per radian; sigma: of one branch [rad]; `square`: share of the pairs
+        that are square.
 
-        As in the calibration, a branch is square to one of those before it, or anything.
+        Each pair by itself: where several of an earlier pass are square, the nearest of them is
+        nearer than any is meant to be, and the walk seems smaller.
         """
-        if len(self.residual) == 0:
-            return 0.0
         quarter = np.pi / 2
-        variance = 2 * sigma**2 + walk_m * self.way + walk_rad * self.turned
+        variance = 2 * sigma**2 + self.walked @ walk
         # Two images of the wrapped normal are enough up to a sigma of 45°.
         density = sum(
             np.exp(-0.5 * (self.residual + shift) ** 2 / variance)
             for shift in (-quarter, 0, quarter)
         ) / np.sqrt(2 * np.pi * variance)
-        inlier = np.bincount(self.owner, self.share * density, len(self.worth))
-        return -float((self.worth * np.log((1 - square) + square * quarter * inlier)).sum())
+        return -float((self.worth * np.log((1 - square) + square * quarter * density)).sum())
