@@ -55,20 +55,29 @@ class Crossing(Node):
     bends: FloatArray = field(default_factory=lambda: np.zeros(0), kw_only=True)
 
 
+SHARES = (np.arange(20) + 0.5) / 20
+"""Shares of a run's axes that bend, each as likely as the others before any axis is seen."""
+
+
 @dataclass(slots=True)
 class BendTally:
-    """How many of a run's axes bend, of all that were looked at so far: one that is straight and
-    one that bends stand for what is known beforehand. weight: what an axis counts that is looked at
-    once."""
+    """Which share of a run's axes bends, by all that were looked at so far. weight: what an axis
+    counts that is looked at once; log: (20,) log likelihood [nats] of each of the `SHARES`: axes
+    that are too short to tell leave it as it is."""
 
     weight: float = 1.0
-    axes: float = 2.0
-    bent: float = 1.0
+    log: FloatArray = field(default_factory=lambda: np.zeros(len(SHARES)))
 
-    def add(self, shares: Sequence[float]) -> None:
-        """Axes of which each bends with the probability `shares`."""
-        self.axes += self.weight * len(shares)
-        self.bent += self.weight * sum(shares)
+    @property
+    def usual(self) -> float:
+        """How likely an axis bends before its cells are looked at: the mean of the shares."""
+        likelihood = np.exp(self.log - self.log.max())
+        return float((likelihood * SHARES).sum() / likelihood.sum())
+
+    def add(self, odds: Sequence[float]) -> None:
+        """Axes with log odds [nats] that each bends, by its own cells alone."""
+        bent = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + np.array(odds)[:, None])
+        self.log += self.weight * bent.sum(axis=0)
 
 
 Known = dict[tuple[bytes, ...], tuple[FloatArray, float]]
@@ -97,7 +106,7 @@ def placed(
     key = (np.array(own).tobytes(), *(graph.edges[way].cells.tobytes() for way in node.ends))
     if key not in known:
         seen = [_Cells.of(graph.edges[way], node, cell_m) for way in node.ends]
-        usual = tally.bent / tally.axes
+        usual = tally.usual
         branches = [
             _branch(cells, node, begin, clearance_m, usual=usual, ring=node.ends.count(way) > 1)
             for way, cells, begin in zip(node.ends, seen, _begins(node, seen).tolist(), strict=True)
@@ -213,7 +222,7 @@ class _Branch(NamedTuple):
 
     With s along it, the axis lies bent (s² - spread - skew s) aside, known to `variance` [m²] in
     its middle, inf where there is no axis, its direction to `turn_variance`, and `bent` to
-    bent_variance; bends: how likely it bends at all.
+    bent_variance; bends: log odds [nats] that it bends at all, by its cells alone.
     """
 
     bearing: float
@@ -307,7 +316,7 @@ def _branch(
         bend.skew,
         bend.bent,
         bend.variance,
-        bend.likely,
+        bend.odds,
     )
 
 
@@ -318,14 +327,14 @@ def _no_axis(node: Node, middle: FloatArray) -> _Branch:
 
 
 class _Bend(NamedTuple):
-    """The parabola of an axis as in `_Branch`; variance: of `bent`; likely: that it bends at all;
+    """The parabola of an axis as in `_Branch`; variance: of `bent`; odds: as `_Branch.bends`;
     left: mean square of what cells lie beside it [m²]."""
 
     spread: float
     skew: float
     bent: float
     variance: float
-    likely: float
+    odds: float
     left: float
 
 
@@ -350,7 +359,7 @@ def _bend(along: FloatArray, across: FloatArray, noise: tuple[float, float], usu
     likely = float(expit(odds + logit(usual)))
     bent = likely * by
     left = strays - (2 * shown - bent * told) * bent
-    return _Bend(spread, skew, bent, likely * (if_bent + (1 - likely) * by * by), likely, left)
+    return _Bend(spread, skew, bent, likely * (if_bent + (1 - likely) * by * by), float(odds), left)
 
 
 def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:

@@ -55,6 +55,13 @@ def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Crossi
     return node, crossing(graph, place, CELL, SkeletonSettings())
 
 
+def of_a_run(axes: int, bent: int) -> BendTally:
+    """So many axes, each of which surely bends or surely does not."""
+    tally = BendTally()
+    tally.add([20.0] * bent + [-20.0] * (axes - bent))
+    return tally
+
+
 @pytest.mark.parametrize("sharp", [40, 50, 60, 75])
 def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
     node, found = seen(corridors(0, 180, sharp))
@@ -68,7 +75,7 @@ def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
 def test_corridors_that_bend_cross_where_their_bends_lead() -> None:
     y, x = np.mgrid[:SIDE, :SIDE] * CELL - MIDDLE[0]
     free = (np.abs(y - 0.05 * x * x) <= 0.7) | ((np.abs(x + 0.04 * y * y) <= 0.7) & (y >= 0))
-    node, found = seen(free, BendTally(axes=20.0, bent=18.0))
+    node, found = seen(free, of_a_run(200, bent=180))
     off = np.hypot(*(found.xy - MIDDLE))
     assert off < 0.5 * np.hypot(*(node.xy - MIDDLE))
     assert off < 3 * found.sigma_m
@@ -138,11 +145,18 @@ def test_a_fork_gives_way_where_axes_agree() -> None:
 def test_what_bent_before_bends() -> None:
     """Axes of a run in which none bent are surer than those of which nothing is known."""
     graph, node, clearance = fork_of(corridors(0, 180, 90))
-    tallies = [BendTally(axes=200.0, bent=share) for share in (1.0, 100.0, 199.0)]
+    tallies = [of_a_run(200, bent) for bent in (0, 100, 200)]
+    assert [t.usual for t in tallies] == pytest.approx([0.0, 0.5, 1.0], abs=0.03)
     sigma = [placed(graph, node, clearance, CELL, tally=t).sigma_m for t in tallies]
     assert sigma[0] < sigma[1] < sigma[2]
-    assert [t.axes for t in tallies] == [203.0] * 3
-    assert tallies[0].bent < 1.1
+
+
+def test_axes_too_short_to_tell_leave_open_how_many_bend() -> None:
+    tally = of_a_run(20, bent=2)
+    before = tally.usual
+    tally.add([0.0] * 1000)
+    assert tally.usual == pytest.approx(before, abs=1e-12)
+    assert BendTally().usual == pytest.approx(0.5)
 
 
 def test_cells_as_large_as_an_axis_have_none() -> None:
