@@ -11,6 +11,7 @@ from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
 from topobatch.merge.robust.verdict import (
     MAYBE_COPY,
+    NO_WORSE,
     PairCount,
     _missing,
     assess,
@@ -122,6 +123,24 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
     assert view.verdict == "ambiguous"
     assert view.runner_up is not None
     assert view.margin < MATCH.lead_bits
+
+
+def test_a_placement_with_no_more_against_it_keeps_the_best_from_being_merged(drawn):
+    n = len(POINTS)
+    twice = [*POINTS, *[(x + 40.0, y) for x, y in POINTS]]
+    edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (2, n)]
+    a, b = prepare(drawn("both", twice, edges)), prepare(drawn("one", POINTS, EDGES))
+    best, other = match(a, b, SETTINGS)[:2]
+    lax = replace(SETTINGS, copy_margin_bits=12.0)  # what copies differ in is not asked for
+    threshold = threshold_for(PairCount(1, 1), COPIES, lax)
+    best, other = replace(best, bits=30.0), replace(other, bits=threshold.need_bits + 0.1)
+    refused = assess(a, b, [best, other], threshold)
+    assert (refused.verdict, refused.why) == (Verdict.AMBIGUOUS, NO_WORSE)
+    assert refused.margin > MATCH.lead_bits
+    less = replace(other, bits=threshold.need_bits - 1.0)
+    doubt = replace(other.conflicts, elsewhere=np.zeros((1, 2), np.int64), elsewhere_bits=1.0)
+    for told in (less, replace(other, conflicts=doubt)):
+        assert assess(a, b, [best, told], threshold).verdict is Verdict.MERGED
 
 
 def test_pairs_are_counted_in_steps_and_never_too_few():
