@@ -13,6 +13,7 @@ from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run, Scanned
 from ..topology.topomap import RunNoise
+from ..topology.wording import counted
 from .mapping_settings import MappingSettings
 from .odometry.calibration import Calibration, calibrate
 from .odometry.noise import NoiseSettings, estimate_noise
@@ -59,7 +60,7 @@ def pass_source(run: Run, settings: MappingSettings) -> PassSource:
     """The source that a run has."""
     if run.scanned is None:
         return _Detected(run, settings)
-    return _FromScans(run.scanned, settings)
+    return _FromScans(run, run.scanned, settings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +98,16 @@ class _Detected:
 
 @dataclass(frozen=True, slots=True)
 class _FromScans:
+    run: Run
     scanned: Scanned
     settings: MappingSettings
     shows_bends = False
-    why_none = "its scans show no junction; nothing can be mapped"
+
+    @property
+    def why_none(self) -> str:
+        scans = counted(self.run.source["junctions"]["scans"], "scan")
+        way = f"{self.run.odometry.step_m.sum():,.0f} m of way"
+        return f"no junction shows in its {scans} over {way}; nothing can be mapped"
 
     @property
     def resolution_m(self) -> float:

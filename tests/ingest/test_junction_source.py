@@ -26,7 +26,7 @@ from topobatch.simulation import (
     simulate_scenario,
     write_run,
 )
-from topobatch.topology.errors import LogError, UsageError
+from topobatch.topology.errors import DataError, LogError, UsageError
 
 ODOM = ("/odom", "nav_msgs/msg/Odometry")
 SEEN = ("/junctions", "geometry_msgs/msg/PoseArray")
@@ -345,6 +345,20 @@ def rewritten(both: Path, out: Path, sensors: ModuleType, change: Any) -> Path:
             assert schema is not None
             rows += change(channel.topic, schema.name, message.log_time, message.data)
     return Path(sensors.mcap(out, rows))
+
+
+def test_too_few_scans_are_counted(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
+    seen = []
+
+    def first_scan(topic: str, kind: str, time_ns: int, data: bytes) -> list[tuple[Any, ...]]:
+        if topic == "/scan":
+            seen.append(topic)
+        wanted = topic != "/junctions" and (topic != "/scan" or len(seen) == 1)
+        return [(topic, kind, time_ns, data)] if wanted else []
+
+    run = read_run(rewritten(both, tmp_path / "one.mcap", sensors, first_scan))
+    with pytest.raises(DataError, match=r"no junction shows in its 1 scan over \d+ m of way"):
+        build_map(run)
 
 
 def test_clouds_become_a_map(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
