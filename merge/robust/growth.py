@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...topology.arrays import ComplexArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.se2 import rigid_from_sums
 from .atlas import Lanes
 from .branches import branch_bits
@@ -57,7 +57,7 @@ def grow(lanes: Lanes, seeds: Sequence[Seed], settings: RobustSettings) -> Grown
         if not len(live):
             break
         predicted = predict(live, now, unit)
-        fresh, found, expected = _rematch(live, predicted[0], predicted[2])
+        fresh, found, expected = _rematch(live, predicted)
         enough = found >= np.maximum(MATCH.fewest, MATCH.least_share * expected)
         moved = np.logical_or.reduceat(fresh != now, live.first[:-1])
         going = enough & moved if left else np.zeros(len(live), np.bool_)
@@ -79,8 +79,8 @@ def given_up(lanes: Lanes, seed: Seed, settings: RobustSettings) -> tuple[int, i
     partner, unit = _sown(lanes, [seed]), _units([seed])
     found = expected = np.zeros(1, np.int64)
     for _ in range(settings.growth_rounds):
-        place, _, near = predict(lanes, partner, unit)
-        partner, found, expected = _rematch(lanes, place, near)
+        predicted = predict(lanes, partner, unit)
+        partner, found, expected = _rematch(lanes, predicted)
         if found[0] < max(MATCH.fewest, MATCH.least_share * expected[0]):
             break
     return int(found[0]), int(expected[0])
@@ -91,6 +91,18 @@ def ungrown(lanes: Lanes, seeds: Sequence[Seed]) -> Grown:
     partner = _sown(lanes, seeds)
     predicted = predict(lanes, partner, _units(seeds))
     return _matched(lanes, partner, predicted)
+
+
+def _believed(lanes: Lanes, partner: IntArray, turn: ComplexArray, far: IntArray) -> BoolArray:
+    """(f,) which rows, far from what was matched before, keep their partners: those whose branches
+    agree, and that have another such beside them."""
+    b, vertex = lanes.b.whole, lanes.vertex[far]
+    agree = branch_bits(lanes.a.whole, b, partner[far], vertex, turn[far]) > 0
+    kept = partner >= 0
+    kept[far] = agree
+    beside = b.neighbour[vertex, 1:] + lanes.shift[lanes.lane[far]][:, None]
+    near = b.near_m[vertex, 1:] < MATCH.sure_m
+    return np.asarray(agree & (kept[beside] & near).any(axis=1))
 
 
 def _sown(lanes: Lanes, seeds: Sequence[Seed]) -> IntArray:
@@ -185,12 +197,11 @@ def _fits(
     return turn, ma - turn * mb, mb, MATCH.place_m**2 * turn
 
 
-def _rematch(
-    lanes: Lanes, place: ComplexArray, support: FloatArray
-) -> tuple[IntArray, IntArray, IntArray]:
+def _rematch(lanes: Lanes, predicted: Predicted) -> tuple[IntArray, IntArray, IntArray]:
     """(t,) the vertex of a nearest to each prediction, within the gate; where several choose
     the same one, it goes to the nearest. And for each lane how many were found, and how
-    many of b's junctions lie where a has been."""
+    many of b's junctions lie where a has been, near what was matched before."""
+    place, turn, support = predicted
     partner = np.full(len(place), -1)
     active = (support < MATCH.near_m).nonzero()[0]
     lane = lanes.lane.take(active)
@@ -204,6 +215,10 @@ def _rematch(
     chooser = owner[taken]
     theirs = lanes.lane.take(chooser)
     partner[chooser] = taken - lanes.shift_a.take(theirs)
-    found = np.bincount(theirs, minlength=len(lanes))
-    expected = np.bincount(lane[gap < MATCH.place_m], minlength=len(lanes))
+    sure = support < MATCH.sure_m
+    far = chooser[~sure[chooser]]
+    partner[far[~_believed(lanes, partner, turn, far)]] = -1
+    found = np.bincount(theirs[sure[chooser]], minlength=len(lanes))
+    there = (gap < MATCH.place_m) & sure[active]
+    expected = np.bincount(lane[there], minlength=len(lanes))
     return partner, found, expected
