@@ -51,6 +51,17 @@ def test_places_that_the_runs_joined_by_different_ways_are_matched_as_one(drawn)
     assert grown.a.tolist() == grown.b.tolist()
 
 
+def test_what_stands_alone_far_off_is_not_matched(drawn):
+    edges = [*EDGES, (4, 8), (7, 8)]
+    far = [*POINTS, (36.0, 1.0)]
+    a, b = prepare(drawn("a", far, edges)), prepare(drawn("b", far, edges))
+    seed = Seed(np.array([0, 1]), np.array([0, 1]), 0.0, 0j, 1.0)
+    assert grow(lanes_of([(a, b)]), [seed], SETTINGS).a.tolist() == list(range(8))
+    far, edges = [*far, (36.0, 6.0)], [*edges, (8, 9)]
+    a, b = prepare(drawn("a", far, edges)), prepare(drawn("b", far, edges))
+    assert grow(lanes_of([(a, b)]), [seed], SETTINGS).a.tolist() == list(range(10))
+
+
 def test_junctions_with_contradicting_branches_are_not_matched(drawn):
     a = prepare(drawn("a", POINTS, EDGES))
     other = [(7, heading) for heading in (0.8, 2.0, -0.8, -2.0)]
