@@ -93,18 +93,6 @@ def ungrown(lanes: Lanes, seeds: Sequence[Seed]) -> Grown:
     return _matched(lanes, partner, predicted)
 
 
-def _believed(lanes: Lanes, partner: IntArray, turn: ComplexArray, far: IntArray) -> BoolArray:
-    """(f,) which rows, far from what was matched before, keep their partners: those whose branches
-    agree, and that have another such beside them."""
-    b, vertex = lanes.b.whole, lanes.vertex[far]
-    agree = branch_bits(lanes.a.whole, b, partner[far], vertex, turn[far]) > 0
-    kept = partner >= 0
-    kept[far] = agree
-    beside = b.neighbour[vertex, 1:] + lanes.shift[lanes.lane[far]][:, None]
-    near = b.near_m[vertex, 1:] < MATCH.sure_m
-    return np.asarray(agree & (kept[beside] & near).any(axis=1))
-
-
 def _sown(lanes: Lanes, seeds: Sequence[Seed]) -> IntArray:
     """(t,) the partner of each row in the seed of its lane, numbered as in the atlas, or -1."""
     partner = np.full(len(lanes.lane), -1)
@@ -222,3 +210,15 @@ def _rematch(lanes: Lanes, predicted: Predicted) -> tuple[IntArray, IntArray, In
     there = (gap < MATCH.place_m) & sure[active]
     expected = np.bincount(lane[there], minlength=len(lanes))
     return partner, found, expected
+
+
+def _believed(lanes: Lanes, partner: IntArray, turn: ComplexArray, far: IntArray) -> BoolArray:
+    """(f,) which rows, far from what was matched before, keep their partners: those whose branches
+    agree, and that have another such beside them."""
+    b, vertex = lanes.b.whole, lanes.vertex[far]
+    agree = branch_bits(lanes.a.whole, b, partner[far], vertex, turn[far]) > 0
+    kept = partner >= 0
+    kept[far] = agree
+    beside = b.neighbour[vertex, 1:] + lanes.shift[lanes.lane[far]][:, None]
+    near = b.near_m[vertex, 1:] < MATCH.sure_m
+    return np.asarray(agree & (kept[beside] & near).any(axis=1))
