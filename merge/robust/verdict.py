@@ -299,9 +299,7 @@ def _assess(
     ranked = tuple((odd[i], answers[i].bits) for i in ranking)
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
     best, told = odd[ranking[0]], answers[ranking[0]]
-    close = (c for c, bits in ranked[1:] if ranked[0][1] - bits < 2 * MATCH.lead_bits)
-    as_good = any(_no_worse(c, best, threshold) for c in close)
-    why = _missing(best, told, margin, threshold) or (NO_WORSE if as_good else "")
+    why = _missing(best, told, margin, threshold) or _contested(ranked, threshold)
     if told.carried >= threshold.need_bits:
         larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger else why
@@ -338,15 +336,20 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
     return ""
 
 
-def _no_worse(other: Candidate, best: Candidate, threshold: Threshold) -> bool:
-    """Is another placement beyond the threshold, too, with no more against it than the best?
+def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) -> str:
+    """What keeps the first of ranked placements from being merged though it leads, as a clause: one
+    that is beyond the threshold, too, with no more against it; "" if none.
 
     Then one of the two is a copy that differs in nothing that both runs saw, and how much they saw
     of each tells less of which than it seems: it must lead by twice as much. Rows merge wrongly
     without it, turned round whole (4.4 bits ahead); the right ones of pairs of offices lead by more
     (11.8), and of the alias and standard suites it costs none.
     """
-    return (
-        counted_bits(other) >= threshold.need_bits
+    (best, most), *others = ranked
+    no_worse = any(
+        most - bits < 2 * MATCH.lead_bits
+        and counted_bits(other) >= threshold.need_bits
         and other.contradicting_bits <= best.contradicting_bits
+        for other, bits in others
     )
+    return NO_WORSE if no_worse else ""
