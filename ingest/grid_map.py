@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.spatial import cKDTree
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.connected import connected
@@ -23,9 +22,6 @@ from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 
 SMOOTH_M = 0.5
 """Skeletons go in steps of cells; corridors are straight over this."""
-
-OPEN_END_M = 1.0
-"""A skeleton ends half a corridor's width or so before what is not known."""
 
 PATH_TOLERANCE_M = 0.08
 """As for the corridors of runs (`mapbuilding`)."""
@@ -49,8 +45,9 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
     """
     grid, open_, coarser = affordable(_cropped(log.grid), settings.island_m)
     warnings = (*log.warnings, *coarser)
-    places, corridors = skeleton_graph(open_, grid.resolution_m, settings)
-    places, corridors = _without_open_ends(places, corridors, grid)
+    frontier = grid.free & grid.unknown
+    places, corridors = skeleton_graph(open_, grid.resolution_m, settings, frontier)
+    places, corridors = _without_open_ends(places, corridors)
     if not any(place.kind == "junction" for place in places):
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
@@ -116,22 +113,12 @@ def _span(mask: BoolArray) -> slice:
 
 
 def _without_open_ends(
-    places: tuple[Place, ...], corridors: tuple[Corridor, ...], grid: Grid
+    places: tuple[Place, ...], corridors: tuple[Corridor, ...]
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    """Ways that lead on into the unknown are branches of their junctions, and no dead ends.
-
-    grid.unknown: widened by a cell, so that it overlaps what is free where that is open.
-    """
-    frontier = (np.argwhere(grid.free & grid.unknown)[:, ::-1] + 0.5) * grid.resolution_m
-    if len(frontier) == 0 or not places:
-        return places, corridors
-    away, _ = cKDTree(frontier).query(np.array([place.xy for place in places]))
-    is_open = [
-        place.kind == "dead_end" and gap < OPEN_END_M
-        for place, gap in zip(places, np.asarray(away).tolist(), strict=True)
-    ]
+    """Ways that lead on into the unknown are branches of their junctions, and no dead ends."""
+    is_open = [place.kind == "open_end" for place in places]
     left = tuple(c for c in corridors if not (is_open[c.source] or is_open[c.target]))
-    number = (np.cumsum(~np.array(is_open)) - 1).tolist()
+    number = (np.cumsum(~np.array(is_open, bool)) - 1).tolist()
     return (
         tuple(place for place, gone in zip(places, is_open, strict=True) if not gone),
         tuple(replace(c, source=number[c.source], target=number[c.target]) for c in left),

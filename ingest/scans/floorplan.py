@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
@@ -17,7 +18,7 @@ from ...topology.se2 import wrap
 from .crossing import Known, crossings, with_crossings
 from .grid import GridSettings
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
-from .skeleton_lines import Lines, lines_of
+from .skeleton_lines import Lines, labelled, lines_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +49,12 @@ class FloorplanSettings:
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """A place of a floor plan: (2,) x, y [m] from the grid's corner, headings (b,) [rad] of its
-    branches, ascending, share of the variants of the settings that agree on them."""
+    branches, ascending, share of the variants of the settings that agree on them. An open end: a
+    way goes on there into what is not known."""
 
     xy: FloatArray
     branches: FloatArray
-    kind: Literal["junction", "dead_end"]
+    kind: Literal["junction", "dead_end", "open_end"]
     confidence: float
 
 
@@ -69,14 +71,18 @@ class Corridor:
 
 
 def skeleton_graph(
-    free: BoolArray, resolution_m: float, settings: FloorplanSettings = FloorplanSettings()
+    free: BoolArray,
+    resolution_m: float,
+    settings: FloorplanSettings = FloorplanSettings(),
+    frontier: BoolArray | None = None,
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
     """Places and corridors of free space (h, w), row 0 at the least y, column 0 at the least x.
 
     Whatever stands in it counts as wall: small islands are filled before (`without_islands`).
-    Every corridor has a place at both ends: where it ends without a junction, a dead end. A loop
-    without any place is left out. Raises ValueError on a grid that is not two-dimensional or a
-    resolution that is not positive. O(h w) a variant.
+    frontier: (h, w) free cells beside what is not known; none unless told.
+    Every corridor has a place at both ends: where it ends without a junction, a dead end, or an
+    open one. A loop without any place is left out. Raises ValueError on a grid that is not
+    two-dimensional or a resolution that is not positive. O(h w) a variant.
     """
     free = np.asarray(free, bool)
     if free.ndim != 2 or not resolution_m > 0:
@@ -85,19 +91,51 @@ def skeleton_graph(
         return (), ()
     padded = np.pad(free, 1)
     clearance = ndimage.distance_transform_edt(padded) * resolution_m
+    opening = _openings(frontier, clearance, resolution_m, 2 * settings.skeleton.clearance_m)
     lines: dict[float, Lines] = {}
     for s in settings.variants:
         if s.clearance_m not in lines:
             skeleton = thin(clearance > s.clearance_m)
-            lines[s.clearance_m] = lines_of(skeleton, clearance, resolution_m)
+            found = lines_of(skeleton, clearance, resolution_m, opening)
+            lines[s.clearance_m] = _without_corners(found, opening, resolution_m)
     traced_from = [lines[s.clearance_m] for s in settings.variants]
-    return _places(traced_from, clearance, resolution_m, settings)
+    return _places(traced_from, clearance, opening, resolution_m, settings)
+
+
+def _openings(
+    frontier: BoolArray | None, clearance_m: FloatArray, cell_m: float, least_m: float
+) -> BoolArray:
+    """(h, w) cells no farther from a frontier `least_m` wide than from any wall: a way that ends
+    there goes on beyond. frontier: without the rim that clearance_m has."""
+    out = np.zeros(clearance_m.shape, bool)
+    label, _ = labelled(np.zeros_like(out) if frontier is None else np.pad(frontier, 1))
+    for number, part in enumerate(ndimage.find_objects(label), start=1):
+        if max(s.stop - s.start for s in part) * cell_m >= least_m:
+            out[part] |= label[part] == number
+    if not out.any():
+        return out
+    away = ndimage.distance_transform_edt(~out) * cell_m
+    # Frontiers are free, walls are not; a way ends up to a cell before what it ends at.
+    return np.asarray(clearance_m > 0) & (away <= clearance_m + cell_m)
+
+
+def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
+    """Where a way forks in front of an opening, into its two corners, the way goes on, not they."""
+    columns, rows = np.rint(lines.fork_xy / cell_m).astype(np.int64).T
+    in_front = opening[rows, columns]
+    ends = Counter(line for line, _ in lines.touching)
+    corners = {line for line, fork in lines.touching if ends[line] == 1 and in_front[fork]}
+    return replace(lines, border=lines.border - corners)
 
 
 def _places(
-    lines: list[Lines], clearance_m: FloatArray, cell_m: float, settings: FloorplanSettings
+    lines: list[Lines],
+    clearance_m: FloatArray,
+    opening: BoolArray,
+    cell_m: float,
+    settings: FloorplanSettings,
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    """lines: of the skeleton under each of the variants."""
+    """lines: of the skeleton under each of the variants; opening: as of `_openings`."""
     known: Known = {}
     graph, own = with_crossings(
         traced(lines[0], settings.skeleton), clearance_m, cell_m, settings.skeleton, known=known
@@ -116,20 +154,44 @@ def _places(
     ]
     corridors = []
     used = [[False] * len(node.ends) for node in graph.nodes]
-    for number, (edge, path) in enumerate(zip(graph.edges, _polylines(graph, cell_m), strict=True)):
-        if path is None:
+    for number, (edge, way) in enumerate(zip(graph.edges, _polylines(graph, cell_m), strict=True)):
+        if way is None:
             continue
-        source, source_branch = edge.nodes[0], _take(graph, used, edge.nodes[0], number)
-        target, target_branch = edge.nodes[1], 0
+        path, source, target_branch = way, edge.nodes[0], 0
+        source_branch, target = _take(graph, used, source, number), edge.nodes[1]
         if target >= 0:
             target_branch = _take(graph, used, target, number)
         else:
+            target = len(places)
+            column, row = np.rint(way[-1] / cell_m).astype(np.int64)
+            is_open = bool(opening[row, column])
+            path = way if is_open else _ended(way, clearance_m, cell_m)
             back = path[-min(len(path), 1 + round(1.0 / cell_m))] - path[-1]
             heading = wrap(np.array([np.arctan2(back[1], back[0])]))
-            target = len(places)
-            places.append(Place(path[-1] + shift, heading, "dead_end", 0.5))
+            kind: Literal["dead_end", "open_end"] = "open_end" if is_open else "dead_end"
+            places.append(Place(path[-1] + shift, heading, kind, 0.5))
         corridors.append(Corridor(source, target, source_branch, target_branch, path + shift))
     return tuple(places), tuple(corridors)
+
+
+def _ended(path: FloatArray, clearance_m: FloatArray, cell_m: float) -> FloatArray:
+    """A way into a dead end, up to the middle of its widest part.
+
+    Where in a room a skeleton ends, and with what hook, is chance. The widest part is the largest
+    free disc around a cell of the way that holds the way's end.
+    """
+    columns, rows = np.rint(path.T / cell_m).astype(np.int64)
+    clear = clearance_m[rows, columns]
+    holds = np.hypot(*(path - path[-1]).T) <= clear
+    peak = int(np.argmax(np.where(holds, clear, 0.0)))
+    row, column, reached = rows[peak], columns[peak], clear[peak]
+    around = np.arange(-int(reached / cell_m), int(reached / cell_m) + 1)
+    wide = clearance_m[row + around[:, None], column + around] >= reached - cell_m
+    wide &= np.hypot(around[:, None], around) * cell_m < reached
+    corner = np.array([column, row]) + around[0]
+    end = (np.argwhere(wide).mean(axis=0)[::-1] + corner) * cell_m
+    nearest = int(np.argmin(np.hypot(*(path - end).T)))
+    return np.concatenate([path[: max(nearest, 1)], end[None]])
 
 
 def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) -> int:

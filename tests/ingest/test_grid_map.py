@@ -99,15 +99,17 @@ def turned(grid: Grid) -> Grid:
     return Grid(free, unknown, grid.resolution_m, (3.0, 4.0, 0.7))
 
 
-@pytest.mark.parametrize("kind", ["maze", "organic", "city"])
+@pytest.mark.parametrize("kind", ["maze", "organic", "city", "tiles"])
 def test_two_halves_of_a_world_merge_and_strangers_do_not(kind: str) -> None:
-    world = make_world(kind, 60, 5)
+    world = make_world(kind, 60, 151)
     order = np.argsort(world.xy[:, 0])
     left, right = (
         set(part.tolist()) for part in (order[: len(order) * 2 // 3], order[len(order) // 3 :])
     )
-    maps = [topomap("left", grid_of(world, left)), topomap("right", turned(grid_of(world, right)))]
-    maps += [topomap(f"other{k}", grid_of(make_world(kind, 40, 100 + k))) for k in range(3)]
+    parts = grid_of(world, left, 0.1), turned(grid_of(world, right, 0.1))
+    maps = [topomap(name, part) for name, part in zip(("left", "right"), parts, strict=True)]
+    others = [grid_of(make_world(kind, 40, 100 + k), None, 0.1) for k in range(20)]
+    maps += [topomap(f"other{k}", other) for k, other in enumerate(others)]
     result = merge_maps(maps)
     verdicts = {(p.a, p.b): p.verdict for p in result.verdicts}
     assert verdicts.pop(("left", "right")) == "merged"

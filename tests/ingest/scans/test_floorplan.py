@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 
 from topobatch.ingest.scans.floorplan import skeleton_graph
 from topobatch.ingest.scans.grid import GridSettings, without_islands
@@ -112,6 +113,46 @@ def test_half_of_a_grid_shows_the_places_in_it() -> None:
     assert inside
     for place in inside:
         assert min(np.hypot(*(p.xy - place.xy)) for p in half) < 0.3
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 1.0])
+def test_a_short_way_into_the_unknown_is_a_way(slope: float) -> None:
+    """A corridor of 2 m with an arm that is known some .8 m or more beyond the corridor's wall."""
+    free = grid((90, 20, 110, 280), (110, 140, 140, 160))
+    rows, columns = np.indices(free.shape)
+    free &= rows < 118 + slope * (columns - 140)
+    if slope == 0:
+        assert not any(p.kind == "junction" for p in skeleton_graph(free, CELL)[0])
+    beyond = rows >= 118 + slope * (columns - 140)
+    frontier = free & binary_dilation(beyond & (columns >= 140) & (columns < 160))
+    places, corridors = skeleton_graph(free, CELL, frontier=frontier)
+    (junction,) = [p for p in places if p.kind == "junction"]
+    assert np.hypot(*(junction.xy - (15.0, 10.0))) < 0.3
+    assert headings_off(junction.branches, [0, np.pi / 2, np.pi]) < 0.3
+    assert sorted(p.kind for p in places) == ["dead_end", "dead_end", "junction", "open_end"]
+    assert len(corridors) == 3
+
+
+def test_a_gap_that_no_robot_fits_through_opens_nothing() -> None:
+    free = grid((90, 20, 110, 280), (110, 140, 130, 160))
+    frontier = np.zeros_like(free)
+    frontier[129, 148:152] = True
+    places, _ = skeleton_graph(free, CELL, frontier=frontier)
+    assert sorted(p.kind for p in places) == ["dead_end"] * 3 + ["junction"]
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_dead_end_is_in_the_middle_of_its_room(turns: int) -> None:
+    rooms = grid((10, 30, 41, 58), (41, 36, 61, 54), (61, 5, 79, 290))
+    free = np.ascontiguousarray(np.rot90(rooms, turns))
+    places, _ = skeleton_graph(free, CELL)
+    middle = np.zeros_like(rooms)
+    middle[25, 44] = True
+    row, column = np.argwhere(np.rot90(middle, turns))[0]
+    away = [np.hypot(*(p.xy - (CELL * (column + 0.5), CELL * (row + 0.5)))) for p in places]
+    nearest = int(np.argmin(away))
+    assert places[nearest].kind == "dead_end"
+    assert away[nearest] < 0.15
 
 
 def test_nothing_free() -> None:
