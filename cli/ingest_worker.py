@@ -21,10 +21,10 @@ from ..ingest.remote.path import LogPath, RemotePath
 from ..topology.document import map_to_document
 from ..topology.errors import DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
+from ..topology.made_from import junctions_told
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
-from .scan_options import source_told
 from .version import VERSION
 from .workspace import Workspace, checked_run_name
 
@@ -127,7 +127,8 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"
-    text += source_told(maps[0].info)
+    if source := junctions_told(maps[0].info):
+        text += f"; {source}"
     told = maps[0].info.get("warnings", ())
     details = _details(job, topomap)
     return IngestOutcome(job.run, "done", text, tuple(told), maps=len(maps), details=details)

@@ -1,9 +1,8 @@
-"""Options about scans, which `ingest` and `info` share, and what is said of them afterwards."""
+"""Options about scans, which `ingest` and `info` share."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -61,36 +60,3 @@ def numbers(text: str | None, flag: str, names: str) -> tuple[float, ...] | None
     if len(found) != len(names.split(",")):
         raise UsageError(f"{flag} is {text!r}, expected {names}, as in {flag}=0.2,0,0"[:200])
     return found
-
-
-LEAST_TOLD = 0.005
-"""Smaller shares are 0 %."""
-
-
-def source_told(info: Mapping[str, Any]) -> str:
-    """Where the junctions of a map came from, where that needs saying. info: of the map."""
-    junctions = info.get("source", {}).get("junctions", {})
-    way, topic = junctions.get("from"), junctions.get("topic")
-    others = ", ".join(junctions.get("passed_over", ()))
-    if way is None:
-        if not others:
-            return ""
-        return f"; junctions from {topic}, not from {others} (--junctions-from scan takes these)"
-    if way == "grid":
-        return f"; junctions from the grid {topic}"
-    told = [f"; junctions from {topic}"]
-    if others:
-        told.append(f"not from {others}")
-    before, after = junctions.get("drift_before_m"), junctions.get("drift_after_m")
-    if after is not None and before is not None and junctions.get("odometry"):
-        told.append(f"drift in 20 m {before:.2f} m before, {after:.2f} m after matching scans")
-    elif after is not None:
-        told.append(f"drift in 20 m {after:.2f} m")
-    if junctions.get("covered") is not None:
-        told.append(f"{100 * junctions['covered']:.0f} % of the way covered")
-    driven = info.get("driven", {})
-    if "corridors" in driven:
-        told.append(f"{100 * driven['corridors']:.0f} % of it along corridors")
-    if driven.get("out_and_back", 0.0) >= LEAST_TOLD:
-        told.append(f"{100 * driven['out_and_back']:.0f} % out of a junction and back to it")
-    return ", ".join(told)

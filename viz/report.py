@@ -10,6 +10,7 @@ from html import escape
 import numpy as np
 
 from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
+from ..topology.made_from import junctions_told
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, listed, utc
 from .canvas import Canvas, legible
@@ -194,9 +195,10 @@ def _health(report: Report, runs: Sequence[str]) -> str:
         if run in report.maps:
             m = report.maps[run]
             cells = [run, home.get(run, "—"), *_measured(m)]
+            source = junctions_told(m.info)
             warned = [str(w) for w in m.info.get("warnings") or ()]
             rows.append(f"<tr>{''.join(f'<td>{text(c)}</td>' for c in cells)}</tr>")
-            told = "<br>".join(text(w) for w in warned[:8])
+            told = "<br>".join(text(w) for w in ([source] if source else []) + warned[:8])
             rows += [f'<tr><td class="told" colspan="{len(head)}">{told}</td></tr>'] if told else []
     if not rows:
         return ""

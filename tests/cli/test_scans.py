@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from topobatch.cli.info import described
-from topobatch.cli.scan_options import numbers, source_told
+from topobatch.cli.scan_options import numbers
 from topobatch.ingest.inspection import inspect_log
 from topobatch.topology.errors import UsageError
 
@@ -118,20 +118,3 @@ def test_numbers_of_options():
     assert numbers(" 1, -2.5e0", "--x", "a,b") == (1.0, -2.5)
     with pytest.raises(UsageError, match="expected low,high"):
         numbers("1", "--cloud-band", "low,high")
-
-
-def test_what_is_said_of_sources():
-    assert source_told({}) == ""
-    assert source_told({"source": {"junctions": {"topic": "/junctions"}}}) == ""
-    told = {"topic": "/junctions", "passed_over": ["/scan"]}
-    assert "from /junctions, not from /scan" in source_told({"source": {"junctions": told}})
-    alone = {"from": "scan", "topic": "/s", "drift_after_m": 0.3, "covered": 0.5, "odometry": False}
-    map_info = {"source": {"junctions": alone}}
-    told = "; junctions from /s, drift in 20 m 0.30 m, 50 % of the way covered"
-    assert source_told(map_info) == told
-    driven = {"way_m": 100.0, "corridors": 0.68, "out_and_back": 0.3, "ends": 0.02}
-    assert source_told(map_info | {"driven": driven}) == (
-        told + ", 68 % of it along corridors, 30 % out of a junction and back to it"
-    )
-    all_there = {"way_m": 100.0, "corridors": 0.996, "out_and_back": 0.004, "ends": 0.0}
-    assert source_told(map_info | {"driven": all_there}) == told + ", 100 % of it along corridors"

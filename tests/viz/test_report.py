@@ -86,7 +86,9 @@ def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
     result, maps = merge_of([[f"a{HOSTILE}", "b"], ["c"]])
     pair = replace(result.verdicts[0], reason=HOSTILE, advice=HOSTILE)
     result = replace(result, verdicts=(pair, *result.verdicts[1:]), info={"warnings": [HOSTILE]})
-    maps[0] = replace(maps[0], info={"warnings": [HOSTILE], "settings": {HOSTILE: HOSTILE}})
+    source = {"junctions": {"from": "scan", "topic": HOSTILE}}
+    info = {"source": source, "warnings": [HOSTILE], "settings": {HOSTILE: HOSTILE}}
+    maps[0] = replace(maps[0], info=info)
     html = page_of(result, maps, locks=[HOSTILE], unread=[HOSTILE])
     page = Page(html)
     assert not [tag for tag, _ in page.tags if tag in ("img", "iframe", "object", "base")]
@@ -101,17 +103,19 @@ def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
     assert "@import" not in html
 
 
-def test_what_was_wrong_with_a_run_stands_below_it_as_wide_as_the_table(merge_of) -> None:
+def test_source_and_warnings_of_a_run_stand_below_it_as_wide_as_the_table(merge_of) -> None:
     result, maps = merge_of([["a", "b"]])
+    source = {"junctions": {"from": "scan", "topic": "/s", "covered": 0.9}}
     maps = [
         replace(maps[0], info={}),
-        replace(maps[1], info={"warnings": ["drifts", "jumps"]}),
+        replace(maps[1], info={"source": source, "warnings": ["drifts", "jumps"]}),
     ]
     html = page_of(result, maps)
     table = html[html.index("<h2>Runs</h2>") :]
     table = table[: table.index("</table>")]
     assert table.count("<tr>") == 1 + len(maps) + 1
-    assert f'<td class="told" colspan="{table.count("<th>")}">drifts<br>jumps</td>' in table
+    told = "junctions from /s, 90 % of the way covered<br>drifts<br>jumps"
+    assert f'<td class="told" colspan="{table.count("<th>")}">{told}</td>' in table
     assert table.index("<td>b</td>") < table.index("drifts")
 
 

@@ -1,0 +1,54 @@
+"""Where the junctions of a map came from, in words."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+LEAST_TOLD = 0.005
+"""Smaller shares are 0 %."""
+
+
+def junctions_told(info: Mapping[str, Any]) -> str:
+    """Source of a map's junctions, drift before and after, shares of the way; "" where detections
+    were read and nothing else was there. info: of the map, from a document of anybody's: what is
+    not as `ingest` writes it is not told."""
+    junctions = _inside(_inside(info, "source"), "junctions")
+    way, topic = junctions.get("from"), junctions.get("topic")
+    passed_over = junctions.get("passed_over", ())
+    others = ", ".join(map(str, passed_over)) if isinstance(passed_over, list | tuple) else ""
+    if way is None:
+        if not others:
+            return ""
+        return f"junctions from {topic}, not from {others} (--junctions-from scan takes these)"
+    if way == "grid":
+        return f"junctions from the grid {topic}"
+    told = [f"junctions from {topic}"]
+    if others:
+        told.append(f"not from {others}")
+    before, after = (_number(junctions, f"drift_{when}_m") for when in ("before", "after"))
+    if after is not None and before is not None and junctions.get("odometry"):
+        told.append(f"drift in 20 m {before:.2f} m before, {after:.2f} m after matching scans")
+    elif after is not None:
+        told.append(f"drift in 20 m {after:.2f} m")
+    driven = _inside(info, "driven")
+    shares = (
+        (_number(junctions, "covered"), "of the way covered", 0.0),
+        (_number(driven, "corridors"), "of it along corridors", 0.0),
+        (_number(driven, "out_and_back"), "out of a junction and back to it", LEAST_TOLD),
+    )
+    told += [f"{100 * s:.0f} % {what}" for s, what, least in shares if s is not None and s >= least]
+    return ", ".join(told)
+
+
+def _inside(info: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = info.get(key)
+    return value if isinstance(value, Mapping) else {}
+
+
+def _number(info: Mapping[str, Any], key: str) -> float | None:
+    value = info.get(key)
+    if not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        return None
+    return float(value)
