@@ -234,8 +234,7 @@ def simulated(task):
     scenario, seed = scenario_of(task)
     if scenario is None:
         return task[:3], []
-    runs = by_scans(scenario) if task[6] else scenario.runs
-    return task[:3], judged(scenario.truth, runs, seed)
+    return task[:3], judged(scenario.truth, by_logs(scenario), seed)
 
 
 def scenario_of(task):
@@ -253,8 +252,9 @@ def scenario_of(task):
         return None, seed
 
 
-def by_scans(scenario):
-    """{name: run} of the scans of a scenario, as `topobatch ingest` reads them."""
+def by_logs(scenario):
+    """{name: run} of a scenario, as `topobatch ingest` reads their logs: what the odometry jumps by
+    is found there, and junctions in scans."""
     with TemporaryDirectory() as folder:
         logs = [write_run(Path(folder), run) for run in scenario.simulated]
         return {log.stem: read_run(log) for log in logs}

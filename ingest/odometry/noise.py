@@ -24,10 +24,10 @@ from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import interpolated, way_at
+from ...topology.walk_means import WalkMeans
 from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches
-from .walk_means import WalkMeans
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from ...topology.passes import Passes
 from ...topology.ragged import numbered
 from ...topology.se2 import wrap
 from ...topology.track import stretch_of
-from .walk_means import WalkMeans
+from ...topology.walk_means import WalkMeans
 
 
 @dataclass(frozen=True, slots=True, eq=False)

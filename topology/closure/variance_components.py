@@ -4,8 +4,9 @@ Before closure little tells how much an odometry drifts (`ingest/odometry/noise.
 loops do: each variance is its squared residuals over the degrees of freedom that it left them
 (Förstner, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten, 1979; iterated, it is
 REML). A robust kernel hides part of a residual: residuals are compared with what the kernel would
-leave of normal ones (Huber's proposal 2). How the errors of an odometry divide among its
-random walks is hardly observable; their common level is.
+leave of normal ones (Huber's proposal 2). A pass is seen on the way by, and means of headings walk
+less than the heading at its middle: residuals are smaller by as much. How the errors of an odometry
+divide among its random walks is hardly observable; their common level is.
 """
 
 from __future__ import annotations
@@ -16,10 +17,14 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..odometry import Odometry
+from ..passes import Passes
 from ..posegraph.graph import edge_errors, prior_errors, squared
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals, square_root
+from ..ragged import numbered
 from ..topomap import RunNoise
+from ..track import interpolated, way_at
+from ..walk_means import WalkMeans
 from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning, relative_covariance
 from .estimate import Estimate, optimise
 from .manhattan import GridCorridors, GridHeadings, with_spread
@@ -89,10 +94,11 @@ def fitted_noise(
         prior = np.append(prior, grid.spread_rad**2)
     units = _unit_walks(reckoning, odometry)
     legs = _leg_covariances(reckoning, units)
+    smoothed = _smoothed(odometry, reckoning.passes)
     variance = prior
     estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     for left in reversed(range(settings.rounds)):
-        energy, freedom = _told(estimate, legs, variance, grid, settings.samples)
+        energy, freedom = _told(estimate, legs, smoothed, variance, grid, samples=settings.samples)
         step = _step(energy, freedom, variance / prior, settings.prior_freedom, 2 if left else 1)
         variance = variance * step
         reckoning = _with_variances(reckoning, units, variance)
@@ -181,6 +187,19 @@ def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> Fl
     return np.stack([relative_covariance(unit, row, row + 1) for unit in units])
 
 
+def _smoothed(odometry: Odometry, passes: Passes) -> FloatArray:
+    """(p, 2) by how much less the heading of each pass, a mean over its messages, varies than the
+    walks at its middle: walks of 1 rad per √m driven and of 1 rad per √rad turned."""
+    messages = np.maximum(passes.messages, 1)
+    of, number = numbered(messages)
+    share = number / np.maximum(messages - 1, 1)[of]
+    time_ns = (passes.start_ns[of] + share * (passes.end_ns - passes.start_ns)[of]).astype(np.int64)
+    turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), time_ns)
+    walked = np.column_stack([way_at(odometry, time_ns), turned])
+    # Where the robot stands, sums may be rounded to less than nothing.
+    return np.maximum(WalkMeans.of(walked, of, len(passes)).lost, 0.0)
+
+
 def _with_variances(
     reckoning: DeadReckoning, units: list[DeadReckoning], variance: FloatArray
 ) -> DeadReckoning:
@@ -196,11 +215,13 @@ def _with_variances(
 @dataclass(frozen=True, slots=True, eq=False)
 class _Edges:
     """Edges of one sort: their errors (k, 3), information (k, 3, 3), samples (k, 3, s) of what the
-    solution leaves of them in sigmas, weights at the solution and widths of their kernels (k,)."""
+    solution leaves of them in sigmas, weights at the solution and widths of their kernels (k,).
+    smoothed: (k, 3, s) the same of what means over passes lack of the errors that are stated."""
 
     error: FloatArray
     information: FloatArray
     residual: FloatArray
+    smoothed: FloatArray
     weight: FloatArray
     kernel: FloatArray
 
@@ -208,14 +229,18 @@ class _Edges:
         """Squared error by one component, in units of its variance, and its degrees of freedom.
 
         part: (k, 3, 3) V, the covariance by the component. With e the error, Ω its information and
-        C the covariance of e left by the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C).
+        C the covariance of e left by the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C), less what
+        is smoothed; that may be more than all of it while the variances are not right yet.
         """
         root = square_root(self.information)
         share = root.transpose(0, 2, 1) @ part @ root
         e = (root.transpose(0, 2, 1) @ self.error[:, :, None])[:, :, 0]
         energy = self.weight @ np.einsum("ki,kij,kj->k", e, share, e)
-        free = np.einsum("kis,kij,kjs->k", self.residual, share, self.residual)
-        return float(energy), float(self._expected_weight() @ free) / self.residual.shape[2]
+        free, lost = (
+            np.einsum("kis,kij,kjs->k", r, share, r) for r in (self.residual, self.smoothed)
+        )
+        freedom = float(self._expected_weight() @ (free - lost)) / self.residual.shape[2]
+        return float(energy), max(freedom, 0.0)
 
     def _expected_weight(self) -> FloatArray:
         """(k,) mean weight of normal errors in their Cauchy kernels.
@@ -238,12 +263,15 @@ class _Edges:
 def _told(
     estimate: Estimate,
     units: FloatArray,
+    smoothed: FloatArray,
     variance: FloatArray,
     grid: GridHeadings | None,
+    *,
     samples: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Of each component: squared errors in units of its variance, degrees of freedom."""
-    legs, sightings, headings = _sorts(estimate, units.shape[1], samples)
+    less = smoothed[estimate.sighting] @ variance[1:_WALKS]
+    legs, sightings, headings = _sorts(estimate, units.shape[1], less, samples)
     told = [legs.told(variance[k] * units[k]) for k in range(_WALKS)]
     for axes in ((0, 1), (2,)):
         part = np.zeros_like(sightings.information)
@@ -261,8 +289,13 @@ def _told(
     return energy, freedom
 
 
-def _sorts(estimate: Estimate, legs: int, samples: int) -> tuple[_Edges, _Edges, _Edges]:
-    """The edges of an estimate: `legs` of odometry, sightings, and headings known from the grid."""
+def _sorts(
+    estimate: Estimate, legs: int, less: FloatArray, samples: int
+) -> tuple[_Edges, _Edges, _Edges]:
+    """The edges of an estimate: `legs` of odometry, sightings, and headings known from the grid.
+
+    less: (k,) variance that the heading of each sighting lacks, as a mean over a pass.
+    """
     graph, solution = estimate.graph, estimate.solution
     error = edge_errors(graph, solution.pose, solution.shared)
     row = slice(0, legs), slice(legs, len(error))
@@ -273,11 +306,15 @@ def _sorts(estimate: Estimate, legs: int, samples: int) -> tuple[_Edges, _Edges,
     give_known = np.full(len(known), _stiffness(squared(off, known.information), known.kernel, 1))
     pulled = replace(solution, edge_weight=give, prior_weight=give_known)
     sampled = SampledMarginals.of(graph, pulled, samples, outliers=False)
+    errors = np.zeros((len(error), 3))
+    errors[row[1], 2] = np.sqrt(less)
+    lost = SampledMarginals.of(graph, pulled, samples, outliers=False, errors=errors)
     walked, seen = (
         _Edges(
             error[r],
             graph.information[r],
             sampled.edge_residual[r],
+            lost.edge_residual[r],
             solution.edge_weight[r],
             graph.kernel[r],
         )
@@ -287,6 +324,7 @@ def _sorts(estimate: Estimate, legs: int, samples: int) -> tuple[_Edges, _Edges,
         off,
         known.information,
         sampled.prior_residual,
+        lost.prior_residual,
         solution.prior_weight,
         known.kernel,
     )

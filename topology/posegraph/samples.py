@@ -71,14 +71,21 @@ class SampledMarginals:
 
     @classmethod
     def of(
-        cls, graph: PoseGraph, solution: Point, count: int = 64, *, outliers: bool = True
+        cls,
+        graph: PoseGraph,
+        solution: Point,
+        count: int = 64,
+        *,
+        outliers: bool = True,
+        errors: FloatArray | None = None,
     ) -> SampledMarginals:
         """Sample the linearised posterior: solve for measurements that are off as they may be.
 
         With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The same samples at every
         call. One factorisation and `count` solves. outliers: a measurement of weight w at the
         solution is off by as much more, w Ω taking the place of Ω; else it is as good as it says,
-        H⁻¹ Jᵀ w Ω^½ z, and the solution only makes little of it.
+        H⁻¹ Jᵀ w Ω^½ z, and the solution only makes little of it. errors: (m, 3) 1 sigma of what the
+        edges are off by, and nothing else is; by default all is off as its information says.
         """
         pattern = build_pattern(graph, skeleton(graph))
         system = linearise(graph, pattern, solution)
@@ -94,6 +101,10 @@ class SampledMarginals:
             root, known = own * weights[0], own_known * weights[1]
         sizes = (3 * len(root), 3 * len(known), len(graph.shared))
         z, z_known, z_shared = white(20040, [(size, count) for size in sizes])
+        if errors is not None:
+            off = errors[:, :, None] * z.reshape(-1, 3, count)
+            z = (own.transpose(0, 2, 1) @ off).reshape(z.shape)
+            z_known, z_shared = np.zeros_like(z_known), np.zeros_like(z_shared)
         push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
         push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
         right = push @ z

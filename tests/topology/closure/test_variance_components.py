@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.manhattan import GridHeadings, grid_corridors, grid_headings
 from topobatch.topology.closure.variance_components import fitted_noise, with_shown_spread
+from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import RunNoise
 
 from .walks import EXACT, NOISE, aisles, noisy_square, partition, record, to_and_fro
@@ -25,6 +28,31 @@ def test_loops_tell_each_kind_of_noise() -> None:
     assert noise.branch_rad == pytest.approx(0.03, rel=0.2)
     assert noise.heading_rad_per_sqrt_m == pytest.approx(0.01, rel=0.4)
     assert fitted.estimate.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+
+
+def test_means_over_passes_walk_less_than_headings() -> None:
+    true = RunNoise(0.005, 0.02, 1e-4, 0.0, 0.03, 0.01)
+    found = []
+    for seed in range(6):
+        odometry, passes, place = noisy_square(20, true, seed)
+        # Each branch as the mean of five readings on 2 m of way around the junction.
+        at = np.searchsorted(odometry.time_ns, passes.time_ns)
+        window = np.clip(at[:, None] + np.arange(-2, 3), 0, len(odometry) - 1)
+        off = odometry.pose[:, 2] - np.pi / 2 * (np.arange(len(odometry)) // (at[2] - at[0]))
+        moved = (off[window].mean(axis=1) - off[at])[passes.branches.owner]
+        begin, end = odometry.time_ns[window[:, [0, -1]]].T
+        smoothed = replace(
+            passes,
+            start_ns=begin,
+            end_ns=end,
+            branches=Ragged(passes.branches.offsets, passes.branches.values + moved),
+            messages=np.full(len(passes), 5),
+        )
+        reckoning = dead_reckoning(odometry, smoothed, true, EXACT)
+        fitted = fitted_noise(reckoning, odometry, place, optimise(reckoning, place))
+        found.append(fitted.reckoning.noise.heading_rad_per_sqrt_m**2)
+    # Taken for headings at the junctions, they would tell of a tenth less.
+    assert np.mean(found) == pytest.approx(0.02**2, rel=0.06)
 
 
 def test_noise_that_is_not_there_is_not_stated() -> None:

@@ -36,6 +36,16 @@ def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
     assert np.array_equal(found, SampledMarginals.of(graph, solution, count).relative(a, b))
 
 
+def test_errors_of_the_edges_alone_may_be_stated() -> None:
+    graph = ring(12)
+    solution, sigma = solve(graph), np.tile([1 / 20, 1 / 20, 1 / 30], (12, 1))
+    a, b = np.array([0, 0, 3]), np.array([1, 6, 8])
+    usual = SampledMarginals.of(graph, solution, outliers=False)
+    half = SampledMarginals.of(graph, solution, outliers=False, errors=0.5 * sigma)
+    np.testing.assert_allclose(half.relative(a, b), 0.25 * usual.relative(a, b), atol=1e-12)
+    np.testing.assert_allclose(half.edge_residual, 0.5 * usual.edge_residual, atol=1e-9)
+
+
 def test_white_noise_is_the_same_however_much_was_drawn_before() -> None:
     for size in (30, 3000, 8, MOST_DRAWN + 1):
         rng = np.random.default_rng(5)

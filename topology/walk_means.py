@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...topology.arrays import FloatArray, IntArray
+from .arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from topobatch.ingest.odometry.walk_means import WalkMeans
+from topobatch.topology.walk_means import WalkMeans
 
 
 @given(st.integers(0, 2**32 - 1))
