@@ -73,10 +73,10 @@ class Requirement:
     """What merging needs.
 
     threshold_bits: log2(pairs / false_merge_rate); least_junctions: that must agree; lead_bits: by
-    which the next best placement must be behind; junction_bits: most that a matched junction
-    counts. repetition: 0 (surely no copy) to 1; where the second question is asked,
-    same_place_bits: evidence that it is the place and not a copy of it, and same_place_needed: its
-    threshold.
+    which the next best placement must be behind, more where that has no more against it;
+    junction_bits: most that a matched junction counts. repetition: 0 (surely no copy) to 1; where
+    the second question is asked, same_place_bits: evidence that it is the place and not a copy of
+    it, and same_place_needed: its threshold.
     """
 
     threshold_bits: float

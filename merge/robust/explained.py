@@ -31,7 +31,7 @@ from .growth import given_up
 from .prepare import Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
-from .verdict import Answers, PairCount, counted_bits, in_steps, needed_bits
+from .verdict import Answers, Assessment, PairCount, counted_bits, in_steps, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """What is left of the digits of a document: verdicts that differ by less are the same one."""
@@ -86,7 +86,7 @@ def explain(batch: Batch, a: str, b: str) -> Decision:
     return Decision(
         said=told,
         merged=unlisted or pair in batch.said,
-        requirement=_requirement(batch, told, shown[0][1] if shown else None),
+        requirement=_requirement(batch, told, own.view, shown[0][1] if shown else None),
         placements=placements,
         start=start,
         by_others=_by_others(batch, told),
@@ -318,7 +318,10 @@ def _against(naming: _Naming, c: Candidate) -> list[Term]:
     return [naming.term(x.kind, -x.bits, told[x.kind], one=x.of_a, two=x.of_b) for x in found]
 
 
-def _requirement(batch: Batch, told: PairVerdict, answers: Answers | None) -> Requirement:
+def _requirement(
+    batch: Batch, told: PairVerdict, view: Assessment, answers: Answers | None
+) -> Requirement:
+    """What merging needs; view: of the two maps alone."""
     settings, pairs = batch.settings, batch.count(told).all
     asked = answers is not None and answers.same_place is not None
     return Requirement(
@@ -326,7 +329,7 @@ def _requirement(batch: Batch, told: PairVerdict, answers: Answers | None) -> Re
         pairs=in_steps(pairs),
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
-        lead_bits=MATCH.lead_bits,
+        lead_bits=MATCH.lead_bits if told.accepted_by == "components" else view.lead_bits,
         junction_bits=MATCH.junction_bits,
         repetition=0.0 if answers is None else answers.repetition,
         same_place_bits=answers.same_place if answers is not None and asked else None,

@@ -150,6 +150,12 @@ class MatchSettings:
     tunnels repeat themselves more by chance, and fewer pairs of them are told."""
 
     @property
+    def contested_bits(self) -> float:
+        """The lead over a placement that is beyond the threshold, too, with no more against it: why
+        says `verdict.py: _contested`."""
+        return 2 * self.lead_bits
+
+    @property
     def sure_m(self) -> float:
         """Farther from a match, up to `near_m`, a junction is matched only if its branches agree
         and another is matched beside it [m]; and a match is not given up for what is not found

@@ -154,6 +154,15 @@ class Assessment:
             return None
         return max(self.ranked[0][1] - self.ranked[1][1], 0.0)  # less is rounding
 
+    @property
+    def lead_bits(self) -> float:
+        """The lead in bits that merging asks of the best placement, over the next one or over what
+        keeps it from being merged."""
+        contested = any(
+            _contests(other, self.ranked[0][0], self.need_bits) for other, _ in self.ranked[1:2]
+        )
+        return MATCH.contested_bits if contested or self.why == NO_WORSE else MATCH.lead_bits
+
 
 def threshold_for(
     count: PairCount,
@@ -338,7 +347,7 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
 
 def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) -> str:
     """What keeps the first of ranked placements from being merged though it leads, as a clause: one
-    that is beyond the threshold, too, with no more against it; "" if none.
+    that contests it and is less than `contested_bits` behind; "" if none.
 
     Then one of the two is a copy that differs in nothing that both runs saw, and how much they saw
     of each tells less of which than it seems: it must lead by twice as much. Rows merge wrongly
@@ -347,9 +356,13 @@ def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) 
     """
     (best, most), *others = ranked
     no_worse = any(
-        most - bits < 2 * MATCH.lead_bits
-        and counted_bits(other) >= threshold.need_bits
-        and other.contradicting_bits <= best.contradicting_bits
+        most - bits < MATCH.contested_bits and _contests(other, best, threshold.need_bits)
         for other, bits in others
     )
     return NO_WORSE if no_worse else ""
+
+
+def _contests(other: Candidate, best: Candidate, need_bits: float) -> bool:
+    """Whether chance does not explain another placement either, and no more is against it."""
+    beyond = counted_bits(other) >= need_bits
+    return beyond and other.contradicting_bits <= best.contradicting_bits

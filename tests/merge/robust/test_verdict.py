@@ -136,11 +136,12 @@ def test_a_placement_with_no_more_against_it_keeps_the_best_from_being_merged(dr
     best, other = replace(best, bits=30.0), replace(other, bits=threshold.need_bits + 0.1)
     refused = assess(a, b, [best, other], threshold)
     assert (refused.verdict, refused.why) == (Verdict.AMBIGUOUS, NO_WORSE)
-    assert refused.margin > MATCH.lead_bits
+    assert MATCH.lead_bits < refused.margin < refused.lead_bits == MATCH.contested_bits
     less = replace(other, bits=threshold.need_bits - 1.0)
     doubt = replace(other.conflicts, elsewhere=np.zeros((1, 2), np.int64), elsewhere_bits=1.0)
     for told in (less, replace(other, conflicts=doubt)):
-        assert assess(a, b, [best, told], threshold).verdict is Verdict.MERGED
+        merged = assess(a, b, [best, told], threshold)
+        assert (merged.verdict, merged.lead_bits) == (Verdict.MERGED, MATCH.lead_bits)
 
 
 def test_pairs_are_counted_in_steps_and_never_too_few():
