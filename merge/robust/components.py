@@ -26,7 +26,7 @@ class Components:
     def __init__(self, n: int, never: Iterable[Pair]) -> None:
         self.head = list(range(n))
         self.members: dict[int, list[int]] = {i: [i] for i in range(n)}
-        self.pose: list[FloatArray] = [np.zeros(3) for _ in range(n)]
+        self.pose = np.zeros((n, 3))
         self.never = frozenset((min(p), max(p)) for p in never)
 
     def together(self, i: int, j: int) -> bool:
@@ -57,10 +57,11 @@ class Components:
             self.join(j, i, inverse(T_i_j))
             return
         move = compose(compose(self.pose[i], T_i_j), inverse(self.pose[j]))
-        for run in self.members.pop(gone):
-            self.pose[run] = compose(move, self.pose[run])
+        runs = self.members.pop(gone)
+        self.pose[runs] = compose(move, self.pose[runs])
+        self.members[into] += runs
+        for run in runs:
             self.head[run] = into
-            self.members[into].append(run)
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,8 @@ class Rematcher:
 
     Changes `components`. The strongest reunion of each round is carried out, then its component
     is fused anew, so that every decision uses all that is known. threshold: what some runs must
-    reach in a batch of so many pairs.
+    reach in a batch of so many pairs. What two merged maps say where so much is asked of them is
+    worked out once, in whichever round: None where it is too little.
     """
 
     maps: Sequence[TopoMap]
@@ -74,6 +75,7 @@ class Rematcher:
     discarded: frozenset[Pair] = frozenset()
     kept: Kept | None = None
     _merged: MergedMaps = field(init=False)
+    _told: dict[tuple[MergedMap, MergedMap, bytes], Assessment | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._merged = MergedMaps(self.maps, self.prepared, self.kept)
@@ -83,6 +85,10 @@ class Rematcher:
         accepted = dict(joined)
         reunions: dict[Pair, Reunion] = {}
         open_ = self._open()
+        near: dict[Runs, set[Runs]] = defaultdict(set)
+        for x, y in open_:
+            near[x].add(y)
+            near[y].add(x)
         asked = self._asked(open_, accepted)
         while found := self._said(asked):
             one, two, view = max(found, key=_strength)
@@ -97,12 +103,12 @@ class Rematcher:
             # What others say of each other stays as it was.
             gone = {one.runs, two.runs}
             whole = tuple(sorted((*one.runs, *two.runs)))
-            others = {side for sides in open_ if gone & {*sides} for side in sides} - gone
-            kept = {sides for sides in open_ if not gone & {*sides}}
-            fresh = {(min(whole, side), max(whole, side)) for side in others}
-            asked = {sides: asked[sides] for sides in asked if sides in kept}
-            asked |= self._asked(fresh, accepted)
-            open_ = kept | fresh
+            others = near[whole] = (near.pop(one.runs) | near.pop(two.runs)) - gone
+            for side in others:
+                near[side] -= gone
+                near[side].add(whole)
+            asked = {sides: maps for sides, maps in asked.items() if not gone & {*sides}}
+            asked |= self._asked({(min(whole, x), max(whole, x)) for x in others}, accepted)
         return reunions
 
     def _open(self) -> set[Sides]:
@@ -135,22 +141,28 @@ class Rematcher:
         """
         members = self.components.members.values()
         left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
-        pairs, cases = [], []
+        wanted, fresh, cases = [], [], []
         for one, two in asked.values():
             threshold = self.threshold((*one.runs, *two.runs), left)
+            key = one, two, threshold_digest(threshold, copies=True)
+            wanted.append(key)
+            if key in self._told:
+                continue
+            self._told[key] = None
             if self._known_not_to_join(one, two, threshold):
                 continue
             candidates = self._merged.matched(one, two, self.settings)
             if candidates:
-                pairs.append((one, two, threshold))
+                fresh.append((key, threshold))
                 cases.append((one.prepared, two.prepared, candidates, threshold))
-        out = []
-        for (one, two, threshold), view in zip(pairs, assess_all(cases), strict=True):
+        for (key, threshold), view in zip(fresh, assess_all(cases), strict=True):
+            one, two, _ = key
             if self._joins(one, two, view):
-                out.append((one, two, view))
+                self._told[key] = view
             elif self.kept is not None:
                 self.kept.add(Kind.VERDICT, _key(one, two, threshold), NOT_JOINED)
-        return out
+        told = ((*key[:2], self._told[key]) for key in wanted)
+        return [(one, two, view) for one, two, view in told if view is not None]
 
     def _known_not_to_join(self, one: MergedMap, two: MergedMap, threshold: Threshold) -> bool:
         """Whether an earlier merge, or round, found so: most components never are."""
