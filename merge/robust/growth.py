@@ -22,7 +22,8 @@ class Grown:
     lane: (k,); a: (k,) vertices of the first maps, numbered as in the atlas; row: (k,) rows of
     `lanes`, of the vertices of the second maps; branch: (k,) bits of the branches of each pair.
     place: (t,) where each vertex of the second map lies in the first one's frame; turn: (t,) local
-    rotation b → a as unit numbers; support_m: (t,) distance to the nearest match.
+    rotation b → a as unit numbers; support_m: (t,) distance to what it is predicted from
+    (`predict`).
     """
 
     lanes: Lanes
@@ -107,7 +108,7 @@ def _units(seeds: Sequence[Seed]) -> ComplexArray:
 
 
 Predicted = tuple[ComplexArray, ComplexArray, FloatArray]
-"""Place, turn and distance to the nearest match of every row."""
+"""Place, turn and distance to what it is predicted from, of every row."""
 
 
 def _matched(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
@@ -133,8 +134,9 @@ def _without_contradicted(lanes: Lanes, partner: IntArray, predicted: Predicted)
 
 
 def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
-    """Where every vertex of b lies in a: (place, local turn, distance to the nearest match), each
-    (t,) like `partner`; turn0: (l,) the rotation that each lane began with.
+    """Where every vertex of b lies in a: (place, local turn, support), each (t,) like `partner`;
+    turn0: (l,) the rotation that each lane began with. The support is the distance to the nearest
+    match among its neighbours, or to the middle of all matches where no neighbour is matched.
 
     Strategy: weighted complex Procrustes for all rows at once. What a match adds to the sums
     is a row of eight numbers (1, position in a, position in b, their product); each vertex
