@@ -44,6 +44,12 @@ def way_at(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     return interpolated(odometry, way_along(odometry), time_ns)
 
 
+def walked_at(odometry: Odometry, time_ns: IntArray) -> FloatArray:
+    """(m, 2) way driven [m] and angle turned [rad], either way round, up to each time."""
+    turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), time_ns)
+    return np.column_stack([way_at(odometry, time_ns), turned])
+
+
 def interpolated(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> FloatArray:
     """(m,) values (n,) of the rows of an odometry at any times, held at the ends."""
     origin = odometry.time_ns[0]

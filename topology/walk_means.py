@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import FloatArray, IntArray
+from .ragged import numbered
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +37,7 @@ class WalkMeans:
             return np.stack([np.bincount(group, v, count) for v in values.T], axis=1)
 
         middle = total(walked) / n
-        rank = np.arange(len(group)) - (np.cumsum(size) - size)[group]
+        _, rank = numbered(size)
         lead = (2 * rank + 1 - size[group])[:, None]
         return cls(middle, total(lead * (walked - middle[group])) / n**2)
 

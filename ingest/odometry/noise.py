@@ -23,7 +23,7 @@ from ...topology.passes import Passes
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
-from ...topology.track import interpolated, way_at
+from ...topology.track import walked_at
 from ...topology.walk_means import WalkMeans
 from .heading_evidence import assign_readings
 from .revisits import Repeats
@@ -143,8 +143,7 @@ class _Thirds:
             total = np.bincount(home[chosen], values[chosen], p)
             return np.asarray(total / np.maximum(size, 1))[usable]
 
-        turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), time_ns)
-        track = np.column_stack([way_at(odometry, time_ns), turned])
+        track = walked_at(odometry, time_ns)
         thirds = WalkMeans.of(track, 3 * home + third[rows], 3 * p)
         moved = thirds.middle[3 * usable + 2, 0] - thirds.middle[3 * usable, 0]
         drift = np.column_stack([mean(c, 2) - mean(c, 0) for c in centre.T])

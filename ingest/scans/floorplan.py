@@ -108,7 +108,9 @@ def _openings(
     """(h, w) cells no farther from a frontier `least_m` wide than from any wall: a way that ends
     there goes on beyond. frontier: without the rim that clearance_m has."""
     out = np.zeros(clearance_m.shape, bool)
-    label, _ = labelled(np.zeros_like(out) if frontier is None else np.pad(frontier, 1))
+    if frontier is None:
+        return out
+    label, _ = labelled(np.pad(frontier, 1))
     for number, part in enumerate(ndimage.find_objects(label), start=1):
         if max(s.stop - s.start for s in part) * cell_m >= least_m:
             out[part] |= label[part] == number

@@ -75,7 +75,9 @@ class Rematcher:
     discarded: frozenset[Pair] = frozenset()
     kept: Kept | None = None
     _merged: MergedMaps = field(init=False)
-    _told: dict[tuple[MergedMap, MergedMap, bytes], Assessment | None] = field(default_factory=dict)
+    _told: dict[tuple[MergedMap, MergedMap, Threshold], Assessment | None] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
         self._merged = MergedMaps(self.maps, self.prepared, self.kept)
@@ -141,11 +143,10 @@ class Rematcher:
         """
         members = self.components.members.values()
         left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
-        wanted, fresh, cases = [], [], []
-        for one, two in asked.values():
-            threshold = self.threshold((*one.runs, *two.runs), left)
-            key = one, two, threshold_digest(threshold, copies=True)
-            wanted.append(key)
+        wanted = [(a, b, self.threshold((*a.runs, *b.runs), left)) for a, b in asked.values()]
+        fresh, cases = [], []
+        for one, two, threshold in wanted:
+            key = one, two, threshold
             if key in self._told:
                 continue
             self._told[key] = None
@@ -153,15 +154,15 @@ class Rematcher:
                 continue
             candidates = self._merged.matched(one, two, self.settings)
             if candidates:
-                fresh.append((key, threshold))
+                fresh.append(key)
                 cases.append((one.prepared, two.prepared, candidates, threshold))
-        for (key, threshold), view in zip(fresh, assess_all(cases), strict=True):
-            one, two, _ = key
+        for key, view in zip(fresh, assess_all(cases), strict=True):
+            one, two, threshold = key
             if self._joins(one, two, view):
                 self._told[key] = view
             elif self.kept is not None:
                 self.kept.add(Kind.VERDICT, _key(one, two, threshold), NOT_JOINED)
-        told = ((*key[:2], self._told[key]) for key in wanted)
+        told = ((one, two, self._told[one, two, threshold]) for one, two, threshold in wanted)
         return [(one, two, view) for one, two, view in told if view is not None]
 
     def _known_not_to_join(self, one: MergedMap, two: MergedMap, threshold: Threshold) -> bool:

@@ -23,7 +23,7 @@ from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals, square_root
 from ..ragged import numbered
 from ..topomap import RunNoise
-from ..track import interpolated, way_at
+from ..track import walked_at
 from ..walk_means import WalkMeans
 from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning, relative_covariance
 from .estimate import Estimate, optimise
@@ -194,10 +194,9 @@ def _smoothed(odometry: Odometry, passes: Passes) -> FloatArray:
     of, number = numbered(messages)
     share = number / np.maximum(messages - 1, 1)[of]
     time_ns = (passes.start_ns[of] + share * (passes.end_ns - passes.start_ns)[of]).astype(np.int64)
-    turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), time_ns)
-    walked = np.column_stack([way_at(odometry, time_ns), turned])
+    means = WalkMeans.of(walked_at(odometry, time_ns), of, len(passes))
     # Where the robot stands, sums may be rounded to less than nothing.
-    return np.maximum(WalkMeans.of(walked, of, len(passes)).lost, 0.0)
+    return np.maximum(means.lost, 0.0)
 
 
 def _with_variances(
