@@ -55,6 +55,7 @@ lint: $(VENV)/.ready
 types: $(VENV)/.ready
 	@mkdir -p $(VENV)/src && ln -sfn "$(CURDIR)" $(VENV)/src/topobatch
 	MYPYPATH=$(VENV)/src $(BIN)/mypy -p topobatch
+	$(BIN)/mypy --config-file benchmarks/mypy.ini benchmarks/*.py
 
 check: lint types test  ## everything that CI runs
 

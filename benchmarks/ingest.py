@@ -28,7 +28,7 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -281,7 +281,7 @@ def measure_rosbags(path: Path) -> Found:
     with AnyReader([path]) as reader:
         wanted = [c for c in reader.connections if c.topic != "/camera"]
         for connection, _, raw in reader.messages(wanted):
-            message = reader.deserialize(raw, connection.msgtype)
+            message: Any = reader.deserialize(raw, connection.msgtype)
             stamp = message.header.stamp
             if connection.topic == "/odom":
                 time_ns.append(stamp.sec * 10**9 + stamp.nanosec)

@@ -26,8 +26,8 @@ from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.simulation.truth import best_transform
 from topobatch.simulation.writing import write_scenario
 from topobatch.topology.document import read_map
-from topobatch.topology.matching.association import grow, single_matches
-from topobatch.topology.matching.correspondence import GrowthSettings
+from topobatch.topology.matching.association import grow
+from topobatch.topology.matching.correspondence import GrowthSettings, candidate_nodes
 from topobatch.topology.se2 import apply, wrap
 
 SIZES = (50, 126, 300, 800)
@@ -75,12 +75,12 @@ def figures(trials, noise):
         for seed in range(trials):
             a, b, onto, from_ = pair_of_maps(size, 0.3, seed, noise)
             pa, pb = prepare_map(a), prepare_map(b)
-            growth = grow(pa.structure, pb.structure)
+            nodes = candidate_nodes(pa.structure, pb.structure)
             found = match(pa, pb)
             h, c = found.hypotheses, found.clusters
             rows.append(
                 (
-                    single_matches(pa.structure, pb.structure, growth).pairs,
+                    len(np.unique(nodes.vertex_a * len(b) + nodes.vertex_b)),
                     len(h),
                     len(c),
                     int((h.size > 3).sum()),

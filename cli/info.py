@@ -47,9 +47,9 @@ def info(
     """Show what logs hold and what ingest would use.
 
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
-    with 1 if a log is seen to be damaged, if ingest could not use its topics, or if what they hold
-    would be refused. That is tried with logs of up to 64 MB on this machine; of others with an
-    index, no message is read, and a line says so.
+    with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
+    hold. Logs of up to 64 MB on this machine are read to tell; of others that have an index, the
+    index alone, and a line says so.
 
     \b
       topobatch info run1.mcap
@@ -80,7 +80,7 @@ def info(
             for line in described(found):
                 say(line)
         if not found.problems and _read_whole(found):
-            found = replace(found, problems=_refused(each, settings))
+            found = replace(found, problems=_refused(each, replace(settings, strict=True)))
         if as_json:
             told.append(_as_json(found))
         else:
@@ -117,7 +117,7 @@ def _show_problems(found: LogInfo) -> None:
     for problem in found.problems:
         say(f"problem: {problem}")
     if not _read_whole(found):
-        say("not read whole: what its messages hold may still be refused by ingest")
+        say("not read whole: messages may still be damaged, or be refused by ingest")
 
 
 def _read_whole(found: LogInfo) -> bool:
@@ -125,7 +125,7 @@ def _read_whole(found: LogInfo) -> bool:
 
 
 def _refused(log: LogPath, settings: ReadSettings) -> tuple[str, ...]:
-    """Why ingest would refuse to read a log, nothing if it would not."""
+    """Why ingest with these settings would refuse to read a log, nothing if it would not."""
     from ..ingest.reading import log_size, read_log
 
     done = 0

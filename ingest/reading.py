@@ -189,9 +189,7 @@ def _damage(recording: Recording, findings: Findings, settings: ReadSettings) ->
         reason = "; ".join(damage) or "it holds no messages"
         raise LogError(f"{recording.path}: nothing can be read: {reason}")
     if damage and settings.strict:
-        raise LogError(
-            f"{recording.path}: damaged, and --strict was asked for: {'; '.join(damage)}"
-        )
+        raise LogError(f"{recording.path}: damaged: {'; '.join(damage)}")
     return damage
 
 

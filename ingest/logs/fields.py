@@ -12,7 +12,8 @@ the item or of the message, the header's by default. docs/detections.md has an e
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
 from dataclasses import fields as members_of
 from typing import Any, Literal, NamedTuple
@@ -92,26 +93,32 @@ class JunctionFields:
         """One row per junction in a decoded message; raises DamageError, UsageError for units."""
         items = [message]
         if self.each is not None:
-            items = _values(message, self.each)
+            with _naming(self.each):
+                items = _values(message, self.each)
         return [self._row(item, message, frames) for item in items]
 
     def _row(self, item: Any, message: Any, frames: Frames) -> Row:
-        centers = [_point(value) for value in _values(item, self.center)]
-        if not centers:
-            raise DamageError("a junction has no centre")
+        with _naming(self.center):
+            centers = [_point(value) for value in _values(item, self.center)]
+            if not centers:
+                raise DamageError("the list is empty")
         center = tuple(float(sum(axis)) / len(centers) for axis in zip(*centers, strict=True))
-        poses = [
-            (*center, *self._orientation(value, center)) for value in _values(item, self.branches)
-        ]
+        with _naming(self.branches):
+            ways = _values(item, self.branches)
+            self._check_degrees(ways)
+            turns = [self._orientation(value, center) for value in ways]
+        poses = [(*center, *turn) for turn in turns]
         headers = [h for h in (get(item, "header"), get(message, "header")) if h is not None]
         headers = headers or [message]
         # Items of a list often have headers that nobody filled in.
         stamp = next((time for time in map(stamp_of, headers) if time), 0)
         frame = next((name for h in headers if (name := as_text(get(h, "frame_id")))), "")
         if self.stamp is not None:
-            stamp = stamp_of({"stamp": _one(_holder(self.stamp, item, message), self.stamp)})
+            with _naming(self.stamp):
+                stamp = stamp_of({"stamp": _one(_holder(self.stamp, item, message), self.stamp)})
         if self.frame is not None:
-            frame = as_text(_one(_holder(self.frame, item, message), self.frame))
+            with _naming(self.frame):
+                frame = as_text(_one(_holder(self.frame, item, message), self.frame))
         return stamp, frames.number(frame), poses
 
     def _orientation(self, value: Any, center: tuple[float, ...]) -> tuple[float, ...]:
@@ -123,6 +130,15 @@ class JunctionFields:
         if get(turn, "x") is not None or get(turn, "position") is not None:
             return _towards(_point(turn, center[2]), center)
         return _about_z(self._angle(value))
+
+    def _check_degrees(self, ways: list[Any]) -> None:
+        """Raise UsageError if three branches or more would lie within some degrees."""
+        numbers = [way for way in ways if isinstance(way, int | float)]
+        if self.unit == "deg" and len(numbers) > 2 and max(map(abs, numbers)) <= _WHOLE_TURN:
+            raise UsageError(
+                f"{self.branches.text}: {len(numbers)} branches within ± 2π degrees are hardly one "
+                "junction; leave out unit=deg if these are radians"
+            )
 
     def _angle(self, value: Any) -> float:
         """An angle [rad]; raises DamageError, UsageError if it can hardly be one."""
@@ -176,11 +192,20 @@ def _path(key: str, value: str) -> FieldPath:
     return FieldPath(f"{key}={value}", tuple(steps))
 
 
+@contextmanager
+def _naming(path: FieldPath) -> Iterator[None]:
+    """Say of damage which path it was met at."""
+    try:
+        yield
+    except DamageError as error:
+        raise DamageError(f"{path.text}: {error}") from error
+
+
 def _values(message: Any, path: FieldPath) -> list[Any]:
     """The values that a path leads to: one, or as many as its lists hold; raises DamageError."""
     values = [message]
     for name, listed in path.steps:
-        values = [_member(value, name, path) for value in values]
+        values = [_member(value, name) for value in values]
         if listed:
             values = [item for value in values for item in sequence(value)]
         if len(values) > POSES:
@@ -190,13 +215,13 @@ def _values(message: Any, path: FieldPath) -> list[Any]:
     return [item for items in last for item in items]
 
 
-def _member(value: Any, name: str, path: FieldPath) -> Any:
+def _member(value: Any, name: str) -> Any:
     """A member of a message, of a JSON object, or of JSON in a string; raises DamageError."""
     if isinstance(value, str):
         value = load_json(value)
     member = get(value, name)
     if member is None:
-        raise DamageError(f"{path.text}: {_described(value)}")
+        raise DamageError(_described(value))
     return load_json(member) if isinstance(member, str) and member[:1] in ("{", "[") else member
 
 
@@ -225,7 +250,7 @@ def _one(message: Any, path: FieldPath) -> Any:
     """The single value that a path leads to; several that are equal count as one."""
     values = _values(message, path)
     if not values or any(value != values[0] for value in values):
-        raise DamageError(f"{path.text}: is not a single value")
+        raise DamageError("is not a single value")
     return values[0]
 
 

@@ -321,6 +321,19 @@ def test_info_of_a_damaged_or_unusable_log_fails(topobatch, logs, tmp_path):
     assert "problem: " in done.out
 
 
+def test_info_of_a_log_with_an_index_and_a_damaged_chunk_fails(topobatch, logs, tmp_path):
+    data = bytearray(logs["mcap"].read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    hurt = tmp_path / "hurt.mcap"
+    hurt.write_bytes(data)
+    done = topobatch("info", hurt)
+    assert done.code == 1
+    assert f"problem: {hurt}: damaged: 1 damaged chunk skipped" in done.out
+    assert f"{hurt}: damaged: 1 damaged chunk" in topobatch(
+        "ingest", hurt, "--strict", "-w", tmp_path / "ws"
+    ).error(1)
+
+
 def test_info_does_not_pass_what_ingest_refuses(topobatch, tmp_path, monkeypatch):
     """By its index the log is sound, but its messages hold nothing."""
     path = tmp_path / "run.mcap"

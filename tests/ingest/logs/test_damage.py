@@ -93,7 +93,7 @@ def test_a_flipped_byte_costs_its_chunk_and_is_counted(logs, tmp_path, name):
     assert any("1 damaged chunk skipped" in text for text in run.warnings)
     lost = [re.match(r"(\d+) messages of (\S+) are lost", text) for text in run.warnings]
     assert sum(int(match[1]) for match in lost if match) == 330 - count
-    with pytest.raises(LogError, match="--strict"):
+    with pytest.raises(LogError, match="damaged: 1 damaged chunk"):
         read_run(path, ReadSettings(strict=True))
 
 

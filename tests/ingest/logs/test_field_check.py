@@ -111,6 +111,17 @@ def test_a_whole_turn_in_rounded_radians_is_no_degrees(logs, tmp_path):
     np.testing.assert_allclose(run.detections.branches.values.reshape(-1, 3)[:, 2], 1.0)
 
 
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_radians_are_no_degrees(logs, tmp_path, encoding):
+    folder = written(logs, tmp_path / "run", [0.0, 1.5, -3.1], encoding=encoding)
+    degrees = settings(f"{CENTER},branches=ways,unit=deg")
+    with pytest.raises(UsageError, match="leave out unit=deg if these are radians"):
+        read_run(folder, degrees)
+    # Of two branches that nearly agree one may be invented.
+    narrow = written(logs, tmp_path / "narrow", [0.0, 1.5], encoding=encoding)
+    assert len(read_run(narrow, degrees).detections) == 30
+
+
 @pytest.mark.parametrize("unit", ["unit=grad", "unit=", "unit=deg,unit=deg"])
 def test_units_that_are_none(unit):
     with pytest.raises(UsageError, match="unit=deg"):
@@ -170,10 +181,22 @@ def test_without_an_index_it_is_named_when_the_topic_is_met(logs, tmp_path):
     assert any("has position" in text for text in inspect_log(folder, fields).problems)
 
 
+ONLY_MESSAGES_TELL = {
+    "center=at.pose.position.x,branches=ways": "center=at.pose.position.x: a number is missing",
+    "center=at.pose,branches=header": "branches=header: a number is missing",
+    f"{CENTER},branches=ways,stamp=header.frame_id": "stamp=header.frame_id: a time is not made of",
+    f"{CENTER},branches=ways,frame=header.name": "frame=header.name: the message has frame_id",
+    "center=none[],branches=ways": "center=none[]: the message has header, at, ways",
+}
+
+
 def test_what_only_messages_tell_is_tried_on_the_first(logs, tmp_path, monkeypatch):
     folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json")
     good = settings(f"{CENTER},branches=ways")
     assert inspect_log(folder, good).problems == ()
+    for fields, told in ONLY_MESSAGES_TELL.items():
+        (problem,) = inspect_log(folder, settings(fields)).problems
+        assert told in problem
     wrong = settings("center=at.pose.positon,branches=ways")
     told = "/seen: --junction-fields: center=at.pose.positon: the message has position"
     assert any(told in text for text in inspect_log(folder, wrong).problems)
@@ -186,7 +209,7 @@ def test_what_some_messages_lack_is_told_with_the_reason(logs, tmp_path):
     folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", last="none")
     run = read_run(folder, settings(f"{CENTER},branches=ways"))
     assert run.warnings == (
-        "/seen: 1 messages could not be decoded (a number is missing); left out",
+        "/seen: 1 messages could not be decoded (branches=ways: a number is missing); left out",
     )
 
 
