@@ -7,7 +7,7 @@ placement add up to its evidence, and the evidence is compared with the threshol
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import floor
 from typing import Any, Literal
 
@@ -53,15 +53,37 @@ class Term:
         return self.told if size is None else f"{self.told}: {size[0]:.2f} m, {size[1]:.2f} m"
 
 
+def rounded_terms(bits: Sequence[float], digits: int, total: float | None = None) -> list[float]:
+    """The parts rounded so that they add up to their rounded sum, or to a total rounded before: all
+    down, and then those of the largest remainders up. Their order stays."""
+    if not bits:
+        return []
+    unit = 10.0**digits
+    exact = [part * unit for part in bits]
+    whole = [floor(part) for part in exact]
+    up = round(sum(exact) if total is None else total * unit) - sum(whole)
+    largest = sorted(range(len(exact)), key=lambda k: whole[k] - exact[k])
+    step = 1 if up > 0 else -1
+    for k in range(abs(up)):
+        whole[largest[k % len(largest)]] += step
+    return [part / unit + 0.0 for part in whole]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """One way to lay b over a. The terms add up to `alignment.evidence_bits`. searched: whether
+    """One way to lay b over a. The terms add up to `alignment.evidence_bits`: they are rounded as
+    documents hold them, so that they read alike wherever they are shown. searched: whether
     contradictions were looked for, which is not done where the agreement is no better than
     chance."""
 
     alignment: Alignment
     terms: tuple[Term, ...]
     searched: bool = True
+
+    def __post_init__(self) -> None:
+        bits = rounded_terms([term.bits for term in self.terms], BITS)
+        terms = tuple(replace(t, bits=told) for t, told in zip(self.terms, bits, strict=True))
+        object.__setattr__(self, "terms", terms)
 
     def of(self, *kinds: TermKind) -> tuple[Term, ...]:
         """The terms of some kinds, those that tell most first, whatever they speak for."""
@@ -105,7 +127,7 @@ class Start:
 class Decision:
     """Why two runs were merged, or not.
 
-    said: the verdict, as the last merge gave it (see `merged`) or would give it. placements: the
+    said: the verdict, as the last merge gave it (`of_merge`) or would give it. placements: the
     one that the verdict speaks of, and the next best that lays b elsewhere; none if nothing in the
     two maps is alike. start: set where the only placement is a hypothesis that did not grow: its
     terms do not add up to the verdict's evidence, which is 0. by_others: (3,) T_a_b of runs that
@@ -114,29 +136,13 @@ class Decision:
     """
 
     said: PairVerdict
-    merged: bool
+    of_merge: bool
     requirement: Requirement
     placements: tuple[Placement, ...]
     start: Start | None = None
     by_others: FloatArray | None = None
     why: str = ""
     notes: tuple[str, ...] = ()
-
-
-def rounded_terms(bits: Sequence[float], digits: int, total: float | None = None) -> list[float]:
-    """The parts rounded so that they add up to their rounded sum, or to a total rounded before: all
-    down, and then those of the largest remainders up. Their order stays."""
-    if not bits:
-        return []
-    unit = 10.0**digits
-    exact = [part * unit for part in bits]
-    whole = [floor(part) for part in exact]
-    up = round(sum(exact) if total is None else total * unit) - sum(whole)
-    largest = sorted(range(len(exact)), key=lambda k: whole[k] - exact[k])
-    step = 1 if up > 0 else -1
-    for k in range(abs(up)):
-        whole[largest[k % len(largest)]] += step
-    return [part / unit + 0.0 for part in whole]
 
 
 def to_document(decision: Decision) -> dict[str, Any]:
@@ -149,7 +155,7 @@ def to_document(decision: Decision) -> dict[str, Any]:
         "verdict": str(said.verdict),
         "accepted": said.accepted,
         "accepted_by": said.accepted_by,
-        "merged": decision.merged,
+        "of_merge": decision.of_merge,
         "reason": said.reason,
         "why": decision.why,
         "advice": said.advice,
@@ -179,7 +185,6 @@ def to_document(decision: Decision) -> dict[str, Any]:
 
 def _placement(placement: Placement) -> dict[str, Any]:
     a = placement.alignment
-    shown = rounded_terms([t.bits for t in placement.terms], 2)
     return {
         "transform": pose_to_document(a.transform),
         "evidence_bits": rounded(a.evidence_bits, BITS),
@@ -190,12 +195,12 @@ def _placement(placement: Placement) -> dict[str, Any]:
         "terms": [
             {
                 "kind": term.kind,
-                "bits": bits,
+                "bits": term.bits,
                 "told": term.told,
                 "a": list(term.a),
                 "b": list(term.b),
             }
             | ({} if term.size_m is None else {"size_m": rounded(term.size_m, METRES)})
-            for term, bits in zip(placement.terms, shown, strict=True)
+            for term in placement.terms
         ],
     }

@@ -215,7 +215,7 @@ def _group_told(kind: TermKind, placements: Sequence[Placement]) -> str:
         "branches": f"branches of {counted(count, 'junction')}",
         "unseen": _against_told(placements),
         "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
-        "few": next((t.told for t in first.of("few")), "junctions count only so much"),
+        "few": next((t.told for p in placements for t in p.of("few")), ""),
         "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
     }[kind]
 
@@ -231,16 +231,16 @@ def _against_told(placements: Sequence[Placement]) -> str:
 
 def _parts(terms: Sequence[Term], total: float, most: int, digits: int) -> list[Row]:
     """The terms of a group, those that tell most and those against the rest first, and in one row
-    those that are left; they add up to the group's sum."""
+    those that are left; they add up to the group's sum, and each reads alike however many are
+    shown."""
     ordered = sorted(terms, key=lambda t: (t.bits > -NOTABLE_BITS, -abs(t.bits)))
-    shown = ordered if len(ordered) <= most else ordered[: max(most - 1, 0)]
-    rest = ordered[len(shown) :]
-    if not shown:
+    bits = rounded_terms([t.bits for t in ordered], digits, total)
+    count = len(ordered) if len(ordered) <= most else max(most - 1, 0)
+    if count == 0:
         return []
-    left = [sum(t.bits for t in rest)] if rest else []
-    bits = rounded_terms([*(t.bits for t in shown), *left], digits, total)
-    out = [_link(t, part) for t, part in zip(shown, bits, strict=False)]
-    return [*out, Row(f"{len(rest)} more", (bits[-1],), level=1)] if rest else out
+    out = [_link(t, part) for t, part in zip(ordered[:count], bits, strict=False)]
+    left = bits[count:]
+    return [*out, Row(f"{len(left)} more", (round(sum(left), digits),), level=1)] if left else out
 
 
 def _link(term: Term, bits: float) -> Row:
@@ -284,8 +284,13 @@ def _short_of(bits: float, needed: float) -> str:
 
 
 def sum_told(decision: Decision) -> str:
-    """What the terms add up to."""
-    return "evidence" if decision.start is None else "what the hypothesis had, not counted"
+    """What the terms add up to, and how far the next best placement is behind."""
+    if decision.start is not None:
+        return "what the hypothesis had, not counted"
+    margin = decision.said.margin_bits
+    if len(decision.placements) < 2 or margin is None:
+        return "evidence"
+    return f"evidence, {shown_bits(margin)} bits ahead of the next best"
 
 
 def matched(placement: Placement) -> str:
@@ -343,11 +348,7 @@ def _table(decision: Decision, links: int) -> list[str]:
         cells += [""] * (count - len(cells))
         out.append(_row(cells, told, (row.a, row.b)))
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    margin = decision.said.margin_bits
-    lead = ""
-    if count > 1 and margin is not None:
-        lead = f", {shown_bits(margin)} bits ahead of the next best"
-    out.append(_row(sums, f"{sum_told(decision)}{lead}"))
+    out.append(_row(sums, sum_told(decision)))
     blank = [""] * (count - 1)
     need = wrap(f"needed: {needs(decision)}", WIDTH - 8 * count - 2, subsequent_indent="  ")
     out.append(_row([threshold(decision), *blank], need[0]))

@@ -168,7 +168,7 @@ def _links(
 
 
 def _info(terms: list[Term]) -> rr.AnyValues:
-    return rr.AnyValues(bits=[round(t.bits, 2) for t in terms], what=[t.told for t in terms])
+    return rr.AnyValues(bits=[t.bits for t in terms], what=[t.told for t in terms])
 
 
 def _contradictions(

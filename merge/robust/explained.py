@@ -85,7 +85,7 @@ def explain(batch: Batch, a: str, b: str) -> Decision:
     placements = tuple(placement for placement, _ in shown)
     return Decision(
         said=told,
-        merged=unlisted or pair in batch.said,
+        of_merge=unlisted or pair in batch.said,
         requirement=_requirement(batch, told, own.view, shown[0][1] if shown else None),
         placements=placements,
         start=start,

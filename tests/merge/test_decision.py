@@ -137,6 +137,19 @@ def test_the_columns_add_up_to_the_evidence(told, links):
     assert not parts or sum(parts) == pytest.approx(table[0].bits[0])
 
 
+def test_a_link_reads_alike_however_many_are_shown():
+    terms = [Term("corridor", 3.0 + 0.013 * k, "corridor", (k, 0), (k, 0)) for k in range(24)]
+    alignment = replace(placement(0.0).alignment, evidence_bits=sum(t.bits for t in terms))
+    told = decision(Verdict.MERGED, 75.6, [Placement(alignment, tuple(terms))])
+    every = {row.a: row.bits for row in rows(told, 50) if row.level}
+    for links in range(2, 24):
+        table = rows(told, links)
+        shown = [row for row in table if row.level]
+        assert len(shown) == links
+        assert all(every[row.a] == row.bits for row in shown[:-1])
+        assert sum(row.bits[0] for row in shown) == pytest.approx(table[0].bits[0])
+
+
 def test_the_document_adds_up_too():
     for told in ALL:
         document = json.loads(json.dumps(to_document(told)))

@@ -4,7 +4,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from topobatch.merge.decision import Decision, Placement, Requirement, Start, Term
+from topobatch.merge.decision import (
+    Decision,
+    Placement,
+    Requirement,
+    Start,
+    Term,
+    to_document,
+)
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.viz.decision_recording import write_decision_recording
 
@@ -30,6 +37,8 @@ def decision(verdict: Verdict, placements: list[Placement], **fields: object) ->
     best = placements[0].alignment if placements else None
     bits = best.evidence_bits if best and "start" not in fields else 0.0
     said = PairVerdict("a/1", "b", verdict, accepted, bits, "so it is", best)
+    if len(placements) > 1:
+        said = replace(said, margin_bits=bits - placements[1].alignment.evidence_bits)
     return Decision(said, True, NEED, tuple(placements), **fields)
 
 
@@ -66,6 +75,18 @@ def test_what_falls_short_by_little_is_seen_to_do_so(tmp_path: Path, make_map) -
     assert "| 12.53 | needed:" in page
 
 
+def test_every_term_reads_as_in_the_document(tmp_path: Path, make_map) -> None:
+    told = decision(Verdict.MERGED, [placement(30.0055)])
+    document = to_document(told)["placements"][0]
+    assert sum(term["bits"] for term in document["terms"]) == pytest.approx(30.01)
+    got = written(tmp_path / "a.rrd", make_map, told)
+    lines = got.value("/evidence", "TextDocument:text")[0].splitlines()
+    shown = [line for line in lines if line.startswith(("| +", "| -"))][1:]
+    assert [line.split()[1] for line in shown] == [f"{t['bits']:+.2f}" for t in document["terms"]]
+    (link,) = got.value("/placements/placement/links/a", "bits")
+    assert link == document["terms"][0]["bits"]
+
+
 def test_tied_maps_are_drawn_apart(tmp_path: Path, make_map) -> None:
     got = written(tmp_path / "a.rrd", make_map, decision(Verdict.MERGED, [placement(30.0)]))
     strips = got.value("/placements/tied/links/a", "LineStrips2D:strips")
@@ -78,6 +99,8 @@ def test_an_ambiguous_pair_is_drawn_both_ways(tmp_path: Path, make_map) -> None:
     got = written(tmp_path / "a.rrd", make_map, told)
     titles = got.value("/placements/titles", "Points2D:labels")
     assert titles == ["placement: 9.9 bits", "next best: 8.0 bits"]
+    page = got.value("/decision", "TextDocument:text")[0]
+    assert "| **9.9** | **8.0** | **evidence, 1.9 bits ahead of the next best** |" in page
     page = got.value("/decision", "TextDocument:text")[0]
     assert "it repeats itself" in page
     assert "Missing: 2.7 bits of evidence" in page

@@ -13,6 +13,7 @@ from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust.explained import Batch, explain
 from topobatch.merge.robust.settings import RobustSettings, settings_from_document
+from topobatch.topology.digits import BITS, rounded
 from topobatch.topology.se2 import between
 
 
@@ -32,14 +33,16 @@ def explained(batch, a, b):
     """The decision on a pair, checked: its terms add up to the document's evidence."""
     decision = explain(batch, a, b)
     assert decision.notes == ()
-    assert decision.merged
+    assert decision.of_merge
     for placement in decision.placements:
         # A length that follows from others tells nothing; it fits all the same.
         assert all(t.bits < 0 for t in placement.terms if t.told == "misfit")
         assert all(t.bits >= 0 for t in placement.terms if t.told == "corridor")
         total = sum(term.bits for term in placement.terms)
         if decision.said.accepted_by != "components":
-            assert total == pytest.approx(placement.alignment.evidence_bits, abs=1e-6)
+            assert total == pytest.approx(
+                rounded(placement.alignment.evidence_bits, BITS), abs=1e-6
+            )
     if decision.start is None and decision.placements:
         total = sum(term.bits for term in decision.placements[0].terms)
         assert total == pytest.approx(decision.said.evidence_bits, abs=0.01)
@@ -137,7 +140,7 @@ def test_runs_that_others_join_lie_where_these_place_them(maze, see):
 
 def test_without_a_merge_the_maps_speak_for_themselves(halves):
     decision = explain(Batch(halves, {}), "left", "right")
-    assert not decision.merged
+    assert not decision.of_merge
     assert decision.said.accepted
     assert decision.requirement.pairs == 1
     assert decision.notes == ()
