@@ -307,7 +307,7 @@ def _sorts(
     sampled = SampledMarginals.of(graph, pulled, samples, outliers=False)
     errors = np.zeros((len(error), 3))
     errors[row[1], 2] = np.sqrt(less)
-    lost = SampledMarginals.of(graph, pulled, samples, outliers=False, errors=errors)
+    lost = sampled.by_edges(errors)
     walked, seen = (
         _Edges(
             error[r],

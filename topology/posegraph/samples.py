@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,26 +19,75 @@ from ..arrays import FloatArray, IntArray
 from ..se2 import turned_axes
 from .graph import PoseGraph, corrected_measurement, edge_errors
 from .marginals import relative_jacobians
-from .normal_equations import Pattern, Point, build_pattern, linearise
+from .normal_equations import Factor, Pattern, Point, build_pattern, linearise
 from .skeleton import skeleton
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pushes:
-    """What a solution was pushed by: white samples z (3 m, count) and z_known (3 u, count) of edges
-    and priors, in units of the square roots `own` and `own_known` of their information. J_i, J_j:
-    derivatives of the edge errors by their poses; J_b: by the shared errors, None without any."""
+class _Linearised:
+    """A graph at its solution, factorised. J_i, J_j, J_b: derivatives of the edge errors by their
+    poses and by the shared errors; own, own_known: square roots of the information of edges and
+    priors, in units of which errors are white; root: what these push the solution by; push,
+    push_known: the same scattered to the variables."""
 
-    source: IntArray
-    target: IntArray
-    known: IntArray
+    graph: PoseGraph
+    pattern: Pattern
+    factor: Factor
     J_i: FloatArray
     J_j: FloatArray
-    J_b: FloatArray | None
+    J_b: FloatArray
     own: FloatArray
     own_known: FloatArray
-    z: FloatArray
-    z_known: FloatArray
+    root: FloatArray
+    push: sparse.csr_array[np.float64]
+    push_known: sparse.csr_array[np.float64]
+
+    @classmethod
+    def of(cls, graph: PoseGraph, solution: Point, *, outliers: bool) -> _Linearised:
+        """outliers: as of `SampledMarginals.of`."""
+        pattern = build_pattern(graph, skeleton(graph))
+        factor = linearise(graph, pattern, solution).factorise()
+        J_i, J_j, J_m = _jacobians(graph, solution.pose, solution.shared)
+        weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
+        own, own_known = (square_root(of.information) for of in (graph, graph.priors))
+        if outliers:
+            own, own_known = own * np.sqrt(weights[0]), own_known * np.sqrt(weights[1])
+            root, known = own, own_known
+        else:
+            root, known = own * weights[0], own_known * weights[1]
+        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
+        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
+        return cls(
+            graph=graph,
+            pattern=pattern,
+            factor=factor,
+            J_i=J_i,
+            J_j=J_j,
+            J_b=J_m @ graph.shared.sensitivity,
+            own=own,
+            own_known=own_known,
+            root=root,
+            push=push,
+            push_known=_scattered(pattern, graph.priors.node, known),
+        )
+
+    def moved(
+        self, z: FloatArray, z_known: FloatArray, z_shared: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, 3, count) of the poses and (k, count) of the shared errors by white errors of edges
+        (3 m, count), priors (3 u, count) and shared errors (k, count)."""
+        factor, shared = self.factor, self.graph.shared
+        x = factor.solve(np.asarray(self.push @ z + self.push_known @ z_known))
+        b = np.zeros(z_shared.shape)
+        if len(shared):
+            slope = (self.root.transpose(0, 2, 1) @ self.J_b).reshape(-1, len(shared)).T @ z
+            slope = slope + z_shared / shared.sigma[:, None]
+            b[:] = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
+            x = x - factor.solved_border @ b
+        error = np.zeros((*self.pattern.variable.shape, z.shape[1]))
+        free = self.pattern.variable >= 0
+        error[free] = x[self.pattern.variable[free]]
+        return error, b
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,90 +98,53 @@ class SampledMarginals:
     pose: FloatArray
     error: FloatArray
     shared: FloatArray
-    _pushes: _Pushes
+    _system: _Linearised
+    _z: FloatArray
+    _z_known: FloatArray
 
     @cached_property
     def edge_residual(self) -> FloatArray:
         """(m, 3, count) what the same samples leave between edges and the solution, in sigmas:
         times `square_root` of the information. Where nothing else tells of an edge it is 0; its
         mean square is the edge's redundancy."""
-        p = self._pushes
-        edge = p.J_i @ self.error[p.source] + p.J_j @ self.error[p.target]
-        if p.J_b is not None:
-            edge = edge + p.J_b @ self.shared
-        return p.z.reshape(edge.shape) - p.own.transpose(0, 2, 1) @ edge
+        at, graph = self._system, self._system.graph
+        edge = at.J_i @ self.error[graph.source] + at.J_j @ self.error[graph.target]
+        if len(self.shared):
+            edge = edge + at.J_b @ self.shared
+        return self._z.reshape(edge.shape) - at.own.transpose(0, 2, 1) @ edge
 
     @cached_property
     def prior_residual(self) -> FloatArray:
         """(u, 3, count) the same between priors and the solution."""
-        p, count = self._pushes, self.error.shape[2]
-        off = p.own_known.transpose(0, 2, 1) @ self.error[p.known]
-        return p.z_known.reshape(-1, 3, count) - off
+        at, count = self._system, self.error.shape[2]
+        off = at.own_known.transpose(0, 2, 1) @ self.error[at.graph.priors.node]
+        return self._z_known.reshape(-1, 3, count) - off
 
     @classmethod
     def of(
-        cls,
-        graph: PoseGraph,
-        solution: Point,
-        count: int = 64,
-        *,
-        outliers: bool = True,
-        errors: FloatArray | None = None,
+        cls, graph: PoseGraph, solution: Point, count: int = 64, *, outliers: bool = True
     ) -> SampledMarginals:
         """Sample the linearised posterior: solve for measurements that are off as they may be.
 
         With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The same samples at every
         call. One factorisation and `count` solves. outliers: a measurement of weight w at the
         solution is off by as much more, w Ω taking the place of Ω; else it is as good as it says,
-        H⁻¹ Jᵀ w Ω^½ z, and the solution only makes little of it. errors: (m, 3) 1 sigma of what the
-        edges are off by, and nothing else is; by default all is off as its information says.
+        H⁻¹ Jᵀ w Ω^½ z, and the solution only makes little of it.
         """
-        pattern = build_pattern(graph, skeleton(graph))
-        system = linearise(graph, pattern, solution)
-        factor = system.factorise()
-        J_i, J_j, J_m = _jacobians(graph, solution.pose, solution.shared)
-        weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
-        # In units of `own` an error is white; `root` pushes the solution by it.
-        own, own_known = (square_root(of.information) for of in (graph, graph.priors))
-        if outliers:
-            own, own_known = own * np.sqrt(weights[0]), own_known * np.sqrt(weights[1])
-            root, known = own, own_known
-        else:
-            root, known = own * weights[0], own_known * weights[1]
-        sizes = (3 * len(root), 3 * len(known), len(graph.shared))
+        system = _Linearised.of(graph, solution, outliers=outliers)
+        sizes = (3 * len(graph.source), 3 * len(graph.priors), len(graph.shared))
         z, z_known, z_shared = white(20040, [(size, count) for size in sizes])
-        if errors is not None:
-            off = errors[:, :, None] * z.reshape(-1, 3, count)
-            z = (own.transpose(0, 2, 1) @ off).reshape(z.shape)
-            z_known, z_shared = np.zeros_like(z_known), np.zeros_like(z_shared)
-        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
-        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
-        right = push @ z
-        right = right + _scattered(pattern, graph.priors.node, known) @ z_known
-        x = factor.solve(np.asarray(right))
-        b = np.zeros((len(graph.shared), count))
-        if len(graph.shared):
-            J_b = J_m @ graph.shared.sensitivity
-            slope = (root.transpose(0, 2, 1) @ J_b).reshape(-1, len(graph.shared)).T @ z
-            slope = slope + z_shared / graph.shared.sigma[:, None]
-            b[:] = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
-            x = x - factor.solved_border @ b
-        error = np.zeros((*pattern.variable.shape, count))
-        free = pattern.variable >= 0
-        error[free] = x[pattern.variable[free]]
-        pushes = _Pushes(
-            source=graph.source,
-            target=graph.target,
-            known=graph.priors.node,
-            J_i=J_i,
-            J_j=J_j,
-            J_b=J_m @ graph.shared.sensitivity if len(graph.shared) else None,
-            own=own,
-            own_known=own_known,
-            z=z,
-            z_known=z_known,
-        )
-        return cls(np.asarray(solution.pose), error, b, pushes)
+        error, shared = system.moved(z, z_known, z_shared)
+        return cls(np.asarray(solution.pose), error, shared, system, z, z_known)
+
+    def by_edges(self, sigma: FloatArray) -> SampledMarginals:
+        """The same samples were the edges off by (m, 3) 1 sigma each, and nothing else: `count`
+        more solves. Of samples with outliers=False."""
+        off = sigma[:, :, None] * self._z.reshape(-1, 3, self.error.shape[2])
+        z = (self._system.own.transpose(0, 2, 1) @ off).reshape(self._z.shape)
+        z_known = np.zeros_like(self._z_known)
+        error, shared = self._system.moved(z, z_known, np.zeros_like(self.shared))
+        return replace(self, error=error, shared=shared, _z=z, _z_known=z_known)
 
     def relative(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) covariance of T_a_b, as `Marginals.relative`, to √(2 / count)."""
