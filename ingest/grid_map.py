@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -47,7 +47,6 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
     warnings = (*log.warnings, *coarser)
     frontier = grid.free & grid.unknown
     places, corridors = skeleton_graph(open_, grid.resolution_m, settings, frontier)
-    places, corridors = _without_open_ends(places, corridors)
     if not any(place.kind == "junction" for place in places):
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
@@ -110,19 +109,6 @@ def _span(mask: BoolArray) -> slice:
     if not mask.any():
         return slice(0, 0)
     return slice(int(mask.argmax()), len(mask) - int(mask[::-1].argmax()))
-
-
-def _without_open_ends(
-    places: tuple[Place, ...], corridors: tuple[Corridor, ...]
-) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    """Ways that lead on into the unknown are branches of their junctions, and no dead ends."""
-    is_open = [place.kind == "open_end" for place in places]
-    left = tuple(c for c in corridors if not (is_open[c.source] or is_open[c.target]))
-    number = (np.cumsum(~np.array(is_open, bool)) - 1).tolist()
-    return (
-        tuple(place for place, gone in zip(places, is_open, strict=True) if not gone),
-        tuple(replace(c, source=number[c.source], target=number[c.target]) for c in left),
-    )
 
 
 def _largest(

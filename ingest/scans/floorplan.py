@@ -49,12 +49,11 @@ class FloorplanSettings:
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """A place of a floor plan: (2,) x, y [m] from the grid's corner, headings (b,) [rad] of its
-    branches, ascending, share of the variants of the settings that agree on them. An open end: a
-    way goes on there into what is not known."""
+    branches, ascending, share of the variants of the settings that agree on them."""
 
     xy: FloatArray
     branches: FloatArray
-    kind: Literal["junction", "dead_end", "open_end"]
+    kind: Literal["junction", "dead_end"]
     confidence: float
 
 
@@ -80,8 +79,9 @@ def skeleton_graph(
 
     Whatever stands in it counts as wall: small islands are filled before (`without_islands`).
     frontier: (h, w) free cells beside what is not known; none unless told.
-    Every corridor has a place at both ends: where it ends without a junction, a dead end, or an
-    open one. A loop without any place is left out. Raises ValueError on a grid that is not
+    Every corridor has a place at both ends: where it ends without a junction, a dead end. A way
+    that leads on into what is not known is a branch of its junction and no corridor. A loop without
+    any place is left out. Raises ValueError on a grid that is not
     two-dimensional or a resolution that is not positive. O(h w) a variant.
     """
     free = np.asarray(free, bool)
@@ -159,19 +159,18 @@ def _places(
     for number, (edge, way) in enumerate(zip(graph.edges, _polylines(graph, cell_m), strict=True)):
         if way is None:
             continue
-        path, source, target_branch = way, edge.nodes[0], 0
-        source_branch, target = _take(graph, used, source, number), edge.nodes[1]
+        path, (source, target) = way, edge.nodes
+        source_branch, target_branch = _take(graph, used, source, number), 0
         if target >= 0:
             target_branch = _take(graph, used, target, number)
         else:
-            target = len(places)
             column, row = np.rint(way[-1] / cell_m).astype(np.int64)
-            is_open = bool(opening[row, column])
-            path = way if is_open else _ended(way, clearance_m, cell_m)
+            if opening[row, column]:
+                continue
+            target, path = len(places), _ended(way, clearance_m, cell_m)
             back = path[-min(len(path), 1 + round(1.0 / cell_m))] - path[-1]
             heading = wrap(np.array([np.arctan2(back[1], back[0])]))
-            kind: Literal["dead_end", "open_end"] = "open_end" if is_open else "dead_end"
-            places.append(Place(path[-1] + shift, heading, kind, 0.5))
+            places.append(Place(path[-1] + shift, heading, "dead_end", 0.5))
         corridors.append(Corridor(source, target, source_branch, target_branch, path + shift))
     return tuple(places), tuple(corridors)
 
