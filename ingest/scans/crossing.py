@@ -111,7 +111,7 @@ def placed(
             _branch(cells, node, begin, clearance_m, usual=usual, ring=node.ends.count(way) > 1)
             for way, cells, begin in zip(node.ends, seen, _begins(node, seen).tolist(), strict=True)
         ]
-        tally.add([branch.bends for branch in branches if np.isfinite(branch.variance)])
+        tally.add([branch.axis.bend.odds for branch in branches if branch.axis is not None])
         known[key] = _centre(node, branches)
     xy, sigma_m = known[key]
     return Node(xy, node.clearance_m, node.ends, sigma_m)
@@ -216,25 +216,36 @@ def with_crossings(
     return replace(graph, nodes=places, edges=tuple(edges)), places
 
 
-class _Branch(NamedTuple):
-    """A branch beyond the widening of its node: bearing [rad] of its axis, or of its middle (2,)
-    from the node; normal (2,) of its axis, a parabola about the middle.
+class _Bend(NamedTuple):
+    """How an axis bends: with s along it from its middle [m], it lies bent (s² - spread - skew s)
+    aside, `bent` known to `variance`; odds: log odds [nats] that it bends at all, by its cells
+    alone; left: mean square of what cells lie beside it [m²]."""
 
-    With s along it, the axis lies bent (s² - spread - skew s) aside, known to `variance` [m²] in
-    its middle, inf where there is no axis, its direction to `turn_variance`, and `bent` to
-    bent_variance; bends: log odds [nats] that it bends at all, by its cells alone.
-    """
+    spread: float
+    skew: float
+    bent: float
+    variance: float
+    odds: float
+    left: float
 
-    bearing: float
+
+class _Axis(NamedTuple):
+    """The axis of a branch: its middle (2,), its normal (2,) there, how sure it is of where it lies
+    in its middle [m²] and of its direction, and its bend."""
+
     middle: FloatArray
     normal: FloatArray
     variance: float
-    turn_variance: float = 0.0
-    spread: float = 1.0
-    skew: float = 0.0
-    bent: float = 0.0
-    bent_variance: float = 0.0
-    bends: float = 0.0
+    turn_variance: float
+    bend: _Bend
+
+
+class _Branch(NamedTuple):
+    """A branch beyond the widening of its node: bearing [rad] of its axis; where it has none, of
+    the middle of its cells from the node."""
+
+    bearing: float
+    axis: _Axis | None
 
 
 class _Cells(NamedTuple):
@@ -287,55 +298,36 @@ def _branch(
     are looked at; ring: the branch is one of both ends of a way.
     """
     beyond, own = seen.axis(begin_m)
-    count = max(len(own), 1)
-    middle = own.sum(axis=0) / count
+    middle = own.sum(axis=0) / max(len(own), 1)
     # Two cells make a line, where cells are large.
-    if ring or np.count_nonzero(beyond) < max(0.4 * AXIS_M / seen.cell_m, 2):
-        return _no_axis(node, middle)
+    if not ring and np.count_nonzero(beyond) >= max(0.4 * AXIS_M / seen.cell_m, 2):
+        wide = float(clearance_m[seen.cells[beyond, 0], seen.cells[beyond, 1]].var())
+        found = _with_axis(own, middle, node, (max(seen.cell_m, ROUGH_M) ** 2 / 12, wide), usual)
+        if found is not None:
+            return found
+    return _Branch(float(np.arctan2(middle[1], middle[0])), None)
+
+
+def _with_axis(
+    own: FloatArray, middle: FloatArray, node: Node, noise: tuple[float, float], usual: float
+) -> _Branch | None:
+    """A branch with the axis of its cells (n, 2) from the node [m], about their middle; None if
+    they are unlike a corridor's. noise: as of `_bend`."""
     u, v = (own - middle).T
     angle = 0.5 * np.arctan2(2 * float(u @ v), float(u @ u) - float(v @ v))
     if np.cos(angle) * middle[0] + np.sin(angle) * middle[1] < 0:
         angle += np.pi
     c, s = np.cos(angle), np.sin(angle)
-    rounding = max(seen.cell_m, ROUGH_M) ** 2 / 12
-    wide = float(clearance_m[seen.cells[beyond, 0], seen.cells[beyond, 1]].var())
-    bend = _bend(c * u + s * v, c * v - s * u, (rounding, wide), usual)
+    bend = _bend(c * u + s * v, c * v - s * u, noise, usual)
+    rounding, wide = noise
     unlike = 0.5 * (max(bend.left, 0.0) + wide) / rounding
     # Beyond three sigma it is none: nothing would be left of it, and exp would run over.
     if unlike >= 4.5:
-        return _no_axis(node, middle)
-    of_mean = float(np.exp(unlike)) * rounding / count
-    return _Branch(
-        float(angle),
-        middle + node.xy,
-        np.array([-s, c]),
-        # All cells of an axis along the grid are rounded alike.
-        rounding + of_mean,
-        of_mean / bend.spread,
-        bend.spread,
-        bend.skew,
-        bend.bent,
-        bend.variance,
-        bend.odds,
-    )
-
-
-def _no_axis(node: Node, middle: FloatArray) -> _Branch:
-    """A branch that has none, by the middle of its cells from its node."""
-    bearing = float(np.arctan2(middle[1], middle[0]))
-    return _Branch(bearing, middle + node.xy, np.zeros(2), np.inf)
-
-
-class _Bend(NamedTuple):
-    """The parabola of an axis as in `_Branch`; variance: of `bent`; odds: as `_Branch.bends`;
-    left: mean square of what cells lie beside it [m²]."""
-
-    spread: float
-    skew: float
-    bent: float
-    variance: float
-    odds: float
-    left: float
+        return None
+    of_mean = float(np.exp(unlike)) * rounding / len(own)
+    # All cells of an axis along the grid are rounded alike.
+    known = (rounding + of_mean, of_mean / bend.spread)
+    return _Branch(float(angle), _Axis(middle + node.xy, np.array([-s, c]), *known, bend))
 
 
 def _bend(along: FloatArray, across: FloatArray, noise: tuple[float, float], usual: float) -> _Bend:
@@ -370,11 +362,12 @@ def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
     counts by a Cauchy kernel, and gives way where the axes agree on another point.
     """
     beside = aside(np.array([b.bearing for b in branches])) * node.clearance_m**2
-    axes = [branch for branch in branches if np.isfinite(branch.variance)]
+    axes = [branch.axis for branch in branches if branch.axis is not None]
     if len(axes) < 2:
         return node.xy, float(np.sqrt(0.5 * np.trace(beside)))
-    middle, normal = np.array([b.middle for b in axes]), np.array([b.normal for b in axes])
-    variance, turn, spread, skew, bent, bent_variance = np.array([b[3:9] for b in axes]).T
+    middle, normal = np.array([a.middle for a in axes]), np.array([a.normal for a in axes])
+    variance, turn = np.array([(a.variance, a.turn_variance) for a in axes]).T
+    bends = _Bend(*np.array([a.bend for a in axes]).T)
     on_axis = np.einsum("ij,ij->i", normal, middle)
     by_fork = np.linalg.inv(beside)
     xy, kernel, information = node.xy, 1.0, by_fork
@@ -382,10 +375,10 @@ def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
         # How far from the middle of its cells an axis is asked for makes it less sure.
         off = xy - middle
         along = off[:, 0] * normal[:, 1] - off[:, 1] * normal[:, 0]
-        bow = along * along - spread - skew * along
-        weight = 1.0 / (variance + turn * along * along + bent_variance * bow * bow)
+        bow = along * along - bends.spread - bends.skew * along
+        weight = 1.0 / (variance + turn * along * along + bends.variance * bow * bow)
         information = kernel * by_fork + np.einsum("i,ij,ik->jk", weight, normal, normal)
-        right = kernel * by_fork @ node.xy + (weight * (on_axis + bent * bow)) @ normal
+        right = kernel * by_fork @ node.xy + (weight * (on_axis + bends.bent * bow)) @ normal
         xy = np.linalg.solve(information, right)
         moved = xy - node.xy
         kernel = 1 / (1 + float(moved @ by_fork @ moved))
