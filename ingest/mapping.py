@@ -33,7 +33,7 @@ from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.noise import refine_noise, refine_scale
-from .pass_source import PassSource, pass_source
+from .pass_source import PassSource, pass_source, why_none
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
 
@@ -126,9 +126,8 @@ def dead_reckoned(
     odometry = apply_calibration(run.odometry, calibration)
     passes = source.passes(odometry)
     if len(passes) == 0:
-        why = source.why_none if len(run.odometry) else "holds no odometry; nothing can be mapped"
         # What is missing may be what was found wrong.
-        raise DataError("; ".join((f"run {run.name}: {why}", *run.warnings)))
+        raise DataError("; ".join((f"run {run.name}: {why_none(run)}", *run.warnings)))
     _require_motion(run, settings.passes.reach_m)
     noise = source.noise(odometry, passes)
     reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))

@@ -25,7 +25,7 @@ class PassSource(Protocol):
 
     shows_bends: a bend without a branch is a junction, too; resolution_m: junctions nearer to each
     other than this look like one [m]; askew_rad: 1 sigma of headings, shared_m: (p,) of centres per
-    axis [m], that all passes of a place share; why_none: what is said of a run without any pass.
+    axis [m], that all passes of a place share.
     """
 
     @property
@@ -39,9 +39,6 @@ class PassSource(Protocol):
 
     @property
     def shared_m(self) -> FloatArray | None: ...  # noqa: D102
-
-    @property
-    def why_none(self) -> str: ...  # noqa: D102
 
     def calibration(self) -> Calibration:
         """The constant errors of the odometry as recorded."""
@@ -60,7 +57,23 @@ def pass_source(run: Run, settings: MappingSettings) -> PassSource:
     """The source that a run has."""
     if run.scanned is None:
         return _Detected(run, settings)
-    return _FromScans(run, run.scanned, settings)
+    return _FromScans(run.scanned, settings)
+
+
+def why_none(run: Run) -> str:
+    """What is said of a run without any pass."""
+    if len(run.odometry) == 0:
+        return "holds no odometry; nothing can be mapped"
+    if run.scanned is not None:
+        scans = counted(run.source["junctions"]["scans"], "scan")
+        way = f"{run.odometry.step_m.sum():,.0f} m of way"
+        return f"no junction shows in its {scans} over {way}; nothing can be mapped"
+    if len(run.detections) == 0:
+        return "holds no junction detection; nothing can be mapped"
+    return (
+        f"none of its {len(run.detections)} junction detections lies within the time of its "
+        "odometry; check the clocks of the two topics"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +84,6 @@ class _Detected:
     resolution_m = 0.0
     askew_rad = 0.0
     shared_m = None
-
-    @property
-    def why_none(self) -> str:
-        count = len(self.run.detections)
-        if count == 0:
-            return "holds no junction detection; nothing can be mapped"
-        return (
-            f"none of its {count} junction detections lies within the time of its odometry; check "
-            "the clocks of the two topics"
-        )
 
     def calibration(self) -> Calibration:
         odometry, detections = self.run.odometry, self.run.detections
@@ -98,16 +101,9 @@ class _Detected:
 
 @dataclass(frozen=True, slots=True)
 class _FromScans:
-    run: Run
     scanned: Scanned
     settings: MappingSettings
     shows_bends = False
-
-    @property
-    def why_none(self) -> str:
-        scans = counted(self.run.source["junctions"]["scans"], "scan")
-        way = f"{self.run.odometry.step_m.sum():,.0f} m of way"
-        return f"no junction shows in its {scans} over {way}; nothing can be mapped"
 
     @property
     def resolution_m(self) -> float:
