@@ -69,7 +69,7 @@ def estimate_noise(
 
     odometry: calibrated, the frame of `passes`. O(readings); never raises on few data.
     """
-    thirds = _Thirds.of(odometry, detections, passes, settings)
+    thirds = _WithinPasses.of(odometry, detections, passes, settings)
     if thirds is None:
         return settings.prior
     prior = settings.prior
@@ -89,14 +89,14 @@ def estimate_noise(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Thirds:
-    """How readings moved from the first to the last third of each pass that is long enough.
+class _WithinPasses:
+    """What passes that are long enough show by themselves: from their first third to their last.
 
     turn (q,) [rad] of the branches, turn_variance (q,) of it by the detector's scatter; shift
     (q, 2) [m] of the centre along and across the motion, shift_variance (q,); walked (q, 2) way [m]
     and angle turned [rad] in between, as far as a random walk averaged over both thirds counts;
     moved (q,) way between the middles of the thirds. branch_sigma, centre_sigma: scatter of single
-    messages; messages: usual number in a pass; passes: walks averaged over whole passes.
+    messages; messages: usual number in a pass; walks: averaged over whole passes.
     """
 
     turn: FloatArray
@@ -108,12 +108,12 @@ class _Thirds:
     branch_sigma: float
     centre_sigma: float
     messages: float
-    passes: WalkMeans
+    walks: WalkMeans
 
     @classmethod
     def of(
         cls, odometry: Odometry, detections: Detections, passes: Passes, settings: NoiseSettings
-    ) -> _Thirds | None:
+    ) -> _WithinPasses | None:
         """None if no message belongs to a pass."""
         if len(passes) == 0:
             return None
@@ -167,7 +167,7 @@ class _Thirds:
             branch_sigma=branch_sigma,
             centre_sigma=centre_sigma,
             messages=float(np.median(n[n > 0])),
-            passes=WalkMeans.of(track, home, p),
+            walks=WalkMeans.of(track, home, p),
         )
 
 
@@ -224,7 +224,7 @@ def refine_scale(
     prior = settings.prior
     worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
     expected = float(prior.scale * worse)
-    thirds = _Thirds.of(odometry, detections, passes, settings)
+    thirds = _WithinPasses.of(odometry, detections, passes, settings)
     if thirds is None:
         return expected
     shown, sigma = _shown_scale(thirds, settings)
@@ -291,7 +291,7 @@ def _branch_turn(
 
 
 def _heading_walk(
-    odometry: Odometry, passes: Passes, thirds: _Thirds, settings: NoiseSettings
+    odometry: Odometry, passes: Passes, thirds: _WithinPasses, settings: NoiseSettings
 ) -> tuple[float, float]:
     """Random walk of the heading per √m and per √rad: the most likely one under the prior."""
     from scipy.optimize import minimize
@@ -301,7 +301,7 @@ def _heading_walk(
     pairs = SquareBranches.of(
         odometry,
         passes,
-        thirds.passes,
+        thirds.walks,
         reach_passes=settings.reach_passes,
         reach_m=settings.reach_m,
         most_passes=settings.most_passes,
@@ -342,7 +342,7 @@ def _student_cost(error: FloatArray, variance: FloatArray) -> float:
     return float(np.sum(0.5 * np.log(scale) + tails))
 
 
-def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
+def _along(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float]:
     """Random walk along the way, and size of the constant error of lengths.
 
     A junction that seems to move along with the robot tells of wrong lengths; the detector may do
@@ -367,7 +367,7 @@ def _along(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
     return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))
 
 
-def _shown_scale(thirds: _Thirds, settings: NoiseSettings) -> tuple[float, float]:
+def _shown_scale(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float]:
     """Relative error of lengths by how junctions move along with the robot, and its 1 sigma."""
     straight = np.flatnonzero(thirds.walked[:, 1] <= settings.straight_rad)
     moved = np.maximum(thirds.moved[straight], 0.0)
