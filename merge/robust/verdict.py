@@ -111,9 +111,10 @@ class Assessment:
     """The assessment of two maps by themselves, without locks and other runs.
 
     need_bits: the threshold. ranked: placements better than chance, best first, each with its
-    evidence; answers: how the evidence of each follows. why: what was missing for merging, "" if
-    merged; faint: the best alignment if none is better than chance; against_chance:
-    `beyond_chance_bits`; discarded: a person discarded the match of the two.
+    evidence; answers: how the evidence of each follows; lead_bits: by which merging asks the best
+    one to lead. why: what was missing for merging, "" if merged; faint: the best alignment if none
+    is better than chance; against_chance: `beyond_chance_bits`; discarded: a person discarded the
+    match of the two.
     """
 
     verdict: Verdict
@@ -124,6 +125,7 @@ class Assessment:
     faint: Faint | None = None
     against_chance: float = 0.0
     discarded: bool = False
+    lead_bits: float = MATCH.lead_bits
 
     @property
     def best(self) -> Candidate | None:
@@ -153,15 +155,6 @@ class Assessment:
         if len(self.ranked) < 2:
             return None
         return max(self.ranked[0][1] - self.ranked[1][1], 0.0)  # less is rounding
-
-    @property
-    def lead_bits(self) -> float:
-        """The lead in bits that merging asks of the best placement, over the next one or over what
-        keeps it from being merged."""
-        contested = any(
-            _contests(other, self.ranked[0][0], self.need_bits) for other, _ in self.ranked[1:2]
-        )
-        return MATCH.contested_bits if contested or self.why == NO_WORSE else MATCH.lead_bits
 
 
 def threshold_for(
@@ -308,7 +301,11 @@ def _assess(
     ranked = tuple((odd[i], answers[i].bits) for i in ranking)
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
     best, told = odd[ranking[0]], answers[ranking[0]]
-    why = _missing(best, told, margin, threshold) or _contested(ranked, threshold)
+    why = _missing(best, told, margin, threshold)
+    contested = not why and _contested(ranked, threshold)
+    # Of what lacks something else, explaining speaks of the lead over the next one.
+    no_worse = contested or any(_contests(c, best, threshold.need_bits) for c, _ in ranked[1:2])
+    why = NO_WORSE if contested else why
     if told.carried >= threshold.need_bits:
         larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger else why
@@ -319,6 +316,7 @@ def _assess(
         answers=tuple(answers[i] for i in ranking),
         why=why,
         against_chance=beyond_chance_bits(candidates, threshold.settings),
+        lead_bits=MATCH.contested_bits if no_worse else MATCH.lead_bits,
     )
 
 
@@ -345,9 +343,9 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
     return ""
 
 
-def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) -> str:
-    """What keeps the first of ranked placements from being merged though it leads, as a clause: one
-    that contests it and is less than `contested_bits` behind; "" if none.
+def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) -> bool:
+    """Whether another one keeps the first of ranked placements from being merged though it leads:
+    one that contests it and is less than `contested_bits` behind.
 
     Then one of the two is a copy that differs in nothing that both runs saw, and how much they saw
     of each tells less of which than it seems: it must lead by twice as much. Rows merge wrongly
@@ -355,11 +353,10 @@ def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) 
     (11.8), and of the alias and standard suites it costs none.
     """
     (best, most), *others = ranked
-    no_worse = any(
+    return any(
         most - bits < MATCH.contested_bits and _contests(other, best, threshold.need_bits)
         for other, bits in others
     )
-    return NO_WORSE if no_worse else ""
 
 
 def _contests(other: Candidate, best: Candidate, need_bits: float) -> bool:
