@@ -6,7 +6,6 @@ folder. What is damaged, stale or no pack is passed over: the results are made a
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -18,6 +17,7 @@ import numpy as np
 from ..topology.arrays import IntArray
 from ..topology.errors import DocumentError
 from ..topology.files import opened, write_atomically
+from .digests import digested
 from .packs import RECORD, DamagedPackError, Key, Kind, Pack, Rows
 
 PACK = re.compile(r"[0-9a-f]{32}\.pack")
@@ -62,11 +62,7 @@ class ResultCache:
     def find(self, kind: Kind, key: Key) -> bytes | None:
         """The payload of a record, wanted from now on; None if there is no undamaged one."""
         self._wanted.update(key)
-        for pack, *where in self._of(kind).get(key, ()):
-            payload = pack.read(*where)
-            if payload is not None:
-                return payload
-        return None
+        return next(_undamaged(self._of(kind).get(key, ())), None)
 
     def every(self, kind: Kind) -> Iterator[bytes]:
         """The payloads of all undamaged records of a kind."""
@@ -166,7 +162,7 @@ class ResultCache:
 
     def _write(self, pack: Pack) -> Path | None:
         data = pack.to_bytes()
-        path = self.folder / f"{hashlib.blake2b(data, digest_size=16).hexdigest()}.pack"
+        path = self.folder / f"{digested(data).hex()}.pack"
         try:
             with self.held():
                 write_atomically(path, lambda temporary: temporary.write_bytes(data))

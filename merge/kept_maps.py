@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,9 @@ from pydantic_core import from_json
 from ..topology.arrays import IntArray
 from ..topology.document import map_from_document
 from ..topology.files import document_bytes, encoded, parsed
-from ..topology.ragged import Ragged
+from ..topology.ragged import Ragged, parted
 from ..topology.topomap import Closure, RunNoise, TopoMap
-from ..topology.turning_points import TurningPoints
+from ..topology.turning_points import ROWS, TurningPoints
 from .digests import digested
 from .packs import Kind, PackWriter, Store, arrays_from_bytes, arrays_to_bytes
 
@@ -38,11 +37,7 @@ numbers of a row and all rows end to end; noise, fitted noise, sigmas of positio
 What is not known is empty, and named in the words."""
 
 TURNED = tuple(TurningPoints.__dataclass_fields__)
-TURNED_ROWS: dict[str, tuple[type, int]] = {
-    "paths": (np.float64, 2),
-    "traversal_ns": (np.int64, 2),
-    "time_ns": (np.int64, 1),
-}
+"""Fields of turning points, of which a map has a few: kept as words."""
 
 NOT_ALWAYS = ("fitted_noise", "position_sigma", "branch_sigma", "traversal_ns")
 
@@ -78,7 +73,10 @@ def to_bytes(topomap: TopoMap) -> bytes:
     """A map as it is kept."""
     words: dict[str, Any] = {name: getattr(topomap, name) for name in WORDS}
     words["closures"] = [astuple(closure) for closure in topomap.closures]
-    words["turning_points"] = _words_of(topomap.turning_points)
+    words["turning_points"] = {
+        name: [one if isinstance(one, str) else one.tolist() for one in value]
+        for name, value in ((name, getattr(topomap.turning_points, name)) for name in TURNED)
+    }
     words["unknown"] = [name for name in NOT_ALWAYS if getattr(topomap, name) is None]
     text = encoded(words)
     nothing, turn, fitted = np.zeros(0), topomap.branch_sigma, topomap.fitted_noise
@@ -133,25 +131,12 @@ def _map(words: Any, arrays: list[NDArray[Any]]) -> TopoMap:
     )
 
 
-def _words_of(points: TurningPoints) -> dict[str, list[Any]]:
-    """Turning points, of which a map has a few, as lists."""
-    rows = {name: getattr(points, name) for name in TURNED}
-    return {
-        name: value.tolist() if isinstance(value, np.ndarray) else [_as_list(v) for v in value]
-        for name, value in rows.items()
-    }
-
-
-def _as_list(value: str | NDArray[Any]) -> Any:
-    return value if isinstance(value, str) else value.tolist()
-
-
 def _turning_points(words: Any) -> TurningPoints:
     def rows(name: str, dtype: type, columns: int) -> tuple[NDArray[Any], ...]:
         return tuple(np.array(row, dtype).reshape(-1, columns) for row in words[name])
 
     kept: dict[str, Any] = {name: words[name] for name in TURNED}
-    kept |= {name: rows(name, *kind) for name, kind in TURNED_ROWS.items()}
+    kept |= {name: rows(name, *kind) for name, kind in ROWS.items()}
     return TurningPoints(**kept | {"kind": tuple(map(str, words["kind"]))})
 
 
@@ -163,7 +148,7 @@ def _end_to_end(rows: Sequence[NDArray[Any]], dtype: type) -> Iterator[NDArray[A
 
 def _rows(sizes: IntArray, flat: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """The reverse; ValueError where they do not fit."""
-    points, stops = flat.reshape(-1, 2), np.cumsum([0, *sizes])
-    if (sizes < 0).any() or stops[-1] != len(points):
+    points = flat.reshape(-1, 2)
+    if (sizes < 0).any() or sizes.sum() != len(points):
         raise ValueError("rows do not fit")
-    return tuple(points[start:stop] for start, stop in pairwise(stops.tolist()))
+    return parted(points, sizes.tolist())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,7 +31,7 @@ from .map_schema import (
     validated,
 )
 from .passes import NO_BRANCH
-from .ragged import Ragged
+from .ragged import Ragged, parted
 from .topomap import Closure, Graph, RunNoise, TopoMap
 from .turning_vertices import with_turning_points, without_turning_points
 
@@ -268,10 +268,9 @@ def _in_rows(
     rows: Sequence[Sequence[tuple[float, float]]], dtype: type[Number]
 ) -> tuple[NDArray[Number], ...]:
     """Rows of pairs as arrays (k, 2); one by one they would take thrice as long."""
-    stops = np.cumsum([0, *map(len, rows)]).tolist()
     numbers = chain.from_iterable(chain.from_iterable(rows))
-    flat = np.fromiter(numbers, dtype, 2 * stops[-1]).reshape(-1, 2)
-    return tuple(flat[start:stop] for start, stop in pairwise(stops))
+    flat = np.fromiter(numbers, dtype, 2 * sum(map(len, rows))).reshape(-1, 2)
+    return parted(flat, map(len, rows))
 
 
 def read_map(path: Path) -> TopoMap:

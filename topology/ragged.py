@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,19 @@ from numpy.typing import NDArray
 from .arrays import FloatArray, IntArray
 from .frozen import freeze
 
+Number = TypeVar("Number", bound=np.generic)
+
 
 def numbered(counts: IntArray) -> tuple[IntArray, IntArray]:
     """The row of every thing, and its number in that row, of (n,) rows with so many things."""
     row = np.repeat(np.arange(len(counts)), counts)
     return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def parted(values: NDArray[Number], sizes: Iterable[int]) -> tuple[NDArray[Number], ...]:
+    """Rows of so many values each, one behind the other; `np.split` takes thrice as long."""
+    stops = np.cumsum([0, *sizes]).tolist()
+    return tuple(values[start:stop] for start, stop in pairwise(stops))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import FloatArray, IntArray
-from .frozen import frozen_array, frozen_rows
+from .frozen import freeze, frozen_rows
 from .passes import NO_BRANCH
 
 TURNING_POINT, TRACK_END = "turning_point", "track_end"
@@ -16,6 +16,13 @@ KINDS = (TURNING_POINT, TRACK_END)
 
 WAY_COLUMNS = ("length", "length_sigma", "traversals", "paths", "traversal_ns")
 """What is said of the ways to them, as of the edges of a map."""
+
+ROWS: dict[str, tuple[type, int]] = {
+    "paths": (np.float64, 2),
+    "traversal_ns": (np.int64, 2),
+    "time_ns": (np.int64, 1),
+}
+"""Of the fields that are an array for each of them: what it holds, and in how many columns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,14 +56,10 @@ class TurningPoints:
 
     def __post_init__(self) -> None:
         k = len(self.kind)
-        for name in ("vertex", "branch", "traversals"):
-            value = frozen_array(getattr(self, name), np.int64, (k,), name)
-            object.__setattr__(self, name, value)
-        for name in ("heading", "length", "length_sigma", "position_sigma", "branch_sigma"):
-            value = frozen_array(getattr(self, name), np.float64, (k,), name)
-            object.__setattr__(self, name, value)
-        rows = (("paths", np.float64, 2), ("traversal_ns", np.int64, 2), ("time_ns", np.int64, 1))
-        for name, dtype, columns in rows:
+        freeze(self, np.int64, vertex=(k,), branch=(k,), traversals=(k,))
+        freeze(self, np.float64, heading=(k,), length=(k,), length_sigma=(k,))
+        freeze(self, np.float64, position_sigma=(k,), branch_sigma=(k,))
+        for name, (dtype, columns) in ROWS.items():
             parts = frozen_rows(getattr(self, name), dtype, columns, name)
             object.__setattr__(self, name, parts)
             if len(parts) != k:

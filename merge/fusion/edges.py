@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.corridor_lengths import way_sigma
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
+from ...topology.ragged import parted
 from ...topology.se2 import apply
 from ...topology.topomap import TopoMap
 from .vertex_partition import Pool
@@ -118,9 +118,7 @@ def _drawn(
     )
     shares = [w / w[-1] if w[-1] > 0 else np.linspace(0, 1, len(w)) for w in ways]
     t = np.concatenate(shares)[:, None]
-    stops = np.cumsum([0, *sizes]).tolist()
-    both = np.asarray((1 - t) * at_source + t * at_target)
-    return [both[start:stop] for start, stop in pairwise(stops)]
+    return list(parted(np.asarray((1 - t) * at_source + t * at_target), sizes))
 
 
 def oriented(c: Corridor) -> Corridor:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.passes import NO_BRANCH
+from ...topology.ragged import parted
 from ...topology.se2 import wrap
 from .joint_graph import pass_counts
 from .vertex_partition import Pool
@@ -57,7 +58,7 @@ def fused_places(
 ) -> list[Place]:
     """The places of a pool, in the order of their labels. pose: (n, 3) of every row."""
     order = np.argsort(label, kind="stable")
-    rows = np.split(order, np.cumsum(np.bincount(label))[:-1]) if len(label) else []
+    rows = parted(order, np.bincount(label).tolist())
     visits, driven = pass_counts(pool), _driven(pool)
     out = []
     for members in (r.tolist() for r in rows):

@@ -7,11 +7,10 @@ maps, so that no bytes can give a candidate that points outside of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...topology.ragged import parted
 from ..packs import LARGEST
 from .alignment import Candidate
 from .conflicts import Conflicts
@@ -19,9 +18,6 @@ from .prepare import Extent
 from .settings import MATCH, RobustSettings
 from .support import Support
 from .verdict import Faint, beyond_chance_bits, faint_of
-
-Number = TypeVar("Number", np.float64, np.int64)
-
 
 SCALARS = len(("x", "y", "theta", "tested", "bits", "rmse", "support", "elsewhere", "rival"))
 """Numbers of a candidate that are no arrays: its transform, log2 of the hypotheses, bits, error,
@@ -111,8 +107,8 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
     limits = (n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, rows_a, rows_b)
     if wholes and not ((i >= 0) & (i < np.repeat(limits, sizes))).all():
         return None
-    turn, links, branches, b_bits, a_bits = _split(f[SCALARS:], (2 * k, m, k, eb, ea))
-    va, vb, *rows, ends, along, extra_b, b_in, extra_a, a_in, far_a, far_b = _split(i, sizes)
+    turn, links, branches, b_bits, a_bits = parted(f[SCALARS:], (2 * k, m, k, eb, ea))
+    va, vb, *rows, ends, along, extra_b, b_in, extra_a, a_in, far_a, far_b = parted(i, sizes)
     corridors, elsewhere = (np.array(columns).T.copy() for columns in (rows, (far_a, far_b)))
     candidate = Candidate(
         transform=f[:3],
@@ -127,8 +123,3 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
         rival=bool(f[8]),
     )
     return candidate, end
-
-
-def _split(values: NDArray[Number], sizes: tuple[int, ...]) -> list[NDArray[Number]]:
-    stops = np.cumsum(sizes).tolist()
-    return [values[stop - size : stop] for size, stop in zip(sizes, stops, strict=True)]
