@@ -31,7 +31,7 @@ from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .component_map import component_map, places_of
 from .document import poses_from_document
-from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
+from .fusion.joint_graph import JOINT, measured_turn
 from .merged_schema import MergedDocument
 
 
@@ -174,7 +174,7 @@ class _Seen:
 
     def saw(self, run: str, node: int, heading: float) -> bool:
         """Did a run see a branch at a fused vertex? heading: in the component's frame."""
-        gate = DEFAULT_JOINT.branch_gate_rad
+        gate = JOINT.branch_gate_rad
         for place, v in [(k, v) for k in self.places(run, node) for v in self.nodes[k][run]]:
             own = self._headings[run][v]
             turn, count = measured_turn(

@@ -16,7 +16,7 @@ from ..topology.wording import listed
 from . import robust
 from .digests import digest_of
 from .discards import REASON, Names
-from .fusion.fuse import DEFAULT_FUSION, FusionSettings, fuse
+from .fusion.fuse import fuse
 from .fusion.turning_ends import with_turning_ends
 from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
 from .layers import layers_to_document
@@ -30,13 +30,12 @@ from .through import joined_through
 
 @dataclass(frozen=True, slots=True)
 class MergeSettings:
-    """Which method decides, and how it and the fusion are tuned."""
+    """Which method decides, and how it is tuned."""
 
     method: Literal["robust", "paper"] = "robust"
     """robust: tolerant matching with evidence in bits; paper: Huang & Beevers as published."""
     robust: RobustSettings = DEFAULT_ROBUST
     paper: PaperSettings = DEFAULT_PAPER
-    fusion: FusionSettings = DEFAULT_FUSION
 
 
 DEFAULT_MERGE = MergeSettings()
@@ -69,7 +68,7 @@ def merge_maps(
     verdicts = _decided(ordered, settings, locks, discarded, means)
     shown = _worth_listing(len(ordered), verdicts, discarded)
     asked = ((v.a, v.b) for v in shown)
-    components, fused = fuse(ordered, verdicts, settings.fusion, asked=asked, kept=means.kept)
+    components, fused = fuse(ordered, verdicts, asked=asked, kept=means.kept)
     fused = with_turning_ends(fused, components, ordered)
     told = _with_placements(shown, components)
     same = _same_recordings(ordered, means.kept.digest if means.kept else digest_of)

@@ -22,7 +22,7 @@ from ..topology.matching.structure import padded_branches
 from ..topology.se2 import fit_rigid, turned, wrap
 from ..topology.topomap import TopoMap
 from .component_map import places_of
-from .fusion.joint_graph import DEFAULT_JOINT, measured_turn
+from .fusion.joint_graph import JOINT, measured_turn
 from .merged_schema import MergedDocument
 
 WITHIN_SIGMAS = 2.448
@@ -128,7 +128,7 @@ def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
     if len(pairs) == 1:
         start = _likeliest_turn(heading_b[0], heading_a[0])
     expected = np.full(len(pairs), start)
-    turn, count = measured_turn(heading_b, heading_a, expected, DEFAULT_JOINT.branch_gate_rad)
+    turn, count = measured_turn(heading_b, heading_a, expected, JOINT.branch_gate_rad)
     spread = np.array([n.branch_rad**2 for n in noise]) @ share / np.maximum(count, 1)
     turning = sum(n.heading_rad_per_sqrt_m**2 for n in noise)
     length = float(np.median(np.concatenate([a.length, b.length, [1.0]])))
@@ -137,9 +137,9 @@ def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
     return MatchedJunctions(
         source=a.xy[u],
         target=b.xy[v],
-        sigma=np.sqrt(both + DEFAULT_JOINT.min_position_m**2),
+        sigma=np.sqrt(both + JOINT.min_position_m**2),
         turn=turn,
-        turn_sigma=np.where(count > 0, np.sqrt(spread + DEFAULT_JOINT.min_heading_rad**2), np.inf),
+        turn_sigma=np.where(count > 0, np.sqrt(spread + JOINT.min_heading_rad**2), np.inf),
         bending=bending,
         turning=turning,
     )

@@ -47,9 +47,11 @@ class CoincidenceSettings:
     min_chain: int = 3
     """Runs that were not matched with each other coincide in at least so many joined places, or in
     so many within `gate_m`."""
+    rounds: int = 4
+    """Rounds of "fuse what coincides, optimise again"."""
 
 
-DEFAULT_COINCIDENCE = CoincidenceSettings()
+COINCIDENCE = CoincidenceSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,6 @@ def coincident(
     groups: Groups,
     pose: FloatArray,
     matched: Iterable[tuple[str, str]] = (),
-    settings: CoincidenceSettings = DEFAULT_COINCIDENCE,
 ) -> list[tuple[int, int]]:
     """Pairs of rows whose groups are one place, nearest first.
 
@@ -99,11 +100,11 @@ def coincident(
     """
     label = groups.labels()
     around = _Surroundings(pool, pose, label)
-    candidates = _candidates(pool, label, pose, around, settings)
+    candidates = _candidates(pool, label, pose, around)
     direct = {frozenset(pair) for pair in matched}
     runs = [frozenset(r) for r in _runs_of(pool, label)]
     names = [m.run for m in pool.maps]
-    chains = _Chains([(u, v) for u, v, _ in candidates], around, settings)
+    chains = _Chains([(u, v) for u, v, _ in candidates], around)
     fair = [(u, v, distance) for u, v, distance in candidates if not chains.contradicted(u, v)]
     between = [
         {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
@@ -112,14 +113,14 @@ def coincident(
     near = Counter(
         pair
         for (_, _, distance), pairs in zip(fair, between, strict=True)
-        if distance <= settings.gate_m
+        if distance <= COINCIDENCE.gate_m
         for pair in pairs
     )
-    often = direct | {pair for pair, count in near.items() if count >= settings.min_chain}
+    often = direct | {pair for pair, count in near.items() if count >= COINCIDENCE.min_chain}
     return [
         (u, v)
         for (u, v, _), pairs in zip(fair, between, strict=True)
-        if pairs & often or chains.anchored(u, v) or chains.size(u, v) >= settings.min_chain
+        if pairs & often or chains.anchored(u, v) or chains.size(u, v) >= COINCIDENCE.min_chain
     ]
 
 
@@ -130,9 +131,8 @@ class _Chains:
         self,
         candidates: list[tuple[int, int]],
         around: _Surroundings,
-        settings: CoincidenceSettings,
     ) -> None:
-        self._around, self._settings = around, settings
+        self._around = around
         self._place = {}
         for k, (u, v) in enumerate(candidates):
             label = around.label
@@ -160,13 +160,13 @@ class _Chains:
 
     def _both_driven(self, u: int, v: int) -> list[tuple[_Leg, _Leg]]:
         around = self._around
-        pairs = around.partners(u, v, self._settings.branch_gate_rad)
+        pairs = around.partners(u, v, COINCIDENCE.branch_gate_rad)
         both = ((around.legs[u].get(i), around.legs[v].get(j)) for i, j in pairs)
         return [(x, y) for x, y in both if x is not None and y is not None]
 
     def _agreeing(self, u: int, v: int) -> list[tuple[int, int]]:
         """Places at the far ends of corridors that leave both rows alike and agree in length."""
-        s, label = self._settings, self._around.label
+        s, label = COINCIDENCE, self._around.label
         return [
             (int(label[x.far]), int(label[y.far]))
             for x, y in self._both_driven(u, v)
@@ -179,7 +179,6 @@ def _candidates(
     label: IntArray,
     pose: FloatArray,
     around: _Surroundings,
-    settings: CoincidenceSettings,
 ) -> list[tuple[int, int, float]]:
     """Rows of places that no run has both of, clearly each other's nearest, branches fitting; and
     the distances [m] of the places."""
@@ -190,24 +189,26 @@ def _candidates(
         return []
     weight = np.bincount(label)
     centre = np.stack([np.bincount(label, pose[:, k]) / weight for k in (0, 1)], axis=-1)
-    gate = _gates(pool, label, settings)
-    pairs = cKDTree(centre).query_pairs(settings.max_gate_m * settings.lead, output_type="ndarray")
+    gate = _gates(pool, label)
+    pairs = cKDTree(centre).query_pairs(
+        COINCIDENCE.max_gate_m * COINCIDENCE.lead, output_type="ndarray"
+    )
     runs = _runs_of(pool, label)
     apart = np.array([runs[i].isdisjoint(runs[j]) for i, j in pairs.tolist()], bool)
     u, v = pairs[apart].T if len(pairs) else (np.zeros(0, np.int64),) * 2
     distance = np.hypot(*(centre[u] - centre[v]).T)
-    clear = _clearly_nearest(u, v, distance, len(centre), settings.lead)
+    clear = _clearly_nearest(u, v, distance, len(centre), COINCIDENCE.lead)
     keep = np.flatnonzero(clear & (distance <= np.maximum(gate[u], gate[v])))
     order = keep[np.lexsort((v[keep], u[keep], distance[keep]))]
     rows = [(int(speaker[u[k]]), int(speaker[v[k]]), float(distance[k])) for k in order]
-    return [(r, s, d) for r, s, d in rows if _branches_fit(around, r, s, settings)]
+    return [(r, s, d) for r, s, d in rows if _branches_fit(around, r, s)]
 
 
-def _branches_fit(around: _Surroundings, u: int, v: int, settings: CoincidenceSettings) -> bool:
+def _branches_fit(around: _Surroundings, u: int, v: int) -> bool:
     """Whether all but a few branches of two rows point the same ways."""
-    pairs = len(around.partners(u, v, settings.branch_gate_rad))
+    pairs = len(around.partners(u, v, COINCIDENCE.branch_gate_rad))
     lone = max(len(around.units[u]), len(around.units[v])) - pairs
-    return lone <= settings.spare_branches and (pairs > 0 or lone == 0)
+    return lone <= COINCIDENCE.spare_branches and (pairs > 0 or lone == 0)
 
 
 def _runs_of(pool: Pool, label: IntArray) -> list[set[int]]:
@@ -217,7 +218,7 @@ def _runs_of(pool: Pool, label: IntArray) -> list[set[int]]:
     return runs
 
 
-def _gates(pool: Pool, label: IntArray, settings: CoincidenceSettings) -> FloatArray:
+def _gates(pool: Pool, label: IntArray) -> FloatArray:
     """(places,) distance allowed at each place, from the way to the nearest shared one."""
     count = int(label.max()) + 1
     ends = np.concatenate(
@@ -233,10 +234,10 @@ def _gates(pool: Pool, label: IntArray, settings: CoincidenceSettings) -> FloatA
     graph = coo_array((length[rows], (low[rows], high[rows])), (count, count)).tocsr()
     shared = np.flatnonzero(np.bincount(label) > 1)
     if len(shared) == 0:
-        return np.full(count, settings.gate_m)
+        return np.full(count, COINCIDENCE.gate_m)
     way = dijkstra(graph, directed=False, indices=shared, min_only=True)
-    reach = np.where(np.isfinite(way), settings.gate_m + settings.gate_per_m * way, np.inf)
-    return np.minimum(reach, settings.max_gate_m)
+    reach = np.where(np.isfinite(way), COINCIDENCE.gate_m + COINCIDENCE.gate_per_m * way, np.inf)
+    return np.minimum(reach, COINCIDENCE.max_gate_m)
 
 
 def _clearly_nearest(

@@ -20,10 +20,9 @@ from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.se2 import wrap
 from .edges import (
-    DEFAULT_CORRIDOR,
+    CORRIDOR,
     SHORTEST_M,
     Corridor,
-    CorridorSettings,
     fuse_corridors,
     oriented,
     same_corridor,
@@ -48,15 +47,11 @@ class PassageSettings:
     """Rounds of replacing: the parts of one corridor may be replaced in the next."""
 
 
-DEFAULT_PASSAGE = PassageSettings()
+PASSAGE = PassageSettings()
 
 
 def split_at_places(
-    corridors: list[Corridor],
-    place_xy: FloatArray,
-    branches: list[FloatArray],
-    settings: PassageSettings = DEFAULT_PASSAGE,
-    agreement: CorridorSettings = DEFAULT_CORRIDOR,
+    corridors: list[Corridor], place_xy: FloatArray, branches: list[FloatArray]
 ) -> list[Corridor]:
     """Replace corridors that run through known places by the corridors between those.
 
@@ -65,14 +60,14 @@ def split_at_places(
     to junction becomes a corridor of its own. Where no part is known, or a place has no branches
     along the path, the corridor stays whole.
     """
-    world = _World(cKDTree(place_xy) if len(place_xy) else None, place_xy, branches, settings)
-    for _ in range(settings.rounds):
-        replaced = _replaced_once(corridors, world, agreement)
+    world = _World(cKDTree(place_xy) if len(place_xy) else None, place_xy, branches)
+    for _ in range(PASSAGE.rounds):
+        replaced = _replaced_once(corridors, world)
         if len(replaced) == len(corridors) and all(
             x is y for x, y in zip(replaced, corridors, strict=True)
         ):
             break
-        corridors = fuse_corridors(replaced, agreement)
+        corridors = fuse_corridors(replaced)
     return corridors
 
 
@@ -84,7 +79,6 @@ class _World:
     tree: Any
     xy: FloatArray
     branches: list[FloatArray]
-    settings: PassageSettings
     known: dict[Corridor, list[Corridor]] = field(default_factory=dict)
 
     def parts(self, c: Corridor) -> list[Corridor]:
@@ -94,9 +88,7 @@ class _World:
         return self.known[c]
 
 
-def _replaced_once(
-    corridors: list[Corridor], world: _World, agreement: CorridorSettings
-) -> list[Corridor]:
+def _replaced_once(corridors: list[Corridor], world: _World) -> list[Corridor]:
     """One round: shortest corridors first; one that is a part of another waits for the next."""
     index, leaving = _by_ends(corridors), _by_branch(corridors)
     gone: set[int] = set()
@@ -106,9 +98,9 @@ def _replaced_once(
         if number in busy:
             continue
         c = corridors[number]
-        chain = _chain(number, corridors, leaving, world.settings, agreement)
+        chain = _chain(number, corridors, leaving)
         parts = [c] * len(chain) if chain else world.parts(c)
-        known = (_known_part(p, number, corridors, index, agreement) for p in parts)
+        known = (_known_part(p, number, corridors, index) for p in parts)
         found = list(chain) if chain else list(known)
         if len(parts) < 2 or all(f is None for f in found) or gone & {*found}:
             continue
@@ -148,11 +140,7 @@ def _by_branch(corridors: list[Corridor]) -> dict[int, list[tuple[int, _Way]]]:
 
 
 def _chain(
-    number: int,
-    corridors: list[Corridor],
-    leaving: dict[int, list[tuple[int, _Way]]],
-    settings: PassageSettings,
-    agreement: CorridorSettings,
+    number: int, corridors: list[Corridor], leaving: dict[int, list[tuple[int, _Way]]]
 ) -> tuple[int, ...]:
     """Known corridors that together are this one: same first and last branch, same length.
 
@@ -163,13 +151,12 @@ def _chain(
     if NO_BRANCH in {c.branch_u, c.branch_v} or c.u == c.v:
         return ()
     best: tuple[float, tuple[int, ...]] = (np.inf, ())
-    for chain in _chains(c, number, corridors, leaving, settings):
+    for chain in _chains(c, number, corridors, leaving):
         parts = [corridors[k] for k in chain]
-        missed = (len(parts) - 1) * settings.junction_m**2
+        missed = (len(parts) - 1) * PASSAGE.junction_m**2
         sigma = float(np.sqrt(sum(p.sigma**2 for p in parts) + c.sigma**2 + missed))
         off = abs(sum(p.length for p in parts) - c.length)
-        allowed = agreement.agree_m + agreement.agree_share * c.length
-        if off <= max(allowed, agreement.agree_sigmas * sigma):
+        if off <= CORRIDOR.allowed_m(c.length, sigma):
             best = min(best, (off, chain))
     return best[1]
 
@@ -179,7 +166,6 @@ def _chains(
     number: int,
     corridors: list[Corridor],
     leaving: dict[int, list[tuple[int, _Way]]],
-    settings: PassageSettings,
 ) -> Iterator[tuple[int, ...]]:
     """All chains of corridors from one end of a corridor to the other by its own branches."""
     longest = 1.2 * c.length + 1.0
@@ -195,7 +181,7 @@ def _chains(
             if (step.place, step.branch) == (c.v, c.branch_v):
                 if len(longer) > 1:
                     yield longer
-            elif len(longer) <= settings.deepest:
+            elif len(longer) <= PASSAGE.deepest:
                 stack.append((step.place, step.branch, total, longer))
 
 
@@ -211,30 +197,28 @@ def _known_part(
     number: int,
     corridors: list[Corridor],
     index: dict[tuple[int, int], list[int]],
-    agreement: CorridorSettings,
 ) -> int | None:
     """The corridor that is already known between the ends of a part, by the same branches."""
     p = oriented(part)
     for k in index.get((p.u, p.v), []):
-        if k != number and same_corridor([corridors[k]], p, agreement):
+        if k != number and same_corridor([corridors[k]], p):
             return k
     return None
 
 
 def _parts(c: Corridor, world: _World) -> list[Corridor]:
     """The corridor cut at the places its path runs through; itself alone if there are none."""
-    settings = world.settings
     way = way_of(c.path)
-    if way[-1] < 2 * settings.pass_end_m:
+    if way[-1] < 2 * PASSAGE.pass_end_m:
         return [c]
     fine = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.25)) + 1))
     points = np.column_stack([np.interp(fine, way, c.path[:, k]) for k in (0, 1)])
-    near = {k for hits in world.tree.query_ball_point(points, settings.pass_m) for k in hits}
+    near = {k for hits in world.tree.query_ball_point(points, PASSAGE.pass_m) for k in hits}
     cuts = []
     for place in sorted(near - {c.u, c.v}):
         at = int(np.argmin(np.hypot(*(points - world.xy[place]).T)))
-        if settings.pass_end_m <= fine[at] <= way[-1] - settings.pass_end_m:
-            back, on = _along(points, at, world.branches[place], settings)
+        if PASSAGE.pass_end_m <= fine[at] <= way[-1] - PASSAGE.pass_end_m:
+            back, on = _along(points, at, world.branches[place])
             if back is not None and on is not None and back != on:
                 cuts.append((float(fine[at]), place, back, on, at))
     if not cuts:
@@ -242,9 +226,7 @@ def _parts(c: Corridor, world: _World) -> list[Corridor]:
     return _cut(c, sorted(cuts), points, float(way[-1]))
 
 
-def _along(
-    points: FloatArray, at: int, headings: FloatArray, settings: PassageSettings
-) -> tuple[int | None, int | None]:
+def _along(points: FloatArray, at: int, headings: FloatArray) -> tuple[int | None, int | None]:
     """The branches of a place by which a path through it comes in and goes on."""
     if len(headings) == 0:
         return None, None
@@ -254,7 +236,7 @@ def _along(
         step = points[other] - points[at]
         off = np.abs(wrap(headings - np.arctan2(step[1], step[0])))
         best = int(off.argmin())
-        out.append(best if off[best] <= settings.pass_rad else None)
+        out.append(best if off[best] <= PASSAGE.pass_rad else None)
     return out[0], out[1]
 
 

@@ -33,8 +33,13 @@ class CorridorSettings:
     agree_share: float = 0.05
     """… plus this share of the length."""
 
+    def allowed_m(self, length: float, sigma: float) -> float:
+        """How far lengths may differ, of which the shorter is so long and sigma that of the
+        difference."""
+        return max(self.agree_m + self.agree_share * length, self.agree_sigmas * sigma)
 
-DEFAULT_CORRIDOR = CorridorSettings()
+
+CORRIDOR = CorridorSettings()
 
 SHORTEST_M = 1e-3
 """Lengths are positive, also of a corridor whose ends were one place to the millimetre."""
@@ -130,9 +135,7 @@ def oriented(c: Corridor) -> Corridor:
     )
 
 
-def fuse_corridors(
-    corridors: Iterable[Corridor], settings: CorridorSettings = DEFAULT_CORRIDOR
-) -> list[Corridor]:
+def fuse_corridors(corridors: Iterable[Corridor]) -> list[Corridor]:
     """Corridors that join the same places by the same branches and agree in length made one.
 
     A corridor of which a branch is unknown joins the nearest in length that fits what is known.
@@ -141,7 +144,7 @@ def fuse_corridors(
     out: dict[tuple[int, int], list[list[Corridor]]] = {}
     for c in known:
         bundles = out.setdefault((c.u, c.v), [])
-        fitting = [b for b in bundles if same_corridor(b, c, settings)]
+        fitting = [b for b in bundles if same_corridor(b, c)]
         if fitting:
             min(fitting, key=lambda b: abs(_mean_length(b) - c.length)).append(c)
         else:
@@ -156,7 +159,7 @@ def _order(c: Corridor) -> tuple[object, ...]:
     return (unknown, c.u, c.v, c.branch_u, c.branch_v, c.sigma, c.members)
 
 
-def same_corridor(bundle: list[Corridor], c: Corridor, settings: CorridorSettings) -> bool:
+def same_corridor(bundle: list[Corridor], c: Corridor) -> bool:
     """Whether a corridor between the same places is that of a bundle: branches and length.
 
     A branch leads into one corridor only: one that is the same is enough if the other end was seen
@@ -167,12 +170,8 @@ def same_corridor(bundle: list[Corridor], c: Corridor, settings: CorridorSetting
     known = [x == y for x, y in ends if NO_BRANCH not in (x, y)]
     if known and not any(known):
         return False
-    return _agree(_mean_length(bundle), lead.sigma, c.length, c.sigma, settings)
-
-
-def _agree(x: float, sigma_x: float, y: float, sigma_y: float, settings: CorridorSettings) -> bool:
-    allowed = settings.agree_m + settings.agree_share * min(x, y)
-    return abs(x - y) <= max(allowed, settings.agree_sigmas * float(np.hypot(sigma_x, sigma_y)))
+    x, y, sigma = _mean_length(bundle), c.length, float(np.hypot(lead.sigma, c.sigma))
+    return abs(x - y) <= CORRIDOR.allowed_m(min(x, y), sigma)
 
 
 def _weights(bundle: list[Corridor]) -> FloatArray:

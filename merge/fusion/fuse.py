@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -24,44 +24,25 @@ from ..document import places_text
 from ..packs import Kept, Kind
 from ..result import Component, FusedMap, Late, PairVerdict, by_run
 from .component import FusedComponent, from_bytes, observations_of, to_bytes
-from .data_association import DEFAULT_COINCIDENCE, CoincidenceSettings, coincident
-from .edge_splitting import DEFAULT_PASSAGE, PassageSettings, split_at_places
-from .edges import DEFAULT_CORRIDOR, Corridor, CorridorSettings, corridors_of, fuse_corridors
+from .data_association import COINCIDENCE, coincident
+from .edge_splitting import split_at_places
+from .edges import Corridor, corridors_of, fuse_corridors
 from .joint_graph import (
-    DEFAULT_JOINT,
     Joint,
-    JointSettings,
     fitted_poses,
     measured_within,
     pass_counts,
     run_poses,
     settle,
 )
-from .places import DEFAULT_PLACE, Place, PlaceSettings, fused_places
+from .places import Place, fused_places
 from .uncertainty import fused_sigmas, spread
 from .vertex_partition import Groups, Pool, identify
-
-
-@dataclass(frozen=True, slots=True)
-class FusionSettings:
-    """How maps of one component become one."""
-
-    joint: JointSettings = DEFAULT_JOINT
-    coincidence: CoincidenceSettings = DEFAULT_COINCIDENCE
-    corridors: CorridorSettings = DEFAULT_CORRIDOR
-    passages: PassageSettings = DEFAULT_PASSAGE
-    rounds: int = 4
-    """Rounds of "fuse what coincides, optimise again"."""
-    places: PlaceSettings = DEFAULT_PLACE
-
-
-DEFAULT_FUSION = FusionSettings()
 
 
 def fuse(
     maps: Sequence[TopoMap],
     verdicts: Sequence[PairVerdict],
-    settings: FusionSettings = DEFAULT_FUSION,
     *,
     asked: Iterable[Names] | None = None,
     kept: Kept | None = None,
@@ -91,7 +72,6 @@ def fuse(
         fused_once(
             [by_name[run] for run in runs],
             own,
-            settings,
             None if asked is None else _keys(runs, own, some),
             kept,
         )
@@ -120,19 +100,18 @@ def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Na
 def fused_once(
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
-    settings: FusionSettings,
     sure: IntArray | None,
     kept: Kept | None,
 ) -> FusedComponent:
     """`fuse_component` of maps sorted by run, or what is kept of when it was done before."""
     if kept is None:
-        return fuse_component(maps, inside, settings, sure)
+        return fuse_component(maps, inside, sure)
     asked = None if sure is None else sure.tobytes()
-    digest = component_digest([kept.digest(m) for m in maps], maps, inside, (settings, asked))
+    digest = component_digest([kept.digest(m) for m in maps], maps, inside, asked)
     data = kept.find(Kind.COMPONENT, (digest, digest))
     found = None if data is None else from_bytes(data, maps)
     if found is None or not _tells(found, sure):
-        found = fuse_component(maps, inside, settings, sure)
+        found = fuse_component(maps, inside, sure)
         kept.add(Kind.COMPONENT, (digest, digest), to_bytes(found, maps))
     return found if sure is None else replace(found, text=_text(found.fused, digest, maps, kept))
 
@@ -157,12 +136,13 @@ def component_digest(
     digests: Sequence[bytes],
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
-    settings: object = (),
+    asked: bytes | None = None,
 ) -> bytes:
     """Changes with whatever a component follows from: the content of its maps, in the order of
-    their names, and what joins them, the strongest first. Not with names or evidence."""
+    their names, and what joins them, the strongest first; and with what is asked of it. Not with
+    names or evidence."""
     number = {m.run: k for k, m in enumerate(maps)}
-    out = hashlib.blake2b(repr(settings).encode(), digest_size=DIGEST)
+    out = hashlib.blake2b(repr(asked).encode(), digest_size=DIGEST)
     out.update(b"".join(digests))
     for v in sorted(inside, key=lambda v: (-v.evidence_bits, v.a, v.b)):
         if v.best is not None:
@@ -174,7 +154,6 @@ def component_digest(
 def fuse_component(
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
-    settings: FusionSettings = DEFAULT_FUSION,
     sure: IntArray | None = None,
 ) -> FusedComponent:
     """One component. inside: accepted verdicts, all between its runs, that join them; sure: the
@@ -183,20 +162,20 @@ def fuse_component(
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
     matched = [(v.a, v.b) for v in inside]
-    joint = _settle(pool, groups, start, matched, settings)
+    joint = _settle(pool, groups, start, matched)
     pose = joint.pose
     label = groups.labels()
     xy = _place_positions(pool, label, pose)
-    places = fused_places(pool, label, pose, settings.places)
+    places = fused_places(pool, label, pose)
     branch_of = [np.zeros(0, np.int64)] * len(pool)
     for place in places:
         for row, mapping in place.branch_of.items():
             branch_of[row] = mapping
     corridors = corridors_of(pool, label, pose, xy, branch_of)
     if len(pool.maps) > 1:
-        corridors = fuse_corridors(corridors, settings.corridors)
+        corridors = fuse_corridors(corridors)
         headings = [p.headings for p in places]
-        corridors = split_at_places(corridors, xy, headings, settings.passages, settings.corridors)
+        corridors = split_at_places(corridors, xy, headings)
     poses = fitted_poses(pool, pose)
     fused = _fused_map(pool, xy, places, corridors)
     own = {run: poses[run] for run in sorted(poses)}
@@ -216,19 +195,18 @@ def _settle(
     groups: Groups,
     start: Mapping[str, FloatArray],
     matched: Sequence[tuple[str, str]],
-    settings: FusionSettings,
 ) -> Joint:
     """Optimise, fuse what coincides, and again until nothing more does."""
     if len(pool.maps) < 2:
-        return settle(pool, groups.labels(), start, settings.joint)
-    within = measured_within(pool, settings.joint)
-    joint = settle(pool, groups.labels(), start, settings.joint, within)
-    for _ in range(settings.rounds):
-        pairs = coincident(pool, groups, joint.pose, matched, settings.coincidence)
+        return settle(pool, groups.labels(), start)
+    within = measured_within(pool)
+    joint = settle(pool, groups.labels(), start, within)
+    for _ in range(COINCIDENCE.rounds):
+        pairs = coincident(pool, groups, joint.pose, matched)
         joined = [groups.join(u, v) for u, v in pairs]
         if not any(joined):
             break
-        joint = settle(pool, groups.labels(), start, settings.joint, within)
+        joint = settle(pool, groups.labels(), start, within)
     return joint
 
 

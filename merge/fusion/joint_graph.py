@@ -63,7 +63,7 @@ class JointSettings:
     """Maps whose grids differ by more than this, as first laid out, do not share one."""
 
 
-DEFAULT_JOINT = JointSettings()
+JOINT = JointSettings()
 
 _SAMPLES = 64
 """Samples of the errors of a map's vertices: their mean square has an error of a few per cent."""
@@ -117,7 +117,6 @@ def settle(
     pool: Pool,
     label: IntArray,
     start: Mapping[str, FloatArray],
-    settings: JointSettings = DEFAULT_JOINT,
     within: Measurements | None = None,
 ) -> Joint:
     """The most likely poses of all rows of a pool.
@@ -127,13 +126,13 @@ def settle(
     laid rigidly over its optimised vertices, does not move.
     """
     guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
-    ties = _identity_factors(pool, label, guess, settings)
+    ties = _identity_factors(pool, label, guess)
     if len(ties.source) == 0:
         return Joint(guess, None, None)
-    within = within or measured_within(pool, settings)
+    within = within or measured_within(pool)
     factors = joined([within, ties])
     kernel = np.full(len(factors.source), np.inf)
-    kernel[len(within.source) :] = settings.kernel_sigmas
+    kernel[len(within.source) :] = JOINT.kernel_sigmas
     graph = PoseGraph(
         pose=guess,
         source=factors.source,
@@ -141,8 +140,8 @@ def settle(
         measurement=factors.measurement,
         information=factors.information,
         kernel=kernel,
-        priors=_grid_priors(pool, guess, settings),
-        shared=_scales(pool, factors, len(within.source), settings),
+        priors=_grid_priors(pool, guess),
+        shared=_scales(pool, factors, len(within.source)),
     )
     solution = solve(graph, SOLVER)
     first = pool.maps[0]
@@ -150,9 +149,9 @@ def settle(
     return Joint(compose(inverse(home), solution.pose), graph, solution)
 
 
-def measured_within(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> Measurements:
+def measured_within(pool: Pool) -> Measurements:
     """What every run measured between its own rows."""
-    return joined([_map_factors(m, pool.first[m.run], settings) for m in pool.maps])
+    return joined([_map_factors(m, pool.first[m.run]) for m in pool.maps])
 
 
 def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
@@ -181,15 +180,15 @@ def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
     return compose(T_component_run, local)
 
 
-def _map_factors(topomap: TopoMap, first: int, settings: JointSettings) -> Measurements:
+def _map_factors(topomap: TopoMap, first: int) -> Measurements:
     """The corridors of one map as relative measurements, from row `first` of the pool on."""
     given = odometry_measurements(topomap)
-    information = given.information / bending(topomap, settings)
+    information = given.information / bending(topomap)
     roads = Measurements(given.source + first, given.target + first, given.measurement, information)
-    return joined([roads, _bridges(topomap, first, settings)])
+    return joined([roads, _bridges(topomap, first)])
 
 
-def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
+def bending(topomap: TopoMap) -> float:
     """Factor on the variances of a map's corridors that makes its vertices as uncertain as its
     document states (`position_sigma`).
 
@@ -202,7 +201,7 @@ def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
     if topomap.position_sigma is None or len(topomap) < 3:
         return 1.0
     graph, noise = map_pose_graph(topomap), topomap.measured
-    graph = replace(graph, priors=_grid_priors(Pool.of([topomap]), graph.pose, settings))
+    graph = replace(graph, priors=_grid_priors(Pool.of([topomap]), graph.pose))
     whole = np.zeros(len(topomap), np.int64)
     walked = SampledMarginals.of(graph, solve(graph, SOLVER), _SAMPLES).error
     bent = VertexErrors(walked).as_a_whole(topomap.xy, whole).position_sigma()
@@ -216,13 +215,13 @@ def bending(topomap: TopoMap, settings: JointSettings = DEFAULT_JOINT) -> float:
     return max(left, _LEAST_BEND * float(stated.sum())) / max(float((bent**2).sum()), 1e-12)
 
 
-def _bridges(topomap: TopoMap, first: int, settings: JointSettings) -> Measurements:
+def _bridges(topomap: TopoMap, first: int) -> Measurements:
     """Loose measurements between the parts of a map that no corridor joins."""
     part = connected(topomap.source, topomap.target, len(topomap))
     anchor = np.unique(part, return_index=True)[1]
     u, v = anchor[:-1], anchor[1:]
     measured = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
-    weight = np.array([settings.bridge_m, settings.bridge_m, settings.bridge_rad]) ** -2.0
+    weight = np.array([JOINT.bridge_m, JOINT.bridge_m, JOINT.bridge_rad]) ** -2.0
     information = np.tile(np.diag(weight), (len(u), 1, 1))
     return Measurements(u + first, v + first, measured.reshape(-1, 3), information)
 
@@ -233,41 +232,37 @@ def usual_scale(maps: Sequence[TopoMap]) -> float:
     return float(np.sqrt(np.mean([m.measured.scale**2 for m in maps])))
 
 
-def _scales(
-    pool: Pool, factors: Measurements, within: int, settings: JointSettings
-) -> SharedErrors:
+def _scales(pool: Pool, factors: Measurements, within: int) -> SharedErrors:
     """The scale of each run's odometry: one unknown that all its measurements share.
 
     within: how many of the factors, the first ones, are measurements within a run.
     """
     count = len(pool.maps)
-    if count > settings.scaled_runs:
+    if count > JOINT.scaled_runs:
         return SharedErrors.none()
     sensitivity = np.zeros((len(factors.source), 3, count))
     run = pool.run[factors.source[:within]]
     sensitivity[np.arange(within), :2, run] = factors.measurement[:within, :2]
-    sigma = np.full(count, max(usual_scale(pool.maps), settings.min_scale))
+    sigma = np.full(count, max(usual_scale(pool.maps), JOINT.min_scale))
     return SharedErrors(sensitivity, sigma)
 
 
-def _identity_factors(
-    pool: Pool, label: IntArray, guess: FloatArray, settings: JointSettings
-) -> Measurements:
+def _identity_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measurements:
     """Every further row of a place tied to its first: same position, turn as the branches say."""
     order = np.argsort(label, kind="stable")
     first = order[np.searchsorted(label[order], label[order])]
     source, target = first[first != order], order[first != order]
     heading, visits = branch_headings(pool), pass_counts(pool)
     noise = [m.measured for m in pool.maps]
-    centre = centre_sigma(pool, settings)
+    centre = centre_sigma(pool)
     spread = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
     turn, count = measured_turn(
         heading[source], heading[target], wrap(guess[target, 2] - guess[source, 2]),
-        settings.branch_gate_rad,
+        JOINT.branch_gate_rad,
     )  # fmt: skip
     position = np.hypot(centre[source], centre[target])
     both = np.hypot(spread[source], spread[target]) / np.sqrt(np.maximum(count, 1))
-    sigma = np.maximum(both, settings.min_heading_rad)
+    sigma = np.maximum(both, JOINT.min_heading_rad)
     information = np.zeros((len(source), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = position**-2.0
     information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
@@ -275,7 +270,7 @@ def _identity_factors(
     return Measurements(source, target, measured.reshape(-1, 3), information)
 
 
-def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Priors:
+def _grid_priors(pool: Pool, guess: FloatArray) -> Priors:
     """Headings of all rows where every map is rectilinear and their grids agree.
 
     In a rectilinear building the directions of corridors are known up to quarter turns (§2.3), so
@@ -286,27 +281,25 @@ def _grid_priors(pool: Pool, guess: FloatArray, settings: JointSettings) -> Prio
         return Priors.empty()
     grid = np.array(grids, np.float64)[pool.run]
     target = float(grid[0] + guess[0, 2])  # the grid of the first map gives the frame
-    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * settings.grid_gate_rad:
+    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * JOINT.grid_gate_rad:
         return Priors.empty()
     heading, visits = branch_headings(pool), pass_counts(pool)
     off = wrap(4 * (heading + guess[:, 2:] - target)) / 4
-    used = np.abs(off) <= settings.grid_gate_rad  # NaN, beyond the degree, is not
+    used = np.abs(off) <= JOINT.grid_gate_rad  # NaN, beyond the degree, is not
     count = used.sum(axis=1)
     rows = np.flatnonzero(count)
     mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
     spread = np.array([m.measured.branch_rad for m in pool.maps])[pool.run[rows]]
     spread = spread / np.sqrt(count[rows] * visits[rows])
-    own = grid_sigma(mean, spread, pool.run[rows], settings)
-    if own > settings.grid_rad:
+    own = grid_sigma(mean, spread, pool.run[rows])
+    if own > JOINT.grid_rad:
         return Priors.empty()  # square at every crossing, and bent as a whole
     sigma = np.hypot(spread, own)
-    kernel = np.full(len(rows), settings.kernel_sigmas)
+    kernel = np.full(len(rows), JOINT.kernel_sigmas)
     return Priors.headings(rows, np.asarray(wrap(guess[rows, 2] - mean)), sigma, kernel)
 
 
-def grid_sigma(
-    off_rad: FloatArray, spread_rad: FloatArray, run: IntArray, settings: JointSettings
-) -> float:
+def grid_sigma(off_rad: FloatArray, spread_rad: FloatArray, run: IntArray) -> float:
     """How truly a building keeps to its grid, 1 sigma [rad], by what its maps show of it.
 
     off_rad, spread_rad: (k,) means of the branches of each row off the grid, and their noise; run:
@@ -316,9 +309,9 @@ def grid_sigma(
     count = np.maximum(np.bincount(run), 1)
     own = off_rad - (np.bincount(run, off_rad) / count)[run]
     beyond = float((own**2 - spread_rad**2).sum())
-    known = settings.grid_junctions
-    variance = (beyond + known * settings.grid_rad**2) / (len(run) + known)
-    return float(np.sqrt(max(variance, settings.min_grid_rad**2)))
+    known = JOINT.grid_junctions
+    variance = (beyond + known * JOINT.grid_rad**2) / (len(run) + known)
+    return float(np.sqrt(max(variance, JOINT.min_grid_rad**2)))
 
 
 def measured_turn(
@@ -349,10 +342,10 @@ def branch_headings(pool: Pool) -> FloatArray:
     )
 
 
-def centre_sigma(pool: Pool, settings: JointSettings = DEFAULT_JOINT) -> FloatArray:
+def centre_sigma(pool: Pool) -> FloatArray:
     """(n,) 1 sigma [m] per axis of the centre of each row as its map saw it."""
     one = np.array([m.measured.centre_m for m in pool.maps])[pool.run]
-    least = settings.min_position_m / np.sqrt(2)
+    least = JOINT.min_position_m / np.sqrt(2)
     return np.asarray(np.maximum(one / np.sqrt(pass_counts(pool)), least))
 
 

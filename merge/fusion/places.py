@@ -25,7 +25,7 @@ class PlaceSettings:
     """A branch that nobody drove stays if this share of the passes saw it."""
 
 
-DEFAULT_PLACE = PlaceSettings()
+PLACE = PlaceSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,17 +53,15 @@ class _Sighting:
     branch: int
 
 
-def fused_places(
-    pool: Pool, label: IntArray, pose: FloatArray, settings: PlaceSettings = DEFAULT_PLACE
-) -> list[Place]:
+def fused_places(pool: Pool, label: IntArray, pose: FloatArray) -> list[Place]:
     """The places of a pool, in the order of their labels. pose: (n, 3) of every row."""
     order = np.argsort(label, kind="stable")
     rows = parted(order, np.bincount(label).tolist())
     visits, driven = pass_counts(pool), _driven(pool)
     out = []
     for members in (r.tolist() for r in rows):
-        clusters = _clusters(pool, members, pose, visits, settings)
-        kept = _believed(clusters, members, visits, driven, settings)
+        clusters = _clusters(pool, members, pose, visits)
+        kept = _believed(clusters, members, visits, driven)
         means = np.array([_mean(c) for c in kept])
         order = np.argsort(means, kind="stable")
         branch_of = {r: np.full(_degree(pool, r), NO_BRANCH, np.int64) for r in members}
@@ -87,7 +85,7 @@ def _driven(pool: Pool) -> list[set[int]]:
 
 
 def _clusters(
-    pool: Pool, rows: list[int], pose: FloatArray, visits: IntArray, settings: PlaceSettings
+    pool: Pool, rows: list[int], pose: FloatArray, visits: IntArray
 ) -> list[list[_Sighting]]:
     """Branches of all rows of a place on one circle.
 
@@ -100,7 +98,7 @@ def _clusters(
         headings = wrap(m.branches[int(pool.vertex[row])] + pose[row, 2])
         weight = float(visits[row]) / max(m.noise.branch_rad, 1e-3) ** 2
         centres = np.array([_mean(c) for c in clusters])
-        for branch, k in enumerate(_assigned(headings, centres, settings.branch_gate_rad)):
+        for branch, k in enumerate(_assigned(headings, centres, PLACE.branch_gate_rad)):
             sighting = _Sighting(float(headings[branch]), weight, row, branch)
             if k is None:
                 clusters.append([sighting])
@@ -114,10 +112,9 @@ def _believed(
     rows: list[int],
     visits: IntArray,
     driven: list[set[int]],
-    settings: PlaceSettings,
 ) -> list[list[_Sighting]]:
     """Branches that somebody drove or enough passes saw."""
-    enough = settings.min_branch_share * float(visits[rows].sum())
+    enough = PLACE.min_branch_share * float(visits[rows].sum())
     return [
         c
         for c in clusters

@@ -12,7 +12,6 @@ from topobatch.merge.document import places_text
 from topobatch.merge.fusion import fuse as fusing
 from topobatch.merge.fusion.component import from_bytes, to_bytes
 from topobatch.merge.fusion.fuse import (
-    DEFAULT_FUSION,
     component_digest,
     fuse,
     fuse_component,
@@ -108,7 +107,7 @@ def test_a_component_kept_with_other_pairs_is_fused_again(joined, new_store):
     maps, inside = joined
     store, other = new_store(), new_store()
     first = fuse(maps, inside, asked=(), kept=Kept(store))
-    fused_once(maps, inside, DEFAULT_FUSION, FIRST_WITH_SECOND[:0], Kept(other))
+    fused_once(maps, inside, FIRST_WITH_SECOND[:0], Kept(other))
     (theirs,) = (payload for (kind, _), payload in other.known.items() if kind is Kind.COMPONENT)
     store.known = {k: theirs if k[0] is Kind.COMPONENT else v for k, v in store.known.items()}
     same(fuse(maps, inside, asked=(), kept=Kept(store)), first)

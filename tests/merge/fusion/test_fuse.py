@@ -404,7 +404,7 @@ def test_how_maps_are_turned_against_each_other_is_told_by_branches_and_not_by_v
 
 def test_a_grid_keeps_a_chain_of_rectilinear_maps_from_bending(draw, monkeypatch):
     assert far_end_of_a_chain(draw, read_deg=-4.0) == pytest.approx([80.0, 0.0], abs=1.0)
-    without = lambda pool, guess, settings: Priors.empty()  # noqa: E731
+    without = lambda pool, guess: Priors.empty()  # noqa: E731
     monkeypatch.setattr("topobatch.merge.fusion.joint_graph._grid_priors", without)
     assert far_end_of_a_chain(draw, read_deg=-4.0)[1] > 8.0
 

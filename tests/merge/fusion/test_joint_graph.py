@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.merge.fusion import joint_graph
 from topobatch.merge.fusion.joint_graph import (
-    DEFAULT_JOINT,
-    JointSettings,
+    JOINT,
     bending,
     grid_sigma,
     settle,
@@ -30,12 +30,12 @@ def street(draw, run, scale):
     return replace(drawn, noise=RunNoise(scale=0.02))
 
 
-def settled(maps, identities, settings=DEFAULT_JOINT):
+def settled(maps, identities):
     """The joint solution if vertex k of each map is one place, for every k of `identities`."""
     label = np.arange(sum(len(m) for m in maps))
     for k in identities:
         label[k :: len(maps[0])] = k
-    return settle(Pool.of(maps), label, {m.run: np.zeros(3) for m in maps}, settings)
+    return settle(Pool.of(maps), label, {m.run: np.zeros(3) for m in maps})
 
 
 def test_each_run_is_given_its_scale(draw):
@@ -48,9 +48,10 @@ def test_each_run_is_given_its_scale(draw):
     assert np.ptp(joint.pose[9:, 0]) == pytest.approx(80.0, abs=0.4)
 
 
-def test_many_runs_keep_their_scales(draw):
+def test_many_runs_keep_their_scales(draw, monkeypatch):
     maps = [street(draw, "a", 1.02), street(draw, "b", 0.98)]
-    joint = settled(maps, (0, 1, 2, 3), JointSettings(scaled_runs=1))
+    monkeypatch.setattr(joint_graph, "JOINT", replace(JOINT, scaled_runs=1))
+    joint = settled(maps, (0, 1, 2, 3))
     assert len(joint.solution.shared) == 0
     assert np.ptp(joint.pose[:9, 0]) > np.ptp(joint.pose[9:, 0]) + 1.0
 
@@ -58,19 +59,20 @@ def test_many_runs_keep_their_scales(draw):
 @pytest.mark.parametrize(
     ("crooked", "least", "most"), [(0.0, 0.005, 0.011), (0.03, 0.025, 0.035), (0.15, 0.13, 0.17)]
 )
-def test_a_grid_is_as_stiff_as_its_junctions_say(crooked, least, most):
+def test_a_grid_is_as_stiff_as_its_junctions_say(crooked, least, most, monkeypatch):
     rng = np.random.default_rng(5)
     run = np.repeat([0, 1], 200)
     spread = np.full(400, 0.02)
     off = rng.normal(0, np.hypot(spread, crooked)) + 0.1 * run
-    found = grid_sigma(off, spread, run, JointSettings(min_grid_rad=0.005))
+    monkeypatch.setattr(joint_graph, "JOINT", replace(JOINT, min_grid_rad=0.005))
+    found = grid_sigma(off, spread, run)
     assert least <= found <= most
 
 
 def test_few_junctions_leave_a_grid_as_stiff_as_usual():
     run = np.zeros(3, np.int64)
-    straight = grid_sigma(np.zeros(3), np.full(3, 0.02), run, DEFAULT_JOINT)
-    assert straight == pytest.approx(DEFAULT_JOINT.grid_rad, rel=0.1)
+    straight = grid_sigma(np.zeros(3), np.full(3, 0.02), run)
+    assert straight == pytest.approx(JOINT.grid_rad, rel=0.1)
 
 
 def test_corridors_bend_a_map_as_much_as_it_states(draw):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.fusion import uncertainty
-from topobatch.merge.fusion.fuse import FusionSettings, fuse
-from topobatch.merge.fusion.joint_graph import SOLVER, JointSettings, pass_counts, settle
+from topobatch.merge.fusion import joint_graph, uncertainty
+from topobatch.merge.fusion.fuse import fuse
+from topobatch.merge.fusion.joint_graph import JOINT, SOLVER, pass_counts, settle
 from topobatch.merge.fusion.uncertainty import spread
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
@@ -196,13 +196,13 @@ def test_what_robots_did_on_a_winding_way_is_not_told_by_its_ends(draw):
     assert np.sort(fused.length_sigma)[-2] < 0.02
 
 
-def test_the_scales_of_the_runs_stretch_all_of_a_way(draw):
+def test_the_scales_of_the_runs_stretch_all_of_a_way(draw, monkeypatch):
     stretched = RunNoise(1e-6, 1e-6, 1e-6, scale=0.1, centre_m=1e-3)
     maps = [winding(draw, name, stretched, length_sigma=np.full(8, 1e-3)) for name in "ab"]
     link = verdict(*maps, [(k, k) for k in range(9)])
     for scaled_runs in (24, 1):  # estimated, and not
-        settings = FusionSettings(joint=JointSettings(scaled_runs=scaled_runs))
-        _, fused = fuse(maps, [link], settings, asked=())
+        monkeypatch.setattr(joint_graph, "JOINT", replace(JOINT, scaled_runs=scaled_runs))
+        _, fused = fuse(maps, [link], asked=())
         share = fused.length_sigma / fused.length
         np.testing.assert_allclose(share, 0.1 / np.sqrt(2), rtol=0.25)
         assert np.ptp(share) < 0.15 * share.mean()
