@@ -34,19 +34,19 @@ to 0.18 m, branches within 4 degrees, one place in ten with another number of br
 others are corrected by their makers; how well, they do not say: odometry's defaults stand."""
 
 
-DEFAULT_FLOORPLAN = FloorplanSettings()
+FLOORPLAN = FloorplanSettings()
 
 
-def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -> TopoMap:
+def map_of_grid(log: GridLog) -> TopoMap:
     """The topological map of the largest connected part of a grid's free space.
 
     It has no observations, and corridors that nobody drove. Raises DataError if there is no
     junction. O(cells).
     """
-    grid, open_, coarser = affordable(_cropped(log.grid), settings.island_m)
+    grid, open_, coarser = affordable(_cropped(log.grid), FLOORPLAN.island_m)
     warnings = (*log.warnings, *coarser)
     frontier = grid.free & grid.unknown
-    places, corridors = skeleton_graph(open_, grid.resolution_m, settings, frontier)
+    places, corridors = skeleton_graph(open_, grid.resolution_m, FLOORPLAN, frontier)
     if not any(place.kind == "junction" for place in places):
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
@@ -83,7 +83,7 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = DEFAULT_FLOORPLAN) -
         shows_bends=False,
         info={
             "source": dict(log.source),
-            "settings": asdict(settings),
+            "settings": asdict(FLOORPLAN),
             "warnings": list(warnings),
         },
     )

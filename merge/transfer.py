@@ -43,7 +43,7 @@ class TransferSettings:
     1 sigma of its natural logarithm; believing it wholly, or hardly, is worse by the same."""
 
 
-DEFAULT_TRANSFER = TransferSettings()
+TRANSFER = TransferSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,9 +160,7 @@ TOGETHER = 4096
 """Points that are carried at once, five kilobytes each."""
 
 
-def transfer(
-    points: FloatArray, matched: MatchedJunctions, settings: TransferSettings = DEFAULT_TRANSFER
-) -> Transferred:
+def transfer(points: FloatArray, matched: MatchedJunctions) -> Transferred:
     """Carry points (p, 2) of the source map to the target map.
 
     Raises ValueError if there is no matched junction. O(p n³) for n neighbours.
@@ -170,8 +168,8 @@ def transfer(
     if len(matched) == 0:
         raise ValueError("the two maps have no junction in common")
     points = np.asarray(points, np.float64).reshape(-1, 2)
-    bending = _bending(matched, settings)
-    count = min(settings.neighbours, len(matched))
+    bending = _bending(matched)
+    count = min(TRANSFER.neighbours, len(matched))
     tree = cKDTree(matched.source)
     distance, rows = tree.query(points, k=count)
     rows = np.asarray(rows, np.int64).reshape(len(points), count)
@@ -185,10 +183,7 @@ def transfer(
 
 
 def _carried(
-    points: FloatArray,
-    matched: MatchedJunctions,
-    rows: IntArray,
-    bending: float,
+    points: FloatArray, matched: MatchedJunctions, rows: IntArray, bending: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Points (p, 2) through their junctions, rows: (p, n): where they are, with the mean variance
     of the two coordinates, and the turn with its variance.
@@ -226,14 +221,14 @@ def _carried(
     return xy, variance, np.asarray(wrap(turn)), 1 / total
 
 
-def _bending(matched: MatchedJunctions, settings: TransferSettings) -> float:
+def _bending(matched: MatchedJunctions) -> float:
     """Variance per metre by which two maps bend apart: the maximum a posteriori, with the
     likelihood of predicting each matched junction from the others and a log-normal prior about what
     the noise of the maps suggests."""
     k = len(matched)
     if k < 3:
         return matched.bending
-    count = min(settings.neighbours, k - 1)
+    count = min(TRANSFER.neighbours, k - 1)
     _, rows = cKDTree(matched.source).query(matched.source, k=count + 1)
     rows = np.asarray(rows, np.int64)
     own = rows == np.arange(k)[:, None]
@@ -247,7 +242,7 @@ def _bending(matched: MatchedJunctions, settings: TransferSettings) -> float:
         off = ((xy - matched.target) ** 2).sum(axis=1)
         # Junctions carry one another, so what they say is not independent: half the likelihood.
         score = -0.5 * float((off / (2 * spread) + np.log(spread)).sum())
-        score -= 0.5 * (step / settings.prior_log_sigma) ** 2
+        score -= 0.5 * (step / TRANSFER.prior_log_sigma) ** 2
         if score > best_score:
             best, best_score = bending, score
     return best

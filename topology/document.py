@@ -257,9 +257,7 @@ def _rows_known(rows: Sequence[list[float] | None]) -> Ragged | None:
     return Ragged.from_rows(known) if known and len(known) == len(rows) else None
 
 
-def _times_known(
-    rows: Sequence[list[tuple[int, int]] | None],
-) -> tuple[IntArray, ...] | None:
+def _times_known(rows: Sequence[list[tuple[int, int]] | None]) -> tuple[IntArray, ...] | None:
     known = [row for row in rows if row is not None]
     return _in_rows(known, np.int64) if known and len(known) == len(rows) else None
 

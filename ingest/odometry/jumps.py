@@ -48,6 +48,9 @@ class JumpSettings:
     """Steps that tell how fast the robot usually is."""
 
 
+JUMPS = JumpSettings()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Jumps:
     """Steps that were not driven, by row: the step from row - 1 to row.
@@ -118,8 +121,8 @@ class _Usual:
     rate: float
 
     @classmethod
-    def of(cls, time_ns: IntArray, pose: FloatArray, settings: JumpSettings) -> _Usual:
-        k = np.linspace(0, len(pose) - 2, settings.samples).astype(np.int64)
+    def of(cls, time_ns: IntArray, pose: FloatArray) -> _Usual:
+        k = np.linspace(0, len(pose) - 2, JUMPS.samples).astype(np.int64)
         k = k[np.diff(k, prepend=-1) > 0]
         duration = (time_ns[k + 1] - time_ns[k]) * SECOND_S
         way = np.hypot(*(pose[k + 1, :2] - pose[k, :2]).T)
@@ -135,9 +138,7 @@ def _seldom(values: FloatArray) -> float:
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 
 
-def spikes(
-    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: JumpSettings = JumpSettings()
-) -> BoolArray:
+def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> BoolArray:
     """(n - 1,) steps that stand out of their neighbours as few others of the run do.
 
     Between two quiet steps no robot makes a large one: it has inertia. What is usual for this robot
@@ -146,36 +147,36 @@ def spikes(
     over the rows that may matter.
     """
     found = np.zeros(max(len(pose) - 1, 0), bool)
-    if len(pose) <= settings.few_steps or not _any_spike(pose, bounds, settings):
+    if len(pose) <= JUMPS.few_steps or not _any_spike(pose, bounds):
         return found
     # Smaller ones tell what is usual.
-    rows = _large(pose, settings.least_m / settings.factor, settings.least_rad / settings.factor)
+    rows = _large(pose, JUMPS.least_m / JUMPS.factor, JUMPS.least_rad / JUMPS.factor)
     steps = _Steps.of(pose, rows)
-    usual = _Usual.of(time_ns, pose, settings)
+    usual = _Usual.of(time_ns, pose)
     way, turn = _excess(time_ns, pose, steps, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
-    often = 1 + int(driven / settings.usual_way_m)
-    out = way > max(settings.least_m, settings.factor * _at_rank(way, often))
+    often = 1 + int(driven / JUMPS.usual_way_m)
+    out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
     fast = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
-    fast = fast > settings.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
-    out |= fast & (turn > max(settings.least_rad, settings.factor * _at_rank(turn, often)))
+    fast = fast > JUMPS.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
+    out |= fast & (turn > max(JUMPS.least_rad, JUMPS.factor * _at_rank(turn, often)))
     found[rows[out]] = True
     return found
 
 
-def _any_spike(pose: FloatArray, bounds: StepBounds, settings: JumpSettings) -> bool:
+def _any_spike(pose: FloatArray, bounds: StepBounds) -> bool:
     """Whether any step leaves the range of its neighbours and of standing still by enough.
 
     Nothing that is known of times widens what steps leave.
     """
-    if bounds.within(settings.least_m, settings.least_rad):
+    if bounds.within(JUMPS.least_m, JUMPS.least_rad):
         return False
-    rows = _large(pose, settings.least_m, settings.least_rad)
+    rows = _large(pose, JUMPS.least_m, JUMPS.least_rad)
     if len(rows) == 0:
         return False
     steps = _Steps.of(pose, rows)
     way, turn = steps.beyond(steps.around, 0.0)
-    return bool(((way > settings.least_m) | (turn > settings.least_rad)).any())
+    return bool(((way > JUMPS.least_m) | (turn > JUMPS.least_rad)).any())
 
 
 def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
@@ -287,11 +288,7 @@ def _first_alike(pose: FloatArray, rows: IntArray) -> IntArray:
 
 
 def measured_jumps(
-    time_ns: IntArray,
-    pose: FloatArray,
-    leaps: BoolArray,
-    restarted: BoolArray,
-    settings: JumpSettings = JumpSettings(),
+    time_ns: IntArray, pose: FloatArray, leaps: BoolArray, restarted: BoolArray
 ) -> Jumps:
     """What the given steps are: jumps, late messages, or resets.
 
@@ -300,7 +297,7 @@ def measured_jumps(
     farther than the robot drives in the whole run.
     """
     begin = np.flatnonzero(leaps)
-    usual = _Usual.of(time_ns, pose, settings)
+    usual = _Usual.of(time_ns, pose)
     duration = (time_ns[begin + 1] - time_ns[begin]) * SECOND_S
     off = _moved(pose, begin) - _expected(time_ns, pose, leaps, begin, usual)
     way, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap(off[:, 2]))
@@ -308,7 +305,7 @@ def measured_jumps(
     again = np.minimum(duration, 2 * usual.period)
     reset = _near(pose, begin + 1, np.zeros(3), again, usual)
     reset |= _near(pose, begin + 1, pose[0], again, usual)
-    reset |= restarted[begin] | (way > max(driven, settings.least_m))
+    reset |= restarted[begin] | (way > max(driven, JUMPS.least_m))
     since, moved = _first_alike(pose, begin), _moved(pose, begin)
     waited = (time_ns[begin + 1] - time_ns[since]) * SECOND_S
     late = waited > 2 * usual.period
@@ -343,9 +340,7 @@ def _expected(
     return out
 
 
-def without_jumps(
-    odometry: Odometry, jumps: Jumps, settings: JumpSettings = JumpSettings()
-) -> Odometry:
+def without_jumps(odometry: Odometry, jumps: Jumps) -> Odometry:
     """The odometry with breaks at resets, and going on over every jump as its neighbours say.
 
     The uncertainty of such a step is the size of the jump, and what the robot usually drives in the
@@ -359,7 +354,7 @@ def without_jumps(
     if len(rows) == 0:
         return replace(odometry, breaks=breaks)
     time_ns, pose = odometry.time_ns, odometry.pose
-    usual = _Usual.of(time_ns, pose, settings)
+    usual = _Usual.of(time_ns, pose)
     leaps = np.zeros(len(pose) - 1, bool)
     leaps[jumps.rows - 1] = True
     step = _expected(time_ns, pose, leaps, rows - 1, usual)

@@ -28,11 +28,12 @@ class CarriedSettings:
     apart_m: float = 1.5
 
 
-def split_where_carried(
-    odometry: Odometry, detections: Detections, settings: CarriedSettings = CarriedSettings()
-) -> tuple[Odometry, int]:
+CARRIED = CarriedSettings()
+
+
+def split_where_carried(odometry: Odometry, detections: Detections) -> tuple[Odometry, int]:
     """The odometry with a break wherever the robot was carried, and their number. O(n + k)."""
-    jumps = _carried(odometry, detections, settings)
+    jumps = _carried(odometry, detections)
     if len(jumps) == 0:
         return odometry, 0
     rows = np.searchsorted(odometry.time_ns, detections.time_ns[jumps + 1])
@@ -40,55 +41,47 @@ def split_where_carried(
     return replace(odometry, breaks=breaks), len(jumps)
 
 
-def _carried(odometry: Odometry, detections: Detections, settings: CarriedSettings) -> IntArray:
+def _carried(odometry: Odometry, detections: Detections) -> IntArray:
     """Rows i of detections so that the robot was carried between i and i + 1."""
-    if len(detections) < 2 * settings.sightings or len(odometry) < 2:
+    if len(detections) < 2 * CARRIED.sightings or len(odometry) < 2:
         return np.zeros(0, np.int64)
     row = np.clip(np.searchsorted(odometry.time_ns, detections.time_ns), 0, len(odometry) - 1)
     centre = detections.centre
     step = np.hypot(*np.diff(centre, axis=0).T)
-    suspects = np.flatnonzero(step > settings.apart_m)
-    suspects = suspects[_may_stand(suspects, row, odometry, settings)]
+    suspects = np.flatnonzero(step > CARRIED.apart_m)
+    suspects = suspects[_may_stand(suspects, row, odometry)]
     if len(suspects) == 0:
         return suspects
     # Way and turn travelled up to each detection, so that standing is a difference of two entries.
     way = np.cumsum(odometry.step_m)[row]
     turn = np.cumsum(np.abs(odometry.turn_rad))[row]
-    found = [i for i in suspects.tolist() if _is_journey(i, way, turn, centre, settings)]
+    found = [i for i in suspects.tolist() if _is_journey(i, way, turn, centre)]
     return np.array(found, np.int64)
 
 
-def _may_stand(
-    i: IntArray, row: IntArray, odometry: Odometry, settings: CarriedSettings
-) -> BoolArray:
+def _may_stand(i: IntArray, row: IntArray, odometry: Odometry) -> BoolArray:
     """Whether the robot may have stood around detection i, by two poses instead of all between.
 
     Who stands ends where he began, except across a break.
     """
-    first = np.maximum(i + 1 - settings.sightings, 0)
-    last = np.minimum(i + settings.sightings, len(row) - 1)
+    first = np.maximum(i + 1 - CARRIED.sightings, 0)
+    last = np.minimum(i + CARRIED.sightings, len(row) - 1)
     before, after = row[first], row[last]
     moved = np.hypot(*(odometry.pose[after, :2] - odometry.pose[before, :2]).T)
     broken = np.diff(np.searchsorted(odometry.breaks, [before, after], "right"), axis=0)[0] > 0
-    return np.asarray((moved <= 2 * settings.standing_m) | broken)
+    return np.asarray((moved <= 2 * CARRIED.standing_m) | broken)
 
 
-def _is_journey(
-    i: int,
-    way: FloatArray,
-    turn: FloatArray,
-    centre: FloatArray,
-    settings: CarriedSettings,
-) -> bool:
-    first, last = i + 1 - settings.sightings, i + settings.sightings
+def _is_journey(i: int, way: FloatArray, turn: FloatArray, centre: FloatArray) -> bool:
+    first, last = i + 1 - CARRIED.sightings, i + CARRIED.sightings
     if first < 0 or last >= len(way):
         return False
-    stands = way[last] - way[first] <= settings.standing_m
-    stands &= turn[last] - turn[first] <= settings.standing_rad
+    stands = way[last] - way[first] <= CARRIED.standing_m
+    stands &= turn[last] - turn[first] <= CARRIED.standing_rad
     before, after = centre[first : i + 1], centre[i + 1 : last + 1]
-    agree = max(_spread(before), _spread(after)) <= settings.agree_m
+    agree = max(_spread(before), _spread(after)) <= CARRIED.agree_m
     apart = np.hypot(*(np.median(after, axis=0) - np.median(before, axis=0)))
-    return bool(stands and agree and apart > settings.apart_m)
+    return bool(stands and agree and apart > CARRIED.apart_m)
 
 
 def _spread(points: FloatArray) -> float:

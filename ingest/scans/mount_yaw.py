@@ -22,7 +22,7 @@ from .matching import MatchingSettings, posed
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, odometry_motion
 
-DEFAULT_MATCHING = MatchingSettings()
+MATCHING = MatchingSettings()
 ENOUGH = 40
 """Steps that tell: their directions scatter by some degrees, their mean then by one."""
 MOST_SCANS = 4000
@@ -33,19 +33,15 @@ SAME_RAD, SAME_SHARE = 0.2, 0.8
 """So near each other so many directions have to be: scans matched wrongly go anywhere."""
 
 
-def mount_yaw(
-    odometry: Odometry,
-    batches: Iterable[ScanBatch],
-    settings: MatchingSettings = DEFAULT_MATCHING,
-) -> float | None:
+def mount_yaw(odometry: Odometry, batches: Iterable[ScanBatch]) -> float | None:
     """The yaw [rad] of a laser in the robot's frame, whose scans are taken to be of the robot's
     middle; None if not sure.
 
     batches: of one laser. Reads as few as needed.
     """
     found = np.zeros(0)
-    for frames in keyframes(posed(odometry, _first(batches), settings), settings.keyframes):
-        found = np.concatenate([found, _yaws(frames, settings)])
+    for frames in keyframes(posed(odometry, _first(batches), MATCHING), MATCHING.keyframes):
+        found = np.concatenate([found, _yaws(frames)])
         if len(found) >= ENOUGH:
             return _agreed(found)
     return None
@@ -60,22 +56,22 @@ def _first(batches: Iterable[ScanBatch]) -> Iterator[ScanBatch]:
             return
 
 
-def _yaws(frames: Keyframes, settings: MatchingSettings) -> FloatArray:
+def _yaws(frames: Keyframes) -> FloatArray:
     """Of every step of a stretch of keyframes that goes straight on and is known by its scans."""
     second = np.arange(len(frames) - 1)
     own = odometry_motion(frames, second + 1, second)
     way = np.hypot(own[:, 0], own[:, 1])
     straight = (np.abs(own[:, 2]) < STRAIGHT_RAD) & (np.diff(frames.piece) == 0)
-    straight &= (way > 0.5 * settings.keyframes.step_m) & (way < 2 * settings.keyframes.step_m)
+    straight &= (way > 0.5 * MATCHING.keyframes.step_m) & (way < 2 * MATCHING.keyframes.step_m)
     second, own, way = second[straight], own[straight], way[straight]
     if len(second) == 0:
         return np.zeros(0)
-    scans = Swept.of(frames.xy, frames.start, frames.increment, settings.surfaces)
+    scans = Swept.of(frames.xy, frames.start, frames.increment, MATCHING.surfaces)
     anywhere = np.tile(np.diag(1 / np.array([1.0, 1.0, STRAIGHT_RAD]) ** 2), (len(own), 1, 1))
     still = Steps(np.zeros_like(own), anywhere)
-    seen = match_steps(scans, (second + 1, second), still, settings.alignment)
+    seen = match_steps(scans, (second + 1, second), still, MATCHING.alignment)
     x, y = seen.motion[:, :2].T
-    sure = (seen.fit > settings.alignment.lost_fit) & (seen.loose_m < LOOSE_M) & ~seen.searched
+    sure = (seen.fit > MATCHING.alignment.lost_fit) & (seen.loose_m < LOOSE_M) & ~seen.searched
     sure &= np.abs(np.hypot(x, y) - way) < SAME_RAD * way
     return np.asarray(wrap(np.arctan2(own[:, 1], own[:, 0]) - np.arctan2(y, x))[sure])
 

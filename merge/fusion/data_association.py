@@ -86,10 +86,7 @@ class _Surroundings:
 
 
 def coincident(
-    pool: Pool,
-    groups: Groups,
-    pose: FloatArray,
-    matched: Iterable[tuple[str, str]] = (),
+    pool: Pool, groups: Groups, pose: FloatArray, matched: Iterable[tuple[str, str]] = ()
 ) -> list[tuple[int, int]]:
     """Pairs of rows whose groups are one place, nearest first.
 
@@ -127,11 +124,7 @@ def coincident(
 class _Chains:
     """Candidate pairs joined by corridors that agree, and what speaks for and against each."""
 
-    def __init__(
-        self,
-        candidates: list[tuple[int, int]],
-        around: _Surroundings,
-    ) -> None:
+    def __init__(self, candidates: list[tuple[int, int]], around: _Surroundings) -> None:
         self._around = around
         self._place = {}
         for k, (u, v) in enumerate(candidates):
@@ -175,10 +168,7 @@ class _Chains:
 
 
 def _candidates(
-    pool: Pool,
-    label: IntArray,
-    pose: FloatArray,
-    around: _Surroundings,
+    pool: Pool, label: IntArray, pose: FloatArray, around: _Surroundings
 ) -> list[tuple[int, int, float]]:
     """Rows of places that no run has both of, clearly each other's nearest, branches fitting; and
     the distances [m] of the places."""

@@ -19,14 +19,7 @@ from ...topology.arrays import FloatArray
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.se2 import wrap
-from .edges import (
-    CORRIDOR,
-    SHORTEST_M,
-    Corridor,
-    fuse_corridors,
-    oriented,
-    same_corridor,
-)
+from .edges import CORRIDOR, SHORTEST_M, Corridor, fuse_corridors, oriented, same_corridor
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,10 +155,7 @@ def _chain(
 
 
 def _chains(
-    c: Corridor,
-    number: int,
-    corridors: list[Corridor],
-    leaving: dict[int, list[tuple[int, _Way]]],
+    c: Corridor, number: int, corridors: list[Corridor], leaving: dict[int, list[tuple[int, _Way]]]
 ) -> Iterator[tuple[int, ...]]:
     """All chains of corridors from one end of a corridor to the other by its own branches."""
     longest = 1.2 * c.length + 1.0
@@ -193,10 +183,7 @@ def _with_extra(c: Corridor, parts: list[Corridor]) -> Corridor:
 
 
 def _known_part(
-    part: Corridor,
-    number: int,
-    corridors: list[Corridor],
-    index: dict[tuple[int, int], list[int]],
+    part: Corridor, number: int, corridors: list[Corridor], index: dict[tuple[int, int], list[int]]
 ) -> int | None:
     """The corridor that is already known between the ends of a part, by the same branches."""
     p = oriented(part)

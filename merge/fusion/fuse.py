@@ -27,14 +27,7 @@ from .component import FusedComponent, from_bytes, observations_of, to_bytes
 from .data_association import COINCIDENCE, coincident
 from .edge_splitting import split_at_places
 from .edges import Corridor, corridors_of, fuse_corridors
-from .joint_graph import (
-    Joint,
-    fitted_poses,
-    measured_within,
-    pass_counts,
-    run_poses,
-    settle,
-)
+from .joint_graph import Joint, fitted_poses, measured_within, pass_counts, run_poses, settle
 from .places import Place, fused_places
 from .uncertainty import fused_sigmas, spread
 from .vertex_partition import Groups, Pool, identify
@@ -98,10 +91,7 @@ def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Na
 
 
 def fused_once(
-    maps: Sequence[TopoMap],
-    inside: Sequence[PairVerdict],
-    sure: IntArray | None,
-    kept: Kept | None,
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], sure: IntArray | None, kept: Kept | None
 ) -> FusedComponent:
     """`fuse_component` of maps sorted by run, or what is kept of when it was done before."""
     if kept is None:
@@ -152,9 +142,7 @@ def component_digest(
 
 
 def fuse_component(
-    maps: Sequence[TopoMap],
-    inside: Sequence[PairVerdict],
-    sure: IntArray | None = None,
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], sure: IntArray | None = None
 ) -> FusedComponent:
     """One component. inside: accepted verdicts, all between its runs, that join them; sure: the
     pairs of its `spread`, None where not even the sigmas of its vertices are asked for."""
@@ -191,10 +179,7 @@ def fuse_component(
 
 
 def _settle(
-    pool: Pool,
-    groups: Groups,
-    start: Mapping[str, FloatArray],
-    matched: Sequence[tuple[str, str]],
+    pool: Pool, groups: Groups, start: Mapping[str, FloatArray], matched: Sequence[tuple[str, str]]
 ) -> Joint:
     """Optimise, fuse what coincides, and again until nothing more does."""
     if len(pool.maps) < 2:

@@ -114,10 +114,7 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
 
 
 def settle(
-    pool: Pool,
-    label: IntArray,
-    start: Mapping[str, FloatArray],
-    within: Measurements | None = None,
+    pool: Pool, label: IntArray, start: Mapping[str, FloatArray], within: Measurements | None = None
 ) -> Joint:
     """The most likely poses of all rows of a pool.
 

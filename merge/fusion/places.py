@@ -108,10 +108,7 @@ def _clusters(
 
 
 def _believed(
-    clusters: list[list[_Sighting]],
-    rows: list[int],
-    visits: IntArray,
-    driven: list[set[int]],
+    clusters: list[list[_Sighting]], rows: list[int], visits: IntArray, driven: list[set[int]]
 ) -> list[list[_Sighting]]:
     """Branches that somebody drove or enough passes saw."""
     enough = PLACE.min_branch_share * float(visits[rows].sum())

@@ -26,6 +26,9 @@ from ...topology.turning_back import told_by_deepest
 from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run, fused_of
 
+DRAWING = MapBuildingSettings()
+"""As in the maps of single runs."""
+
 
 class _End(NamedTuple):
     """Turning point `row` of a map, drawn from a fused vertex in its component's frame."""
@@ -66,10 +69,7 @@ class _End(NamedTuple):
 
 
 def with_turning_ends(
-    fused: FusedMap,
-    components: Sequence[Component],
-    maps: Sequence[TopoMap],
-    settings: MapBuildingSettings = MapBuildingSettings(),  # noqa: B008
+    fused: FusedMap, components: Sequence[Component], maps: Sequence[TopoMap]
 ) -> FusedMap:
     """The fused map with the turning points of its runs as its last vertices, and the ways to them
     as its last edges. maps: of all runs, sorted by name. O(n log n).
@@ -78,13 +78,13 @@ def with_turning_ends(
     """
     if not any(len(m.turning_points) for m in maps):
         return fused
-    found = sorted(_ends(fused, components, maps, settings), key=lambda e: -e.length)
+    found = sorted(_ends(fused, components, maps), key=lambda e: -e.length)
     kept, _ = told_by_deepest(
         enumerate(found),
         fused,
-        _corridors(fused, settings.sound_m / 4),
-        sound_m=settings.sound_m,
-        near_m=settings.sound_m,
+        _corridors(fused, DRAWING.sound_m / 4),
+        sound_m=DRAWING.sound_m,
+        near_m=DRAWING.sound_m,
     )
     return _appended(fused, kept)
 
@@ -102,10 +102,7 @@ def _corridors(fused: FusedMap, step_m: float) -> Callable[[int], Ways]:
 
 
 def _ends(
-    fused: FusedMap,
-    components: Sequence[Component],
-    maps: Sequence[TopoMap],
-    settings: MapBuildingSettings,
+    fused: FusedMap, components: Sequence[Component], maps: Sequence[TopoMap]
 ) -> Iterator[_End]:
     poses = {run: pose for c in components for run, pose in c.poses.items()}
     home = fused_of(fused.members)
@@ -119,7 +116,7 @@ def _ends(
             its = NO_BRANCH
             if branch != NO_BRANCH:
                 off = np.abs(wrap(fused.branches[at] - (m.branches[vertex][branch] + T[2])))
-                its = int(off.argmin()) if off.min() <= settings.match_rad else NO_BRANCH
+                its = int(off.argmin()) if off.min() <= DRAWING.match_rad else NO_BRANCH
             yield _End(m, row, at, its, path, float(T[2]))
 
 

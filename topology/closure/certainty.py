@@ -27,6 +27,9 @@ class CertaintySettings:
     in simulated cities, offices, tiles and organic streets, less in rows and mazes."""
 
 
+CERTAINTY = CertaintySettings()
+
+
 def place_errors(
     reckoning: DeadReckoning,
     estimate: Estimate,
@@ -35,7 +38,6 @@ def place_errors(
     grid: GridHeadings | None = None,
     *,
     shared_m: FloatArray | None = None,
-    settings: CertaintySettings = CertaintySettings(),
 ) -> VertexErrors:
     """Errors of the places `kept` of an estimate, by the noise that it was optimised with.
 
@@ -44,7 +46,7 @@ def place_errors(
     the odometry's scale, and all passes of a place what they see alike (shared_m: of each pass,
     1 sigma per axis [m]; None for nothing).
     """
-    count = settings.samples
+    count = CERTAINTY.samples
     sampled = SampledMarginals.of(estimate.graph, estimate.solution.with_full_weights(), count)
     node = estimate.node[kept]
     error = sampled.error[node]
@@ -73,12 +75,10 @@ def place_errors(
     return VertexErrors(error, own)
 
 
-def seen_alike(
-    open_m: FloatArray, noise: RunNoise, settings: CertaintySettings = CertaintySettings()
-) -> FloatArray:
+def seen_alike(open_m: FloatArray, noise: RunNoise) -> FloatArray:
     """(p,) 1 sigma per axis [m] of what all passes of a place see alike: of all that the walls
     leave open at each pass, open_m (p,), without what passes differ by."""
-    least = np.sqrt(settings.least_shared) * open_m
+    least = np.sqrt(CERTAINTY.least_shared) * open_m
     return np.asarray(np.sqrt(np.maximum(open_m**2 - noise.centre_m**2, least**2)))
 
 

@@ -11,12 +11,7 @@ from topobatch.merge.digests import digest_of
 from topobatch.merge.document import places_text
 from topobatch.merge.fusion import fuse as fusing
 from topobatch.merge.fusion.component import from_bytes, to_bytes
-from topobatch.merge.fusion.fuse import (
-    component_digest,
-    fuse,
-    fuse_component,
-    fused_once,
-)
+from topobatch.merge.fusion.fuse import component_digest, fuse, fuse_component, fused_once
 from topobatch.merge.packs import Kept, Kind
 from topobatch.merge.result import Alignment, Late, PairVerdict, Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.fusion import joint_graph
-from topobatch.merge.fusion.joint_graph import (
-    JOINT,
-    bending,
-    grid_sigma,
-    settle,
-)
+from topobatch.merge.fusion.joint_graph import JOINT, bending, grid_sigma, settle
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.posegraph.samples import SampledMarginals
