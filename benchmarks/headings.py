@@ -27,7 +27,7 @@ from topobatch.ingest.mapping import build_map
 from topobatch.ingest.scans.detection import detect
 from topobatch.ingest.scans.junctions import no_passes
 from topobatch.ingest.scans.keyframes import join
-from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
+from topobatch.ingest.scans.matching import matched, posed
 from topobatch.ingest.scans.noise import matched_noise
 from topobatch.topology.columns import joined
 from topobatch.topology.odometry import Odometry
@@ -58,8 +58,7 @@ class Judged:
 
 def judged(log: Log) -> Judged:
     """A run's headings, matched but without junctions."""
-    settings = MatchingSettings()
-    parts = list(matched(posed(log.odometry, log.scans, settings), settings))
+    parts = list(matched(posed(log.odometry, log.scans)))
     frames, spans = join([part.keyframes for part in parts]), joined([p.spans for p in parts])
     pose = compose(np.concatenate([part.pose for part in parts]), inverse(frames.mount))
     noise = matched_noise([part.spans for part in parts], no_passes())

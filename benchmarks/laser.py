@@ -52,7 +52,7 @@ from scipy.special import ndtr
 from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.scans.detection import detect
-from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
+from topobatch.ingest.scans.matching import matched, posed
 from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.ingest.scans.stream import Mounting, ScanStream
 from topobatch.topology.odometry import Odometry
@@ -274,8 +274,8 @@ def agreed(log: Log) -> Log:
 
 def matching_rate(log: Log) -> float:
     """Scans per second of scan matching alone, which is what KISS-ICP does."""
-    settings, began = MatchingSettings(), time.process_time()
-    for _ in matched(posed(log.odometry, log.scans, settings), settings):
+    began = time.process_time()
+    for _ in matched(posed(log.odometry, log.scans)):
         pass
     return sum(map(len, log.scans)) / (time.process_time() - began)
 

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, match_steps
 from topobatch.ingest.scans.association import Gate, Swept, pair_terms
 from topobatch.ingest.scans.keyframes import Keyframes, join
-from topobatch.ingest.scans.matching import MatchingSettings, matched, posed
+from topobatch.ingest.scans.matching import matched, posed
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.ingest.scans.step_errors import StepErrors
-from topobatch.ingest.scans.surfaces import SurfaceSettings
 from topobatch.topology.columns import take
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.se2 import between, compose, fit_rigid, inverse, turned_axes, wrap
@@ -59,14 +58,13 @@ class Revisits:
 
 def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> Revisits:
     """The path of keyframes between the truth's first pose and its last; one laser."""
-    settings = MatchingSettings()
-    parts = list(matched(posed(odometry, batches, settings), settings))
+    parts = list(matched(posed(odometry, batches)))
     frames = join([part.keyframes for part in parts])
     inside = np.flatnonzero(
         (frames.time_ns >= truth.time_ns[0]) & (frames.time_ns <= truth.time_ns[-1])
     )
     ours, frames = np.concatenate([part.pose for part in parts])[inside], take(frames, inside)
-    scans = Swept.of(frames.xy, frames.start, frames.increment, SurfaceSettings())
+    scans = Swept.of(frames.xy, frames.start, frames.increment)
     real = compose(truth.at(frames.time_ns), frames.mount)
     start, again = _started(real, ours), _again(real, ours)
     found = match_steps(scans, again, _loose(between(start[again[1]], start[again[0]])), _PLAIN)

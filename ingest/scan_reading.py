@@ -18,7 +18,7 @@ from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
 from .odometry.reading import OdometryTopic, described, driven, odometry_topic
 from .scans.clock_lag import LaggingError
-from .scans.detection import ScanSettings, detect
+from .scans.detection import detect
 from .scans.handedness import MirroredError
 from .scans.mount_yaw import mount_yaw
 from .scans.scan import ScanResult, ScanStatistics
@@ -117,11 +117,11 @@ def _detected(
 
     As mirror images if they are some, and beside the odometry as late as they lag behind it.
     """
-    settings, overturned, found = ScanSettings(), False, list[str]()
+    may_lag, overturned, found = True, False, list[str]()
     while True:
         stream, told = scans.stream(overturned)
         try:
-            return _detect(odometry, stream, settings), stream, told + found
+            return _detect(odometry, stream, may_lag), stream, told + found
         except MirroredError as error:
             if overturned:
                 raise DataError(f"turned over {error}: it fits neither way up") from error
@@ -132,17 +132,15 @@ def _detected(
             )
         except LaggingError as error:
             assert odometry is not None
-            settings = replace(settings, lag=None)
+            may_lag = False
             odometry = odometry.delayed(error.lag_s)
             found.append(f"{error}: the odometry was taken by the scans' clock")
 
 
-def _detect(
-    odometry: Odometry | None, stream: InterleavedScans, settings: ScanSettings
-) -> ScanResult:
+def _detect(odometry: Odometry | None, stream: InterleavedScans, may_lag: bool) -> ScanResult:
     """`detect`; errors say as well what is wrong with the scans."""
     try:
-        return detect(odometry, stream, settings)
+        return detect(odometry, stream, may_lag=may_lag)
     except (MirroredError, LaggingError):
         raise
     except DataError as error:

@@ -62,6 +62,9 @@ class AlignmentSettings:
         return np.asarray(shift + self.settled_at_m * np.abs(change[:, 2]) > self.settled_m)
 
 
+ALIGNMENT = AlignmentSettings()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
     """What the odometry says of the motion from some poses to others: (p, 3) motion and (p, 3, 3)

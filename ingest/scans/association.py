@@ -14,7 +14,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import wrap
-from .surfaces import SurfaceSettings, surfaces
+from .surfaces import surfaces
 
 POINT_RAD = 0.035
 """Beams of one scan that are held against another's surfaces, at most so near to each other: those
@@ -59,15 +59,9 @@ class Swept:
     lines: Lines
 
     @classmethod
-    def of(
-        cls,
-        xy: Float32Array,
-        start: FloatArray,
-        increment: FloatArray,
-        settings: SurfaceSettings,
-    ) -> Swept:
+    def of(cls, xy: Float32Array, start: FloatArray, increment: FloatArray) -> Swept:
         """Of (k, m, 2) points in the laser's frame [m], NaN where no return."""
-        on = surfaces(xy, increment, settings)
+        on = surfaces(xy, increment)
         each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
         x, y = (np.where(on.valid, xy[..., k], np.float32(0)) for k in (0, 1))
         x, y, nx, ny = (_every(values, each) for values in (x, y, on.nx, on.ny))

@@ -35,6 +35,9 @@ class LagSettings:
     they are of another drive."""
 
 
+LAG = LagSettings()
+
+
 class LaggingError(DataError):
     """The scans are stamped late, or early; lag_s: by how much."""
 
@@ -44,13 +47,7 @@ class LaggingError(DataError):
         super().__init__(f"the scans turn as the odometry does, {abs(lag_s):.2f} s {late}")
 
 
-def clock_lag(
-    odometry: Odometry,
-    time_ns: IntArray,
-    pose: FloatArray,
-    piece: IntArray,
-    settings: LagSettings,
-) -> float:
+def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: IntArray) -> float:
     """By how much scans are stamped late [s]; 0 where no lag is large and sure.
 
     time_ns: (k,) by the scans' clock, ascending; pose: (k, 3) of the robot, by its scans; piece:
@@ -60,8 +57,8 @@ def clock_lag(
     step = np.diff(piece) == 0
     turn = wrap(np.diff(pose[:, 2]))[step]
     way = np.hypot(*np.diff(pose[:, :2], axis=0).T)[step]
-    count = round(settings.most_s / settings.step_s)
-    lags = settings.step_s * np.arange(-count, count + 1)
+    count = round(LAG.most_s / LAG.step_s)
+    lags = LAG.step_s * np.arange(-count, count + 1)
 
     def left(lag_s: float) -> float:
         own = wrap(np.diff(at(time_ns - np.int64(1e9 * lag_s))[:, 2]))[step]
@@ -71,8 +68,8 @@ def clock_lag(
 
     off = np.array([left(lag) for lag in lags])
     best = int(off.argmin())
-    if off[best] > settings.left * off[count] or best in (0, len(off) - 1):
+    if off[best] > LAG.left * off[count] or best in (0, len(off) - 1):
         return 0.0
     before, here, after = off[best - 1 : best + 2] ** 2
-    lag = lags[best] + 0.5 * settings.step_s * (before - after) / (before - 2 * here + after)
-    return float(lag) if abs(lag) >= settings.least_s else 0.0
+    lag = lags[best] + 0.5 * LAG.step_s * (before - after) / (before - 2 * here + after)
+    return float(lag) if abs(lag) >= LAG.least_s else 0.0

@@ -12,38 +12,27 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import apply, compose, inverse
-from .clock_lag import LaggingError, LagSettings, clock_lag
+from .clock_lag import LaggingError, clock_lag
 from .handedness import MirroredError, Turns
-from .junctions import Driven, JunctionSettings, junction_passes
-from .matching import Matched, MatchingSettings, matched, posed
+from .junctions import Driven, junction_passes
+from .matching import Matched, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
 from .scan import Anchored, ScanBatch, ScanPicture, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
-from .windows import Seen, WindowSettings, windows
+from .windows import WINDOWS, Seen, windows
 
-
-@dataclass(frozen=True, slots=True)
-class ScanSettings:
-    """The whole chain's settings."""
-
-    matching: MatchingSettings = field(default_factory=MatchingSettings)
-    windows: WindowSettings = field(default_factory=WindowSettings)
-    junctions: JunctionSettings = field(default_factory=JunctionSettings)
-    least_fit: float = 0.5
-    """A keyframe of which less fits what the one before saw tells nothing."""
-    lag: LagSettings | None = field(default_factory=LagSettings)
-    """None: stamps are taken as they are."""
+LEAST_FIT = 0.5
+"""A keyframe of which less fits what the one before saw tells nothing."""
 
 
 def detect(
-    odometry: Odometry | None,
-    scans: Iterable[ScanBatch],
-    settings: ScanSettings = ScanSettings(),
+    odometry: Odometry | None, scans: Iterable[ScanBatch], *, may_lag: bool = True
 ) -> ScanResult:
     """Correct a run's odometry by its scans and find the junctions it drove by.
 
-    scans: in the order of time, several lasers interleaved. The odometry of the result has a row
+    scans: in the order of time, several lasers interleaved; may_lag: whether they may be stamped by
+    another clock than the odometry. The odometry of the result has a row
     per keyframe. Memory follows the keyframes' poses and a thinned picture, not the scans.
     Raises MirroredError as soon as the scans turn against the odometry, LaggingError as soon as
     they turn earlier or later than it does, DataError where nothing can be made of them.
@@ -51,14 +40,13 @@ def detect(
     counted = _Counted(scans)
     track = _Track()
     if odometry is not None and len(odometry) > 0:
-        poses = posed(odometry, counted, settings.matching)
-        if settings.lag is not None:
-            track = _Track(lag=partial(clock_lag, odometry, settings=settings.lag))
+        poses = posed(odometry, counted)
+        if may_lag:
+            track = _Track(lag=partial(clock_lag, odometry))
     else:
-        odometry, m = None, settings.matching
-        poses = scan_odometry(counted, (m.keyframes, m.surfaces, m.alignment))
-    seen = list(windows(track.passing(matched(poses, settings.matching)), settings.windows))
-    return _result(odometry, counted, track, seen, settings)
+        odometry, poses = None, scan_odometry(counted)
+    seen = list(windows(track.passing(matched(poses))))
+    return _result(odometry, counted, track, seen)
 
 
 SECTORS = 36
@@ -173,11 +161,7 @@ def _walls(part: Matched, cell_m: float = 0.1, reach_m: float = 8.0) -> Anchored
 
 
 def _result(
-    recorded: Odometry | None,
-    counted: _Counted,
-    track: _Track,
-    seen: list[Seen],
-    settings: ScanSettings,
+    recorded: Odometry | None, counted: _Counted, track: _Track, seen: list[Seen]
 ) -> ScanResult:
     if not track.pose:
         raise DataError(_nothing(counted))
@@ -187,18 +171,18 @@ def _result(
             "do: they are of another drive, or the two topics' clocks differ"
         )
     driven = track.driven()
-    passes = junction_passes(seen, driven, settings.windows, settings.junctions)
+    passes = junction_passes(seen, driven)
     noise = matched_noise(track.spans, passes, alone=recorded is None)
     fit, piece = np.concatenate(track.fit), np.concatenate(track.piece)
     statistics = ScanStatistics(
         scans=counted.scans,
-        matched=int(np.sum(fit >= settings.least_fit)),
+        matched=int(np.sum(fit >= LEAST_FIT)),
         drift_before_m=recorded_drift(
             np.concatenate(track.recorded), driven.pose, driven.way, DRIFT_M
         ),
         drift_after_m=expected_drift(noise, driven.pose, driven.way, DRIFT_M),
         bias_rad_per_m=track.bias_rad_per_m,
-        covered=_covered(driven, fit >= settings.least_fit),
+        covered=_covered(driven, fit >= LEAST_FIT),
         searched=track.searched,
         odometry=recorded is not None,
     )
@@ -210,7 +194,7 @@ def _result(
         recorded.frame if recorded is not None else "odom",
         recorded.child_frame if recorded is not None else "base_link",
     )
-    picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), settings.windows.half_m)
+    picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), WINDOWS.half_m)
     warnings = (*counted.warnings(), *_warnings(statistics))
     return ScanResult(odometry, passes, noise, statistics, picture, warnings)
 
@@ -281,7 +265,5 @@ def _skeleton(seen: list[Seen], driven: Driven) -> Anchored:
         points.append(apply(inverse(middles[k]), own))
         anchor.append(np.full(len(own), k))
     return Anchored(
-        driven.time_ns[rows],
-        np.concatenate(anchor),
-        np.concatenate(points).astype(np.float32),
+        driven.time_ns[rows], np.concatenate(anchor), np.concatenate(points).astype(np.float32)
     )

@@ -15,7 +15,7 @@ from ...topology.digits import significant
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, inverse, wrap
 from .scan import ScanPasses
-from .windows import Seen, WindowSettings
+from .windows import WINDOWS, Seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,9 @@ class JunctionSettings:
     """Of the windows that could show a junction, so many must."""
     gap_rad: float = 0.35
     """Headings farther apart than this are of different branches."""
+
+
+JUNCTIONS = JunctionSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +59,7 @@ class _Junction(NamedTuple):
     sigma_m: float
 
 
-def junction_passes(
-    seen: Sequence[Seen],
-    driven: Driven,
-    windows: WindowSettings,
-    settings: JunctionSettings,
-) -> ScanPasses:
+def junction_passes(seen: Sequence[Seen], driven: Driven) -> ScanPasses:
     """Fuse the forks of all windows and variants to passes. O(q log q) for q forks."""
     nodes = [node for window in seen for _, _, node in window.forks]
     if not nodes:
@@ -74,22 +72,22 @@ def junction_passes(
     sigma = np.array([node.sigma_m for node in nodes])
     headings = Ragged.from_rows([node.headings for node in nodes])
     bends = np.concatenate([node.bends for node in nodes])
-    group = _together(xy, way, settings)
+    group = _together(xy, way)
     middles = np.array([window.way for window in seen])
     found, turns = [], []
     for g in range(int(group.max()) + 1):
         members = np.flatnonzero(group == g)
         at = float(np.median(way[members]))
-        near = np.flatnonzero(np.abs(middles - at) <= 1.5 * windows.every_m)
-        looks = len(windows.variants) * max(len(near), 1)
+        near = np.flatnonzero(np.abs(middles - at) <= 1.5 * WINDOWS.every_m)
+        looks = len(WINDOWS.variants) * max(len(near), 1)
         # One window shows a place once under one variant, or as two halves of it.
-        shown = len(np.unique(number[members] * len(windows.variants) + variant[members]))
-        if shown < settings.least_share * looks:
+        shown = len(np.unique(number[members] * len(WINDOWS.variants) + variant[members]))
+        if shown < JUNCTIONS.least_share * looks:
             continue
         votes = _nearest_looks(members, variant, np.abs(middles[number] - at))
         degree = np.bincount(headings.counts[votes])
         branches, support, turn = _branches(
-            (headings, bends), members, votes, int(np.argmax(degree)), settings
+            (headings, bends), members, votes, int(np.argmax(degree))
         )
         turns.append(turn)
         found.append(
@@ -98,16 +96,16 @@ def junction_passes(
                 xy=np.median(xy[members], axis=0),
                 branches=branches,
                 support=support,
-                confidence=int(degree.max()) / len(windows.variants),
+                confidence=int(degree.max()) / len(WINDOWS.variants),
                 windows=len(np.unique(number[members])),
                 clearance_m=float(np.median(clearance[members])),
                 sigma_m=float(np.median(sigma[members])),
             )
         )
     found.sort(key=lambda junction: (junction.way, *junction.xy))
-    usual = windows.variants[0]
+    usual = WINDOWS.variants[0]
     askew_rad = _askew(turns, usual.grid.cell_m / usual.skeleton.chord_m)
-    return replace(_passes(found, driven, windows), askew_rad=askew_rad)
+    return replace(_passes(found, driven), askew_rad=askew_rad)
 
 
 QUARTILE = 0.3186
@@ -137,10 +135,10 @@ def no_passes() -> ScanPasses:
     return ScanPasses(none, none, none, np.zeros((0, 2)), empty, empty, row, none, row, row)
 
 
-def _together(xy: FloatArray, way: FloatArray, settings: JunctionSettings) -> IntArray:
+def _together(xy: FloatArray, way: FloatArray) -> IntArray:
     """(q,) number of the junction of each record: linked if near in place and way."""
-    scaled = np.column_stack([xy, way * (settings.together_m / settings.together_way_m)])
-    pairs = cKDTree(scaled).query_pairs(settings.together_m, output_type="ndarray")
+    scaled = np.column_stack([xy, way * (JUNCTIONS.together_m / JUNCTIONS.together_way_m)])
+    pairs = cKDTree(scaled).query_pairs(JUNCTIONS.together_m, output_type="ndarray")
     return connected(pairs[:, 0], pairs[:, 1], len(xy))
 
 
@@ -152,11 +150,7 @@ def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> In
 
 
 def _branches(
-    looks: tuple[Ragged, FloatArray],
-    members: IntArray,
-    votes: IntArray,
-    degree: int,
-    settings: JunctionSettings,
+    looks: tuple[Ragged, FloatArray], members: IntArray, votes: IntArray, degree: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Headings of a junction of `degree` branches, the share of all looks that show each, and how
     it turns further on (NaN: nothing tells). looks: headings and bends of all; members: ascending.
@@ -173,7 +167,7 @@ def _branches(
     away = np.asarray(wrap(own.values[:, None] - medoid))
     nearest = np.argmin(np.abs(away), axis=1)
     gap = away[np.arange(len(away)), nearest]
-    near = np.abs(gap) <= settings.gap_rad
+    near = np.abs(gap) <= JUNCTIONS.gap_rad
     count = np.bincount(nearest[near], minlength=degree)
     mean = np.bincount(nearest[near], gap[near], degree) / np.maximum(count, 1)
     shown = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
@@ -186,19 +180,19 @@ def _branches(
     return np.asarray(wrap(medoid + mean)), share, turn
 
 
-def _passes(found: list[_Junction], driven: Driven, windows: WindowSettings) -> ScanPasses:
+def _passes(found: list[_Junction], driven: Driven) -> ScanPasses:
     """Junctions in the corrected frame, turned into the robot's at the time it was nearest."""
     if not found:
         return no_passes()
     nearest, start, end = np.empty((3, len(found)), np.int64)
     for k, junction in enumerate(found):
-        around = junction.way + 2 * windows.near_m * np.array([-1.0, 1.0])
+        around = junction.way + 2 * WINDOWS.near_m * np.array([-1.0, 1.0])
         a, b = np.searchsorted(driven.way, around)
         b = max(int(b), int(a) + 1)
         a = min(int(a), len(driven.way) - 1)
         distance = np.hypot(*(driven.pose[a:b, :2] - junction.xy).T)
         best = a + int(np.argmin(distance))
-        within = np.flatnonzero(distance <= max(windows.near_m, float(distance.min())))
+        within = np.flatnonzero(distance <= max(WINDOWS.near_m, float(distance.min())))
         nearest[k] = best
         start[k], end[k] = a + within[0], a + within[-1]
     way = np.array([junction.way for junction in found])
@@ -219,5 +213,5 @@ def _passes(found: list[_Junction], driven: Driven, windows: WindowSettings) -> 
         windows=np.array([junction.windows for junction in found], np.int64),
         clearance_m=np.array([junction.clearance_m for junction in found]),
         shared_m=np.array([junction.sigma_m for junction in found]),
-        resolution_m=windows.skeleton.join_m,
+        resolution_m=WINDOWS.skeleton.join_m,
     )

@@ -24,6 +24,9 @@ class KeyframeSettings:
     """Beams nearer to each other are thinned out: a degree is 9 cm at 5 m."""
 
 
+KEYFRAMES = KeyframeSettings()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframes:
     """`k` scans by time. odometry: (k, 3) pose of the *laser* in the odometry frame; mount: (k, 3)
@@ -70,16 +73,14 @@ class Posed:
     piece: IntArray
 
 
-def keyframes(
-    posed: Iterable[Posed], settings: KeyframeSettings = KeyframeSettings()
-) -> Iterator[Keyframes]:
+def keyframes(posed: Iterable[Posed]) -> Iterator[Keyframes]:
     """The keyframes of every batch. The first scan of each laser is one."""
     last: dict[tuple[float, ...], FloatArray] = {}
     for part in posed:
         laser = (*part.batch.T_body_laser.tolist(), float(len(part.batch.angles_rad)))
-        rows = _chosen(part, last, laser, settings)
+        rows = _chosen(part, last, laser)
         if rows:
-            yield prepared(part, np.array(rows), settings)
+            yield prepared(part, np.array(rows))
 
 
 def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Iterator[Keyframes]:
@@ -115,10 +116,7 @@ def _by_time(parts: list[Keyframes]) -> Keyframes:
 
 
 def _chosen(
-    part: Posed,
-    last: dict[tuple[float, ...], FloatArray],
-    laser: tuple[float, ...],
-    settings: KeyframeSettings,
+    part: Posed, last: dict[tuple[float, ...], FloatArray], laser: tuple[float, ...]
 ) -> list[int]:
     """Rows of a batch that are keyframes."""
     rows: list[int] = []
@@ -128,18 +126,18 @@ def _chosen(
         x, y, theta = poses[row]
         if laser in last:
             x0, y0, theta0 = last[laser]
-            still = (x - x0) ** 2 + (y - y0) ** 2 < settings.step_m**2
-            if still and abs(wrap(theta - theta0)) < settings.turn_rad:
+            still = (x - x0) ** 2 + (y - y0) ** 2 < KEYFRAMES.step_m**2
+            if still and abs(wrap(theta - theta0)) < KEYFRAMES.turn_rad:
                 continue
         last[laser] = np.array(poses[row])
         rows.append(row)
     return rows
 
 
-def prepared(part: Posed, rows: IntArray, settings: KeyframeSettings) -> Keyframes:
+def prepared(part: Posed, rows: IntArray) -> Keyframes:
     """Scans `rows` of a batch as keyframes."""
     batch, n = part.batch, len(rows)
-    columns, start, step = raster(batch.angles_rad, settings.raster_rad)
+    columns, start, step = raster(batch.angles_rad, KEYFRAMES.raster_rad)
     angles = np.asarray(batch.angles_rad[columns])
     ranges = batch.ranges_m[rows][:, columns].astype(np.float64)
     xy = np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)

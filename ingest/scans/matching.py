@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import cos, sin
 
 import numpy as np
@@ -13,27 +13,26 @@ from ...topology.columns import take
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, wrap
 from ...topology.track import piece_of
-from .alignment import Aligned, AlignmentSettings, Steps, align, match_steps
+from .alignment import ALIGNMENT, Aligned, Steps, align, match_steps
 from .association import Swept
-from .keyframes import Keyframes, KeyframeSettings, Posed, in_order, join, keyframes
+from .keyframes import Keyframes, Posed, in_order, join, keyframes
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
-from .surfaces import SurfaceSettings
 
 
 @dataclass(frozen=True, slots=True)
 class MatchingSettings:
     """How odometry is corrected by scans."""
 
-    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
-    surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
-    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     window: int = 400
     """Keyframes solved for at once: much more than the widest pair, little memory."""
     lag: int = 60
     """The last ones of a window are solved for again with those that follow: the widest pair."""
     outside_s: float = 0.5
     """How far beyond the odometry's ends a scan may lie."""
+
+
+MATCHING = MatchingSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,9 +49,7 @@ class Matched:
     errors: StepErrors
 
 
-def posed(
-    odometry: Odometry, batches: Iterable[ScanBatch], settings: MatchingSettings
-) -> Iterator[Posed]:
+def posed(odometry: Odometry, batches: Iterable[ScanBatch]) -> Iterator[Posed]:
     """The robot's pose at every scan, by the odometry."""
     at = odometry.interpolator()
     for batch in batches:
@@ -62,7 +59,7 @@ def posed(
         around = np.int64(1e8)
         t = batch.times_ns
         turned = wrap(at(t + around)[:, 2] - at(t - around)[:, 2])
-        outside = np.int64(settings.outside_s * 1e9)
+        outside = np.int64(MATCHING.outside_s * 1e9)
         first, last = odometry.time_ns[[0, -1]] + np.array([-outside, outside])
         yield Posed(
             batch,
@@ -74,9 +71,7 @@ def posed(
         )
 
 
-def matched(
-    posed_scans: Iterable[Posed], settings: MatchingSettings = MatchingSettings()
-) -> Iterator[Matched]:
+def matched(posed_scans: Iterable[Posed]) -> Iterator[Matched]:
     """The keyframes of a run with their corrected poses. Memory: one window.
 
     Every window begins with keyframes whose poses are final and stay, and ends with some that are
@@ -85,14 +80,14 @@ def matched(
     held: Keyframes | None = None
     solved = _Solved(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
     final, errors = 0, StepErrors()
-    for fresh in in_order(keyframes(posed_scans, settings.keyframes), settings.window):
+    for fresh in in_order(keyframes(posed_scans), MATCHING.window):
         if held is not None:
-            upto = len(held) - settings.lag
+            upto = len(held) - MATCHING.lag
             yield _finished(held, solved, slice(final, upto), errors)
-            keep = max(upto - settings.lag, 0)
+            keep = max(upto - MATCHING.lag, 0)
             held, solved, final = take(held, slice(keep, None)), solved.since(keep), upto - keep
         held = fresh if held is None else join([held, fresh])
-        solved, errors = _solve(held, solved, final, errors, settings)
+        solved, errors = _solve(held, solved, final, errors)
     if held is not None:
         yield _finished(held, solved, slice(final, len(held)), errors)
 
@@ -112,31 +107,27 @@ class _Solved:
 
 
 def _solve(
-    held: Keyframes,
-    known: _Solved,
-    final: int,
-    errors: StepErrors,
-    settings: MatchingSettings,
+    held: Keyframes, known: _Solved, final: int, errors: StepErrors
 ) -> tuple[_Solved, StepErrors]:
     """All keyframes held, of which the first ones were solved for before, `final` of them for
     good."""
-    scans = Swept.of(held.xy, held.start, held.increment, settings.surfaces)
-    n, least_fit = len(held), settings.alignment.lost_fit
+    scans = Swept.of(held.xy, held.start, held.increment)
+    n, least_fit = len(held), ALIGNMENT.lost_fit
     before = _before(held)
     new = n - len(known.pose)
     fit = np.concatenate([known.fit, np.ones(new)])
     searched = np.concatenate([known.searched, np.zeros(new, bool)])
     fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
     pairs = fresh, before[fresh]
-    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), settings.alignment)
+    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), ALIGNMENT)
     sure = found.fit > least_fit
     errors = errors.learned(held, pairs, (found.motion, sure, sure & (found.loose_m < LOOSE_M)))
     fit[fresh], searched[fresh] = found.fit, found.searched
     consecutive = np.arange(1, n), np.arange(n - 1)
     raw = Steps(*errors.steps(held, *consecutive))
     guess = _guess(held, known.pose, (fresh, before, found.motion), raw)
-    earlier = _earlier(before, settings.alignment.offsets)
-    aligned = align(scans, guess, raw, fixed=final, earlier=earlier, settings=settings.alignment)
+    earlier = _earlier(before, ALIGNMENT.offsets)
+    aligned = align(scans, guess, raw, fixed=final, earlier=earlier, settings=ALIGNMENT)
     return _Solved(aligned.pose, fit, searched, aligned), errors
 
 

@@ -15,14 +15,13 @@ import numpy as np
 from ...topology.arrays import FloatArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .alignment import Steps, match_steps
+from .alignment import ALIGNMENT, Steps, match_steps
 from .association import Swept
-from .keyframes import Keyframes, keyframes
-from .matching import MatchingSettings, posed
+from .keyframes import KEYFRAMES, Keyframes, keyframes
+from .matching import posed
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, odometry_motion
 
-MATCHING = MatchingSettings()
 ENOUGH = 40
 """Steps that tell: their directions scatter by some degrees, their mean then by one."""
 MOST_SCANS = 4000
@@ -40,7 +39,7 @@ def mount_yaw(odometry: Odometry, batches: Iterable[ScanBatch]) -> float | None:
     batches: of one laser. Reads as few as needed.
     """
     found = np.zeros(0)
-    for frames in keyframes(posed(odometry, _first(batches), MATCHING), MATCHING.keyframes):
+    for frames in keyframes(posed(odometry, _first(batches))):
         found = np.concatenate([found, _yaws(frames)])
         if len(found) >= ENOUGH:
             return _agreed(found)
@@ -62,16 +61,16 @@ def _yaws(frames: Keyframes) -> FloatArray:
     own = odometry_motion(frames, second + 1, second)
     way = np.hypot(own[:, 0], own[:, 1])
     straight = (np.abs(own[:, 2]) < STRAIGHT_RAD) & (np.diff(frames.piece) == 0)
-    straight &= (way > 0.5 * MATCHING.keyframes.step_m) & (way < 2 * MATCHING.keyframes.step_m)
+    straight &= (way > 0.5 * KEYFRAMES.step_m) & (way < 2 * KEYFRAMES.step_m)
     second, own, way = second[straight], own[straight], way[straight]
     if len(second) == 0:
         return np.zeros(0)
-    scans = Swept.of(frames.xy, frames.start, frames.increment, MATCHING.surfaces)
+    scans = Swept.of(frames.xy, frames.start, frames.increment)
     anywhere = np.tile(np.diag(1 / np.array([1.0, 1.0, STRAIGHT_RAD]) ** 2), (len(own), 1, 1))
     still = Steps(np.zeros_like(own), anywhere)
-    seen = match_steps(scans, (second + 1, second), still, MATCHING.alignment)
+    seen = match_steps(scans, (second + 1, second), still, ALIGNMENT)
     x, y = seen.motion[:, :2].T
-    sure = (seen.fit > MATCHING.alignment.lost_fit) & (seen.loose_m < LOOSE_M) & ~seen.searched
+    sure = (seen.fit > ALIGNMENT.lost_fit) & (seen.loose_m < LOOSE_M) & ~seen.searched
     sure &= np.abs(np.hypot(x, y) - way) < SAME_RAD * way
     return np.asarray(wrap(np.arctan2(own[:, 1], own[:, 0]) - np.arctan2(y, x))[sure])
 

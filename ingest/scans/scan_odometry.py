@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.se2 import between, compose, inverse
-from .alignment import AlignmentSettings, Steps, chained, match_steps
+from .alignment import ALIGNMENT, Steps, chained, match_steps
 from .association import Swept
-from .keyframes import Keyframes, KeyframeSettings, Posed, join, prepared
+from .keyframes import Keyframes, Posed, join, prepared
 from .scan import ScanBatch
-from .surfaces import SurfaceSettings
 
 MOST_SCANS = 256
 """Scans matched at once."""
@@ -27,19 +25,11 @@ LOOSE_M = 0.05
 """1 sigma beyond which scans are not believed to tell how far the robot went between two."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
-    """How robots move that nothing is known of: 1 sigma of speed and of rate of turn."""
-
-    speed_m_per_s: float = 1.0
-    turn_rad_per_s: float = 1.0
+SPEED_M_PER_S, TURN_RAD_PER_S = 1.0, 1.0
+"""How robots move that nothing is known of: 1 sigma of speed and of rate of turn."""
 
 
-def scan_odometry(
-    batches: Iterable[ScanBatch],
-    settings: tuple[KeyframeSettings, SurfaceSettings, AlignmentSettings],
-    pace: Pace = Pace(),
-) -> Iterator[Posed]:
+def scan_odometry(batches: Iterable[ScanBatch]) -> Iterator[Posed]:
     """The robot's pose at scans of the first laser, each matched to that `APART_S` before.
 
     It starts at (0, 0, 0). `usable` is False for scans of other lasers and those passed over.
@@ -53,7 +43,7 @@ def scan_odometry(
             if not np.array_equal(batch.T_body_laser, laser):
                 yield _without_pose(batch, pose)
                 continue
-            part, pose, before = _posed(batch, pose, before, settings=settings, pace=pace)
+            part, pose, before = _posed(batch, pose, before)
             yield part
 
 
@@ -77,28 +67,23 @@ def _without_pose(batch: ScanBatch, pose: FloatArray) -> Posed:
 
 
 def _posed(
-    batch: ScanBatch,
-    pose: FloatArray,
-    before: Keyframes | None,
-    *,
-    settings: tuple[KeyframeSettings, SurfaceSettings, AlignmentSettings],
-    pace: Pace,
+    batch: ScanBatch, pose: FloatArray, before: Keyframes | None
 ) -> tuple[Posed, FloatArray, Keyframes | None]:
     """A batch with its poses; the last scan's pose, and the last scan that shows anything."""
     part = _without_pose(batch, pose)
     rows = _apart(batch, before)
     if len(rows) == 0:
         return part, pose, before
-    fresh = prepared(part, rows, settings[0])
+    fresh = prepared(part, rows)
     frames = fresh if before is None else join([before, fresh])
-    scans = Swept.of(frames.xy, frames.start, frames.increment, settings[1])
+    scans = Swept.of(frames.xy, frames.start, frames.increment)
     seconds = np.maximum(np.diff(frames.time_ns) * 1e-9, 1e-3)
     information = np.zeros((len(seconds), 3, 3))
-    information[:, 0, 0] = information[:, 1, 1] = (pace.speed_m_per_s * seconds) ** -2
-    information[:, 2, 2] = (pace.turn_rad_per_s * seconds) ** -2
+    information[:, 0, 0] = information[:, 1, 1] = (SPEED_M_PER_S * seconds) ** -2
+    information[:, 2, 2] = (TURN_RAD_PER_S * seconds) ** -2
     pairs = np.arange(1, len(frames)), np.arange(len(frames) - 1)
     still = Steps(np.zeros((len(seconds), 3)), information)
-    found = match_steps(scans, pairs, still, settings[2])
+    found = match_steps(scans, pairs, still, ALIGNMENT)
     motion = found.motion
     if (found.loose_m > LOOSE_M).any() and (found.loose_m <= LOOSE_M).any():
         # Along bare walls robots go on as before: the pace of the steps around that are sure.
@@ -106,7 +91,7 @@ def _posed(
         when = np.cumsum(seconds)
         pace_of = [np.interp(when, when[sure], (motion[:, k] / seconds)[sure]) for k in range(3)]
         going = Steps(np.stack(pace_of, axis=1) * seconds[:, None], 4 * information)
-        again = match_steps(scans, pairs, going, settings[2]).motion
+        again = match_steps(scans, pairs, going, ALIGNMENT).motion
         motion = np.where(sure[:, None], motion, again)
     mount = batch.T_body_laser
     own = compose(compose(mount, motion), inverse(mount))

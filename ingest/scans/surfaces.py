@@ -33,6 +33,9 @@ class SurfaceSettings:
     """1 sigma across a line that is no news: ranges come in steps of 1 to 10 mm."""
 
 
+SURFACES = SurfaceSettings()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
     """Of scans (n, m): x, y of a point on the fitted line, nx, ny of its normal towards the laser;
@@ -51,9 +54,7 @@ LEAST_M2 = 1e-9
 """Variance along a line that has no length."""
 
 
-def surfaces(
-    xy: Float32Array, increment_rad: FloatArray, settings: SurfaceSettings = SurfaceSettings()
-) -> Surfaces:
+def surfaces(xy: Float32Array, increment_rad: FloatArray) -> Surfaces:
     """Fit a line through the neighbours of every point of (n, m, 2) scans, NaN where no return:
     on both sides, or on one, where that alone is flatter than chance.
 
@@ -62,19 +63,19 @@ def surfaces(
     """
     distance = np.hypot(xy[..., 0], xy[..., 1]).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        seen = distance <= settings.farthest_m
+        seen = distance <= SURFACES.farthest_m
     near = np.where(seen, distance, 1.0)
-    low, high = _windows(xy, near, seen, increment_rad, settings)
+    low, high = _windows(xy, near, seen, increment_rad)
     points = np.where(seen[..., None], xy, 0).astype(np.float64)
     x, y = points[..., 0], points[..., 1]
     sums = _prefix_sums(np.stack([x, y, x * x, y * y, x * y]))
-    here = settings.flatter * _roughness(_line(sums, low, high), settings)
+    here = SURFACES.flatter * _roughness(_line(sums, low, high))
     # A line across a corner lies inside it, by how much depends on how far away it is seen from.
     beam = np.arange(xy.shape[1])
     sides = (low, np.minimum(beam + 1, high)), (np.maximum(beam, low), high)
     for first, last in sides:
         side = _line(sums, first, np.maximum(first, last))
-        rough = np.where(side.size >= 2 * settings.least_beams, _roughness(side, settings), np.inf)
+        rough = np.where(side.size >= 2 * SURFACES.least_beams, _roughness(side), np.inf)
         better = rough < here
         here = np.minimum(rough, here)
         low, high = low + better * (first - low), high + better * (last - high)
@@ -83,8 +84,8 @@ def surfaces(
     nx, ny = -np.sin(along), np.cos(along)
     valid = (
         seen
-        & (size > 2 * settings.least_beams - 1)
-        & (across < settings.thickness_m**2)
+        & (size > 2 * SURFACES.least_beams - 1)
+        & (across < SURFACES.thickness_m**2)
         & (length > 9 * across)
     )
     off = nx * (x - mx) + ny * (y - my)
@@ -133,31 +134,27 @@ def _line(sums: FloatArray, low: IntArray, high: IntArray) -> _Line:
     return _Line(size, x, y, across, length, cos2, sin2)
 
 
-def _roughness(line: _Line, settings: SurfaceSettings) -> FloatArray:
+def _roughness(line: _Line) -> FloatArray:
     """Variance across each line [m²], its two parameters allowed for."""
     freedom = np.maximum(line.size - 2, 0.5)
-    return np.asarray((line.across + settings.flat_m**2) * line.size / freedom)
+    return np.asarray((line.across + SURFACES.flat_m**2) * line.size / freedom)
 
 
 def _windows(
-    xy: Float32Array,
-    distance: FloatArray,
-    seen: BoolArray,
-    increment_rad: FloatArray,
-    settings: SurfaceSettings,
+    xy: Float32Array, distance: FloatArray, seen: BoolArray, increment_rad: FloatArray
 ) -> tuple[IntArray, IntArray]:
     """First beam, and that after the last, of every point's window: unbroken, within reach."""
     n, m = distance.shape
     step = increment_rad[:, None]
     dx, dy = (xy[:, 1:, k] - xy[:, :-1, k] for k in (0, 1))
-    limit = 0.1 + settings.grazing * step * np.minimum(distance[:, 1:], distance[:, :-1])
+    limit = 0.1 + SURFACES.grazing * step * np.minimum(distance[:, 1:], distance[:, :-1])
     broken = ~(dx * dx + dy * dy < limit * limit)
     beam = np.arange(xy.shape[1])
     begins, ends = np.ones((n, m), bool), np.ones((n, m), bool)
     begins[:, 1:], ends[:, :-1] = broken, broken
     first = np.maximum.accumulate(np.where(begins, beam, 0), axis=1)
     last = np.minimum.accumulate(np.where(ends, beam, m - 1)[:, ::-1], axis=1)[:, ::-1]
-    wide = np.rint(settings.reach_m / (np.maximum(distance, 0.05) * step))
-    wide = np.clip(wide, settings.least_beams, settings.most_beams).astype(np.int64)
+    wide = np.rint(SURFACES.reach_m / (np.maximum(distance, 0.05) * step))
+    wide = np.clip(wide, SURFACES.least_beams, SURFACES.most_beams).astype(np.int64)
     low, high = np.maximum(beam - wide, first), np.minimum(beam + wide, last) + 1
     return np.where(seen, low, 0), np.where(seen, high, 0)

@@ -58,6 +58,9 @@ class WindowSettings:
         )
 
 
+WINDOWS = WindowSettings()
+
+
 MOST_HELD = 800
 """Keyframes held for the windows to come, 50 kB each."""
 SHOWN_M = 4.0
@@ -87,9 +90,7 @@ class _Rolling:
         return np.stack([np.interp(way, self.way, self.body[:, k]) for k in (0, 1)], axis=-1)
 
 
-def windows(
-    parts: Iterable[Matched], settings: WindowSettings = WindowSettings()
-) -> Iterator[Seen]:
+def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
     """Look through a window at every stretch of the way, as the keyframes come in.
 
     Memory: the keyframes of two windows.
@@ -97,22 +98,22 @@ def windows(
     held: _Rolling | None = None
     piece, numbers = -1, count()
     driven = following = 0.0
-    tally = BendTally(1 / len(settings.variants))
+    tally = BendTally(1 / len(WINDOWS.variants))
     for part in parts:
         for run in _pieces(part):
             own = int(run.keyframes.piece[0])
             if held is not None and own != piece:
-                yield from _due(held, (following, np.inf), numbers, settings, tally)
+                yield from _due(held, (following, np.inf), numbers, tally)
                 driven = following = float(held.way[-1])
                 held = None
-            piece, held = own, _rolling(run, held, driven, settings)
-            ready = float(held.way[-1]) - settings.way_m
-            for seen in _due(held, (following, ready), numbers, settings, tally):
+            piece, held = own, _rolling(run, held, driven)
+            ready = float(held.way[-1]) - WINDOWS.way_m
+            for seen in _due(held, (following, ready), numbers, tally):
                 yield seen
-                following = seen.way + settings.every_m
-            held = _trimmed(held, following - settings.way_m)
+                following = seen.way + WINDOWS.every_m
+            held = _trimmed(held, following - WINDOWS.way_m)
     if held is not None:
-        yield from _due(held, (following, np.inf), numbers, settings, tally)
+        yield from _due(held, (following, np.inf), numbers, tally)
 
 
 def _pieces(part: Matched) -> Iterator[Matched]:
@@ -124,16 +125,14 @@ def _pieces(part: Matched) -> Iterator[Matched]:
             yield replace(part, keyframes=take(part.keyframes, rows), pose=part.pose[rows])
 
 
-def _rolling(
-    run: Matched, held: _Rolling | None, driven: float, settings: WindowSettings
-) -> _Rolling:
+def _rolling(run: Matched, held: _Rolling | None, driven: float) -> _Rolling:
     """The keyframes held, with more behind them; driven: the way before the first of all."""
     body = compose(run.pose, inverse(run.keyframes.mount))
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
     step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
     way = start + np.cumsum(step)
-    seen = looks(run.keyframes, run.pose, settings.grid)
+    seen = looks(run.keyframes, run.pose, WINDOWS.grid)
     if held is None:
         return _Rolling(seen, body, way)
     joint = joined([held.seen, seen])
@@ -149,34 +148,28 @@ def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
 
 
 def _due(
-    held: _Rolling,
-    stretch: tuple[float, float],
-    numbers: Iterator[int],
-    settings: WindowSettings,
-    tally: BendTally,
+    held: _Rolling, stretch: tuple[float, float], numbers: Iterator[int], tally: BendTally
 ) -> Iterator[Seen]:
     """The windows whose middles lie within a stretch of the way held, from its begin on."""
     (following, ready), last = stretch, float(held.way[-1])
     while following <= min(ready, last):
-        yield _look(held, following, next(numbers), settings, tally)
-        following += settings.every_m
+        yield _look(held, following, next(numbers), tally)
+        following += WINDOWS.every_m
 
 
-def _look(
-    held: _Rolling, middle: float, number: int, settings: WindowSettings, tally: BendTally
-) -> Seen:
+def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
     """One window under all variants of the settings; its axes are added to the tally."""
-    variants = settings.variants
-    cell = settings.grid.cell_m
-    half = round(settings.half_m / cell)
+    variants = WINDOWS.variants
+    cell = WINDOWS.grid.cell_m
+    half = round(WINDOWS.half_m / cell)
     centre = held.at(middle)
     masks, corner = _masks(held, middle, (centre, half), variants)
     side = 2 * half + 1
-    path = _dense(held, middle - settings.every_m, middle + settings.every_m, cell)
+    path = _dense(held, middle - WINDOWS.every_m, middle + WINDOWS.every_m, cell)
     at = np.floor(path / cell).astype(np.int64) - corner
     at = at[((at >= 0) & (at < side)).all(axis=1)]
     views = _views(masks, variants, at, cell)
-    span = _near(held, middle, 1.5 * settings.every_m)
+    span = _near(held, middle, 1.5 * WINDOWS.every_m)
     middles = (corner + 0.5) * cell
     forks: list[tuple[int, float, Crossing]] = []
     skeleton: FloatArray = np.zeros((0, 2))
@@ -186,12 +179,12 @@ def _look(
             number
             for number, node in enumerate(graph.nodes)
             if len(node.ends) >= 3
-            and _passed(node.xy + middles, span, settings.near_m + node.clearance_m) is not None
+            and _passed(node.xy + middles, span, WINDOWS.near_m + node.clearance_m) is not None
         ]
         places, _ = crossings(graph, nodes, view.clearance_m, cell, variant.skeleton, tally=tally)
         for place in places.values():
             xy = place.xy + middles
-            found = _passed(xy, span, settings.near_m)
+            found = _passed(xy, span, WINDOWS.near_m)
             if found is not None:
                 fork = crossing(graph, place, cell, variant.skeleton)
                 turn = bends(graph, fork, cell, variant.skeleton)
@@ -251,10 +244,7 @@ def _driven(open_: BoolArray, at: IntArray) -> BoolArray:
 
 
 def _masks(
-    held: _Rolling,
-    middle: float,
-    place: tuple[FloatArray, int],
-    variants: tuple[Variant, ...],
+    held: _Rolling, middle: float, place: tuple[FloatArray, int], variants: tuple[Variant, ...]
 ) -> tuple[list[BoolArray], IntArray]:
     """Free space for every variant, the same array for those that differ in the skeleton only."""
     gathered: dict[float, Window] = {}

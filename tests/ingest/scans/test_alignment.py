@@ -10,7 +10,6 @@ import pytest
 from topobatch.ingest.scans import alignment, association
 from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, align, match_steps
 from topobatch.ingest.scans.association import Gate, Swept, pair_terms
-from topobatch.ingest.scans.surfaces import SurfaceSettings
 from topobatch.topology.se2 import between, compose
 
 from .building import WHOLE_TURN, Building
@@ -25,7 +24,7 @@ def test_what_is_searched_for_in_parts_is_found_the_same(monkeypatch: pytest.Mon
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (ranges[..., None] * along).astype(np.float32)
     step = np.full(len(pose), WHOLE_TURN[1] - WHOLE_TURN[0])
-    scans = Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step, SurfaceSettings())
+    scans = Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step)
     first = np.arange(1, len(pose))
     # The odometry says that the robot went straight on.
     straight = Steps(np.tile([0.1, 0.0, 0.0], (5, 1)), np.tile(np.diag([1e4, 1e4, 1e4]), (5, 1, 1)))
@@ -43,7 +42,7 @@ def room_seen_from(pose: np.ndarray) -> Swept:
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (room.ranges(pose, WHOLE_TURN)[..., None] * along).astype(np.float32)
     step = np.full(len(pose), WHOLE_TURN[1] - WHOLE_TURN[0])
-    return Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step, SurfaceSettings())
+    return Swept.of(xy, np.full(len(pose), WHOLE_TURN[0]), step)
 
 
 def test_the_same_raster_begun_a_turn_later_matches_the_same() -> None:
@@ -68,10 +67,10 @@ def test_every_second_beam_tells_the_same_as_all(monkeypatch: pytest.MonkeyPatch
     first, second = np.array([1, 2]), np.array([0, 1])
     off, gate = np.array([0.02, 0.01, 0.01]), Gate(0.2, 0.05)
     motion = between(pose[second], pose[first]) + off
-    some = Swept.of(xy, np.full(3, -np.pi), step, SurfaceSettings())
+    some = Swept.of(xy, np.full(3, -np.pi), step)
     told = pair_terms(some, first, second, motion, gate)
     monkeypatch.setattr(association, "POINT_RAD", step[0])
-    whole = Swept.of(xy, np.full(3, -np.pi), step, SurfaceSettings())
+    whole = Swept.of(xy, np.full(3, -np.pi), step)
     again = pair_terms(whole, first, second, motion, gate)
     assert (some.each, whole.each) == (2, 1)
     size = np.sqrt(np.diagonal(again.moments, axis1=1, axis2=2))

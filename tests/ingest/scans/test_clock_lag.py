@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.clock_lag import LaggingError, LagSettings, clock_lag
-from topobatch.ingest.scans.detection import ScanSettings, detect
+from topobatch.ingest.scans.clock_lag import LaggingError, clock_lag
+from topobatch.ingest.scans.detection import detect
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.se2 import wrap
 
@@ -24,7 +24,7 @@ def lag(odometry: Odometry, late_s: float, seen: Odometry = ROUND) -> float:
     """What is found where what was `seen` is stamped so late."""
     time_ns = seen.time_ns + np.int64(late_s * SECOND)
     piece = np.zeros(len(seen), np.int64)
-    return clock_lag(odometry, time_ns, seen.pose, piece, LagSettings())
+    return clock_lag(odometry, time_ns, seen.pose, piece)
 
 
 @pytest.mark.parametrize("late_s", [0.2, 0.5, -0.3, 0.93])
@@ -52,7 +52,7 @@ def test_steps_between_pieces_tell_nothing() -> None:
     odometry = replace(ROUND, pose=pose)
     piece = (np.arange(len(pose)) >= len(pose) // 2).astype(np.int64)
     time_ns = ROUND.time_ns + SECOND // 2
-    found = clock_lag(odometry, time_ns, ROUND.pose, piece, LagSettings())
+    found = clock_lag(odometry, time_ns, ROUND.pose, piece)
     assert found == pytest.approx(0.5, abs=0.02)
 
 
@@ -62,6 +62,6 @@ def test_detection_stops_at_scans_that_lag_unless_stamps_are_taken_as_they_are()
     with pytest.raises(LaggingError, match=r"as the odometry does, 0\.5\d s late") as told:
         detect(ROUND, [late])
     assert told.value.lag_s == pytest.approx(0.5, abs=0.05)
-    assert len(detect(ROUND, [late], ScanSettings(lag=None)).odometry) > 0
+    assert len(detect(ROUND, [late], may_lag=False).odometry) > 0
     shifted = replace(ROUND, time_ns=ROUND.time_ns + SECOND // 2)
     assert detect(shifted, [late]).statistics.searched == 0

@@ -7,7 +7,7 @@ import pytest
 
 from topobatch.ingest.scans.grid import looks
 from topobatch.ingest.scans.keyframes import join, keyframes
-from topobatch.ingest.scans.matching import MatchingSettings, posed
+from topobatch.ingest.scans.matching import posed
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.topology.odometry import Odometry
 
@@ -27,8 +27,7 @@ def test_beams_without_an_echo_are_free_as_far_as_walls_beside_them_unless_they_
     turned = MIDDLE + np.arange(6)[:, None] * (0, 0, 0.2)  # each of them is a keyframe
     odometry = Odometry(TIME_NS, turned, np.zeros(0, np.int64))
     batch = ScanBatch(TIME_NS, ranges, 8.0, WHOLE_TURN)
-    settings = MatchingSettings()
-    frames = join(list(keyframes(posed(odometry, [batch], settings), settings.keyframes)))
+    frames = join(list(keyframes(posed(odometry, [batch]))))
     seen = looks(frames, MIDDLE)
     assert len(seen) == 6
     ahead = np.round([2 * np.cos(WHOLE_TURN[115]) / 0.1, 2 * np.sin(WHOLE_TURN[115]) / 0.1])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.keyframes import KeyframeSettings, in_order, keyframes, raster
-from topobatch.ingest.scans.matching import MatchingSettings, posed
+from topobatch.ingest.scans.keyframes import KEYFRAMES, in_order, keyframes, raster
+from topobatch.ingest.scans.matching import posed
 from topobatch.ingest.scans.scan import ScanBatch
 
 from .building import HALF_TURN, RING, drive, parts, scans
 
-FINEST = KeyframeSettings().raster_rad
+FINEST = KEYFRAMES.raster_rad
 
 
 def test_even_beams_are_thinned_by_whole_steps() -> None:
@@ -49,12 +49,11 @@ def test_keyframes_of_two_lasers_come_by_time() -> None:
     truth = drive((0, 0), (8, 0))
     front, back = scans(RING, truth), scans(RING, truth, mount=np.array([-0.3, 0.0, np.pi]))
     mixed = [b for pair in zip(parts(front, 7), parts(back, 7), strict=True) for b in pair]
-    settings = MatchingSettings()
-    chunks = list(in_order(keyframes(posed(truth, mixed, settings)), 10))
+    chunks = list(in_order(keyframes(posed(truth, mixed)), 10))
     assert all(len(chunk) == 10 for chunk in chunks[:-1])
     times = np.concatenate([chunk.time_ns for chunk in chunks])
     assert (np.diff(times) >= 0).all()
-    single = sum(len(k) for k in keyframes(posed(truth, [front], settings)))
+    single = sum(len(k) for k in keyframes(posed(truth, [front])))
     assert len(times) == 2 * single
 
 
@@ -63,7 +62,7 @@ def test_a_standing_robot_gives_one_keyframe() -> None:
     batch = scans(RING, truth)
     still = ScanBatch(batch.times_ns, batch.ranges_m, 0.0, batch.angles_rad)
     stood = type(truth)(truth.time_ns, np.zeros((len(truth), 3)), np.zeros(0, np.int64))
-    assert sum(len(k) for k in keyframes(posed(stood, [still], MatchingSettings()))) == 1
+    assert sum(len(k) for k in keyframes(posed(stood, [still]))) == 1
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from topobatch.ingest.scans.scatter import (
     odometry_scores,
     wall_scores,
 )
-from topobatch.ingest.scans.surfaces import SurfaceSettings
 from topobatch.topology.se2 import between, wrap
 
 from .building import WHOLE_TURN, Building
@@ -37,7 +36,7 @@ def swept(noise_m: float, seed: int) -> Swept:
     along = np.stack([np.cos(WHOLE_TURN), np.sin(WHOLE_TURN)], axis=-1)
     xy = (ranges[..., None] * along).astype(np.float32)
     step = np.full(N, WHOLE_TURN[1] - WHOLE_TURN[0])
-    return Swept.of(xy, np.full(N, WHOLE_TURN[0]), step, SurfaceSettings())
+    return Swept.of(xy, np.full(N, WHOLE_TURN[0]), step)
 
 
 def matched(noise_m: float, seed: int) -> Aligned:
