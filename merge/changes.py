@@ -57,7 +57,7 @@ class ChangeSettings:
     are)."""
 
 
-DEFAULT_CHANGES = ChangeSettings()
+CHANGES = ChangeSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +113,7 @@ class _Doubt:
 
 
 def changes(
-    document: MergedDocument,
-    component: int,
-    maps: Mapping[str, TopoMap],
-    settings: ChangeSettings = DEFAULT_CHANGES,
+    document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
 ) -> tuple[Change, ...]:
     """What changed between the runs of a component, the surest first; also what is not `sure`.
 
@@ -125,11 +122,11 @@ def changes(
     ids = [node.id for node in places_of(document, component)]
     merged = component_map(document, component, "merged", maps)
     poses = poses_from_document(document)
-    seen = _Seen(merged, dict(sorted(maps.items())), poses, settings)
-    corridors, asked = _corridors(seen, settings)
-    junctions, more = _junctions(seen, settings)
+    seen = _Seen(merged, dict(sorted(maps.items())), poses)
+    corridors, asked = _corridors(seen)
+    junctions, more = _junctions(seen)
     found = [
-        _weighed(doubt, component, ids, _needed(count, settings))
+        _weighed(doubt, component, ids, _needed(count))
         for doubts, count in ((corridors, asked), (junctions, more))
         for doubt in doubts
     ]
@@ -140,11 +137,7 @@ class _Seen:
     """A component's fused map with what every run saw of its vertices."""
 
     def __init__(
-        self,
-        merged: TopoMap,
-        maps: Mapping[str, TopoMap],
-        poses: Mapping[str, FloatArray],
-        settings: ChangeSettings,
+        self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
     ) -> None:
         self.merged, self.maps = merged, maps
         self.nodes: list[dict[str, list[int]]] = merged.info["members"]["nodes"][: len(merged)]
@@ -158,7 +151,7 @@ class _Seen:
         self._headings = {run: padded_branches(m) for run, m in maps.items()}
         self._fused = padded_branches(merged)
         self._turn = {run: float(poses[run][2]) for run in maps}
-        self._lookalikes = _lookalikes(merged, self.nodes, settings)
+        self._lookalikes = _lookalikes(merged, self.nodes)
 
     def places(self, run: str, node: int) -> list[int]:
         """Fused vertices as which a run passed the place of a fused vertex: itself, or others."""
@@ -195,9 +188,7 @@ class _Seen:
         return leaving_rad(m.paths[edge], end)
 
 
-def _lookalikes(
-    merged: TopoMap, nodes: Sequence[Mapping[str, Any]], settings: ChangeSettings
-) -> list[list[int]]:
+def _lookalikes(merged: TopoMap, nodes: Sequence[Mapping[str, Any]]) -> list[list[int]]:
     """For every fused vertex those that other runs alone saw and that are the same place:
     corridors that leave one vertex by one branch, and are equally long, lead to both. O(m)."""
     leaving: dict[tuple[int, int], list[tuple[int, int]]] = {}
@@ -213,17 +204,17 @@ def _lookalikes(
         for (e, u), (f, v) in combinations(side, 2):
             off = abs(merged.length[e] - merged.length[f])
             sigma = np.hypot(merged.length_sigma[e], merged.length_sigma[f])
-            if not nodes[u].keys() & nodes[v].keys() and off <= settings.equal_sigmas * sigma:
+            if not nodes[u].keys() & nodes[v].keys() and off <= CHANGES.equal_sigmas * sigma:
                 out[u].add(v)
                 out[v].add(u)
     return [sorted(alike) for alike in out]
 
 
-def _fault_rate(rate: float, settings: ChangeSettings) -> float:
-    return min(max(rate, settings.least_fault_rate), 0.5)
+def _fault_rate(rate: float) -> float:
+    return min(max(rate, CHANGES.least_fault_rate), 0.5)
 
 
-def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int]:
+def _corridors(seen: _Seen) -> tuple[list[_Doubt], int]:
     """Corridors that runs passed an end of without seeing their branches, and the number of
     questions asked."""
     out, asked, m = [], 0, seen.merged
@@ -242,7 +233,7 @@ def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
             times = np.sort(np.concatenate([seen.times(run, node) for node in at]))
             # A fault is of one branch of those that the junction has.
             rate = topomap.measured.branch_fault_rate
-            overlooked = [_fault_rate(rate / len(m.branches[k]), settings) for k in at]
+            overlooked = [_fault_rate(rate / len(m.branches[k])) for k in at]
             missing.append((_witness(run, times), float(np.prod(overlooked))))
         if missing:
             there = tuple(_drove(seen, run, ids) for run, ids in sorted(members.items()))
@@ -253,7 +244,7 @@ def _corridors(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
     return out, asked
 
 
-def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int]:
+def _junctions(seen: _Seen) -> tuple[list[_Doubt], int]:
     """Junctions that runs drove through without seeing them, and the number of questions asked: one
     for each run that passed a junction known to several, or drove through one unseen, and one for
     each corridor that several drove, in which a junction may have been invented. The probability of
@@ -278,15 +269,15 @@ def _junctions(seen: _Seen, settings: ChangeSettings) -> tuple[list[_Doubt], int
             asked += 1
             witness = _drove(seen, run, through)
             unseen = max(_unseen_share(seen.maps[r], ids) for r, ids in members.items())
-            rate = _fault_rate(max(topomap.measured.miss_rate, unseen), settings)
-            floor = _fault_rate(topomap.measured.branch_fault_rate, settings) ** 2
+            rate = _fault_rate(max(topomap.measured.miss_rate, unseen))
+            floor = _fault_rate(topomap.measured.branch_fault_rate) ** 2
             missing.append((witness, max(rate ** max(witness.passes, 1), floor)))
         if missing:
             there = [_witness(run, seen.times(run, node)) for run in sorted(members)]
             sides = {(e, int(m.source[e]) == node) for e in at[node]}
             invented = 1.0
             for w in there:
-                rate = _fault_rate(seen.maps[w.run].measured.phantom_rate, settings)
+                rate = _fault_rate(seen.maps[w.run].measured.phantom_rate)
                 invented *= rate**w.passes
             if len(sides) > 2:
                 invented = 0.0  # a run that turned off there proves it
@@ -329,11 +320,11 @@ def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
     return Witness(run, int(m.traversals[list(edges)].sum()), told.first_ns, told.last_ns)
 
 
-def _needed(asked: int, settings: ChangeSettings) -> float:
+def _needed(asked: int) -> float:
     """Threshold [bits] for as many questions: half of the false rate is for corridors, half for
     junctions. It exceeds what one junction can contribute, so that it takes two."""
-    several = float(np.log2(2 * max(asked, 1) / settings.false_rate))
-    return max(several, -float(np.log2(settings.least_fault_rate)))
+    several = float(np.log2(2 * max(asked, 1) / CHANGES.false_rate))
+    return max(several, -float(np.log2(CHANGES.least_fault_rate)))
 
 
 def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -> Change:

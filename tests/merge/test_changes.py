@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import build_map
-from topobatch.merge.changes import ChangeKind, ChangeSettings, change_to_document, changes
+from topobatch.merge.changes import CHANGES, ChangeKind, change_to_document, changes
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
@@ -104,16 +104,17 @@ def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
         )
 
 
-def test_one_junction_alone_is_never_sure() -> None:
+def test_one_junction_alone_is_never_sure(monkeypatch: pytest.MonkeyPatch) -> None:
     """A detector that is wrong about one place is so each time."""
     document, maps, _ = observed(2, closed=0.1)
-    eager = ChangeSettings(false_rate=1.0)  # the questions themselves ask for less
-    told = next(c for c in changes(document, 0, maps, eager) if c.sure)
+    eager = replace(CHANGES, false_rate=1.0)  # the questions themselves ask for less
+    monkeypatch.setattr("topobatch.merge.changes.CHANGES", eager)
+    told = next(c for c in changes(document, 0, maps) if c.sure)
     halved = document.model_copy(deep=True)
     for node in halved.nodes:
         if node.id == told.junctions[0]:
             del node.members["tuesday"]
-    (half,) = [c for c in changes(halved, 0, maps, eager) if c.junctions == told.junctions]
+    (half,) = [c for c in changes(halved, 0, maps) if c.junctions == told.junctions]
     assert half.bits == pytest.approx(told.bits / 2)
     assert not half.sure
     assert half.needed == half.bits
