@@ -14,11 +14,12 @@ from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from .member_times import member_times
-from .merging import DEFAULT_MERGE, MergeSettings, merge_maps
+from .merging import merge_maps
 from .result import FusedMap, PairVerdict, Verdict, fused_confidence, fused_of, graph_part
+from .robust import DEFAULT_ROBUST
 
 
-def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> tuple[TopoMap, ...]:
+def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     """The map of a run in as few pieces as its evidence allows, the one of most passes first.
 
     A map of several `pieces` was driven with an odometry that broke: its connected parts are drawn
@@ -30,10 +31,10 @@ def joined_pieces(topomap: TopoMap, settings: MergeSettings = DEFAULT_MERGE) -> 
     """
     if topomap.pieces < 2:
         return (topomap,)
-    parts, least = _parts(topomap), settings.robust.min_matches
+    parts, least = _parts(topomap), DEFAULT_ROBUST.min_matches
     small = [part for part in parts if len(part) < least]
     able = {part.run: part for part in parts if len(part) >= least}
-    result = merge_maps(list(able.values()), settings)
+    result = merge_maps(list(able.values()))
     asked = [c for v in result.verdicts for c in _closures(v, able)]
     whole = replace(topomap, closures=(*topomap.closures, *asked))
     # Components come in the order of their first parts, which are named by time.
