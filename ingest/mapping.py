@@ -30,7 +30,7 @@ from ..topology.vertex_errors import VertexErrors
 from .driven_shares import ON_THE_WAY, driven_shares
 from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
-from .odometry.bridging import bridged, jumps_told, split_told
+from .odometry.bridging import bridged, confirmed, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.noise import refine_noise, refine_scale
 from .pass_source import PassSource, pass_source, why_none
@@ -64,8 +64,9 @@ def build_map_with_errors(
     source = pass_source(run, settings)
     odometry, reckoning, calibration = dead_reckoned(run, source, settings)
     if len(odometry.jumps) and settings.closure == "full":
-        odometry, reckoning = _with_jumps_measured(odometry, reckoning, source, settings)
-    closed = _identified(reckoning, settings)
+        odometry, reckoning, closed = _with_jumps_measured(odometry, reckoning, source, settings)
+    else:
+        closed = _identified(reckoning, settings)
     fit = fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
     estimate = set_apart(reckoning, closed.place, fit.estimate)
     corrected = correct_detections(
@@ -161,15 +162,22 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
 
 
 def _with_jumps_measured(
-    odometry: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
-) -> tuple[Odometry, DeadReckoning]:
-    """Both, once the places seen before and after every jump told how far it went."""
+    recorded: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
+) -> tuple[Odometry, DeadReckoning, Closed]:
+    """The odometry once the places seen before and after every jump told how far it went, or broken
+    there; its passes, and their places."""
 
     def reckoning_of(track: Odometry) -> DeadReckoning:
         return dead_reckoning(track, source.passes(track), reckoning.noise, reckoning.systematic)
 
-    odometry = bridged(odometry, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
-    return odometry, reckoning_of(odometry)
+    odometry = bridged(recorded, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
+    driven = reckoning_of(odometry)
+    closed = _identified(driven, settings)
+    sure = confirmed(recorded, odometry, driven, closed.place)
+    if len(sure.breaks) > len(odometry.breaks):
+        driven = reckoning_of(sure)
+        closed = _identified(driven, settings)
+    return sure, driven, closed
 
 
 def _identified(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:

@@ -47,7 +47,8 @@ def corridor_lengths(
         within = like_m[e] if bend[e] > like_m[e] else 0.0
         like = legs[way[legs] <= way[legs[0]] + within]
         length[e] = way[like].mean()
-        leg[e] = like[np.abs(way[like] - length[e]).argmin()]
+        # Two are equally far from their mean: it is not rounding that chooses, but the shorter way.
+        leg[e] = like[np.round(np.abs(way[like] - length[e]) / LEAST_M).argmin()]
     return length, leg
 
 

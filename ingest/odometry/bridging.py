@@ -63,6 +63,20 @@ def bridged(
     return replace(bridged, jump_sigma=sigma, breaks=breaks)
 
 
+def confirmed(
+    recorded: Odometry, odometry: Odometry, reckoning: DeadReckoning, place: IntArray
+) -> Odometry:
+    """`bridged`, broken at the jumps that its places, identified anew, do not confirm.
+
+    Places that told a step may have been taken for others, so that none of them is seen on both
+    sides once the step is believed: the maps before and after it would be tied by a mistake.
+    """
+    leg = _legs(odometry, reckoning)
+    measured = _unclear(recorded, reckoning, leg)
+    alone = [m and _shared(place, k) < LEAST_PLACES for m, k in zip(measured, leg, strict=True)]
+    return replace(odometry, breaks=np.union1d(odometry.breaks, odometry.jumps[np.array(alone)]))
+
+
 def jumps_told(recorded: Odometry, odometry: Odometry) -> list[dict[str, Any]]:
     """For the document: when and how far the odometry jumped, and whether the chain is split there.
 

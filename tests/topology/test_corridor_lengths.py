@@ -43,6 +43,18 @@ def test_many_drives_along_bends_are_not_too_short(drives):
     assert np.abs(way[leg] - length).max() < 0.3
 
 
+def test_of_two_ways_along_a_bend_rounding_does_not_choose():
+    """Both are equally far from their mean."""
+    rng = np.random.default_rng(5)
+    way = 15 + 0.1 * rng.standard_normal(200)
+    groups = by_length(way, np.arange(200).reshape(-1, 2))
+    _, leg = corridor_lengths(way, np.full(200, 12.0), groups)
+    assert leg.tolist() == [group[0] for group in groups]
+    for _ in range(10):
+        rounded = way * (1 + 1e-15 * rng.standard_normal(200))
+        assert np.array_equal(corridor_lengths(rounded, np.full(200, 12.0), groups)[1], leg)
+
+
 def test_a_detour_on_a_bend_does_not_count():
     rng = np.random.default_rng(3)
     bend = np.full(60, 2.0)

@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.mapping import build_map
-from topobatch.ingest.odometry.jumps import without_jumps
+from topobatch.ingest.mapping import build_map, dead_reckoned, pass_source
+from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
+from topobatch.ingest.odometry.bridging import confirmed
+from topobatch.ingest.odometry.jumps import driven_on, without_jumps
 from topobatch.ingest.odometry.track import sane_track
+from topobatch.merge.pieces import joined_pieces
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
 from topobatch.simulation.drift import DRIFTS
 from topobatch.topology.se2 import between, compose, wrap
@@ -110,6 +113,35 @@ def test_a_large_jump_that_no_place_tells_splits_the_chain():
     (told,) = topomap.info["jumps"]
     assert told["split"] is True
     assert "the chain is split there" in topomap.info["warnings"][-1]
+
+
+def test_a_step_that_its_places_do_not_confirm_is_broken_up():
+    _, run = simulated(jumps=1, jump_m=0.47, jump_deg=50.0)
+    odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    past = np.searchsorted(reckoning.passes.time_ns, odometry.time_ns[odometry.jumps[0]])
+    for shared, breaks in ((0, odometry.jumps.tolist()), (1, odometry.jumps.tolist()), (2, [])):
+        place = np.arange(len(reckoning))
+        place[past : past + shared] = place[:shared]
+        assert confirmed(odometry, odometry, reckoning, place).breaks.tolist() == breaks
+    small = replace(odometry, jump_sigma=odometry.jump_sigma / 10)
+    assert confirmed(small, small, reckoning, np.arange(len(reckoning))).breaks.tolist() == []
+
+
+def test_a_step_that_was_told_wrongly_bends_no_map(monkeypatch):
+    """As if places had been taken for others: they are not found again where it leads."""
+
+    def mistaken(odometry, *_):
+        step = np.array([[3.0, -2.0, 2.6]])
+        return replace(odometry, pose=driven_on(odometry.pose, odometry.jumps, step))
+
+    truth, run = simulated(jumps=1, jump_m=0.47, jump_deg=50.0)
+    monkeypatch.setattr("topobatch.ingest.mapping.bridged", mistaken)
+    topomap = build_map(run)
+    assert topomap.pieces == 2
+    assert topomap.info["jumps"][0]["split"] is True
+    whole, *others = joined_pieces(topomap)
+    assert others == []
+    assert split_and_mixed(truth, run, whole) == (0, 0)
 
 
 def test_a_small_jump_that_no_place_tells_makes_its_corridor_uncertain():
