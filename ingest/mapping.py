@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..topology.arrays import IntArray
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
@@ -68,23 +68,15 @@ def build_map_with_errors(
     else:
         closed = _identified(reckoning, settings)
     fit = fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
-    estimate = set_apart(reckoning, closed.place, fit.estimate)
     corrected = correct_detections(
         closed.reckoning,
         odometry,
         closed.place,
-        estimate,
+        set_apart(reckoning, closed.place, fit.estimate),
         settings.driven_by,
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
-    scale = refine_scale(
-        odometry, run.detections, reckoning.passes, fit.reckoning.noise, settings.noise
-    )
-    told = replace(fit.reckoning.noise, scale=scale)
-    alike = None if source.shared_m is None else seen_alike(source.shared_m, told)
-    if alike is not None and len(alike):
-        told = replace(told, shared_centre_m=significant(float(np.median(alike))))
-    measured = replace(fit.reckoning, noise=told)
+    measured, alike = _measured(fit.reckoning, odometry, run, source, settings)
     errors = place_errors(
         measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=alike
     )
@@ -110,9 +102,8 @@ def build_map_with_errors(
     )
     turned = ON_THE_WAY
     if not source.shows_bends:
-        turned = turning_points(
-            topomap, odometry, corrected.visits, source.resolution_m, settings.drawing
-        )
+        drawing = settings.drawing
+        turned = turning_points(topomap, odometry, corrected.visits, source.resolution_m, drawing)
     topomap = replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, turned)
@@ -188,6 +179,25 @@ def _identified(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:
         return gated_closure(reckoning, settings.rounds)
     place = np.arange(len(reckoning), dtype=np.int64)
     return Closed(reckoning, place, optimise(reckoning, place), asked=[], grid=None)
+
+
+def _measured(
+    fitted: DeadReckoning,
+    odometry: Odometry,
+    run: Run,
+    source: PassSource,
+    settings: MappingSettings,
+) -> tuple[DeadReckoning, FloatArray | None]:
+    """Dead reckoning with what closed loops do not tell of its noise: the scale, and how far off
+    all passes of a place see its centre alike; (p,) the latter of each pass [m], None where passes
+    share nothing."""
+    passes, noise = fitted.passes, fitted.noise
+    scale = refine_scale(odometry, run.detections, passes, noise, settings.noise)
+    noise = replace(noise, scale=scale)
+    alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
+    if alike is not None and len(alike):
+        noise = replace(noise, shared_centre_m=significant(float(np.median(alike))))
+    return replace(fitted, noise=noise), alike
 
 
 def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
