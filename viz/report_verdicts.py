@@ -33,42 +33,15 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
     if result is None or len(runs) < 2:
         return ""
     n, row = len(runs), {run: i for i, run in enumerate(runs)}
-    cells: dict[Standing, list[str]] = {standing: [] for standing in Standing}
-    numbers = []
-    for pair in result.verdicts:
-        i, j = sorted((row[pair.a], row[pair.b]))
-        for y, x in ((i, j), (j, i)):
-            if pair.standing is not Standing.UNRELATED:
-                cells[pair.standing].append(f"M{x} {y}h1v1h-1z")
-        if n <= MOST_NUMBERS:
-            bits = shown_bits(pair.evidence_bits)
-            kind = STANDINGS.index(str(pair.standing))
-            numbers.append(_label(j + 0.5, i + 0.6, bits, "middle", size=0.26, look=f"s{kind}"))
-    drawn = [f'<rect width="{n}" height="{n}" fill="var(--v{STANDINGS.index("unrelated")})"/>']
-    if result.unlisted is not None:  # what is not listed is joined, or unrelated
-        blocks = "".join(f"M{k} {k}h{s}v{s}h-{s}z" for k, s in _blocks(result, row))
-        drawn.append(
-            f'<path d="{blocks}" fill="var(--v{STANDINGS.index("joined through others")})"/>'
-        )
-    drawn += [
-        f'<path d="{"".join(paths)}" fill="var(--v{STANDINGS.index(str(standing))})"/>'
-        for standing, paths in cells.items()
-        if paths
-    ]
-    drawn.append(f'<path d="{"".join(f"M{k} {k}h1v1h-1z" for k in range(n))}" fill="var(--c3)"/>')
-    drawn += [
-        f'<rect class="frame" x="{k}" y="{k}" width="{size}" height="{size}"/>'
-        for k, size in _blocks(result, row)
-    ]
-    left = 0.0
+    drawn, left = _squares(result, row), 0.0
     if n <= MOST_NAMES:
         size = min(0.7, 0.022 * n + 0.12)
         left = 0.6 * size * max(min(len(run), 24) for run in runs) + 0.5
         drawn += [
             _label(-0.2, i + 0.5 + 0.35 * size, run, "end", size=size) for i, run in enumerate(runs)
         ]
-    # Numbers last, so that nothing covers them.
-    drawn += numbers
+    if n <= MOST_NUMBERS:  # last, so that nothing covers them
+        drawn += _numbers(result, row)
     count = result.standings()
     legend = "".join(
         f"<span>{_swatch(kind)}{text(kind)}</span>" for kind in Standing if count[kind]
@@ -85,6 +58,41 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
         '<p id="told" class="dim" aria-live="polite">Point at a square for the names and the '
         "reason; click to keep it.</p>"
     )
+
+
+def _squares(result: MergeResult, row: Mapping[str, int]) -> list[str]:
+    """The matrix without words: a square for every pair, a frame for every component."""
+    n = len(row)
+    cells: dict[Standing, list[str]] = {standing: [] for standing in Standing}
+    for pair in result.verdicts:
+        i, j = sorted((row[pair.a], row[pair.b]))
+        if pair.standing is not Standing.UNRELATED:
+            cells[pair.standing] += [f"M{x} {y}h1v1h-1z" for y, x in ((i, j), (j, i))]
+    drawn = [f'<rect width="{n}" height="{n}" fill="var(--v{STANDINGS.index("unrelated")})"/>']
+    if result.unlisted is not None:  # what is not listed is joined, or unrelated
+        blocks = [f"M{k} {k}h{s}v{s}h-{s}z" for k, s in _blocks(result, row)]
+        drawn.append(_filled(blocks, f"v{STANDINGS.index('joined through others')}"))
+    drawn += [_filled(of, f"v{STANDINGS.index(str(kind))}") for kind, of in cells.items() if of]
+    drawn.append(_filled([f"M{k} {k}h1v1h-1z" for k in range(n)], "c3"))
+    return drawn + [
+        f'<rect class="frame" x="{k}" y="{k}" width="{size}" height="{size}"/>'
+        for k, size in _blocks(result, row)
+    ]
+
+
+def _filled(paths: list[str], colour: str) -> str:
+    return f'<path d="{"".join(paths)}" fill="var(--{colour})"/>'
+
+
+def _numbers(result: MergeResult, row: Mapping[str, int]) -> list[str]:
+    """The evidence of every pair, above the diagonal."""
+    out = []
+    for pair in result.verdicts:
+        i, j = sorted((row[pair.a], row[pair.b]))
+        look = f"s{STANDINGS.index(str(pair.standing))}"
+        bits = shown_bits(pair.evidence_bits)
+        out.append(_label(j + 0.5, i + 0.6, bits, "middle", size=0.26, look=look))
+    return out
 
 
 def _blocks(result: MergeResult, row: Mapping[str, int]) -> list[tuple[int, int]]:
