@@ -181,18 +181,8 @@ def _plan(
     from ..ingest.reading import run_name
     from .ingest_worker import IngestJob, IngestOutcome
 
-    planned: list[IngestJob | IngestOutcome] = []
-    logs: dict[LogPath, None] = {}
-    for path in given:
-        try:
-            logs |= dict.fromkeys(logs_at(path))
-            if passed_over := packed_below(path):
-                screen.warn(f"{path}: {passed_over}")
-        except LogError as error:
-            planned.append(IngestOutcome(path.name, "failed", str(error)))
-        except OSError as error:
-            text = f"{error.filename or path}: {error.strerror or error}"
-            planned.append(IngestOutcome(path.name, "failed", text))
+    logs, missing = _logs_of(given, screen)
+    planned: list[IngestJob | IngestOutcome] = [*missing]
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
     named: dict[str, dict[LogPath, LogPath]] = {}
@@ -213,19 +203,30 @@ def _plan(
                 "rename one, or ingest it alone with --name"
             )
             planned.append(IngestOutcome(log.name, "failed", text, needs_option=True))
-        if others:
-            continue
-        planned.append(
-            IngestJob(
-                log=first,
-                run=run,
-                place=place,
-                read=read,
-                mapping=mapping,
-                force=force,
-            )
-        )
+        if not others:
+            planned.append(IngestJob(first, run, place, read, mapping, force))
     return planned
+
+
+def _logs_of(
+    given: list[LogPath], screen: Screen
+) -> tuple[dict[LogPath, None], list[IngestOutcome]]:
+    """The logs at some paths, each once, and what became of paths where none can be."""
+    from .ingest_worker import IngestOutcome
+
+    logs: dict[LogPath, None] = {}
+    missing = []
+    for path in given:
+        try:
+            logs |= dict.fromkeys(logs_at(path))
+            if passed_over := packed_below(path):
+                screen.warn(f"{path}: {passed_over}")
+        except LogError as error:
+            missing.append(IngestOutcome(path.name, "failed", str(error)))
+        except OSError as error:
+            text = f"{error.filename or path}: {error.strerror or error}"
+            missing.append(IngestOutcome(path.name, "failed", text))
+    return logs, missing
 
 
 def _at(log: LogPath) -> LogPath:

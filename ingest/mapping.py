@@ -97,7 +97,6 @@ def build_map_with_errors(
         errors=errors,
         askew_rad=source.askew_rad,
         fitted_noise=refined(replace(measured.noise, branch_rad=reckoning.noise.branch_rad)),
-        closures=_closures(closed, corrected, reckoning.passes),
         settings=settings.drawing,
     )
     turned = ON_THE_WAY
@@ -107,7 +106,8 @@ def build_map_with_errors(
     topomap = replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, turned)
-    return replace(topomap, info=info), errors
+    closures = _closures(closed, corrected, reckoning.passes)
+    return replace(topomap, closures=closures, info=info), errors
 
 
 def dead_reckoned(

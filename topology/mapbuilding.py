@@ -22,7 +22,7 @@ from .passes import NO_BRANCH, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
-from .topomap import Closure, RunNoise, TopoMap
+from .topomap import RunNoise, TopoMap
 from .track import by_begin, times_between, track_directions, way_at
 from .vertex_errors import VertexErrors
 from .visits import PassesAtPlaces, Visits, draw_track
@@ -78,7 +78,6 @@ def build_topomap(
     errors: VertexErrors,
     askew_rad: float = 0.0,
     fitted_noise: RunNoise | None = None,
-    closures: tuple[Closure, ...] = (),
     settings: MapBuildingSettings = MapBuildingSettings(),
 ) -> TopoMap:
     """The map of a run whose passes have been identified.
@@ -126,7 +125,6 @@ def build_topomap(
         branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         traversal_ns=edges.time_ns,
         confidence=mean_of((passes.confidence * places.fair)[seen], observed, len(xy)),
-        closures=closures,
     )
 
 
