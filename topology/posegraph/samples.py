@@ -1,6 +1,6 @@
 """Covariances of many pairs of poses at once, from samples.
 
-Exact covariances (`posegraph_marginals`) cost three solves per pose. A fixed number of samples of
+Exact covariances (`marginals.py`) cost three solves per pose. A fixed number of samples of
 the whole solution costs as many solves whatever the number of pairs, and tells every covariance to
 √(2 / count): good enough to gate candidates by.
 """
