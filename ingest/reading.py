@@ -10,7 +10,6 @@ from ..topology.errors import LogError, UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, kept_whole
-from .frames import FixedTransforms
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, walks
@@ -120,8 +119,8 @@ def _walked(
 
 def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     """The run of a log with junction detections."""
-    settings, log, warnings = read.settings, read.log, list(read.warnings)
-    odometry = odometry_topic(read.intake, read.counts, settings, log)
+    settings, warnings = read.settings, list(read.warnings)
+    odometry = odometry_topic(read)
     junctions = _junctions(read, junction.choice)
     clock = choose_clock(odometry.poses, junctions, settings.time, warnings)
     clock = clock_without_jumps(odometry.poses, clock, settings.track.backward_min_s, warnings)
@@ -132,18 +131,8 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     }
     if junction.passed_over:
         about["junctions"]["passed_over"] = list(junction.passed_over)
-    track = driven(odometry, clock, settings, log)
-    frames = (frame for frame, _ in junctions.frames)
-    fixed = transforms_about(read.recording, frames, track.recorded)
-    sightings = _sightings(
-        junction.choice,
-        junctions,
-        clock=clock,
-        odometry=track.recorded,
-        fixed=fixed,
-        settings=settings,
-        log=log,
-    )
+    track = driven(odometry, clock, read)
+    sightings = _sightings(read, junction.choice, junctions, clock, track.recorded)
     warnings += [*track.warnings, *sightings.warnings]
     split, carried = split_where_carried(track.odometry, sightings.detections)
     if carried:
@@ -194,7 +183,7 @@ def _damage(recording: Recording, findings: Findings, settings: ReadSettings) ->
 
 
 def _junctions(read: LogRead, choice: Choice) -> TopicPoses:
-    poses = poses_of(read.intake, read.counts, choice, read.log)
+    poses = poses_of(read, choice)
     if len(poses) == 0:
         raise LogError(
             f"{read.log}: {choice.topic} holds no usable pose{because(poses, choice.topic)}"
@@ -203,14 +192,7 @@ def _junctions(read: LogRead, choice: Choice) -> TopicPoses:
 
 
 def _sightings(
-    choice: Choice,
-    poses: TopicPoses,
-    *,
-    clock: Clock,
-    odometry: Odometry,
-    fixed: FixedTransforms,
-    settings: ReadSettings,
-    log: str,
+    read: LogRead, choice: Choice, poses: TopicPoses, clock: Clock, odometry: Odometry
 ) -> Sightings:
     """The detections in the robot's frame; raises LogError if none is left."""
     frames = [frame for frame, _ in poses.frames]
@@ -219,12 +201,12 @@ def _sightings(
         poses.time_ns(clock),
         frames,
         odometry,
-        fixed=fixed,
-        settings=settings.sightings,
+        fixed=transforms_about(read.recording, frames, odometry),
+        settings=read.settings.sightings,
     )
     warnings = [*poses.warnings(choice.topic), *sightings.warnings]
     if len(sightings.detections) == 0:
-        raise LogError(f"{log}: no usable junction detection: {'; '.join(warnings)}")
+        raise LogError(f"{read.log}: no usable junction detection: {'; '.join(warnings)}")
     return Sightings(sightings.detections, tuple(warnings))
 
 

@@ -42,7 +42,7 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     about["time"] = clock
     if odometry is not None:
         about["odometry"] = described(odometry.choice, odometry.poses)
-    way = driven(odometry, clock, read.settings, read.log) if odometry is not None else None
+    way = driven(odometry, clock, read) if odometry is not None else None
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
@@ -155,7 +155,7 @@ NO_DETECTIONS = Detections(
 def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
     """The odometry's topic; LogError if the one that was named cannot be used."""
     try:
-        return odometry_topic(read.intake, read.counts, read.settings, read.log)
+        return odometry_topic(read)
     except LogError:
         if read.settings.odometry_topic is not None:
             raise

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ...topology.errors import LogError
 from ...topology.odometry import Odometry
-from ..logs.intake import Intake, no_columns
-from ..logs.messages import Channel
+from ..logs.intake import no_columns
 from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, decoded_alike, listing
-from ..read_settings import ReadSettings
+from ..survey import LogRead
 from ..topic_poses import (
     Clock,
     TopicPoses,
@@ -22,7 +20,7 @@ from ..topic_poses import (
 )
 from .jumps import without_jumps
 from .plausible import check_plausible
-from .track import Track, sane_track
+from .track import Track, TrackSettings, sane_track
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +42,16 @@ class Driven:
     warnings: tuple[str, ...] = ()
 
 
-def odometry_topic(
-    intake: Intake, counts: Mapping[Channel, int], settings: ReadSettings, log: str
-) -> OdometryTopic:
+def odometry_topic(read: LogRead) -> OdometryTopic:
     """The first choice whose content serves: its poses between one pair of frames.
 
     Raises LogError if there is none, UsageError if a topic must be named.
     """
+    settings = read.settings
     base = settings.base_frame.lstrip("/") if settings.base_frame else None
     reasons = []
-    for choice in choose_odometry(counts, settings.odometry_topic, log):
-        poses = poses_of(intake, counts, choice, log)
+    for choice in choose_odometry(read.counts, settings.odometry_topic, read.log):
+        poses = poses_of(read, choice)
         transforms = ODOMETRY_KINDS[choice.type_name][1] == "transforms"
         find = pair_of_transforms if transforms else pair_of_poses
         pair = find(poses, base)
@@ -71,32 +68,32 @@ def odometry_topic(
         if base is not None and len(poses):
             lack += f" to {base} (--base-frame); it has {told_pairs(poses.frames)}"
         reasons.append(f"{choice.topic} holds {lack}" + because(poses, choice.topic))
-    raise LogError(f"{log}: no odometry: {', '.join(reasons)}; {listing(counts)}")
+    raise LogError(f"{read.log}: no odometry: {', '.join(reasons)}; {listing(read.counts)}")
 
 
-def driven(topic: OdometryTopic, clock: Clock, settings: ReadSettings, log: str) -> Driven:
+def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Driven:
     """The way driven, by one clock; the topic's columns are empty afterwards.
 
     Raises LogError if no robot can have moved like that.
     """
-    track = _track(topic.choice, topic.poses, frames=topic.frames, clock=clock, settings=settings)
+    track = _track(topic, clock, read.settings.track)
     odometry = without_jumps(track.odometry, track.jumps)
     # As recorded, but drive by drive: a reset may lead anywhere.
     resets = odometry.breaks
     drives = replace(track.odometry, breaks=resets) if len(resets) else track.odometry
-    check_plausible(drives, track.bounds, topic.choice.topic, log)
+    check_plausible(drives, track.bounds, topic.choice.topic, read.log)
     return Driven(track.odometry, odometry, track.warnings)
 
 
-def poses_of(intake: Intake, counts: Mapping[Channel, int], choice: Choice, log: str) -> TopicPoses:
+def poses_of(read: LogRead, choice: Choice) -> TopicPoses:
     """What a topic gave; messages of its channels that have no decoder count as failed ones."""
-    topic = choice.topic
-    intake.check(topic, log)
+    topic, intake = choice.topic, read.intake
+    intake.check(topic, read.log)
     sinks = intake.of_topic(topic)
     alike = [sink for sink in sinks if decoded_alike(sink.channel.type_name, choice.type_name)]
     poses = TopicPoses.of(alike)
     poses.foreign = sum(sink.messages for sink in sinks) - poses.messages
-    refused = sum(counts.get(c, 0) for c in intake.refused if c.topic == topic)
+    refused = sum(read.counts.get(c, 0) for c in intake.refused if c.topic == topic)
     poses.messages += refused
     poses.failed += refused
     return poses
@@ -113,23 +110,17 @@ def described(choice: Choice, poses: TopicPoses) -> dict[str, Any]:
     return {"topic": choice.topic, "type": choice.type_name, "messages": poses.messages}
 
 
-def _track(
-    choice: Choice,
-    poses: TopicPoses,
-    *,
-    frames: tuple[str, str],
-    clock: Clock,
-    settings: ReadSettings,
-) -> Track:
-    warnings = poses.warnings(choice.topic)
+def _track(topic: OdometryTopic, clock: Clock, settings: TrackSettings) -> Track:
+    poses, (frame, child) = topic.poses, topic.frames
+    warnings = poses.warnings(topic.choice.topic)
     time_ns = poses.time_ns(clock)
     if clock == "header" and not time_ns.all():
         zero = int((time_ns == 0).sum())
-        warnings.append(f"{choice.topic}: {zero} messages carry no header time; left out")
+        warnings.append(f"{topic.choice.topic}: {zero} messages carry no header time; left out")
         poses.keep(time_ns != 0)
         time_ns = poses.time_ns(clock)
     pose = poses.columns.pose
     # Nothing else is needed of the columns: with a million poses they take 48 MB.
     poses.columns = no_columns()
-    track = sane_track(time_ns, pose, frames[0] or "odom", frames[1] or "base_link", settings.track)
+    track = sane_track(time_ns, pose, frame or "odom", child or "base_link", settings)
     return replace(track, warnings=(*warnings, *track.warnings))
