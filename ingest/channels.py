@@ -80,7 +80,7 @@ def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
 
 
 def check_mapping(
-    recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings, log: str
+    recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings
 ) -> None:
     """UsageError where --junction-fields leads nowhere in the topic, before all of it is read.
 
@@ -88,16 +88,16 @@ def check_mapping(
     """
     if settings.junction_fields is None:
         return
-    fields = JunctionFields.parse(settings.junction_fields)
+    fields, log = JunctionFields.parse(settings.junction_fields), str(recording.path)
     channels = [c for c, n in counts.items() if n and c.topic == settings.mapped_topic]
     sure = [check_fields(channel, fields, log) for channel in channels]
     if channels and not all(sure):
-        _try_mapping(recording, settings, log)
+        _try_mapping(recording, settings)
 
 
-def _try_mapping(recording: Recording, settings: ReadSettings, log: str) -> None:
+def _try_mapping(recording: Recording, settings: ReadSettings) -> None:
     """UsageError if nothing comes of the first messages of the mapped topic."""
-    topic = settings.mapped_topic
+    topic, log = settings.mapped_topic, str(recording.path)
     intake = Intake(
         lambda channel: channel.topic == topic, decoders(settings, log), kept_whole(settings)
     )

@@ -105,7 +105,7 @@ def _uses(
     try:
         source = junction_source(counts, settings, log)
         if source.way == "topic":
-            check_mapping(recording, counts, settings, log)
+            check_mapping(recording, counts, settings)
     except (LogError, UsageError) as error:
         missing.append(str(error))
     try:

@@ -101,7 +101,8 @@ def _choices(
     way: Way, counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> list[Choice]:
     if way == "topic":
-        return [junction_choice(counts, settings, log)]
+        any_type = settings.junction_fields is not None
+        return [choose_junctions(counts, settings.junction_topic, any_type, log)]
     kinds, types, usual = SENSORS[way]
     found = choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
     # Of several robots in a log, that of the odometry has its sensors beside it.
@@ -136,9 +137,3 @@ def _others(way: Way, counts: Mapping[Channel, int]) -> tuple[str, ...]:
         return ()
     types = {*SCAN_KINDS} if way == "topic" else {*JUNCTION_KINDS}
     return tuple(sorted({c.topic for c, n in counts.items() if n and c.type_name in types}))
-
-
-def junction_choice(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> Choice:
-    """The topic of the junction detections; raises LogError or UsageError if there is none."""
-    any_type = settings.junction_fields is not None
-    return choose_junctions(counts, settings.junction_topic, any_type, log)

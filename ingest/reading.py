@@ -112,7 +112,7 @@ def _walked(
     counts = index.counts if index is not None else None
     accept = acceptance(counts, settings, log)
     if counts is not None:
-        check_mapping(recording, counts, settings, log)
+        check_mapping(recording, counts, settings)
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     return intake, walk(recording, intake, progress, index)
 
