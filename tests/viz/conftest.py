@@ -17,7 +17,7 @@ from topobatch.merge.result import (
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, inverse, wrap
-from topobatch.topology.topomap import Closure, TopoMap
+from topobatch.topology.topomap import EDGE_COLUMNS, VERTEX_COLUMNS, Closure, TopoMap
 from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.topology.turning_vertices import without_turning_points
 
@@ -116,17 +116,16 @@ def empty_map() -> TopoMap:
 @pytest.fixture
 def one_vertex(empty_map: TopoMap) -> TopoMap:
     """A run that passed one junction."""
-    parts = {name: getattr(empty_map, name) for name in TopoMap.__dataclass_fields__}
-    parts |= {
-        "run": "one",
-        "xy": np.array([(3.0, -2.0)]),
-        "branches": Ragged.from_rows([[0.0, 1.5]]),
-        "kind": ("bend",),
-        "observation_vertex": np.array([0]),
-        "observation_time_ns": np.array([7 * STEP_NS]),
-        "confidence": np.ones(1),
-    }
-    return TopoMap(**parts)
+    return replace(
+        empty_map,
+        run="one",
+        xy=np.array([(3.0, -2.0)]),
+        branches=Ragged.from_rows([[0.0, 1.5]]),
+        kind=("bend",),
+        observation_vertex=np.array([0]),
+        observation_time_ns=np.array([7 * STEP_NS]),
+        confidence=np.ones(1),
+    )
 
 
 @pytest.fixture
@@ -217,23 +216,12 @@ def merge_of(
 
 
 @pytest.fixture
-def no_fused() -> FusedMap:
+def no_fused(empty_map: TopoMap) -> FusedMap:
     """The fused map of no runs."""
-    none = np.zeros(0, np.int64)
     return FusedMap(
-        component=none,
-        xy=np.zeros((0, 2)),
-        branches=Ragged.from_rows([]),
-        kind=(),
+        component=np.zeros(0, np.int64),
         members=(),
         observations=(),
-        source=none,
-        target=none,
-        source_branch=none,
-        target_branch=none,
-        length=np.zeros(0),
-        length_sigma=np.zeros(0),
-        traversals=none,
-        paths=(),
         edge_members=(),
+        **{name: getattr(empty_map, name) for name in (*VERTEX_COLUMNS, *EDGE_COLUMNS)},
     )

@@ -34,6 +34,14 @@ def _nothing(pairs):
     return [0.0] * len(pairs)
 
 
+def by_size(own):
+    """Components of the two maps of each size."""
+    components = Components(4, ())
+    for i, j in ((0, 1), (2, 3)):
+        components.join(i, j, own.joins[i, j].transform)
+    return components
+
+
 def test_one_pair_tells_what_it_tells_alone(sizes):
     own, found = sizes
     for pair in ((0, 1), (0, 2)):
@@ -61,18 +69,14 @@ def test_more_runs_tell_more_than_two(sizes):
 
 def test_a_pair_that_lies_elsewhere_says_nothing(sizes):
     own, _ = sizes
-    components = Components(4, ())
-    for i, j in ((0, 1), (2, 3)):
-        components.join(i, j, own.joins[i, j].transform)
+    components = by_size(own)
     away = replace(own.joins[0, 3], transform=own.joins[0, 3].transform + np.array([9.0, 0.0, 0.0]))
     assert replace(own, other={(0, 3): away}).refusal(components, (0, 2)) is None
 
 
 def test_what_pairs_across_say_of_copies_adds_up(sizes):
     own, _ = sizes
-    components = Components(4, ())
-    for i, j in ((0, 1), (2, 3)):
-        components.join(i, j, own.joins[i, j].transform)
+    components = by_size(own)
     for bits, refused in (((-9.0, 3.0), True), ((-6.0, 3.0), False), ((1.0, 3.0), False)):
         told = dict(zip(((0, 3), (1, 2)), bits, strict=True))
         asked = {pair: (own.joins[pair], said) for pair, said in told.items()}
@@ -85,9 +89,7 @@ def test_what_pairs_across_say_of_copies_adds_up(sizes):
 def test_pairs_that_would_be_merged_answer_whether_they_are_copies(sizes):
     """That chance does not explain them says nothing of it."""
     own, _ = sizes
-    components = Components(4, ())
-    for i, j in ((0, 1), (2, 3)):
-        components.join(i, j, own.joins[i, j].transform)
+    components = by_size(own)
     heard = []
 
     def answers(bits):

@@ -110,12 +110,19 @@ def test_a_building_of_few_sizes_is_uniform(drawn):
     assert uniformity(few, varied) == 0.0
 
 
-def test_two_placements_that_fit_alike_are_ambiguous(drawn):
-    """One wing, and a building that has it twice: there is no telling which."""
+@pytest.fixture
+def wings(drawn):
+    """A building that has one wing twice, and the wing."""
     n = len(POINTS)
     twice = [*POINTS, *[(x + 40.0, y) for x, y in POINTS]]
     edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (2, n)]
     a, b = prepare(drawn("both", twice, edges)), prepare(drawn("one", POINTS, EDGES))
+    return a, b
+
+
+def test_two_placements_that_fit_alike_are_ambiguous(wings):
+    """There is no telling which."""
+    a, b = wings
     found = match(a, b, SETTINGS)
     assert len(found) >= 2
     assert not same_placement(found[0], found[1], b)
@@ -125,11 +132,8 @@ def test_two_placements_that_fit_alike_are_ambiguous(drawn):
     assert view.margin < MATCH.lead_bits
 
 
-def test_a_placement_with_no_more_against_it_keeps_the_best_from_being_merged(drawn):
-    n = len(POINTS)
-    twice = [*POINTS, *[(x + 40.0, y) for x, y in POINTS]]
-    edges = [*EDGES, *[(u + n, v + n) for u, v in EDGES], (2, n)]
-    a, b = prepare(drawn("both", twice, edges)), prepare(drawn("one", POINTS, EDGES))
+def test_a_placement_with_no_more_against_it_keeps_the_best_from_being_merged(wings):
+    a, b = wings
     best, other = match(a, b, SETTINGS)[:2]
     lax = replace(SETTINGS, copy_margin_bits=12.0)  # what copies differ in is not asked for
     threshold = threshold_for(PairCount(1, 1), COPIES, lax)
