@@ -131,7 +131,7 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
 
     maps = {run: place.read_map(run) for run in pair}
     document = _last_merge(place)
-    why_not = _not_merged(document, pair)
+    why_not = _not_merged(document, pair, place.merged_json.name)
     said, poses, settings, runs = {}, {}, DEFAULT_ROBUST, place.runs()
     if document is not None and not why_not:
         said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
@@ -163,14 +163,14 @@ def _last_merge(place: Workspace) -> MergedDocument | None:
     return place.read_merged() if place.merged_json.exists() else None
 
 
-def _not_merged(document: MergedDocument | None, pair: tuple[str, str]) -> str:
+def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: str) -> str:
     """Why the workspace's merge has nothing to say of a pair, "" if it has."""
     if document is None:
         return "not merged yet (topobatch merge --all)"
     if document.graph.method == "paper":
         return "merged by --method paper (see topobatch explain --method paper)"
     if not document.graph.home.keys() >= set(pair):
-        return "the last merge did not have both runs"
+        return f"{name} does not hold both runs"
     return ""
 
 
@@ -216,12 +216,18 @@ def _by_paper(
     merged_with = _merged_with(place, document)
     found = explained(map_a, map_b, options.over(merged_with or DEFAULT_PAPER))
     said = None if document is None else document.entry(*pair)
+    name = place.merged_json.name
     if as_json:
         say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
     else:
         how = "" if found.settings == merged_with else ", with the settings of that merge"
         how = " by another method" if merged_with is None else how
-        for line in [*lines(found, rows or 20), "", *_verdict_lines(said, how)]:
+        verdict = ["verdict: not merged yet; topobatch merge --all"]
+        if said is not None:
+            verdict = _verdict_lines(said, f"{name}{how}")
+        elif document is not None:
+            verdict = [f"verdict: {name} does not list the two runs as a pair"]
+        for line in [*lines(found, rows or 20), "", *verdict]:
             say_lines(line)
     recording = place.explain_rrd(*pair, method="paper")
     _record(recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json)
@@ -239,16 +245,15 @@ def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSett
         raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
 
 
-def _verdict_lines(said: MergeEntry | None, how: str) -> list[str]:
-    """The verdict of the last merge, whatever its method. how: what tells it from the figures."""
+def _verdict_lines(said: MergeEntry, merge: str) -> list[str]:
+    """The verdict of a merge, whatever its method. merge: its document, and what tells it from the
+    figures."""
     from math import degrees
 
     from ..merge.result import shown_bits
 
-    if said is None:
-        return ["verdict: not merged yet; topobatch merge --all"]
     bits = shown_bits(said.evidence_bits)
-    lines = [f"verdict of the last merge{how}: {said.verdict}, {bits} bits: {said.reason}"]
+    lines = [f"verdict of {merge}: {said.verdict}, {bits} bits: {said.reason}"]
     lines += [f"  against it: {sentence}" for sentence in said.contradictions]
     if said.runner_up is not None:
         at = said.runner_up.transform

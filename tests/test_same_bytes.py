@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
-LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "streets-1.mcap")
+LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "office-1.mcap", "streets-1.mcap")
 
 # Processors by the kernels that linear algebra takes, and what numpy must not use to be like them.
 PROCESSORS = {

@@ -199,7 +199,7 @@ def test_readers_cope_with_pairs_that_are_only_counted(topobatch, workspace, lar
     told = topobatch("explain", a, b, "-w", workspace)
     assert told.code == 0, told
     assert told.out.startswith(f"{a} and {b}: unrelated")
-    assert "did not have both" not in told.out + told.err
+    assert "does not hold both" not in told.out + told.err
     told = topobatch("explain", a, b, "--json", "-w", workspace)
     assert json.loads(told.out)["merged"] is True
     assert json.loads(told.out)["threshold_bits"] == pytest.approx(

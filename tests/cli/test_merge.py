@@ -262,11 +262,15 @@ def test_explain_by_the_papers_figures(topobatch, workspace):
     assert document["schema"] == "topobatch.explanation/1"
     assert document["verdict"]["a"] == a
     paper = ("explain", a, b, "--method", "paper", "-w", workspace)
-    assert "verdict of the last merge by another method: " in topobatch(*paper).out
+    assert "verdict of merged.json by another method: " in topobatch(*paper).out
     topobatch("merge", "--all", "--method", "paper", "-w", workspace)
-    assert "verdict of the last merge: " in topobatch(*paper).out
+    assert "verdict of merged.json: " in topobatch(*paper).out
     told = topobatch(*paper, "--degree", "inexact").out
-    assert "verdict of the last merge, with the settings of that merge: " in told
+    assert "verdict of merged.json, with the settings of that merge: " in told
+    topobatch("merge", a, "--method", "paper", "--output", "one", "-w", workspace)
+    told = topobatch(*paper, "--merge", "one").out
+    assert "verdict: one.json does not list the two runs as a pair" in told
+    assert "not merged yet" not in told
 
 
 def test_explain_answers_where_it_cannot_write(topobatch, workspace):
@@ -308,10 +312,10 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
     topobatch("merge", "--all", "--method", "paper", "-w", workspace)
     assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
     topobatch("merge", a, "--replace", "-w", workspace)
-    assert "did not have both runs" in topobatch("explain", a, b, "-w", workspace).out
+    assert "does not hold both runs" in topobatch("explain", a, b, "-w", workspace).out
     third.write_text("{}")
     shown = topobatch("explain", a, b, "-w", workspace).out
-    assert "did not have both runs" in shown
+    assert "does not hold both runs" in shown
     assert "of third cannot be read" in " ".join(shown.split())
 
 
