@@ -201,7 +201,7 @@ def test_readers_cope_with_pairs_that_are_only_counted(topobatch, workspace, lar
     assert told.out.startswith(f"{a} and {b}: unrelated")
     assert "does not hold both" not in told.out + told.err
     told = topobatch("explain", a, b, "--json", "-w", workspace)
-    assert json.loads(told.out)["merged"] is True
+    assert json.loads(told.out)["of_merge"] is True
     assert json.loads(told.out)["threshold_bits"] == pytest.approx(
         17.29, abs=0.01
     )  # 153 count as 160
