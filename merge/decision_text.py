@@ -268,7 +268,8 @@ def missing(decision: Decision) -> str:
     lead = decision.requirement.lead_bits
     if said.margin_bits is not None and said.margin_bits < lead:
         lacks.append(f"{_short_of(said.margin_bits, lead)} bits of lead")
-    count = len(decision.placements[0].alignment.matched) if decision.placements else 0
+    best = decision.placements[0].alignment if decision.placements else None
+    count = len(best.matched) - len(best.contradictions) if best else 0
     if count < decision.requirement.least_junctions:
         lacks.append(counted(decision.requirement.least_junctions - count, "junction"))
     told = "Missing: " + " and ".join(lacks) if lacks else ""

@@ -63,7 +63,7 @@ def _copied(
 ) -> list[float]:
     """The junctions of every map's largest copy of a part of itself, no fewer than most maps of the
     batch have; inf where the copy may go on."""
-    beyond = [[c for c in own if c.bits > MATCH.lead_bits] for own in with_themselves]
+    beyond = [list(filter(_beyond_chance, own)) for own in with_themselves]
     seen = [max(map(len, own), default=0) for own in beyond]
     batch = float(np.quantile(seen, settings.copied_share)) if seen else 0.0
     need = needed_bits(1, settings)
@@ -81,11 +81,26 @@ def _goes_on(copy: Candidate, need_bits: float) -> bool:
     return _told_once(copy) >= need_bits and copy.contradicting_bits < MATCH.lead_bits
 
 
+def _beyond_chance(copy: Candidate) -> bool:
+    """Whether chance does not explain a match of a map with itself, what it tells counted once.
+
+    The columns of a maze, equally far apart in all its rows, lie on themselves turned by half a
+    turn: with that counted twice, one of 15 pairs of mazes that share a tenth passes for a copy.
+    """
+    once = (copy.bits + copy.tested_bits) * _told_share(copy)
+    return once - copy.tested_bits > MATCH.lead_bits
+
+
 def _told_once(copy: Candidate) -> float:
-    """The evidence of a match of a map with itself. Where half a turn takes two junctions to each
-    other, both say the same: so any rectangle is its own copy."""
+    """The evidence of a match of a map with itself, bounded by its junctions."""
+    return counted_bits(copy) * _told_share(copy)
+
+
+def _told_share(copy: Candidate) -> float:
+    """How much of its evidence a match of a map with itself has but once. Where half a turn takes
+    two junctions to each other, both say the same: so any rectangle is its own copy."""
     pairs = np.sort(np.column_stack([copy.a, copy.b]), axis=1)
-    return counted_bits(copy) * len(np.unique(pairs, axis=0)) / len(pairs)
+    return len(np.unique(pairs, axis=0)) / len(pairs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -336,8 +336,9 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
         return "chance offers as much too often"
     if best.rival:
         return MAYBE_COPY
-    if len(best) < threshold.settings.min_matches:
-        return f"{threshold.settings.min_matches} junctions at least must agree"
+    if len(best) - len(best.conflicts) < threshold.settings.min_matches:
+        fewest = f"{threshold.settings.min_matches} junctions at least must agree"
+        return f"{fewest}, one more for every contradiction" if len(best.conflicts) else fewest
     if margin is not None and margin < MATCH.lead_bits:
         return "another placement fits nearly as well"
     return ""

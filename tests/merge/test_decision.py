@@ -168,6 +168,10 @@ def test_an_ambiguous_pair_says_what_is_missing():
     assert missing(AMBIGUOUS).startswith("Missing: 2.7 bits of evidence. To settle it: record")
     close = replace(AMBIGUOUS, said=replace(AMBIGUOUS.said, evidence_bits=20.0, margin_bits=1.0))
     assert missing(close).startswith("Missing: 3.0 bits of lead.")
+    few = placement(13.0, count=5)
+    told = replace(few.alignment, contradictions=("a corridor leads elsewhere",))
+    doubted = decision(Verdict.AMBIGUOUS, 13.0, (replace(few, alignment=told),))
+    assert missing(doubted).startswith("Missing: 1 junction")
     assert missing(MERGED) == missing(UNRELATED) == ""
     assert any("the next best lays it at" in line for line in lines(AMBIGUOUS))
 

@@ -48,6 +48,7 @@ class Repetition:
     junctions: int
     bits: float = MATCH.lead_bits + 1
     contradicting_bits: float = 0.0
+    tested_bits: float = 5.0
     back: bool = False
     """Half of its junctions lie where the other half does."""
 
@@ -79,6 +80,15 @@ def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show():
     # Of two components the larger copies count; what chance offers is none.
     assert asked([0, 2], count).copied == 8.0
     assert heard == [(1, 6), (1, 4), (2, 8)]
+
+
+def test_what_half_a_turn_says_twice_is_no_copy_unless_once_is_beyond_chance():
+    tested = Repetition(8).tested_bits
+    enough = 2 * (MATCH.lead_bits + tested) - tested
+    own = [(Repetition(8, bits, back=True),) for bits in (enough - 0.1, enough + 0.1)]
+    asked = thresholds([None] * 2, SETTINGS, own, lambda _: COPIES)
+    most = np.quantile([0, 8], SETTINGS.copied_share)
+    assert [asked([k], PairCount(1, 1)).copied for k in range(2)] == [most, 8.0]
 
 
 def test_a_copy_that_nothing_ends_may_go_on():

@@ -70,6 +70,20 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     assert _missing(told, unasked, None, among_many) == "chance offers as much too often"
 
 
+def test_a_contradiction_takes_back_a_junction(drawn):
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    told = match(a, b, SETTINGS)[0]
+    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    (answers,) = assess(a, b, [told], threshold).answers
+    unasked = replace(answers, same_place=None)
+    spare = len(told) - SETTINGS.min_matches
+    why = []
+    for many in (spare, spare + 1):
+        against = replace(told.conflicts, elsewhere=np.zeros((many, 2), np.int64))
+        why.append(_missing(replace(told, conflicts=against), unasked, None, threshold))
+    assert why == ["", "5 junctions at least must agree, one more for every contradiction"]
+
+
 def test_what_tells_much_less_than_it_could_is_asked_whether_it_is_a_copy(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     told, most = match(a, b, SETTINGS)[0], MATCH.junction_bits * len(POINTS)
