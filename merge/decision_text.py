@@ -291,7 +291,8 @@ def sum_told(decision: Decision) -> str:
     margin = decision.said.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"
-    return f"evidence, {shown_bits(margin)} bits ahead of the next best"
+    ahead = shown_bits(margin, decimals(margin, decision.requirement.lead_bits))
+    return f"evidence, {ahead} bits ahead of the next best"
 
 
 def matched(placement: Placement) -> str:
@@ -305,17 +306,19 @@ def lines(decision: Decision, links: int | None = None) -> list[str]:
     if links is not None:
         return _lines(decision, links)
     tried = (_lines(decision, most) for most in range(HEIGHT, -1, -1))
-    return next((found for found in tried if len(found) <= HEIGHT), _lines(decision, 0))
+    whole = next((found for found in tried if len(found) <= HEIGHT), None)
+    return _lines(decision, 0, brief=True) if whole is None else whole
 
 
-def _lines(decision: Decision, links: int) -> list[str]:
+def _lines(decision: Decision, links: int, *, brief: bool = False) -> list[str]:
+    """brief: without what the recording shows better, where long names leave too little room."""
     said = decision.said
-    out = [*_folded(headline(decision)), *_folded(because(decision), "  ")]
+    out = [*_folded(headline(decision)), *_folded(because(decision), "  ", most=2 if brief else 3)]
     out += _folded(lies(decision), "  ")
     if len(decision.placements) > 1:
         out += _folded(f"the next best lays it at {pose(decision.placements[1])}", "  ")
-    out += _table(decision, links)
-    if decision.placements:
+    out += _table(decision, links)[brief:]
+    if decision.placements and not brief:
         pairs = f"{short(said.a)} = {short(said.b)}: {matched(decision.placements[0])}"
         out += _folded(pairs, "  ", most=1)
     out += _folded(missing(decision), "  ", most=4)

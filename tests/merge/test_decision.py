@@ -126,6 +126,30 @@ def test_long_names_stay_on_the_screen(told):
     assert max(map(len, shown)) <= WIDTH
 
 
+def test_everything_at_once_stays_on_the_screen():
+    """Long names, a contradiction, the question of copies, a lead that falls short by little."""
+    copies = Term("copies", -7.5, "is it a copy? 0.7 bits say no, 9.0 needed")
+    both = [
+        replace(p, terms=(*p.terms, copies), alignment=replace(p.alignment, evidence_bits=bits))
+        for p, bits in zip(AMBIGUOUS.placements, (8.98, 5.0), strict=True)
+    ]
+    said = replace(
+        AMBIGUOUS.said,
+        a="tiles-real-run1",
+        b="tiles-real-run3",
+        evidence_bits=8.98,
+        margin_bits=3.98,
+    )
+    need = replace(NEED, threshold_bits=17.29, pairs=160)
+    told = replace(AMBIGUOUS, said=said, requirement=need, placements=tuple(both))
+    shown = lines(told)
+    assert len(shown) <= HEIGHT
+    text = "\n".join(shown)
+    assert "3.98 bits ahead" in text
+    assert "0.02 bits of lead. To settle it" in " ".join(text.split())
+    assert "is it a copy?" in text
+
+
 @pytest.mark.parametrize("told", [MERGED, AMBIGUOUS, UNRELATED])
 @pytest.mark.parametrize("links", [1, 3, 50])
 def test_the_columns_add_up_to_the_evidence(told, links):
