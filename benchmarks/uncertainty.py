@@ -5,6 +5,8 @@ and merges state:
 
   length     a corridor's length (`length_sigma`)
   near, far  where one junction of a map lies, seen from another at most 15 m, at least 30 m away
+  size       how large the map is as a whole: one error of a run, that of its odometry's scale
+             most of all
   heading    a branch in the map's frame (`branch_sigmas`)
   place      where a junction lies, with the map as a whole laid over the truth (`sigma_m`)
   fused      a corridor's length in the fused map
@@ -26,7 +28,10 @@ together. Junctions, corridors and pairs that were identified wrongly are left o
 
 `--laser` has the junctions found in scans; faults are those of the laser and its surroundings.
 `--real FOLDER…` judges recorded runs instead: folders with `truth.json` (vertices and edges of the
-world, passes of every run) and `logs/`.
+world, passes of every run) and `logs/`; `--parts N…` cuts each of them into so many runs of equal
+way. These are drives of one robot, whose scale is one draw however many parts it is cut into. The
+truth is off itself: of folders with scans, by how much its junctions are, held against what all
+scans of a run agree on (`revisits.py`), stands before the table.
 """
 
 from __future__ import annotations
@@ -42,6 +47,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from laser import bent_onto, logs
+from revisits import revisits
 from scipy.stats import chi2
 
 from topobatch.ingest.mapping import build_map_with_errors
@@ -59,12 +66,14 @@ from topobatch.simulation.world import World
 from topobatch.simulation.worlds import WORLDS
 from topobatch.simulation.writing import write_run
 from topobatch.topology.errors import UsageError
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
 SHARES = (0.6827, 0.95, 0.9973)
 QUANTITIES = (
-    "length", "near", "far", "place", "heading", "fused", "fused place", "transform", "turn",
-    "placed", "placed turn",
+    "length", "near", "far", "size", "place", "heading", "fused", "fused place", "transform",
+    "turn", "placed", "placed turn",
 )  # fmt: skip
 NEAR_M, FAR_M = 15.0, 30.0
 WIDTH_M = 1.4
@@ -122,8 +131,8 @@ def labels(truth, topomap):
     return label
 
 
-def judge_map(truth, topomap, errors, seed):
-    """{quantity: (k, 3) within} of one map."""
+def judge_map(truth, topomap, errors, seed, headings):
+    """{quantity: (k, 3) within} of one map; headings: the branches of each world's vertices."""
     label = labels(truth, topomap)
     known = np.flatnonzero(label >= 0)
     out = {"length": judge_lengths(truth, [topomap.run], topomap, label)}
@@ -134,7 +143,10 @@ def judge_map(truth, topomap, errors, seed):
     off = topomap.xy[known] - apply(T_map_world, world.xy[label[known]])
     out["place"] = within_sigma(off, topomap.position_sigma[known])
     shape = errors.as_a_whole(topomap.xy, np.where(label >= 0, 0, 1))
-    apart = np.hypot(*(topomap.xy[known][:, None] - topomap.xy[known]).transpose(2, 0, 1))
+    arm = topomap.xy[known] - topomap.xy[known].mean(axis=0)
+    larger = np.einsum("ki,kis->s", arm, shape.sample[known, :2])
+    out["size"] = quantiles([(arm * off).sum() ** 2 / np.mean(larger**2)], 1)
+    apart = np.hypot(*(arm[:, None] - arm).transpose(2, 0, 1))
     rng = np.random.default_rng(seed)
     for name, low, high in (("near", 0.0, NEAR_M), ("far", FAR_M, np.inf)):
         i, j = np.nonzero(np.triu((apart >= low) & (apart < high), 1))
@@ -147,7 +159,7 @@ def judge_map(truth, topomap, errors, seed):
         out[name] = quantiles(np.einsum("ki,kij,kj->k", step, told, step), 2)
     z2 = []
     for n in known.tolist():
-        true = world.branches[int(label[n])] + T_map_world[2]
+        true = headings[truth.runs[topomap.run].world][int(label[n])] + T_map_world[2]
         turn = wrap(topomap.branches[n][:, None] - true)
         turn = np.take_along_axis(turn, np.abs(turn).argmin(axis=1)[:, None], axis=1)[:, 0]
         z = turn / topomap.branch_sigma[n]
@@ -166,7 +178,8 @@ def judge_merge(truth, maps, merged):
     labels = {m.run: true_vertex_of_nodes(truth, m) for m in maps}
     fused = merged.fused
     of_fused = np.full(len(fused), -1, np.int64)
-    for n, members in enumerate(fused.members):
+    for n in np.flatnonzero(~fused.is_turned).tolist():
+        members = fused.members[n]
         seen = {int(labels[run][v]) for run, vs in members.items() for v in vs}
         of_fused[n] = seen.pop() if len(seen) == 1 else -1
     out = defaultdict(list)
@@ -216,13 +229,15 @@ def placing_error(truth, a, b, labels, poses):
     return None if off > 5.0 or turn > 0.3 else (off, turn)
 
 
-def judged(truth, runs, seed):
-    """[(quantity, k, [within 68, 95, 99.7])] of the maps of some runs and their merge."""
+def judged(truth, runs, seed, headings=None):
+    """[(quantity, k, [within 68, 95, 99.7])] of the maps of some runs and their merge; headings: as
+    of `judge_map`, those of the world's corridors where they are left out."""
+    headings = headings or {name: world.branches for name, world in truth.worlds.items()}
     built = {name: build_map_with_errors(run) for name, run in runs.items()}
     rows = []
     for topomap, errors in built.values():
         if topomap.pieces == 1:
-            rows += judge_map(truth, topomap, errors, seed).items()
+            rows += judge_map(truth, topomap, errors, seed, headings).items()
     whole = [m for m, _ in built.values() if m.pieces == 1]
     if len(whole) > 1:
         rows += judge_merge(truth, whole, merge_maps(whole)).items()
@@ -261,9 +276,9 @@ def by_logs(scenario):
 
 
 def recorded(folder):
-    """(truth, runs) of a folder with logs and the true world."""
+    """(truth, runs, headings of the branches) of a folder with logs and the true world."""
     doc = json.loads((folder / "truth.json").read_bytes())
-    worlds = {}
+    worlds, headings = {}, {}
     for name, w in doc["worlds"].items():
         xy = np.array([(v["x"], v["y"]) for v in w["vertices"]])
         ends = np.array([(e["source"], e["target"]) for e in w["edges"]])
@@ -273,11 +288,13 @@ def recorded(folder):
             for k, (s, t) in zip(keep.tolist(), ends[keep].tolist(), strict=True)
         ]
         worlds[name] = World(name, w["kind"], xy, *ends[keep].T, tuple(paths)), keep
+        # What detectors reported is not where a wavering skeleton is after 0.7 m.
+        headings[name] = [np.array([b["heading"] for b in v["branches"]]) for v in w["vertices"]]
     runs = {}
     for name, r in doc["runs"].items():
         passes = [p for p in r["passes"] if p["detected"]]
         number = {int(e): k for k, e in enumerate(worlds[r["world"]][1])}
-        none = np.zeros(0, np.int64)
+        drives = [t for t in r["traversals"] if t["edge"] in number]
         runs[name] = RunTruth(
             name,
             r["world"],
@@ -287,11 +304,76 @@ def recorded(folder):
             np.array([p["world_vertex"] for p in passes]),
             np.array([p["messages"] for p in passes]),
             ("",) * len(passes),
-            np.array([number[t["edge"]] for t in r["traversals"] if t["edge"] in number]),
-            none, none, none, np.zeros((0, 3)),
+            np.array([number[t["edge"]] for t in drives]),
+            np.array([r["passes"][t["passes"][0]]["t_start_ns"] for t in drives]),
+            np.array([r["passes"][t["passes"][1]]["t_end_ns"] for t in drives]),
+            np.zeros(0, np.int64), np.zeros((0, 3)),
         )  # fmt: skip
     logs = {name: read_run(folder / "logs" / f"{name}.mcap") for name in runs}
-    return Truth({name: w for name, (w, _) in worlds.items()}, runs), logs
+    return Truth({name: w for name, (w, _) in worlds.items()}, runs), logs, headings
+
+
+def cut(truth, runs, count):
+    """(truth, runs) with every run with detections cut into so many of equal way."""
+    parts, told = {}, {}
+    for name, run in runs.items():
+        odometry, seen, true = run.odometry, run.detections, truth.runs[name]
+        way = np.cumsum(odometry.step_m)
+        first = np.searchsorted(way, way[-1] * np.arange(count + 1) / count)
+        first[-1] = len(way)
+        for k, (a, b) in enumerate(zip(first[:-1].tolist(), first[1:].tolist(), strict=True), 1):
+            begin, end = odometry.time_ns[[a, b - 1]]
+            breaks, jumps = ((rows > a) & (rows < b) for rows in (odometry.breaks, odometry.jumps))
+            track = Odometry(
+                odometry.time_ns[a:b],
+                between(odometry.pose[a], odometry.pose[a:b]),
+                odometry.breaks[breaks] - a,
+                jumps=odometry.jumps[jumps] - a,
+                jump_sigma=odometry.jump_sigma[jumps],
+                jump_other=odometry.jump_other[jumps],
+            )
+            inside = np.flatnonzero((seen.time_ns >= begin) & (seen.time_ns <= end))
+            detections = Detections(
+                seen.time_ns[inside], seen.centre[inside], seen.branches.take(inside)
+            )
+            new = f"{name}-{k}of{count}"
+            parts[new] = Run(new, track, detections)
+            passed = (true.end_ns >= begin) & (true.start_ns <= end)
+            driven = (true.drive_start_ns >= begin) & (true.drive_end_ns <= end)
+            kept = {
+                "start_ns": passed, "end_ns": passed, "vertex": passed, "messages": passed,
+                "drive_edge": driven, "drive_start_ns": driven, "drive_end_ns": driven,
+            }  # fmt: skip
+            rows = {field: getattr(true, field)[mask] for field, mask in kept.items()}
+            told[new] = replace(true, name=new, fault=("",) * int(passed.sum()), **rows)
+    return Truth(truth.worlds, told), parts
+
+
+def own_errors(folder, truth):
+    """How far off the junctions of the truth are, run by run: held against where the scans that are
+    laid over one another put what the truth's poses see there."""
+    for log in logs(folder):
+        true = truth.runs[log.name]
+        path = revisits(log.odometry, log.scans, log.truth).path
+        by_scans = defaultdict(list)
+        for start, end, vertex in zip(true.start_ns, true.end_ns, true.vertex, strict=True):
+            time = np.arange(max(start, path.time_ns[0]), min(end, path.time_ns[-1]), 200_000_000)
+            if len(time):
+                T_map_robot = inverse(bent_onto(log.truth, log, time))
+                xy = truth.worlds[true.world].xy[[vertex]]
+                there = apply(bent_onto(path, log, time), apply(T_map_robot, xy))
+                by_scans[int(vertex)].append(there.mean(axis=0))
+        seen = np.array([np.mean(found, axis=0) for found in by_scans.values()])
+        there = truth.worlds[true.world].xy[list(by_scans)]
+        off = there - apply(fit_rigid(there, seen), seen)
+        arm = there - there.mean(axis=0)
+        apart = np.hypot(*(there[:, None] - there).transpose(2, 0, 1))
+        told = [f"size {(arm * off).sum() / (arm**2).sum():+.4f}"]
+        for name, low, high in (("near", 0.0, NEAR_M), ("far", FAR_M, np.inf)):
+            i, j = np.nonzero(np.triu((apart >= low) & (apart < high), 1))
+            if len(i):
+                told.append(f"{name} {np.sqrt(np.mean((off[j] - off[i]) ** 2)):.3f} m")
+        yield f"{folder.name}, {log.name}: the truth's {len(there)} junctions {', '.join(told)} off"
 
 
 def shares(cells):
@@ -364,11 +446,20 @@ def main():
     parser.add_argument("--worst", action="store_true", help="the worlds that stray most")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--real", nargs="+", type=Path, help="folders of recorded runs")
+    parser.add_argument("--parts", nargs="+", type=int, help="cut each recorded run into so many")
     args = parser.parse_args()
     if args.real:
-        results = [
-            ((folder.name, "", ""), judged(*recorded(folder), args.first)) for folder in args.real
-        ]
+        results = []
+        for folder in args.real:
+            truth, runs, headings = recorded(folder)
+            if any(run.scanned for run in runs.values()):
+                if args.parts:
+                    parser.error(f"{folder}: only runs with detections are cut")
+                print("\n".join(own_errors(folder, truth)))
+            for count in args.parts or [None]:
+                told = (truth, runs) if count is None else cut(truth, runs, count)
+                name = folder.name + (f", {count} parts" if count else "")
+                results.append(((name, "", ""), judged(*told, args.first, headings)))
     else:
         seeds = range(args.first, args.first + args.seeds)
         cells = product(
