@@ -85,7 +85,7 @@ def _beyond_chance(copy: Candidate) -> bool:
     """Whether chance does not explain a match of a map with itself, what it tells counted once.
 
     The columns of a maze, equally far apart in all its rows, lie on themselves turned by half a
-    turn: with that counted twice, one of 15 pairs of mazes that share a tenth passes for a copy.
+    turn: with that counted twice, 5 of 53 pairs of mazes that share a tenth are taken for copies.
     """
     once = (copy.bits + copy.tested_bits) * _told_share(copy)
     return once - copy.tested_bits > MATCH.lead_bits
