@@ -19,6 +19,9 @@ from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
 from .manhattan import GridCorridors, GridHeadings
 from .places import ONE_WAY_RAD
 
+_SWING = 0.5
+"""Of what a leg turns wrongly, evenly along its way, its end is turned by half about its start."""
+
 
 @dataclass(frozen=True, slots=True)
 class EstimateSettings:
@@ -130,6 +133,7 @@ def optimise(
         kernel=kernel,
         priors=_priors(grid, corridors, count + len(several), settings),
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
+        swing=np.where(np.arange(edges) < row, _SWING, 0.0),
     )
     graph, solution, chi2 = _solved(graph, sighting, settings)
     freedom = 3 * (len(shared.row) - len(several)) + len(lines.row) - len(pose)
@@ -223,9 +227,19 @@ class _Factors:
 
 def _legs(reckoning: DeadReckoning) -> _Factors:
     row = np.flatnonzero(np.diff(reckoning.piece) == 0)
-    cov = relative_covariance(reckoning, row, row + 1) + np.diag([1e-6, 1e-6, 1e-8])
+    cov = leg_covariance(reckoning, row) + np.diag([1e-6, 1e-6, 1e-8])
     shift = np.diff(reckoning.passes.centre, axis=0)[row]
     return _Factors(row, np.column_stack([shift, np.zeros(len(row))]), _information(cov))
+
+
+def leg_covariance(reckoning: DeadReckoning, row: IntArray) -> FloatArray:
+    """(k, 3, 3) covariance of the errors of the legs from passes `row` to the next, as the pose
+    graph measures them: what a leg turns wrongly has turned its end by half of it already."""
+    x, y = (reckoning.passes.centre[row + 1] - reckoning.passes.centre[row]).T
+    half = np.tile(np.eye(3), (len(row), 1, 1))
+    half[:, 0, 2], half[:, 1, 2] = _SWING * y, -_SWING * x
+    cov = relative_covariance(reckoning, row, row + 1)
+    return np.asarray(half @ cov @ half.transpose(0, 2, 1))
 
 
 def _information(cov: FloatArray) -> FloatArray:

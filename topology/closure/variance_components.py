@@ -25,8 +25,8 @@ from ..ragged import numbered
 from ..topomap import RunNoise
 from ..track import walked_at
 from ..walk_means import WalkMeans
-from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning, relative_covariance
-from .estimate import Estimate, optimise
+from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning
+from .estimate import Estimate, leg_covariance, optimise
 from .manhattan import GridCorridors, GridHeadings, with_spread
 
 COMPONENTS = (
@@ -184,7 +184,7 @@ def _unit_walks(reckoning: DeadReckoning, odometry: Odometry) -> list[DeadReckon
 def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> FloatArray:
     """(3, k, 3, 3) covariance of every leg by each random walk of 1 sigma of 1."""
     row = np.flatnonzero(np.diff(reckoning.piece) == 0)
-    return np.stack([relative_covariance(unit, row, row + 1) for unit in units])
+    return np.stack([leg_covariance(unit, row) for unit in units])
 
 
 def _smoothed(odometry: Odometry, passes: Passes) -> FloatArray:

@@ -10,6 +10,10 @@ Every other measurement is built from the same three parts:
 * a *heading known from outside* (a rectilinear building) is a prior with heading information only;
 * a *systematic error of the odometry* (heading bias per metre, scale, …) is a shared variable:
   one number that enters the measurements of many edges linearly (`SharedErrors`).
+
+Where a robot turned wrongly *on its way*, its end lies on an arc about the start, along which no
+ellipse lies; seen from half of the turn it does (Long, Wolfe, Mashner, Chirikjian, The banana
+distribution is Gaussian, RSS 2012). An edge may say so (`swing`).
 """
 
 from __future__ import annotations
@@ -123,10 +127,11 @@ class PoseGraph:
 
     pose: (n, 3) first guess; source, target: (m,) vertices of every edge; measurement: (m, 3)
     T_source_target; information: (m, 3, 3), symmetric, positive semidefinite, zero in what the edge
-    does not tell; kernel: (m,) width of a Cauchy kernel in sigmas, inf for a plain square;
-    priors and shared errors: see there. The frame is free (gauge) where priors leave it so.
-    Raises ValueError on shapes that do not fit, NaN, indices out of range, an edge from a pose to
-    itself.
+    does not tell; kernel: (m,) width of a Cauchy kernel in sigmas, inf for a plain square; swing:
+    (m,) share of an edge's error of turn by which what it measured is turned along before it is
+    compared, 0 in g2o's metric; priors and shared errors: see there. The frame is free (gauge)
+    where priors leave it so. Raises ValueError on shapes that do not fit, NaN, indices out of
+    range, an edge from a pose to itself.
     """
 
     pose: FloatArray
@@ -137,11 +142,15 @@ class PoseGraph:
     kernel: FloatArray = field(default_factory=lambda: _nothing(0))
     priors: Priors = field(default_factory=Priors.empty)
     shared: SharedErrors = field(default_factory=SharedErrors.none)
+    swing: FloatArray = field(default_factory=lambda: _nothing(0))
 
     def __post_init__(self) -> None:
         n, m = len(self.pose), len(self.source)
+        if not len(self.swing):
+            object.__setattr__(self, "swing", _nothing(m))
         freeze(self, np.int64, source=(m,), target=(m,))
         freeze(self, np.float64, pose=(n, 3), measurement=(m, 3), information=(m, 3, 3))
+        freeze(self, np.float64, swing=(m,))
         object.__setattr__(self, "kernel", _kernel(self.kernel, m, "kernel of the edges"))
         if not len(self.shared):
             object.__setattr__(self, "shared", SharedErrors.none(m))
@@ -160,12 +169,14 @@ class PoseGraph:
 
 
 def edge_errors(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:
-    """(m, 3) e = T_ij^-1 ∘ (T_i^-1 ∘ T_j) of every edge at the given poses and shared errors."""
+    """(m, 3) e = T_ij^-1 ∘ (T_i^-1 ∘ T_j) of every edge at the given poses and shared errors, T_i
+    turned by its `swing` of e_θ."""
     T_i_j = corrected_measurement(graph, shared)
     step = pose[graph.target] - pose[graph.source]
-    ahead = turned(step, -pose[graph.source, 2]) - T_i_j[:, :2]
+    turn = wrap(step[:, 2] - T_i_j[:, 2])
+    ahead = turned(step, -pose[graph.source, 2] - graph.swing * turn) - T_i_j[:, :2]
     off = turned(ahead, -T_i_j[:, 2])
-    return np.column_stack([off, wrap(step[:, 2] - T_i_j[:, 2])])
+    return np.column_stack([off, turn])
 
 
 def corrected_measurement(graph: PoseGraph, shared: FloatArray) -> FloatArray:

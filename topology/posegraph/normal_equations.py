@@ -214,34 +214,35 @@ class Factor:
 def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
     """Normal equations at a point, with information scaled by its weights. O(m).
 
-    Vectorised over edges, one array per matrix entry. With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij, and
-    E = [I, J(t_j − t_i); 0, 1] the Jacobians are J_j = B and J_i = −B E, so that all blocks follow
-    from G = Bᵀ Ω B, the information turned into the frame of the graph: H_jj = G, H_ij = −Eᵀ G,
-    H_ii = Eᵀ G E. One `bincount` scatters them into the slots of the pattern.
+    Vectorised over edges, one array per matrix entry. With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij + s
+    e_θ, s the swing, E = [I, (1 − s) J(t_j − t_i); 0, 1] and F = [I, −s J(t_j − t_i); 0, 1] the
+    Jacobians are J_j = B F and J_i = −B E, so that all blocks follow from G = Bᵀ Ω B, the
+    information turned into the frame of the graph: H_jj = Fᵀ G F, H_ij = −Eᵀ G F, H_ii = Eᵀ G E.
+    One `bincount` scatters them into the slots of the pattern.
     """
     pose, shared, m = at.pose, at.shared, len(graph.source)
     T_i_j = corrected_measurement(graph, shared)
     error = edge_errors(graph, pose, shared)
-    phi = pose[graph.source, 2] + T_i_j[:, 2]
+    phi = pose[graph.source, 2] + T_i_j[:, 2] + graph.swing * error[:, 2]
     c, s = np.cos(phi), np.sin(phi)
-    x, y = (pose[graph.target, :2] - pose[graph.source, :2]).T
+    step = pose[graph.target, :2] - pose[graph.source, :2]
+    lever_i, lever_j = ((1 - graph.swing) * step.T), -graph.swing * step.T
     G = _turned(graph.information, c, s) * at.edge_weight
     blocks = np.empty((4 * m + len(graph.priors), 3, 3))
     H_ii, H_ij, H_ji, H_jj = (blocks[k * m : (k + 1) * m].transpose(1, 2, 0) for k in range(4))
-    H_jj[:] = G
-    H_ij[:2] = -G[:2]
-    H_ij[2] = y * G[0] - x * G[1] - G[2]
+    at_i, at_j = _through(G, lever_i), -_through(G, lever_j)
+    H_ii[:] = _through(at_i.transpose(1, 0, 2), lever_i)
+    H_ij[:] = -_through(at_i.transpose(1, 0, 2), lever_j).transpose(1, 0, 2)
     H_ji[:] = H_ij.transpose(1, 0, 2)
-    H_ii[:, :2] = -H_ij[:, :2]
-    H_ii[:, 2] = y * H_ij[:, 0] - x * H_ij[:, 1] - H_ij[:, 2]
+    H_jj[:] = -_through(at_j.transpose(1, 0, 2), lever_j)
     blocks[4 * m :] = graph.priors.information * at.prior_weight[:, None, None]
     data = summed(pattern.slot.ravel(), blocks.ravel(), len(pattern.indices) + 1)[:-1]
 
     ends = (graph.source, graph.target, graph.priors.node)
-    pull_j = _pulled(G, _turned_back(error, c, s))
-    pull_i = _through(pull_j, x, y)
+    pull = _pulled(G, _turned_back(error, c, s))
+    pull_i, pull_j = _through(pull, lever_i), -_through(pull, lever_j)
     known = _times(blocks[4 * m :], prior_errors(graph, pose))
-    gradient = _scatter(pattern, ends, (pull_i, pull_j, known))
+    gradient = _scatter(pattern, ends, (pull_i.T, pull_j.T, known))
     k = len(graph.shared)
     border, corner, slope = np.zeros((pattern.size, k)), np.zeros((k, k)), np.zeros(k)
     belief = 1.0 / np.square(graph.shared.sigma)
@@ -249,7 +250,8 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
         J_b = np.matmul(measurement_jacobian(graph, pose, shared), graph.shared.sensitivity)
         for column in range(k):
             G_b = _pulled(G, _turned_back(J_b[:, :, column], c, s))
-            border[:, column] = -_scatter(pattern, ends[:2], (_through(G_b, x, y), G_b))
+            both = (_through(G_b, lever_i).T, -_through(G_b, lever_j).T)
+            border[:, column] = -_scatter(pattern, ends[:2], both)
         weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
         corner = np.einsum("eik,eil->kl", J_b, weighted) + np.diag(belief)
         slope = -np.einsum("eik,ei->k", weighted, error) - belief * shared
@@ -279,13 +281,14 @@ def _turned_back(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray
 
 
 def _pulled(G: FloatArray, vector: FloatArray) -> FloatArray:
-    """(m, 3) G v of (3, m): what an error pulls at the target pose."""
-    return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in G], 1)
+    """(3, m) G v of (3, m): what an error pulls at the end of the edge."""
+    return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in G])
 
 
-def _through(pull: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """(m, 3) −Eᵀ of a pull at the target pose: the pull at the source pose."""
-    return np.stack([-pull[:, 0], -pull[:, 1], y * pull[:, 0] - x * pull[:, 1] - pull[:, 2]], 1)
+def _through(pull: FloatArray, lever: FloatArray) -> FloatArray:
+    """−Eᵀ of pulls (3, …, m) at the end of each edge, E = [I, J lever; 0, 1] with levers (2, m)."""
+    x, y = lever
+    return np.stack([-pull[0], -pull[1], y * pull[0] - x * pull[1] - pull[2]])
 
 
 def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
@@ -305,13 +308,16 @@ def _scatter(
 
 
 def measurement_jacobian(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:
-    """(m, 3, 3) derivative of the edge errors by the measurement: −diag(R_ijᵀ, 1), −J e_xy."""
+    """(m, 3, 3) derivative of the edge errors by the measurement: −diag(R_ijᵀ, 1), −J e_xy and,
+    for the swing, s J (e_xy + R_ijᵀ t_ij)."""
     T_i_j = corrected_measurement(graph, shared)
     error = edge_errors(graph, pose, shared)
     c, s = np.cos(T_i_j[:, 2]), np.sin(T_i_j[:, 2])
+    x, y = T_i_j[:, :2].T
     out = np.zeros((len(c), 3, 3))
     out[:, 0, 0], out[:, 0, 1] = -c, -s
     out[:, 1, 0], out[:, 1, 1] = s, -c
-    out[:, 0, 2], out[:, 1, 2] = error[:, 1], -error[:, 0]
+    out[:, 0, 2] = error[:, 1] - graph.swing * (error[:, 1] + c * y - s * x)
+    out[:, 1, 2] = -error[:, 0] + graph.swing * (error[:, 0] + c * x + s * y)
     out[:, 2, 2] = -1.0
     return out

@@ -19,7 +19,14 @@ from ..arrays import FloatArray, IntArray
 from ..se2 import turned_axes
 from .graph import PoseGraph, corrected_measurement, edge_errors
 from .marginals import relative_jacobians
-from .normal_equations import Factor, Pattern, Point, build_pattern, linearise
+from .normal_equations import (
+    Factor,
+    Pattern,
+    Point,
+    build_pattern,
+    linearise,
+    measurement_jacobian,
+)
 from .skeleton import skeleton
 
 
@@ -47,7 +54,8 @@ class _Linearised:
         """outliers: as of `SampledMarginals.of`."""
         pattern = build_pattern(graph, skeleton(graph))
         factor = linearise(graph, pattern, solution).factorise()
-        J_i, J_j, J_m = _jacobians(graph, solution.pose, solution.shared)
+        J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
+        J_m = measurement_jacobian(graph, solution.pose, solution.shared)
         weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
         own, own_known = (square_root(of.information) for of in (graph, graph.priors))
         if outliers:
@@ -186,20 +194,17 @@ _drawn: dict[int, FloatArray] = {}  # by seed, the longest beginning of its stre
 
 def _jacobians(
     graph: PoseGraph, pose: FloatArray, shared: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(m, 3, 3) each: derivatives of the edge errors by source pose, target pose, measurement.
-
-    With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij and E = [I, J(t_j - t_i); 0, 1]: J_j = B, J_i = -B E;
-    by the measurement -diag(R_ijᵀ, 1) with -J e_xy in the last column.
-    """
+) -> tuple[FloatArray, FloatArray]:
+    """(m, 3, 3) each: derivatives of the edge errors by source pose and target pose, as in
+    `linearise`."""
     T_i_j, error = corrected_measurement(graph, shared), edge_errors(graph, pose, shared)
     x, y, _ = (pose[graph.target] - pose[graph.source]).T
-    J_j = turned_axes(-(pose[graph.source, 2] + T_i_j[:, 2]))
+    J_j = turned_axes(-(pose[graph.source, 2] + T_i_j[:, 2] + graph.swing * error[:, 2]))
     J_i = -J_j
-    J_i[:, :2, 2] = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
-    J_m = -turned_axes(-T_i_j[:, 2])
-    J_m[:, 0, 2], J_m[:, 1, 2] = error[:, 1], -error[:, 0]
-    return J_i, J_j, J_m
+    lever = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
+    J_i[:, :2, 2] = (1 - graph.swing)[:, None] * lever
+    J_j[:, :2, 2] = graph.swing[:, None] * lever
+    return J_i, J_j
 
 
 def square_root(information: FloatArray) -> FloatArray:

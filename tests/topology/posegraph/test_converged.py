@@ -76,6 +76,8 @@ def graphs(draw: st.DrawFn) -> PoseGraph:
             np.where(rng.random(u) < 0.5, 2.0, np.inf),
         ),
         SharedErrors(shared, rng.uniform(0.01, 1, k)),
+        # What tells no turn has an error of turn of any size: half a circle is a step in the cost.
+        0.5 * (np.concatenate([part.information for part in parts])[:, 2, 2] > 0),
     )
 
 

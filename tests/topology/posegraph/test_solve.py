@@ -115,6 +115,7 @@ def test_normal_equations_match_differences(seed: int) -> None:
         pose=graph.pose + rng.normal(0, 0.3, (n, 3)),
         priors=Priors.headings(np.array([3, 5, 3]), rng.normal(0, 1, 3), 0.2),
         shared=SharedErrors(rng.normal(0, 1, (m, 3, 2)), np.array([0.5, 2.0])),
+        swing=rng.uniform(0, 1, m) * (rng.random(m) < 0.7),
     )
     weight, prior_weight = rng.uniform(0.1, 1, m), rng.uniform(0.1, 1, 3)
     shared = rng.normal(0, 0.1, 2)
