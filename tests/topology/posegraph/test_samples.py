@@ -16,12 +16,13 @@ from topobatch.topology.posegraph.solve import solve
 
 
 def ring(n: int) -> PoseGraph:
-    """A ring of poses."""
+    """A ring of poses, whose edges bend more and more."""
     turn = 2 * np.pi / n
     pose = np.column_stack([np.cumsum(np.cos(turn * np.arange(n))), np.zeros(n), np.zeros(n)])
     step = np.tile([1.0, 0.0, turn], (n, 1))
     ends = np.arange(n), (np.arange(n) + 1) % n
-    return PoseGraph(pose, *ends, step, np.tile(np.diag([400.0, 400.0, 900.0]), (n, 1, 1)))
+    information = np.tile(np.diag([400.0, 400.0, 900.0]), (n, 1, 1))
+    return PoseGraph(pose, *ends, step, information, swing=np.linspace(0.0, 0.5, n))
 
 
 def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
