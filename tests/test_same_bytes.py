@@ -40,6 +40,33 @@ write_merged(out / "merged.json", merge_maps([read_map(p) for p in sorted(out.gl
 """
 
 
+MATCH = """
+import numpy as np
+from topobatch.ingest.scans.alignment import ALIGNMENT, Steps, align, match_steps
+from topobatch.ingest.scans.association import Swept
+from topobatch.topology.se2 import between
+
+n, bearing = 60, np.radians(np.arange(-180, 180))
+turn = 0.1 * np.arange(n) + 0.005
+real = np.column_stack([np.linspace(1, 9, n), 2 + np.sin(np.arange(n) / 9), turn])
+c, s = np.cos(real[:, 2:] + bearing), np.sin(real[:, 2:] + bearing)
+x, y = real[:, :1], real[:, 1:2]
+ranges = np.minimum(np.where(c > 0, 10 - x, -x) / c, np.where(s > 0, 4 - y, -y) / s)
+ranges = np.round(ranges + 0.01 * np.sin(1e4 * ranges), 3)
+xy = ranges[..., None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+scans = Swept.of(xy.astype(np.float32), np.full(n, -np.pi), np.full(n, np.radians(1)))
+steps = Steps(1.1 * between(real[:-1], real[1:]), np.tile(100 * np.eye(3), (n - 1, 1, 1)))
+rows = np.arange(n)
+found = match_steps(scans, (rows[1:], rows[:-1]), steps, ALIGNMENT)
+assert found.fit.min() > 0.5
+earlier = [np.maximum(rows - back, -1) for back in ALIGNMENT.offsets]
+start = real + 0.03 * np.sin(1e3 * real) * (rows > 0)[:, None]
+aligned = align(scans, start, steps, fixed=1, earlier=earlier, settings=ALIGNMENT)
+assert np.abs(between(real, aligned.pose)).max() < 0.03
+print(found.motion.tobytes().hex(), aligned.pose.tobytes().hex())
+"""
+
+
 def environment(kernel: str) -> dict[str, str]:
     """Variables under which numpy and OpenBLAS take this machine for a processor of that kind."""
     from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
@@ -84,20 +111,28 @@ def test_documents_do_not_depend_on_the_processor(
         assert [name for name in one if one[name] != other[name]] == []
 
 
-def test_the_processors_do_reckon_differently() -> None:
-    """Else the test above would say nothing."""
+def printed(code: str) -> list[bytes]:
+    """What a program prints under every kernel that runs here."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         pytest.skip("kernels can be chosen on x86 alone")
+    command = [sys.executable, "-c", code]
+    return [
+        subprocess.run(command, check=True, capture_output=True, env=environment(kernel)).stdout
+        for kernel in filter(runs_here, PROCESSORS)
+    ]
+
+
+def test_the_processors_do_reckon_differently() -> None:
+    """Else the other tests would say nothing."""
     x = "x = np.sin(np.arange(1, 4000.0)); A = x[:900].reshape(30, 30)"
     code = f"import numpy as np; {x}; print((A @ A.T).tobytes().hex(), np.exp(x).tobytes().hex())"
-    kernels = list(filter(runs_here, PROCESSORS))
-    out = {
-        subprocess.run(
-            [sys.executable, "-c", code], check=True, capture_output=True, env=environment(kernel)
-        ).stdout
-        for kernel in kernels
-    }
-    assert len(out) == len(kernels)
+    out = printed(code)
+    assert len(set(out)) == len(out)
+
+
+def test_matched_scans_do_not_depend_on_the_processor() -> None:
+    """To the last bit: what comes after decides by thresholds."""
+    assert len(set(printed(MATCH))) == 1
 
 
 def numbers(value: object, key: str = "") -> Iterator[tuple[str, float]]:

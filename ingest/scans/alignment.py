@@ -55,11 +55,21 @@ class AlignmentSettings:
     """Headings tried: 30 degrees either way, so near that matching reaches the best from one."""
     better_fit: float = 0.1
     """What a search must gain to be believed."""
+    grain: float = 2.0**-17
+    """m and rad (8 µm) to which poses are rounded after every round, far below what matching can
+    tell: solvers differ between processors in the last digits, and which points pass a gate would
+    hang on them. As a power of two it is exact, also in single precision up to 128 m."""
 
     def moved(self, change: FloatArray) -> BoolArray:
         """(p,) whether a change (p, 3) of motions moves points by more than `settled_m`."""
         shift = np.hypot(change[:, 0], change[:, 1])
         return np.asarray(shift + self.settled_at_m * np.abs(change[:, 2]) > self.settled_m)
+
+    def rounded(self, pose: FloatArray) -> FloatArray:
+        """Poses or motions (p, 3) to the `grain`, turns within half of one."""
+        out = np.rint(pose / self.grain) * self.grain
+        out[:, 2] = wrap(out[:, 2])
+        return out
 
 
 ALIGNMENT = AlignmentSettings()
@@ -131,7 +141,7 @@ def _matched(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gauss-Newton on each pair: motion, fit, loose_m. odometry: motion, start, information."""
     expected, motion, information = odometry
-    motion = motion.copy()
+    motion = settings.rounded(motion)
     scale = settings.pair_worth / settings.sigma_m**2
     first, second = pairs
     for rounds, gate in settings.pair_rounds:
@@ -144,8 +154,7 @@ def _matched(
             gradient = moments[:, :3, 3] + odometry_gradient
             total = moments[:, :3, :3] + information[moving]
             step = np.clip(np.linalg.solve(total, gradient[..., None])[..., 0], -0.5, 0.5)
-            motion[moving] -= step
-            motion[:, 2] = wrap(motion[:, 2])
+            motion[moving] = settings.rounded(motion[moving] - step)
             moving = moving[settings.moved(step)]
     last = pair_terms(scans, *pairs, motion, settings.pair_rounds[-1][-1])
     weakest = np.linalg.eigvalsh(scale * last.moments[:, :2, :2])[:, 0]
@@ -177,6 +186,7 @@ def align(
     """
     looks = _Looks.of(earlier, fixed)
     equations = _Equations.of(len(pose), fixed, looks)
+    pose = settings.rounded(pose)
     for rounds, gate in settings.joint_rounds:
         looks.known[:] = False
         for _ in range(rounds):
@@ -187,8 +197,7 @@ def align(
                 pose, steps, quadratic, _worth(looks, quadratic, settings)
             )
             step = solveh_banded(band, -gradient, lower=True, overwrite_ab=True, overwrite_b=True)
-            pose = pose + np.asarray(step).reshape(-1, 3)
-            pose[:, 2] = wrap(pose[:, 2])
+            pose = settings.rounded(pose + np.asarray(step).reshape(-1, 3))
     quadratic = looks.quadratic(pose)
     worth = _worth(looks, quadratic, settings)
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]

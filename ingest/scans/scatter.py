@@ -196,7 +196,7 @@ def _by_patch(on: Matches, pose: FloatArray) -> tuple[IntArray, IntArray, FloatA
     at = apply(pose[row], np.stack([on.x[row, beam], on.y[row, beam]], axis=1).astype(np.float64))
     nx, ny = on.nx[row, beam], on.ny[row, beam]
     # Both sides of a wall, and two walls of a corner, are patches of their own.
-    bearing = np.arctan2(ny, nx) + pose[row, 2]
+    bearing = np.arctan2(ny, nx, dtype=np.float64) + pose[row, 2]
     faces = np.floor(bearing / (0.5 * np.pi) + 0.5).astype(np.int64) % 4
     x, y = np.floor(at / PATCH_M).astype(np.int64).T
     patch = ((x % SPREAD) * SPREAD + y % SPREAD) * 4 + faces

@@ -80,8 +80,10 @@ def surfaces(xy: Float32Array, increment_rad: FloatArray) -> Surfaces:
         here = np.minimum(rough, here)
         low, high = low + better * (first - low), high + better * (last - high)
     size, mx, my, across, length, cos2, sin2 = _line(sums, low, high)
-    along = 0.5 * np.arctan2(sin2.astype(np.float32), cos2.astype(np.float32))
-    nx, ny = -np.sin(along), np.cos(along)
+    # Half the angle by roots: sines and arctangents differ between processors.
+    twice = 2 * np.maximum(np.sqrt(cos2 * cos2 + sin2 * sin2), LEAST_M2)
+    nx = -np.copysign(np.sqrt(np.maximum(0.5 - cos2 / twice, 0.0)), sin2)
+    ny = np.sqrt(np.maximum(0.5 + cos2 / twice, 0.0))
     valid = (
         seen
         & (size > 2 * SURFACES.least_beams - 1)
