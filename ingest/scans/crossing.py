@@ -407,7 +407,9 @@ def aside(bearings: FloatArray) -> FloatArray:
     corridor = np.delete(turned, third)
     a = np.clip(np.abs(wrap(turned[third] - corridor)).min(), *ANGLES_RAD)
     towards = _towards(a)
-    across = np.array([-np.sin(corridor[0]), np.cos(corridor[0])])
+    # Both of its ends tell: which of them sorts first is by chance where one points along the grid.
+    s, c = (of(corridor[0]) - of(corridor[1]) for of in (np.sin, np.cos))
+    across = np.array([-s, c]) / np.hypot(s, c)
     spread = np.tan(a) ** -2.0 * np.eye(2) + towards**2 * np.outer(across, across)
     return np.asarray(least + spread / (1 + towards) ** 2)
 

@@ -124,11 +124,19 @@ def test_forks_lie_aside_of_the_corridor_that_a_branch_leaves() -> None:
     right = aside(np.radians([0, 90, 180]))
     np.testing.assert_allclose(right, np.diag([least, least + 0.2**2]), atol=1e-12)
     acute = aside(np.radians([0, 45, 180]))
-    np.testing.assert_allclose(acute, np.diag([least + 1 / 1.5**2, least + 1.25 / 1.5**2]))
+    expected = np.diag([least + 1 / 1.5**2, least + 1.25 / 1.5**2])
+    np.testing.assert_allclose(acute, expected, atol=1e-12)
     turned = aside(np.radians([90, 180, 270]))
     np.testing.assert_allclose(turned, right[::-1, ::-1], atol=1e-12)
     sharpest = aside(np.radians([0.0, 30.0, 180]))
     np.testing.assert_allclose(aside(np.radians([0.0, 10.0, 180])), sharpest)
+
+
+def test_how_a_fork_lies_aside_hangs_on_no_order_of_bearings() -> None:
+    """A branch along the grid points to -90 or to 270 degrees, as rounding has it."""
+    one = aside(np.radians([-90.0, 152.4, 72.8]))
+    np.testing.assert_allclose(aside(np.radians([270.0, 152.4, 72.8])), one, atol=1e-12)
+    np.testing.assert_allclose(aside(np.radians([72.8, -90.0, 152.4])), one, atol=1e-12)
 
 
 def test_corridors_cross_where_the_fork_is() -> None:
